@@ -36,9 +36,8 @@ if TYPE_CHECKING:
     from orchestrator.monolithic.reference import reference
     from orchestrator.results.comparison import compare
     from orchestrator.results.validation import Validation, validate
-    from orchestrator.ssp.assembly import assemble
     from orchestrator.ssp.coupling import Coupling
-    from orchestrator.ssp.load import load
+    from orchestrator.ssp.load import assemble, load
     from orchestrator.ssp.swap import with_swaps
     from orchestrator.ssp.system import System
     from orchestrator.ssp.write import write_ssp
@@ -60,9 +59,8 @@ _MODULES = {
     "monolithic.reference": "reference",
     "results.comparison": "compare",
     "results.validation": "Validation validate",
-    "ssp.assembly": "assemble",
     "ssp.coupling": "Coupling",
-    "ssp.load": "load",
+    "ssp.load": "assemble load",
     "ssp.swap": "with_swaps",
     "ssp.system": "System",
     "ssp.write": "write_ssp",

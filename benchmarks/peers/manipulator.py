@@ -13,7 +13,7 @@ from fmus.contract import Quantity, Scalar, Subsystem, make_group
 from fmus.export.build import build_all
 from fmus.parameters import with_parameters
 from orchestrator import read_trace, run
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "hydraulic_manipulator"

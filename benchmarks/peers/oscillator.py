@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fmus.export.compile import PLATFORMS, host, shared_library
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
 SOURCE = Path(__file__).with_name("mass.c")

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from fmus.export.compile import PLATFORMS, host
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
 TRUCK = "quarter-truck.ssp"

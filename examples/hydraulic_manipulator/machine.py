@@ -14,7 +14,7 @@ from fmus.contract import Subsystem, quantities
 from fmus.export.build import build_all
 from fmus.monolith import join, merge_times, simulate
 from orchestrator.data.trace import Trace
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
 Array = NDArray[np.float64]

@@ -131,29 +131,38 @@ class CompensatedBoomStickOutputs(BoomStickOutputs, boom=AxisOutputs, stick=Axis
 
 
 @dataclass(frozen=True)
-class CompensatedDrive:
-    """One drive at one instant.
+class Side:
+    """Head or rod side of a cylinder at one instant.
 
-    x                 state
-    u                 inputs
-    ports             ports of the section: A at the head side, B at the rod side
-    flows             through the counterbalance valves into the chambers [m3/s]
-    relief            flows of the relief valves of both ports [m3/s]
-    anti_cavitation   flows of the anti-cavitation valves of both ports [m3/s]
+    pressure, line, opening   states: pressures of chamber and hose [Pa], opening of the counterbalance valve
+    pilot_ratio               of the counterbalance valve
+    port                      of the section
+    flow                      through the counterbalance valve into the chamber [m3/s]
+    relief, anti_cavitation   flows of the valves at the port [m3/s]
     """
+
+    pressure: Scalar
+    line: Scalar
+    opening: Scalar
+    pilot_ratio: Scalar
+    port: SectionPort
+    flow: Scalar
+    relief: Scalar
+    anti_cavitation: Scalar
+
+
+@dataclass(frozen=True)
+class CompensatedDrive:
+    """One drive at one instant: parameters, state, inputs and both sides, the head side first."""
 
     cylinder: Cylinder
     hose: VolumeHose
     section: Section
     counterbalance: Counterbalance
-    pilot_ratios: Pair
     oil: AeratedOil
     x: AxisState
     u: DriveInterface
-    ports: tuple[SectionPort, SectionPort]
-    flows: Pair
-    relief: Pair
-    anti_cavitation: Pair
+    sides: tuple[Side, Side]
 
     @property
     def volumes(self) -> Pair:
@@ -167,34 +176,23 @@ class CompensatedDrive:
 
     def rates(self) -> AxisState:
         """Time derivative of the state."""
-        head, rod = self.cylinder.areas
+        (head, rod), c, result = self.cylinder.areas, self.counterbalance, {}
         swept = (-head * self.u.velocity, rod * self.u.velocity)
-        chambers = (
-            chamber.pressure_rate(p, q + s, v * chamber.compliance(self.oil, p))
-            for p, q, s, v in zip(self.x.pair("pressure"), self.flows, swept, self.volumes, strict=True)
-        )
-        lines = (
-            chamber.pressure_rate(
-                p,
-                port.edges.line - q - out + back,
-                self.hose.capacitance + self.hose_volume * chamber.air_compliance(self.oil, p),
+        sides = zip(SIDES, self.sides, self.sides[::-1], swept, self.volumes, strict=True)
+        for name, s, opposite, displaced, volume in sides:
+            result[f"{name}_pressure"] = chamber.pressure_rate(
+                s.pressure, s.flow + displaced, volume * chamber.compliance(self.oil, s.pressure)
             )
-            for p, port, q, out, back in zip(
-                *(self.x.pair("valve_pressure"), self.ports, self.flows),
-                *(self.relief, self.anti_cavitation),
-                strict=True,
+            result[f"{name}_valve_pressure"] = chamber.pressure_rate(
+                s.line,
+                s.port.edges.line - s.flow - s.relief + s.anti_cavitation,
+                self.hose.capacitance + self.hose_volume * chamber.air_compliance(self.oil, s.line),
             )
-        )
-        names = ("pressure", "valve_pressure", "counterbalance_opening")
-        pairs = zip(names, (chambers, lines, self._opening_rates()), strict=True)
-        return AxisState(**{f"{s}_{n}": v for n, pair in pairs for s, v in zip(SIDES, pair, strict=True)})
-
-    def _opening_rates(self) -> Iterator[Scalar]:
-        c, lines, tank = self.counterbalance, self.x.pair("valve_pressure"), self.u.tank_pressure
-        pilots, openings = lines[::-1], self.x.pair("counterbalance_opening")
-        valves = (self.pilot_ratios, self.x.pair("pressure"), pilots, lines, openings)
-        for ratio, p, pilot, line, y in zip(*valves, strict=True):
-            yield (counterbalance_valve.balance(c, ratio, p, pilot, line, tank) - y) / c.lag
+            balance = counterbalance_valve.balance(
+                c, s.pilot_ratio, s.pressure, opposite.line, s.line, self.u.tank_pressure
+            )
+            result[f"{name}_counterbalance_opening"] = (balance - s.opening) / c.lag
+        return AxisState(**result)
 
     def load_pressure(self, rates: AxisState) -> LoadPressure:
         """Load pressure of the section."""
@@ -210,14 +208,13 @@ class CompensatedDrive:
         (head, rod), rates = self.cylinder.areas, self.rates()
         chambers, lines = self.x.pair("pressure"), self.x.pair("valve_pressure")
         supply, tank = self.u.supply_pressure, self.u.tank_pressure
-        relieved = tuple(out - back for out, back in zip(self.relief, self.anti_cavitation, strict=True))
-        meter_in, metering_drop, compensator_drop = compensator.shown(
-            self.section, self.ports, self.u.command
-        )
-        edges = sum(spool_valve.throttling_loss(port.edges, supply, tank) for port in self.ports)
+        ports = (self.sides[0].port, self.sides[1].port)
+        meter_in, metering_drop, compensator_drop = compensator.shown(self.section, ports, self.u.command)
+        edges = sum(spool_valve.throttling_loss(port.edges, supply, tank) for port in ports)
+        relieved = [s.relief - s.anti_cavitation for s in self.sides]
         heat = edges + sum(
-            q * (line - p) + out * (line - tank)
-            for q, line, p, out in zip(self.flows, lines, chambers, relieved, strict=True)
+            s.flow * (s.line - s.pressure) + out * (s.line - tank)
+            for s, out in zip(self.sides, relieved, strict=True)
         )
         densities = tuple(chamber.energy_density(self.oil, p) for p in chambers)
         compression = sum(
@@ -228,7 +225,7 @@ class CompensatedDrive:
             + self.hose_volume * chamber.air_energy_density(self.oil, p)
             for p in lines
         )
-        outputs = {
+        return {
             **vars(self.x),
             "force": cylinder.force(head, rod, *chambers),
             "force_rate": cylinder.force(head, rod, *rates.pair("pressure")),
@@ -236,18 +233,17 @@ class CompensatedDrive:
             "meter_in_flow": meter_in,
             "metering_drop": metering_drop,
             "compensator_drop": compensator_drop,
-            "relief_flow": sum(self.relief),
-            "anti_cavitation_flow": sum(self.anti_cavitation),
+            "relief_flow": sum(s.relief for s in self.sides),
+            "anti_cavitation_flow": sum(s.anti_cavitation for s in self.sides),
             "supply_flow": meter_in,
-            "return_flow": sum(port.edges.tank for port in self.ports) + sum(relieved),
+            "return_flow": sum(port.edges.tank for port in ports) + sum(relieved),
             "stored_energy": compression,
             "dissipated_power": heat,
             "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
             drive.LOAD: self.load_pressure(rates),
+            **{f"{name}_flow": s.flow for name, s in zip(SIDES, self.sides, strict=True)},
+            **{f"{name}_valve_flow": s.port.edges.line for name, s in zip(SIDES, self.sides, strict=True)},
         }
-        for side, port, q in zip(SIDES, self.ports, self.flows, strict=True):
-            outputs |= {f"{side}_flow": q, f"{side}_valve_flow": port.edges.line}
-        return outputs
 
 
 def section(p: CompensatedBoomStickParameters, axis: str) -> Section:
@@ -270,33 +266,33 @@ def _drives(
     relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
     for axis, inputs in zip(AXES, drive.interfaces(u), strict=True):
         state, line, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
-        lines, tank = state.pair("valve_pressure"), inputs.tank_pressure
+        tank = inputs.tank_pressure
         around = Restriction(
             own.valve.discharge_coefficient, p.density, line.resistance, own.valve.transition_flow
         )
+        ports = compensator.section_ports(
+            *(own, inputs.command, state.pair("valve_pressure")),
+            *(inputs.supply_pressure, u.load_sensing_pressure, tank),
+        )
         head, rod = (
-            counterbalance_valve.flow(counterbalance, y, line, pressure, around)
-            for y, line, pressure in zip(
-                *(state.pair("counterbalance_opening"), lines, state.pair("pressure")), strict=True
+            Side(
+                *(pressure, valve_pressure, opening),
+                getattr(p, f"{axis}_{name}_pilot_ratio"),
+                port,
+                flow=counterbalance_valve.flow(counterbalance, opening, valve_pressure, pressure, around),
+                relief=orifice.relief_flow(relief, valve_pressure - tank),
+                anti_cavitation=orifice.relief_flow(anti, tank - valve_pressure),
+            )
+            for name, port, pressure, valve_pressure, opening in zip(
+                *(SIDES, ports, state.pair("pressure"), state.pair("valve_pressure")),
+                state.pair("counterbalance_opening"),
+                strict=True,
             )
         )
         yield CompensatedDrive(
             *(Cylinder.of(p, axis), line, own, counterbalance),
-            (getattr(p, f"{axis}_head_pilot_ratio"), getattr(p, f"{axis}_rod_pilot_ratio")),
             *(AeratedOil.of(p), state, inputs),
-            ports=compensator.section_ports(
-                *(own, inputs.command, lines),
-                *(inputs.supply_pressure, u.load_sensing_pressure, tank),
-            ),
-            flows=(head, rod),
-            relief=(
-                orifice.relief_flow(relief, lines[0] - tank),
-                orifice.relief_flow(relief, lines[1] - tank),
-            ),
-            anti_cavitation=(
-                orifice.relief_flow(anti, tank - lines[0]),
-                orifice.relief_flow(anti, tank - lines[1]),
-            ),
+            (head, rod),
         )
 
 

@@ -32,7 +32,7 @@ from fmus.boom_stick.variables import (
 from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
-from fmus.components.hose import Hose, Line, LineState
+from fmus.components.hose import Hose, HydraulicLine, LineState
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
@@ -70,7 +70,7 @@ class DetailedDrive:
     """
 
     cylinder: Cylinder
-    line: Line
+    line: HydraulicLine
     spool: Spool
     curves: OpeningCurves
     full_command: Scalar
@@ -160,9 +160,11 @@ class DetailedDrive:
         return outputs
 
 
-def line(p: DetailedBoomStickParameters, axis: str) -> Line:
+def line(p: DetailedBoomStickParameters, axis: str) -> HydraulicLine:
     """Parameters of each of the two hoses of a drive."""
-    return Line(**vars(Hose.of(p, f"{axis}_hose")), wall_modulus=p.hose_wall_modulus, fluid=Fluid.of(p))
+    return HydraulicLine(
+        **vars(Hose.of(p, f"{axis}_hose")), wall_modulus=p.hose_wall_modulus, fluid=Fluid.of(p)
+    )
 
 
 def _drives(

@@ -185,41 +185,41 @@ def frequency_limit(length: Scalar, density: Scalar, bulk_modulus: Scalar) -> Sc
 # ---- a line of many lumps
 
 
-def _friction_terms(line: Line) -> tuple[tuple[Scalar, Scalar], ...]:
+def _friction_terms(line: HydraulicLine) -> tuple[tuple[Scalar, Scalar], ...]:
     """(R_i, 1/T_i) of each term of the frequency-dependent friction, for the whole line."""
     diffusion = line.fluid.viscosity / line.fluid.density / (line.bore / 2) ** 2
     r = line.laminar_resistance
     return tuple((m * r / 2, n * diffusion) for m, n in zip(WEIGHTS, DECAYS, strict=True))
 
 
-def layer_drop(line: Line, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
+def layer_drop(line: HydraulicLine, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
     """Pressure drop [Pa] of the frequency-dependent friction, in addition to the steady drop."""
     return sum(r * (flow - q) for (r, _), q in zip(_friction_terms(line), layers, strict=True))
 
 
-def layer_rates(line: Line, flow: Scalar, layers: Sequence[Scalar]) -> tuple[Scalar, ...]:
+def layer_rates(line: HydraulicLine, flow: Scalar, layers: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """dq_i/dt [m3/s2]."""
     return tuple(n * (flow - q) for (_, n), q in zip(_friction_terms(line), layers, strict=True))
 
 
-def layer_energy(line: Line, layers: Sequence[Scalar]) -> Scalar:
+def layer_energy(line: HydraulicLine, layers: Sequence[Scalar]) -> Scalar:
     """Kinetic energy [J] of the flow profile, in addition to I Q^2/2."""
     return sum(r / n * q**2 / 2 for (r, n), q in zip(_friction_terms(line), layers, strict=True))
 
 
-def layer_heat(line: Line, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
+def layer_heat(line: HydraulicLine, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
     """Power [W] dissipated by the frequency-dependent friction; never negative."""
     return sum(r * (flow - q) ** 2 for (r, _), q in zip(_friction_terms(line), layers, strict=True))
 
 
-def impedance(line: Line, omega: float) -> complex:
+def impedance(line: HydraulicLine, omega: float) -> complex:
     """dp/Q [Pa.s/m3] of the whole line for laminar flow at the angular frequency `omega` [rad/s]."""
     unsteady = sum(r * 1j * omega / (1j * omega + n) for r, n in _friction_terms(line))
     return complex(1j * omega * line.inertance + line.laminar_resistance + unsteady)
 
 
 @dataclass(frozen=True)
-class Line:
+class HydraulicLine:
     """Parameters of a line: length, bore [m], turbulent C_R [Pa.s2/m6], wall modulus [Pa], oil."""
 
     length: Scalar
@@ -275,7 +275,7 @@ def length_fractions(lumps: int) -> tuple[float, ...]:
     return (0.5 / lumps, *(1 / lumps,) * (lumps - 1), 0.5 / lumps)
 
 
-def _friction(line: Line, x: LineState) -> tuple[Scalar, ...]:
+def _friction(line: HydraulicLine, x: LineState) -> tuple[Scalar, ...]:
     """For each flow the pressure drop [Pa] over the whole line with this flow."""
     steady = (q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2) for q in x.flows)
     if not x.layers:
@@ -284,7 +284,7 @@ def _friction(line: Line, x: LineState) -> tuple[Scalar, ...]:
     return tuple(a + b for a, b in zip(steady, unsteady, strict=True))
 
 
-def rates(line: Line, x: LineState, inlet: Scalar, outlet: Scalar) -> LineState:
+def rates(line: HydraulicLine, x: LineState, inlet: Scalar, outlet: Scalar) -> LineState:
     """Time derivative of the state at the pressures [Pa] of inlet and outlet."""
     n = len(x.pressures)
     nodes = (inlet, *x.pressures, outlet)
@@ -301,11 +301,11 @@ def rates(line: Line, x: LineState, inlet: Scalar, outlet: Scalar) -> LineState:
     return LineState(flows, pressures, layers)
 
 
-def _capacitance(line: Line, pressure: Scalar) -> Scalar:
+def _capacitance(line: HydraulicLine, pressure: Scalar) -> Scalar:
     return line.volume * (chamber.compliance(line.fluid, pressure) + 1 / line.wall_modulus)
 
 
-def stored_energy(line: Line, x: LineState) -> Scalar:
+def stored_energy(line: HydraulicLine, x: LineState) -> Scalar:
     """Energy [J] of oil compression, wall expansion, cavities and flow."""
     n = len(x.pressures)
     elastic = sum(
@@ -318,7 +318,7 @@ def stored_energy(line: Line, x: LineState) -> Scalar:
     return elastic / n + line.inertance * kinetic / 2 + layers
 
 
-def heat(line: Line, x: LineState) -> Scalar:
+def heat(line: HydraulicLine, x: LineState) -> Scalar:
     """Power [W] dissipated by friction; never negative."""
     w = length_fractions(len(x.pressures))
     if not x.layers:
@@ -362,7 +362,7 @@ def lumps_needed(
     higher and its error smaller. Air is neglected, although it reduces the wave speed at low pressure.
     """
     modulus = 1 / (1 / fluid.bulk_modulus + 1 / wall_modulus)
-    line = Line(length, bore, 0.0, wall_modulus, fluid)
+    line = HydraulicLine(length, bore, 0.0, wall_modulus, fluid)
     omega = 2 * math.pi * bandwidth
     viscous_factor = abs(impedance(line, omega)) / (omega * line.inertance)
     phase = omega * length * math.sqrt(fluid.density / modulus * viscous_factor)
@@ -398,6 +398,6 @@ def state_quantities(
             yield name, Quantity("m3/s", text, 1e-3)
 
 
-def default_lumps(line: Line) -> int:
+def default_lumps(line: HydraulicLine) -> int:
     """Number of lumps of a line for `BANDWIDTH` and `FREQUENCY_ERROR`."""
     return lumps_needed(line.length, line.bore, BANDWIDTH, FREQUENCY_ERROR, line.fluid, line.wall_modulus)

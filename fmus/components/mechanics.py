@@ -69,7 +69,7 @@ def reach(base: Point, rod: Point) -> tuple[Scalar, Scalar]:
 
 
 @dataclass(frozen=True)
-class PerKilogram:
+class ChangingMass:
     """Derivatives of M q' (n, 1), T and U with respect to a mass that comes and goes."""
 
     momentum: Scalar
@@ -98,7 +98,7 @@ class EquationsOfMotion:
     gravity: ca.SX
     kinetic: Scalar
     potential: Scalar
-    per_kilogram: PerKilogram
+    per_kilogram: ChangingMass
 
     def acceleration(self, tau: ca.SX) -> ca.SX:
         """q'', shape (n, 1), for generalised forces tau, by the LDL^T factors of M."""
@@ -125,4 +125,4 @@ def equations_of_motion(
     m, value = changing or (ca.SX.sym("m"), 0)
     terms = [mass, coriolis, ca.gradient(u, s), t, u, *(ca.jacobian(term, m) for term in (momentum, t, u))]
     mass, coriolis, gravity, t, u, *per_kilogram = ca.substitute(terms, [s, w, m], [q, speed, ca.SX(value)])
-    return EquationsOfMotion(mass, coriolis, gravity, t, u, PerKilogram(*per_kilogram))
+    return EquationsOfMotion(mass, coriolis, gravity, t, u, ChangingMass(*per_kilogram))

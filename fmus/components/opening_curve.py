@@ -24,8 +24,8 @@ Interpolants, SIAM J. Sci. Stat. Comput. 5 (1984) 300; monotone: Fritsch and Car
 (1980) 238.
 
 Which points count: the first one always; point i > 1 if its command is positive. With fewer than two points
-there is no table, and the curve is a straight line with a rounded start (`Line`), which has three such
-pieces: a quartic, the line, and 1 from full command on.
+there is no table, and the curve is a straight line with a rounded start (`StraightOpening`), which has three
+such pieces: a quartic, the line, and 1 from full command on.
 """
 
 from collections.abc import Sequence
@@ -94,7 +94,7 @@ def openings(table: Any) -> list[Scalar]:
 
 
 @dataclass(frozen=True)
-class Line:
+class StraightOpening:
     """The curve without a table [V]: ramp(V - dead_band) / ramp(full - dead_band), constant from full on.
 
     ramp is that of `smooth`, rounded over `rounding`.
@@ -105,7 +105,7 @@ class Line:
     rounding: Scalar
 
 
-CLOSED = Line(NEVER, 2 * NEVER, 1.0)  # an edge that no command opens
+CLOSED = StraightOpening(NEVER, 2 * NEVER, 1.0)  # an edge that no command opens
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def meter_in_dead_bands(
     )
 
 
-def pieces(table: Any, line: Line = CLOSED) -> Pieces:
+def pieces(table: Any, line: StraightOpening = CLOSED) -> Pieces:
     """The pieces of the curve through the points of a table, or of the line."""
     points = ca.vertcat(*commands(table)), ca.vertcat(*openings(table)[1:])
     return Pieces(PIECES(*points, ca.vertcat(line.dead_band, line.full, line.rounding)))
@@ -160,12 +160,12 @@ def _pieces() -> ca.Function:
         rows.append([a[i], *factors])
     first, *others = rows
     table = [*v, *first[2:], 0, *(x for row in others for x in row), a[-1]]
-    line = _line_pieces(Line(*ca.vertsplit(given[2])))
+    line = _line_pieces(StraightOpening(*ca.vertsplit(given[2])))
     values = [ca.if_else(used[0], x, y) for x, y in zip(table, line, strict=True)]
     return ca.Function("opening_pieces", given, [ca.vertcat(*values)], {"never_inline": True, "cse": True})
 
 
-def _line_pieces(line: Line) -> list[Scalar]:
+def _line_pieces(line: StraightOpening) -> list[Scalar]:
     """The coefficients of the line: with w = `rounding`, (w (s/w)^3 - w (s/w)^4/2)/r and (w/2 + s)/r."""
     start, full, w = line.dead_band, line.full, line.rounding
     r = ramp(full - start, w)

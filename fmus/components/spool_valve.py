@@ -36,7 +36,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fmus.components import opening_curve
-from fmus.components.opening_curve import EDGES, Line, OpeningCurves, OpeningTable
+from fmus.components.opening_curve import EDGES, OpeningCurves, OpeningTable, StraightOpening
 from fmus.components.smooth import ramp
 from fmus.contract import Group, Quantity, Scalar
 
@@ -127,11 +127,13 @@ def opening(command: Scalar, dead_band: Scalar, full_command: Scalar, rounding: 
 
 def edge_openings(valve: Valve, curves: OpeningCurves | None, command: Scalar) -> dict[str, Scalar]:
     """Openings [1] of the edges pa, at, pb and bt at a command [V]: by its table, or the straight line."""
-    line = Line(valve.dead_band, valve.full_command, valve.command_rounding)
+    line = StraightOpening(valve.dead_band, valve.full_command, valve.command_rounding)
     return _openings(dict.fromkeys(EDGES, line), curves, command)
 
 
-def _openings(lines: Mapping[str, Line], curves: OpeningCurves | None, command: Scalar) -> dict[str, Scalar]:
+def _openings(
+    lines: Mapping[str, StraightOpening], curves: OpeningCurves | None, command: Scalar
+) -> dict[str, Scalar]:
     """Openings [1] by edge at a command [V]."""
     towards = {edge: command if edge in FORWARD else -command for edge in lines}
     if curves is None:
@@ -338,7 +340,7 @@ def spool_ports(
     """
     full = flow_gain(edges.area, edges.discharge_coefficient, density)
     lines = {
-        edge: Line(overlap * edges.full_command, edges.full_command, edges.command_rounding)
+        edge: StraightOpening(overlap * edges.full_command, edges.full_command, edges.command_rounding)
         for edge, overlap in (
             ("pa", spool.overlap_pa),
             ("at", spool.overlap_at),

@@ -25,7 +25,7 @@ from fmus.machine.work_cycle import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
 NAME, CONTROL = "harvester", "harvester_control"

@@ -32,7 +32,6 @@ from fmus.supply.variables import (
     SupplyInputs,
     SupplyOutputs,
     line_pressure,
-    return_flow,
     supply_flow,
 )
 
@@ -96,27 +95,28 @@ class EnginePumpParameters(LineParameters, PumpParameters, TankParameters, engin
         return first, second
 
 
-class _PumpState(Group):
-    """Pressures and strokes."""
+class _SupplyLine(Group):
+    """Pressure of the supply line."""
 
     supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
+
+
+class _Pumps(Group):
+    """Pressures and strokes of both pumps."""
+
     pump_1_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 1", 1e7)
     pump_2_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 2", 1e7)
     pump_1_stroke: Scalar = Quantity("1", "Stroke of pump 1 relative to its full stroke")
     pump_2_stroke: Scalar = Quantity("1", "Stroke of pump 2 relative to its full stroke")
 
 
-class EnginePumpState(ShaftState, _PumpState):
+class EnginePumpState(ShaftState, _Pumps, _SupplyLine):
     """Pressures, strokes, engine, and oil in the tank."""
 
 
-class EnginePumpOutputs(SupplyOutputs):
+class EnginePumpOutputs(_Pumps, SupplyOutputs):
     """Outputs of every variant, states, and flows and torques of pumps and valves."""
 
-    pump_1_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 1", 1e7)
-    pump_2_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 2", 1e7)
-    pump_1_stroke: Scalar = Quantity("1", "Stroke of pump 1 relative to its full stroke")
-    pump_2_stroke: Scalar = Quantity("1", "Stroke of pump 2 relative to its full stroke")
     pump_1_flow: Scalar = Quantity("m3/s", "Flow from pump 1 through its check valve", 1e-3)
     pump_2_flow: Scalar = Quantity("m3/s", "Flow from pump 2 through its check valve", 1e-3)
     relief_flow: Scalar = Quantity("m3/s", "Flow through the main relief valve", 1e-3)
@@ -152,25 +152,13 @@ def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> En
 def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
     """Outputs."""
     (a, b), rates = _outlets(x, p), dynamics(x, u, p)
-    supplied, returned = supply_flow(u), return_flow(u)
     load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
     return EnginePumpOutputs(
-        **vars(x),
-        supply_pressure_rate=rates.supply_pressure,
-        tank_pressure_rate=rates.tank_pressure,
+        **rail.outputs((a, b), 0, rates, u, x, p),
         load_sensing_pressure=load.value,
         load_sensing_pressure_rate=load.rate,
-        supply_flow=supplied,
-        return_flow=returned,
-        hydraulic_power=x.supply_pressure * supplied - x.tank_pressure * returned,
-        engine_power=x.engine_torque * x.engine_speed,
-        stored_energy=rail.stored_energy((a, b), x, p),
-        dissipated_power=rail.dissipated_power((a, b), 0, x, p),
         pump_1_flow=a.delivered,
         pump_2_flow=b.delivered,
-        relief_flow=rail.relief_flow(x, p),
-        engine_load=a.torque + b.torque,
-        cooling_power=rail.cooling_power(x, p),
     )
 
 

@@ -49,7 +49,6 @@ from fmus.supply.variables import (
     SupplyOutputs,
     limited,
     line_pressure,
-    return_flow,
     supply_flow,
 )
 
@@ -190,24 +189,12 @@ def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> 
 def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingOutputs:
     """Outputs."""
     pump, rates = _outlet(x, p), dynamics(x, u, p)
-    supplied, returned = supply_flow(u), return_flow(u)
     return LoadSensingOutputs(
-        **vars(x),
-        supply_pressure_rate=rates.supply_pressure,
-        tank_pressure_rate=rates.tank_pressure,
+        **rail.outputs((pump,), _leakage(x, p), rates, u, x, p),
         load_sensing_pressure_rate=rates.load_sensing_pressure,
-        supply_flow=supplied,
-        return_flow=returned,
-        hydraulic_power=x.supply_pressure * supplied - x.tank_pressure * returned,
-        engine_power=x.engine_torque * x.engine_speed,
-        stored_energy=rail.stored_energy((pump,), x, p),
-        dissipated_power=rail.dissipated_power((pump,), _leakage(x, p), x, p),
         pump_flow=pump.delivered,
         pressure_margin=x.supply_pressure - x.load_sensing_pressure,
-        relief_flow=rail.relief_flow(x, p),
         rail_leakage_flow=_leakage(x, p),
-        engine_load=pump.torque,
-        cooling_power=rail.cooling_power(x, p),
     )
 
 

@@ -240,6 +240,27 @@ def dissipated_power(outlets: Sequence[Outlet], leakage: Scalar, x: ShaftState, 
     return pumps + (relief_flow(x, p) + leakage) * line + preload + _engine_heat(x, p)
 
 
+def outputs(
+    outlets: Sequence[Outlet], leakage: Scalar, rates: ShaftState, u: SupplyInputs, x: ShaftState, p: Any
+) -> dict[str, Scalar]:
+    """The state and the outputs that all supplies with pumps have, by name; rates: of the state."""
+    supplied, returned = supply_flow(u), return_flow(u)
+    return {
+        **vars(x),
+        "supply_pressure_rate": rates.supply_pressure,
+        "tank_pressure_rate": rates.tank_pressure,
+        "supply_flow": supplied,
+        "return_flow": returned,
+        "hydraulic_power": x.supply_pressure * supplied - x.tank_pressure * returned,
+        "engine_power": x.engine_torque * x.engine_speed,
+        "stored_energy": stored_energy(outlets, x, p),
+        "dissipated_power": dissipated_power(outlets, leakage, x, p),
+        "relief_flow": relief_flow(x, p),
+        "engine_load": sum(o.torque for o in outlets),
+        "cooling_power": cooling_power(x, p),
+    }
+
+
 def engine_requirements(p: RailParameters, idle_load: Scalar, pumps: str) -> dict[str, Scalar]:
     """Order of the speeds, an engine that can turn the pumps; idle_load [N.m] at rated speed."""
     return {

@@ -6,21 +6,19 @@
 
 with the flows Q_a, Q_b of the ports of `pressure_compensator`, the crossover reliefs and anti-cavitation
 valves (make-up from the return line) of `orifice`, which are mounted at the motor, and the torque T of the
-`brake`. A closed valve blocks the ports, which have no counterbalance valves. The brake is released as soon
-as the command leaves the dead band and the supply has pressure. Lines as in `quasistatic`: volumes, no oil
-columns. C has elastic walls and the air of `chamber`. The torque depends only on states.
+brake of `motor`. A closed valve blocks the ports, which have no counterbalance valves. The brake is released
+as soon as the command leaves the dead band and the supply has pressure. Lines as in `quasistatic`: volumes,
+no oil columns. C has elastic walls and the air of `chamber`. The torque depends only on states.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmus.components import brake as holding
 from fmus.components import chamber, hose, motor, orifice
 from fmus.components import pressure_compensator as compensator
-from fmus.components.brake import Brake, BrakeTorque
 from fmus.components.chamber import AeratedOil
 from fmus.components.hose import HoseWall
-from fmus.components.motor import MotorNodes
+from fmus.components.motor import Brake, BrakeTorque, MotorNodes
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
@@ -107,7 +105,7 @@ def section(p: CompensatedSwingParameters) -> Section:
 def _release(u: SwingInputs, p: CompensatedSwingParameters) -> Scalar:
     """f of the brake."""
     in_use = 1 - section(p).neutral(u.swing_command)
-    return holding.released(Brake.of(p, "brake"), in_use, u.supply_pressure - u.tank_pressure)
+    return Brake.of(p, "brake").released(in_use, u.supply_pressure - u.tank_pressure)
 
 
 def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> _Evaluated:
@@ -120,7 +118,7 @@ def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParam
             *(u.supply_pressure, u.load_sensing_pressure, tank),
         ),
         motor.nodes_at_port_pressures(a, b, tank, displaced, *drive.leakage(p)),
-        holding.hold(Brake.of(p, "brake"), x.swing_brake_torque, x.swing_brake_applied, u.swing_speed),
+        Brake.of(p, "brake").hold(x.swing_brake_torque, x.swing_brake_applied, u.swing_speed),
         _release(u, p),
         orifice.cross_flow(PressureValve.of(p, "relief"), a - b),
         (orifice.relief_flow(anti, tank - a), orifice.relief_flow(anti, tank - b)),
@@ -144,7 +142,7 @@ def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameter
         swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c_a),
         swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c_b),
         swing_brake_torque=n.brake.rate,
-        swing_brake_applied=holding.applied_rate(Brake.of(p, "brake"), x.swing_brake_applied, n.release),
+        swing_brake_applied=Brake.of(p, "brake").applied_rate(x.swing_brake_applied, n.release),
     )
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 from fmus.components import chamber, hose, load_sensing, motor, opening_curve, orifice, spool_valve
 from fmus.components.chamber import Fluid
-from fmus.components.hose import Line, LineState
+from fmus.components.hose import HydraulicLine, LineState
 from fmus.components.motor import MotorNodes
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
@@ -37,10 +37,10 @@ PARAMETERS = Path(__file__).with_name("parameters.toml")
 Names = tuple[LineState, LineState]  # names of the states of both lines
 
 
-def line(p: DetailedSwingParameters) -> Line:
+def line(p: DetailedSwingParameters) -> HydraulicLine:
     """Parameters of each of the two lines."""
     wall = p.hose_wall_modulus
-    return Line(p.line_length, p.line_bore, p.line_turbulent_resistance, wall, Fluid.of(p))
+    return HydraulicLine(p.line_length, p.line_bore, p.line_turbulent_resistance, wall, Fluid.of(p))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import re
 import shutil
@@ -10,13 +11,16 @@ import sys
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import lru_cache
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
+from threading import Lock
 from typing import IO, TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
@@ -169,6 +173,42 @@ def temporary_folder(prefix: str, archive: str) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+# ---- archives that are used more than once -----------------------------------------------------------------
+
+
+_kept: ContextVar[Callable[[Location], zipfile.ZipFile] | None] = ContextVar("_kept", default=None)
+
+
+@contextmanager
+def archive_kept_open() -> Iterator[None]:
+    """Context in which the archive on disk that was read last stays open: its members are listed once."""
+    with ExitStack() as last:
+
+        @lru_cache(maxsize=1)
+        def archive_at(location: Location) -> zipfile.ZipFile:
+            archive_at.cache_clear()
+            last.close()
+            return last.enter_context(location.opened_zip())
+
+        token = _kept.set(archive_at)
+        try:
+            yield
+        finally:
+            _kept.reset(token)
+
+
+@dataclass
+class SharedFolder:
+    """A temporary folder with an unpacked archive: what removes it, and the number of its users."""
+
+    folder: Path
+    removal: ExitStack
+    users: int = 0
+
+
+_unpacked: dict[tuple[str, tuple[str, ...]], SharedFolder] = {}  # SHA-256 and what stays packed -> folder
+_unpacking = Lock()
+
 # ---- locations ---------------------------------------------------------------------------------------------
 
 
@@ -207,6 +247,7 @@ class Location:
         with tempfile.SpooledTemporaryFile(MAX_BUFFER) as file:
             with self.parent.zip() as archive:
                 self._unpack(archive, file, limit)
+            file.seek(0)
             yield file
 
     def _open_path(self) -> IO[bytes]:
@@ -246,17 +287,30 @@ class Location:
         """Open this file as an archive; refuse one that is damaged or unpacks to too much."""
         if len(self.members) > MAX_NESTING:
             raise Problem(f"{self}: expected at most {MAX_NESTING} archives inside each other")
-        with self._open() as file, ExitStack() as stack:
-            try:
-                archive = stack.enter_context(open_archive(file))
-            except ZIP_ERRORS as error:
-                known = isinstance(error, zipfile.BadZipFile) and "not a zip" in str(error)
-                got = "something else" if known else f"one that cannot be read: {_reason(error)}"
-                raise Problem(f"{self}: expected a zip archive, got {got}") from None
-            members = archive.infolist()
-            if fault := size_fault(members, file.seek(0, os.SEEK_END)) or overlap(members):
-                raise Problem(f"{self}: {fault}")
+        if (archive_at := _kept.get()) and not self.members:
+            yield archive_at(self)
+            return
+        with self.opened_zip() as archive:
             yield archive
+
+    @contextmanager
+    def opened_zip(self) -> Iterator[zipfile.ZipFile]:
+        """As `zip`, also in the context of `archive_kept_open` opened anew."""
+        with self._open() as file, self._as_zip(file) as archive:
+            yield archive
+
+    def _as_zip(self, file: IO[bytes]) -> zipfile.ZipFile:
+        """This file, which is open, as an archive."""
+        try:
+            archive = open_archive(file)
+        except ZIP_ERRORS as error:
+            known = isinstance(error, zipfile.BadZipFile) and "not a zip" in str(error)
+            got = "something else" if known else f"one that cannot be read: {_reason(error)}"
+            raise Problem(f"{self}: expected a zip archive, got {got}") from None
+        members = archive.infolist()
+        if fault := size_fault(members, file.seek(0, os.SEEK_END)) or overlap(members):
+            raise Problem(f"{self}: {fault}")
+        return archive
 
     def member(self, name: str) -> Location:
         """The file `name` of this archive or folder."""
@@ -312,29 +366,71 @@ class Location:
         without   prefixes of member names, such as "sources/"; these members stay packed and are not checked.
                   No effect on a folder
         """
-        try:
-            if self.is_folder:
-                shutil.copytree(self.path, folder)
-                return
+        if not self.is_folder:
             with self.zip() as archive:
-                for member in archive.infolist():
-                    if not member.filename.startswith(without):
-                        extract_member(archive, member, folder)
+                self._extract(archive, folder, without)
+            return
+        try:
+            shutil.copytree(self.path, folder)
+        except OSError as error:
+            raise self._not_unpacked(folder, error) from None
+
+    def _extract(self, archive: zipfile.ZipFile, folder: Path, without: tuple[str, ...]) -> None:
+        try:
+            for member in archive.infolist():
+                if not member.filename.startswith(without):
+                    extract_member(archive, member, folder)
         except ZIP_ERRORS as error:
-            raise Problem(f"{self}: cannot be unpacked into {folder}: {_reason(error)}") from None
+            raise self._not_unpacked(folder, error) from None
+
+    def _not_unpacked(self, folder: Path, error: Exception) -> Problem:
+        return Problem(f"{self}: cannot be unpacked into {folder}: {_reason(error)}")
 
     @contextmanager
     def unpacked(self, without: tuple[str, ...] = ()) -> Iterator[Path]:
         """This folder, or a temporary folder with the unpacked archive, which is removed at the end.
+
+        Equal archives in use at the same time share a folder, so that the library of an FMU is loaded once.
 
         without   as in `extract`
         """
         if self.is_folder:
             yield self.path.resolve()
             return
-        with temporary_folder("fmu-", str(self)) as folder:
-            self.extract(folder, without)
-            yield folder
+        with self._open() as file:
+            key = _sha256(file), without
+            with _unpacking:
+                shared = _unpacked.get(key) or _unpacked.setdefault(key, self._shared(file, without))
+                shared.users += 1
+        try:
+            yield shared.folder
+        finally:
+            with _unpacking:
+                shared.users -= 1
+                if not shared.users:
+                    del _unpacked[key]
+                    shared.removal.close()
+
+    def _shared(self, file: IO[bytes], without: tuple[str, ...]) -> SharedFolder:
+        """A new folder with this archive, which is open."""
+        with ExitStack() as stack:
+            folder = stack.enter_context(temporary_folder("fmu-", str(self)))
+            with self._as_zip(file) as archive:
+                self._extract(archive, folder, without)
+            return SharedFolder(folder, stack.pop_all())
+
+    @property
+    def sha256(self) -> str:
+        """The SHA-256 of the file; of a folder that of the checksums of its files."""
+        if not self.is_folder:
+            with self._open() as file:
+                return _sha256(file)
+        lines = (f"{name} {self.member(name).sha256}\n" for name in self.names())
+        return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
+
+
+def _sha256(file: IO[bytes]) -> str:
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def _reason(error: Exception) -> str:

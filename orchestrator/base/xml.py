@@ -98,17 +98,22 @@ def read_xml(file: Location, expected: str) -> XmlElement:
 
 def parse(file: Location, expected: str) -> Element:
     """The root of an XML file as an element of lxml; its local name must be `expected`."""
-    root = _root(file)
+    return parse_text(file.read(MAX_BYTES), file, expected)
+
+
+def parse_text(text: bytes, file: Location, expected: str) -> Element:
+    """The root of the content of a file, as `parse` does it."""
+    root = _root(text, file)
     if local_name(root) != expected:
         raise Problem(f"{file}: expected the element {expected}, got {local_name(root)}")
     return root
 
 
-def _root(file: Location) -> Element:
-    """The root of a file; undeclared prefixes are accepted, because files of some tools contain them."""
+def _root(text: bytes, file: Location) -> Element:
+    """The root of a file with this content; undeclared prefixes are accepted, as some tools write them."""
     from lxml import etree
 
-    text, safe = file.read(MAX_BYTES), {"resolve_entities": False, "no_network": True}
+    safe = {"resolve_entities": False, "no_network": True}
     if fault := too_large(text):
         raise Problem(f"{file}: {fault}")
     parser = etree.XMLParser(**safe)

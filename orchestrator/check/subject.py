@@ -154,7 +154,7 @@ class Subject:
     @cached_property
     def model(self) -> ModelDescription:
         """The content of modelDescription.xml, which may be invalid."""
-        from orchestrator.fmi.read_description import read_description
+        from orchestrator.fmi.raw_description import read_description
 
         return read_description(self.root, self.major)
 

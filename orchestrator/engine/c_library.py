@@ -220,35 +220,27 @@ class Binding:
 
     def _access(self, call: Access) -> int:
         struct = self.h.Access(
-            function=call.address,
-            instance=call.component,
+            **call.call.for_c(),
             references=self.at(call.references),
             orders=None if call.orders is None else self.at(call.orders),
             fmu_values=self.at(call.fmu_values),
             values=self.at(call.values),
             count=len(call.names),
-            fmi=call.fmi,
             type=ELEMENTS.index(call.fmu_values.dtype),
             array=self.array_of(call.values),
             sets=call.sets,
-            call=ctypes.addressof(call.call.slot),
-            function_number=call.call.number,
         )
         return self.checked(struct, call)
 
     def _exchange_call(self, call: ExchangeCall) -> int:
         struct = self.h.ExchangeCall(
-            function=call.address,
-            instance=call.component,
+            **call.call.for_c(),
             values=self.at(call.values),
             clock=call.clock,
-            call=ctypes.addressof(call.call.slot),
             kind=getattr(self.h, call.kind),
             count=len(call.values),
-            fmi=call.fmi,
-            function_number=call.call.number,
         )
-        return self.checked(struct, call)
+        return self.checked(struct, call.call)
 
     def array_of(self, values: NDArray[Any]) -> int:
         """REAL or INTEGER, the array of the run that values belong to."""
@@ -264,10 +256,10 @@ class Binding:
         struct.seed, struct.result = self.at(seed), self.at(result)
         struct.known_count, struct.unknown_count = len(seed), len(result)
         if isinstance(call, DirectionalDerivative):
-            struct.function, struct.instance, struct.fmi = call.address, call.component, call.fmi
+            for name, value in call.call.for_c().items():
+                setattr(struct, name, value)
             struct.unknowns, struct.knowns = self.at(call.unknowns), self.at(call.knowns)
-            struct.call, struct.function_number = ctypes.addressof(call.call.slot), call.call.number
-            self.checked(struct, call)
+            self.checked(struct, call.call)
         else:
             struct.index = self._register(call)
 

@@ -150,6 +150,8 @@ class Network:
         output_blocks, input_blocks = self._allocate(
             recorded, [*scenario.columns, *self.rates] if scenario else ()
         )
+        self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
+        self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)
         self.loops = [AlgebraicLoop(self.binding, slaves, cycle) for cycle, _ in self.order.cycles]
         self.exchange_calls = self._exchange(output_blocks, input_blocks)
@@ -171,9 +173,8 @@ class Network:
 
     def get_output_calls(self, component: str) -> list[Call]:
         """Calls that read all connected outputs of a component, for sequential masters."""
-        sources = {c.source for c in self.connections}
-        blocks = [(array, b) for array, b in self._blocks() if b.component == component]
-        return [self._get_call(array, b) for array, b in blocks if sources & set(b.ports)]
+        sources = {c.source for c in self.connections if c.source.component == component}
+        return [self._get_call(*block) for block in self._blocks_of(sources)]
 
     def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Call]:
         """Calls that copy values along connections and set the inputs."""
@@ -181,10 +182,11 @@ class Network:
 
     def set_calls(self, ports: set[Port]) -> list[Call]:
         """Calls that set the blocks with these ports."""
-        return [self._set_call(array, b) for array, b in self._blocks() if ports & set(b.ports)]
+        return [self._set_call(*block) for block in self._blocks_of(ports)]
 
-    def _blocks(self) -> Blocks:
-        return [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
+    def _blocks_of(self, ports: set[Port]) -> Blocks:
+        """The blocks with these ports, in the order of the arrays."""
+        return [self._blocks[i] for i in sorted({self._block_of[p] for p in ports if p in self._block_of})]
 
     def _array(self, port: Port) -> SignalArray:
         return self.reals if self.system.variable(port).is_real else self.integers

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from orchestrator.base.errors import Ended, Problem
+from orchestrator.base.files import archive_kept_open
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import PointSink
@@ -140,10 +141,11 @@ def opened(job: Job, times: Grid, sink: PointSink, allocate: Allocate = bytearra
         binding = Binding(allocate)
         binding.call("environment_begin")
         stack.callback(binding.call, "environment_check")
-        for name, component in job.system.components.items():
-            slaves[name] = job.execution.open(component)
-            stack.callback(slaves[name].close)
-            _restore_environment(binding, slaves[name])
+        with archive_kept_open():
+            for name, component in job.system.components.items():
+                slaves[name] = job.execution.open(component)
+                stack.callback(slaves[name].close)
+                _restore_environment(binding, slaves[name])
         network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
         plan = MASTERS[job.coupling.master](job.system, job.coupling)
         if job.execution.error_estimate:

@@ -17,7 +17,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.fmi.instance import BoundCall
 from orchestrator.fmi.messages import Log
-from orchestrator.worker.call_slots import CallSlot
+from orchestrator.worker.calls import CallSlot
 
 Buffer = NDArray[Any]  # float64 for floating-point types; int32 for integers, Enumeration and Boolean
 Call = Callable[[], None]
@@ -39,7 +39,6 @@ class Slave(Protocol):
     after_rollback            discard the messages and the status of a step that is repeated
     save                      save the state, in a new object or over an earlier one
     restore, free_state       restore a saved state, free it
-    serialize, deserialize    convert a saved state to bytes and back
     """
 
     name: str
@@ -109,9 +108,6 @@ class Access:
     """A get or set function of an FMU with fixed arguments, executable from Python and from C.
 
     call         bound call from Python, which checks the status
-    address      of the FMI function, for C
-    component    handle of the instance
-    fmi          2 or 3; FMI 3.0 functions have the number of values as an additional argument
     references   value references, shape (n,)
     orders       orders of derivatives, shape (n,); None for values
     fmu_values   values in the type of the FMU, shape (n,)
@@ -121,9 +117,6 @@ class Access:
     """
 
     call: BoundCall
-    address: int
-    component: int
-    fmi: int
     references: NDArray[np.uint32]
     orders: NDArray[np.int32] | None
     fmu_values: Buffer
@@ -159,51 +152,31 @@ class Access:
 class DirectionalDerivative:
     """GetDirectionalDerivative with fixed arguments, executable from Python and from C.
 
-    call, address, component, fmi   as in `Access`
-    unknowns, knowns                value references, shape (m,) and shape (n,)
-    seed                            direction in the space of the knowns, shape (n,)
-    sensitivity                     resulting change of the unknowns, shape (m,)
+    unknowns, knowns   value references, shape (m,) and shape (n,)
     """
 
     call: BoundCall
-    address: int
-    component: int
-    fmi: int
     unknowns: NDArray[np.uint32]
     knowns: NDArray[np.uint32]
-    seed: Buffer
-    sensitivity: Buffer
 
     def __call__(self) -> None:
         self.call()
-
-    def check_status(self, status: int) -> None:
-        """Raise the exception for the status of a call from C."""
-        self.call.check_status(status)
 
 
 @dataclass(frozen=True)
 class ExchangeCall:
     """A function of Model Exchange with fixed arguments, executable from C.
 
-    kind                            SET_TIME, VECTOR (of states or event indicators) or COMPLETED_STEP
-    call, address, component, fmi   as in `Access`
-    values                          time [s], shape (1,); the vector, shape (n,); or the results of a
-                                    completed step, shape (2,): event needed, end of the simulation
-    clock                           see `Log.clock`
+    kind     SET_TIME, VECTOR (of states or event indicators) or COMPLETED_STEP
+    values   time [s], shape (1,); the vector, shape (n,); or the results of a completed step, shape (2,):
+             event needed, end of the simulation
+    clock    see `Log.clock`
     """
 
     kind: str
     call: BoundCall
-    address: int
-    component: int
-    fmi: int
     values: NDArray[np.float64]
     clock: int
-
-    def check_status(self, status: int) -> None:
-        """Raise the exception for the status of a call from C."""
-        self.call.check_status(status)
 
 
 @dataclass(frozen=True)
@@ -216,7 +189,7 @@ class StepCalls:
     flags                              address of the first three results as one integer; 0 in FMI 2.0
     check_step, check_get, check_set   raise the exception for a status of the three functions
     clock                              communication point and start of the step, see `Log.clock`
-    slot                               the call in progress, see `worker.call_slots`
+    slot                               the call in progress, see `worker.calls`
     """
 
     component: int

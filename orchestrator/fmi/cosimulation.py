@@ -116,9 +116,6 @@ class RunningFmu:
         arguments = *self.fmu.references(references), *order_argument, *value_arguments
         return Access(
             call=self.fmu.bound(function, *arguments, variables=variables),
-            address=self.fmu.address(function),
-            component=self.fmu.handle.value or 0,
-            fmi=self.interface.fmi,
             references=np.array(references, np.uint32),
             orders=np.array(orders, np.int32) if orders else None,
             fmu_values=fmu_values,
@@ -172,25 +169,15 @@ class RunningFmu:
 
         seed, into   shapes (len(knowns),) and (len(unknowns),)
         """
-        function, count = "GetDirectionalDerivative", len(unknowns)
         unknown_references, known_references = self._references(unknowns), self._references(knowns)
-        seed = compatible_buffer(seed, len(knowns), ctypes.c_double)
-        sensitivity = compatible_buffer(into, count, ctypes.c_double)
-        arguments = (
-            *self.fmu.references(unknown_references),
-            *self.fmu.references(known_references),
-            *self.fmu.values(address(seed), len(knowns)),
-            *self.fmu.values(address(sensitivity), count),
-        )
+        arguments = [*self.fmu.references(unknown_references), *self.fmu.references(known_references)]
+        for values, count in ((seed, len(knowns)), (into, len(unknowns))):
+            buffer = compatible_buffer(values, count, ctypes.c_double)
+            arguments += self.fmu.values(address(buffer), count)
         return DirectionalDerivative(
-            call=self.fmu.bound(function, *arguments, variables=unknowns),
-            address=self.fmu.address(function),
-            component=self.fmu.handle.value or 0,
-            fmi=self.interface.fmi,
+            call=self.fmu.bound("GetDirectionalDerivative", *arguments, variables=unknowns),
             unknowns=np.array(unknown_references, np.uint32),
             knowns=np.array(known_references, np.uint32),
-            seed=seed,
-            sensitivity=sensitivity,
         )
 
     # ---- single variables

@@ -6,11 +6,12 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
 from orchestrator.base.files import Location, is_file_name
 from orchestrator.base.units import BASES, DeclaredUnit
-from orchestrator.base.xml import parse
+from orchestrator.base.xml import MAX_BYTES, Element, parse_text
 from orchestrator.fmi.raw_description import (
     COMBINATIONS,
     FLOATS,
@@ -24,8 +25,8 @@ from orchestrator.fmi.raw_description import (
     UnitDefinition,
     Unknown,
     parse_int,
+    read_description,
 )
-from orchestrator.fmi.read_description import read_description
 
 Value = float | int | bool | str
 
@@ -35,6 +36,15 @@ KINDS = {
     **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
 }
 MAX_LISTED = 5  # unsupported variables in a note
+# field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
+CAPABILITIES = {
+    "rollback": ("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+    "one_per_process": ("canBeInstantiatedOnlyOncePerProcess",),
+    "needs_execution_tool": ("needsExecutionTool",),
+    "variable_step": ("canHandleVariableCommunicationStepSize",),
+    "directional_derivatives": ("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+}
+TEXTS = {"version": "version", "tool": "generationTool", "description": "description"}
 
 
 @dataclass(frozen=True)
@@ -98,7 +108,6 @@ class FmuInterface:
     optional_inputs        input that a system may leave without source -> what that means
     max_output_derivative_order   0 if the FMU does not provide derivatives of outputs
     rollback               the FMU can save and restore its state
-    can_serialize          the FMU can serialise a saved state
     one_per_process        only one instance can exist in a process
     needs_execution_tool   the FMU needs the installed tool that exported it
     event_indicators       number of event indicators, in Model Exchange
@@ -127,7 +136,6 @@ class FmuInterface:
     optional_inputs: Mapping[str, str] = field(default_factory=dict)
     max_output_derivative_order: int = 0
     rollback: bool = False
-    can_serialize: bool = False
     one_per_process: bool = False
     needs_execution_tool: bool = False
     event_indicators: int = 0
@@ -205,12 +213,22 @@ class FmuInterface:
 SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
-def read_interface(fmu: Location, exchange: bool = False) -> FmuInterface:
+def read_interface(
+    fmu: Location, exchange: bool = False, known: dict[bytes, FmuInterface] | None = None
+) -> FmuInterface:
     """Read the interface of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
 
     exchange   for Model Exchange; else for Co-Simulation
+    known      interfaces by the content of modelDescription.xml, to which this one is added
     """
-    root = parse(fmu.member("modelDescription.xml"), "fmiModelDescription")
+    file, known = fmu.member("modelDescription.xml"), {} if known is None else known
+    text = file.read(MAX_BYTES)
+    if text not in known:
+        known[text] = _read_interface(fmu, parse_text(text, file, "fmiModelDescription"), exchange)
+    return known[text]
+
+
+def _read_interface(fmu: Location, root: Element, exchange: bool) -> FmuInterface:
     version = root.get("fmiVersion")
     if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
         raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
@@ -227,8 +245,7 @@ def read_interface(fmu: Location, exchange: bool = False) -> FmuInterface:
 
 
 def _interface(description: ModelDescription, element: str) -> FmuInterface:
-    fmi, attributes = description.major, description.attributes
-    capabilities = description.interfaces[element]
+    fmi, capabilities = description.major, description.interfaces[element]
     units = {u.name: _unit(u) for u in description.units}
     declared = list(_with_aliases(description))
     unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
@@ -243,11 +260,9 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     )
     exchange = "ModelExchange" in description.interfaces
     experiment = description.experiment.attributes if description.experiment else {}
-    indicators = description.structure["indicators"]
-    if fmi == 2:
-        event_indicators = parse_int(attributes.get("numberOfEventIndicators")) or 0
-    else:
-        event_indicators = len(indicators)
+    attributes: dict[str, Any] = {n: capabilities.declares(*names) for n, names in CAPABILITIES.items()}
+    attributes |= {n: description.attributes.get(attribute, "") for n, attribute in TEXTS.items()}
+    indicators = parse_int(description.attributes.get("numberOfEventIndicators")) or 0
     return FmuInterface(
         variables=variables,
         feedthrough=feedthrough | {o: d if d is None else d & inputs for o, d in outputs.items()},
@@ -260,31 +275,21 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         rate_inputs=_rate_inputs(declared, description, variables),
         optional_inputs={n: t for n, t in description.optional_inputs.items() if n in inputs and t},
         max_output_derivative_order=parse_int(capabilities.get("maxOutputDerivativeOrder")) or 0,
-        rollback=capabilities.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"),
-        can_serialize=capabilities.declares("canSerializeFMUstate", "canSerializeFMUState"),
-        one_per_process=capabilities.declares("canBeInstantiatedOnlyOncePerProcess"),
-        needs_execution_tool=capabilities.declares("needsExecutionTool"),
-        event_indicators=event_indicators,
+        event_indicators=indicators if fmi == 2 else len(description.structure["indicators"]),
         completed_step=capabilities.declares("needsCompletedIntegratorStep")
         if fmi == 3
         else not capabilities.declares("completedIntegratorStepNotNeeded"),
-        variable_step=capabilities.declares("canHandleVariableCommunicationStepSize"),
         stateless=exchange and not derivatives,
         unused_inputs=_unused(inputs, [*outputs.values(), *derivatives.values()] if exchange else [None]),
         states=_states(description, variables),
         dependencies=outputs | derivatives,
-        directional_derivatives=capabilities.declares(
-            "providesDirectionalDerivative", "providesDirectionalDerivatives"
-        ),
         categories=description.categories,
         start=_number(experiment, "startTime"),
         step=_number(experiment, "stepSize") or _number(capabilities.attributes, "fixedInternalStepSize"),
         stop=_number(experiment, "stopTime"),
         tolerance=max(_number(experiment, "tolerance") or 0.0, 0.0) or None,
-        version=attributes.get("version", ""),
-        tool=attributes.get("generationTool", ""),
-        description=attributes.get("description", ""),
         parameter_sets=description.parameter_sets,
+        **attributes,
     )
 
 

@@ -4,6 +4,8 @@ Functions have the names of FMI 3.0, without prefix. Instances run without event
 return and intermediate update unless these are requested. This module needs only the standard library.
 """
 
+from __future__ import annotations
+
 import ctypes
 import math
 import os
@@ -17,7 +19,7 @@ from typing import Any
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.library import Library, callbacks2, logger3, register_log, unregister_log
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
-from orchestrator.worker.call_slots import CallSlot, function_number, new_slot
+from orchestrator.worker.calls import CallSlot, function_number, new_slot
 
 FMI2_NAMES = {  # FMI 3.0 -> FMI 2.0
     "GetFMUState": "GetFMUstate",
@@ -95,15 +97,29 @@ def as_parameter(argument: Any) -> Any:
 class BoundCall:
     """A call with fixed arguments; `check_status` raises an exception for a status worse than a warning.
 
-    slot, number   where the number of the function is while the call is in progress, see `worker.call_slots`
+    function       name in FMI 3.0, without prefix
+    instance       the instance that it belongs to
+    slot, number   where the number of the function is while the call is in progress, see `worker.calls`
     """
 
-    __slots__ = ("_call", "check_status", "number", "slot")
+    __slots__ = ("_call", "check_status", "function", "instance", "number", "slot")
 
     def __init__(
-        self, call: Callable[[], int], check_status: Callable[[int], None], slot: CallSlot, number: int
+        self, instance: FmuInstance, function: str, call: Callable[[], int], description: str
     ) -> None:
-        self._call, self.check_status, self.slot, self.number = call, check_status, slot, number
+        self.instance, self.function, self._call = instance, function, call
+        self.slot, self.number = instance.slot, function_number(instance.name(function))
+        self.check_status = partial(instance.check_status, description=description)
+
+    def for_c(self) -> dict[str, Any]:
+        """The members that all structures for a call in engine.h have."""
+        return {
+            "function": self.instance.address(self.function),
+            "instance": self.instance.handle.value or 0,
+            "fmi": self.instance.fmi,
+            "call": ctypes.addressof(self.slot),
+            "function_number": self.number,
+        }
 
     def __call__(self) -> None:
         self.slot.function = self.number
@@ -188,8 +204,7 @@ class FmuInstance:
         call = partial(self.library.function(name), as_parameter(self.handle), *map(as_parameter, arguments))
         if self.before:
             call = partial(self._call, name, self.handle, *arguments)
-        check = partial(self.check_status, description=description)
-        return BoundCall(call, check, self.slot, function_number(name))
+        return BoundCall(self, function, call, description)
 
     def describe_call(self, function: str, variables: Sequence[str] = ()) -> str:
         """A call in words, for messages: fmi2GetReal of a, b, c, ..."""

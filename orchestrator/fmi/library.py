@@ -19,7 +19,7 @@ from typing import Any
 from orchestrator.base.errors import Problem, one_line
 from orchestrator.base.files import is_file_name
 from orchestrator.fmi.messages import Log, status_label
-from orchestrator.worker.call_slots import LOADING, UNLOADING, in_progress
+from orchestrator.worker.calls import LOADING, UNLOADING, in_progress
 
 SYSTEM = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
 MACHINE = os.uname().machine if hasattr(os, "uname") else os.environ.get("PROCESSOR_ARCHITECTURE", "")

@@ -33,9 +33,6 @@ class ExchangeFmu(RunningFmu):
         return ExchangeCall(
             kind=KINDS.get(function, "VECTOR"),
             call=self.fmu.bound(function),
-            address=self.fmu.address(function),
-            component=self.fmu.handle.value or 0,
-            fmi=self.interface.fmi,
             values=values,
             clock=ctypes.addressof(self.log.clock),
         )

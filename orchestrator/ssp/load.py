@@ -1,22 +1,33 @@
-"""`load`: reads a system from SSP 1.0 or 2.0 (.ssp archive, unpacked archive, .ssd file) or a single .fmu.
+"""`load` reads a system from SSP 1.0 or 2.0 (.ssp archive, unpacked archive, .ssd file) or a single .fmu.
+
+`assemble` makes one from FMU files and connections.
 
 Nested systems, also those in other .ssd and .ssp files, are flattened: the name of a component is its path,
 and each component input is traced back through the connectors of systems to the output that feeds it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location, require_system
-from orchestrator.base.units import IDENTITY, LinearTransformation
-from orchestrator.fmi.description import read_interface
+from orchestrator.base.files import Location, archive_kept_open, require_system
+from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.units import IDENTITY, LinearTransformation, conversion
+from orchestrator.fmi.description import FmuInterface, Value, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
-from orchestrator.ssp.assembly import check_connection, open_component
+from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values
-from orchestrator.ssp.system import Component, Connection, Inlet, Outlet, Port, System
+from orchestrator.ssp.system import (
+    Component,
+    Connection,
+    Inlet,
+    Outlet,
+    Port,
+    System,
+    check_connection,
+    open_component,
+)
 from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
@@ -33,7 +44,11 @@ def load(path: str | Path, exchange: bool = False) -> System:
     path       or the name of a system or FMU in the folder build or in the package, such as harvester
     exchange   read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
     """
-    file = Location(require_system(path))
+    with archive_kept_open():
+        return _load(Location(require_system(path)), exchange)
+
+
+def _load(file: Location, exchange: bool) -> System:
     suffix = file.path.suffix.lower()
     if suffix == ".fmu" or (file.path / "modelDescription.xml").is_file():
         return _single_fmu(file, exchange)
@@ -58,8 +73,9 @@ def _load_ssd(ssd: Location, exchange: bool) -> System:
     suggestion = read_suggestion(flat.roots, flat.sources)
     shared = read_shared(flat.roots[0], flat.sources)
     flat.notes += ignored_annotations(flat.roots)
-    read = cache(partial(read_interface, exchange=exchange))  # several components may have the same FMU
-    components = {name: Component(name, read(fmu), fmu) for name, fmu in flat.sources.items()}
+    known = dict[bytes, FmuInterface]()  # several components may have the same FMU
+    interfaces = {name: read_interface(fmu, exchange, known) for name, fmu in flat.sources.items()}
+    components = {name: Component(name, interfaces[name], fmu) for name, fmu in flat.sources.items()}
     try:
         system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
         system = _connected(flat, system)
@@ -110,3 +126,91 @@ def _inlet(
     units = {system.variable(port).unit for port, _ in targets}
     unit = flat.unit(connector) or (units.pop() if len(units) == 1 else None)
     return Inlet(connector.name, unit, tuple(targets))
+
+
+# ---- from FMU files
+
+
+def assemble(
+    fmus: Mapping[str, str | Path],
+    connections: Iterable[str | Sequence[str | float]] = (),
+    start: Mapping[str, Value | str] | None = None,
+    name: str = "system",
+    inputs: Mapping[str, Sequence[str]] | None = None,
+    stop: Seconds = None,
+    step: Seconds = None,
+    shared: Mapping[str, Sequence[str]] | None = None,
+    exchange: bool = False,
+) -> System:
+    """A system from FMU files and connections.
+
+    fmus          component name -> path of the .fmu file
+    connections   "a.y -> b.u", or (source, target), or (source, target, factor, offset) with
+                  target = factor * source + offset after the unit conversion
+    start         component.variable -> value
+    inputs        input of the system -> component inputs that it feeds; the first one gives the unit
+    stop          default stop time of a run [s], or with a unit, such as "2 s"
+    step          default communication step of a run [s], or with a unit, with Gauss-Seidel
+    shared        parameter -> components in which a parameter of this name is the same physical quantity
+    exchange      read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
+    """
+    components = {n: open_component(n, Location(Path(p)), exchange) for n, p in fmus.items()}
+    system = System(name, components)
+    notes: list[str] = []
+    checked = []
+    for entry in connections:
+        parts = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
+        if len(parts) not in (2, 3, 4):
+            raise Problem(f"connection {entry!r}: expected 'a.y -> b.u' or (source, target, factor, offset)")
+        linear = LinearTransformation(*(float(x) for x in parts[2:]))
+        ends = system.port(str(parts[0])), system.port(str(parts[1]))
+        checked.append(_connect(system, *ends, linear, notes))
+    inlets = {n: _assembled_inlet(system, n, ends, notes) for n, ends in (inputs or {}).items()}
+    _check_one_source(checked, inlets)
+    length = seconds(step, "step")
+    suggestion = Suggestion() if length is None else Suggestion(Coupling("gauss-seidel"), length)
+    system = replace(
+        system,
+        connections=tuple(checked),
+        inputs=inlets,
+        stop=seconds(stop, "stop"),
+        suggestion=suggestion,
+        notes=tuple(notes),
+        shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
+    ).with_start(start or {}, origin="")
+    system.check_sharing()
+    return system
+
+
+def _connect(
+    system: System, source: Port, target: Port, after: LinearTransformation, notes: list[str]
+) -> Connection:
+    """A checked connection with unit conversion."""
+    plain = check_connection(system, source, target, after)
+    units = system.variable(source).unit, system.variable(target).unit
+    labels = [f"{p} {unit}" if unit else str(p) for p, unit in zip((source, target), units, strict=True)]
+    linear, note = conversion(*units, " -> ".join(labels))
+    notes.extend([note] if note else [])
+    return replace(plain, map=linear.then(after))
+
+
+def _assembled_inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) -> Inlet:
+    """An input of the system, with unit conversions."""
+    ports = [system.port(target) for target in targets]
+    for port in ports:
+        if (causality := system.variable(port).causality) != "input":
+            raise Problem(f"{name} -> {port}: expected an input, got {causality}")
+    unit = system.variable(ports[0]).unit
+    maps = [conversion(unit, system.variable(p).unit, f"{name} {unit} -> {p}") for p in ports]
+    notes.extend(note for _, note in maps if note)
+    return Inlet(name, unit, tuple((port, linear) for port, (linear, _) in zip(ports, maps, strict=True)))
+
+
+def _check_one_source(connections: Iterable[Connection], inlets: Mapping[str, Inlet]) -> None:
+    """Refuse a component input with two sources."""
+    source_of: dict[Port, object] = {}
+    feeds = [(c.target, c.source) for c in connections]
+    for target, source in [*feeds, *((port, i.name) for i in inlets.values() for port, _ in i.targets)]:
+        if target in source_of:
+            raise Problem(f"{target}: expected one source, got {source_of[target]} and {source}")
+        source_of[target] = source

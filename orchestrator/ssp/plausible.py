@@ -8,14 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from orchestrator.base.units import LinearTransformation, doubt, doubts, factor_and_offset
-from orchestrator.data.recording import Recording
-from orchestrator.data.trace import Trace
 from orchestrator.ssp.system import Port, System, coerce
+
+if TYPE_CHECKING:
+    from orchestrator.data.recording import Recording
+    from orchestrator.data.trace import Trace
 
 LONG = 1000.0  # [s]; a shorter scenario is not doubtful
 LONGER = 20.0  # times the experiment of the system

@@ -5,8 +5,9 @@ Bonds are found from the units of the signals; effort and flow are those of bond
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
-from itertools import product, takewhile
+from itertools import takewhile
 from math import prod
 from typing import NamedTuple
 
@@ -55,16 +56,25 @@ def find_bonds(system: System) -> list[Bond]:
     several prefixes are equally long there is no bond. Ports with one of the words `SIGNALS` in their names,
     such as `load_sensing_pressure`, carry no power.
     """
+    between = defaultdict[tuple[str, str], list[Connection]](list)
+    for c in system.connections:
+        between[c.source.component, c.target.component].append(c)
     candidates = [
         _Candidate(_common_prefix(effort, flow), effort, flow)
-        for effort, flow in product(system.connections, repeat=2)
+        for effort in system.connections
+        for flow in between.get((effort.target.component, effort.source.component), ())
         if _opposite(effort, flow) and _is_power(system, effort, flow)
     ]
+    of_input = defaultdict[Port, list[_Candidate]](list)
+    for candidate in candidates:
+        for port in candidate.inputs:
+            of_input[port].append(candidate)
     bonds, used = [], set[Port]()
     for candidate in sorted(candidates, key=lambda c: -len(c.prefix)):
         rivals = [
             c
-            for c in candidates
+            for port in candidate.inputs
+            for c in of_input[port]
             if c.shares_one_connection(candidate) and len(c.prefix) >= len(candidate.prefix)
         ]
         if candidate.inputs & used or any(not rival.inputs & used for rival in rivals):

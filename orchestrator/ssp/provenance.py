@@ -7,7 +7,6 @@ in its modelDescription.xml, see `ParameterSetFile`. A system knows the values t
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, archive_kept_open
 from orchestrator.base.units import in_reader_unit, reader_unit
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.system import Component, Port, System, coerce
@@ -74,11 +73,9 @@ class Provenance:
 
 def provenance(system: System, files: Sequence[str | Path | Location] = ()) -> Provenance:
     """The provenance of a run of a system; files: others that the run read, such as that of the scenario."""
-    fmus = {
-        name: {"file": str(c.source), "sha256": checksum(c.source)}
-        for name, c in system.components.items()
-        if c.source is not None
-    }
+    sources = {name: c.source for name, c in system.components.items() if c.source is not None}
+    with archive_kept_open():
+        fmus = {name: {"file": str(fmu), "sha256": checksum(fmu)} for name, fmu in sources.items()}
     own = [Location(system.source.path)] if system.source else []
     others = [file if isinstance(file, Location) else Location(Path(file)) for file in files]
     built = {s.file: s.sha256 for c in system.components.values() for s in c.interface.parameter_sets}
@@ -148,7 +145,7 @@ def chosen_note(system: System, limit: int = 3) -> str:
 
 
 def checksum(file: Location) -> str:
-    """The SHA-256 of a file or a member of an archive; of a folder that of the checksums of its files."""
+    """The SHA-256 of a file, a member of an archive or a folder; empty if it cannot be read."""
     try:
         status = file.path.stat()
         return _checksum(file, status.st_mtime_ns, status.st_size)
@@ -159,7 +156,4 @@ def checksum(file: Location) -> str:
 @lru_cache(maxsize=256)
 def _checksum(file: Location, modified: int, size: int) -> str:
     del modified, size  # of the key
-    if file.is_folder:
-        lines = (f"{name} {hashlib.sha256(file.member(name).read()).hexdigest()}\n" for name in file.names())
-        return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
-    return hashlib.sha256(file.read()).hexdigest()
+    return file.sha256

@@ -26,9 +26,16 @@ from orchestrator.base.files import FMUS, VARIANTS, Location, require
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
-from orchestrator.ssp.assembly import connectable_type, open_component
 from orchestrator.ssp.power_bonds import find_bonds
-from orchestrator.ssp.system import Component, Connection, Port, System, coerce
+from orchestrator.ssp.system import (
+    Component,
+    Connection,
+    Port,
+    System,
+    coerce,
+    connectable_type,
+    open_component,
+)
 
 # suffix of a time derivative -> suffixes of the variable that it is the derivative of
 DERIVATIVE_SUFFIXES = {"_rate": ("",), "_acceleration": ("_velocity", "_speed")}

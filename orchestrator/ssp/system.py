@@ -20,13 +20,17 @@ from orchestrator.base.units import (
     number_and_unit,
 )
 from orchestrator.base.xml import integer, real
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.fmi.description import FmuInterface, FmuVariable, Value, read_interface
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
 MAX_NAMES = 4  # in a message
 ROUNDING = 1e-12  # relative difference of equal values after a conversion of units; messages show 13 digits
 WRITTEN = 1e-6  # relative difference of equal values that tools have written with 6 to 9 digits
 RESOURCES = "resources"  # folder of an SSP
+SOURCES, TARGETS = (
+    ("output", "calculatedParameter"),
+    ("input", "parameter"),
+)  # causalities at the ends of connections
 
 
 class Port(NamedTuple):
@@ -450,3 +454,26 @@ def coerce(
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
         raise Problem(f"{context}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
+
+
+def open_component(name: str, fmu: Location, exchange: bool = False) -> Component:
+    """A component from its FMU; exchange: for Model Exchange, not Co-Simulation."""
+    return Component(name, read_interface(fmu, exchange), fmu)
+
+
+def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
+    """A connection; raises Problem if causalities or types do not fit."""
+    connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
+    if y.causality not in ("output", "calculatedParameter") or u.causality not in ("input", "parameter"):
+        raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
+    if connectable_type(y) != connectable_type(u) or y.kind == "String":
+        raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
+    if not y.is_real and not (linear.factor.is_integer() and linear.offset.is_integer()):
+        got = f"{linear.factor:g} and {linear.offset:g}"
+        raise Problem(f"{connection}: expected integer factor and offset, got {got}")
+    return connection
+
+
+def connectable_type(variable: FmuVariable) -> str:
+    """The type for connections: equal types may be connected; enumerations count as integers."""
+    return "Integer" if variable.kind == "Enumeration" else variable.kind

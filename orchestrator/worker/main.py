@@ -23,12 +23,10 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
-from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.call_slots import share_calls
-from orchestrator.worker.wire import packed
+from orchestrator.worker.calls import ActivityRecord, share_calls
+from orchestrator.worker.wire import DISCONNECTED, packed
 
 NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares
-DISCONNECTED = 94  # exit status: an FMU has closed the connection to the parent
 PATIENCE = 2.0  # [s] for the parent to end this process
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 _END_OF_INPUT = object()

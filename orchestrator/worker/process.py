@@ -28,12 +28,8 @@ from queue import Empty, Queue, SimpleQueue
 from typing import Any
 
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.worker.activity import SIZE as ACTIVITY_SIZE
-from orchestrator.worker.activity import Activity, activity_in
-from orchestrator.worker.call_slots import OUTSIDE, calls_in
-from orchestrator.worker.call_slots import SIZE as CALLS_SIZE
-from orchestrator.worker.main import DISCONNECTED
-from orchestrator.worker.wire import Garbled, read_message
+from orchestrator.worker.calls import ACTIVITY_SIZE, CALLS_SIZE, OUTSIDE, Activity, activity_in, calls_in
+from orchestrator.worker.wire import DISCONNECTED, Garbled, read_message
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 CLOSE_TIME = 0.5  # [s] from the end of its messages to its end, else it has lost its connection

@@ -15,7 +15,7 @@ from zoo.command import command
 from check.test_probes import apply, opened
 from orchestrator.check import probe_process
 from orchestrator.check.probe_process import ProbeLimits, probe_threads, use_probe_limits
-from orchestrator.worker.activity import ActivityRecord
+from orchestrator.worker.calls import ActivityRecord
 from orchestrator.worker.process import MAX_STDERR, LimitExceeded, Worker, WorkerLimits
 
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do

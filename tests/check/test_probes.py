@@ -16,7 +16,7 @@ from orchestrator.check.subject import Subject, parse_unpacked
 from orchestrator.check.tasks import importing_solver, leaks
 from orchestrator.check.tasks.runner import Trial
 from orchestrator.check.tasks.trial_run import severity
-from orchestrator.worker.activity import ActivityRecord
+from orchestrator.worker.calls import ActivityRecord
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 

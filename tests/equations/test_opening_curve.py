@@ -20,9 +20,9 @@ from fmus.components.opening_curve import (
     EDGES,
     POINTS,
     SMALLEST_GAP,
-    Line,
     OpeningCurves,
     OpeningTable,
+    StraightOpening,
     pieces,
     requirements,
 )
@@ -186,7 +186,7 @@ def test_the_c_code_is_the_expression(compiled, points, volts):
 def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, volts):
     """In C: value and slope of the ramp with dead band, also if the rounding reaches beyond full command."""
     of_c, _ = compiled
-    coefficients = pieces(table(()), Line(dead_band, 10.0, rounding)).coefficients
+    coefficients = pieces(table(()), StraightOpening(dead_band, 10.0, rounding)).coefficients
     v = ca.SX.sym("v")
     line = spool_valve.opening(v, dead_band, 10.0, rounding)
     expected = ca.Function("line", [v], [ca.vertcat(line, ca.jacobian(line, v))])(volts)

@@ -12,7 +12,7 @@ from kit.mistakes import problem, table
 from lxml import etree
 
 from orchestrator.base.errors import Problem
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
 WIRES = [("first.level", "second.target"), ("second.mixed", "product.left")]

@@ -9,7 +9,7 @@ import time
 import tomllib
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from kit.mistakes import table
 
 from orchestrator import load, run
 from orchestrator.__main__ import main
-from orchestrator.base import toml
+from orchestrator.base import files, toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import MAX_DIRECTORY, MAX_NESTING, Location, extract_member, size_fault
 from orchestrator.base.xml import MAX_ITEMS
@@ -31,10 +31,12 @@ from orchestrator.check.read_ls_ref import resolve
 from orchestrator.check.rules import archive as archive_rules
 from orchestrator.check.subject import Subject
 from orchestrator.fmi.library import find_library
-from orchestrator.fmi.read_description import read_description
+from orchestrator.fmi.raw_description import read_description
 from orchestrator.results.validate_system import _provenance
 from orchestrator.scene.view_description import FILE, view_description
-from orchestrator.ssp.assembly import open_component
+from orchestrator.ssp.load import assemble
+from orchestrator.ssp.system import open_component
+from orchestrator.ssp.write import write_ssp
 
 Members = Mapping[str, bytes]
 GOOD: Members = {DESCRIPTION: XML_2.encode(), "binaries/linux64/lag.so": b"no library"}
@@ -223,6 +225,24 @@ def test_members_can_stay_packed(gain: Path) -> None:
     with Location(gain).unpacked(("binaries/",)) as folder:
         found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert found == {n for n in Location(gain).names() if not n.startswith("binaries/")}
+
+
+def test_many_components_of_one_fmu_share_its_library(
+    gain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The members of their SSP are listed once in loading it, and once each for checksums and run."""
+    names = [f"part_{i}" for i in range(8)]
+    system = write_ssp(assemble(dict.fromkeys(names, gain)), tmp_path / "many.ssp")
+    fmus = [Location(system, (f"resources/{name}.fmu",)) for name in names]
+    with ExitStack() as stack:
+        (folder,) = {stack.enter_context(fmu.unpacked()) for fmu in fmus}
+        stack.enter_context(Location(gain).unpacked(("binaries/",)))
+        assert (folder / "binaries").is_dir()
+    assert not folder.exists()
+    sizes = []
+    monkeypatch.setattr(files, "overlap", lambda members: sizes.append(len(members)) or "")
+    run(system, step=0.1, stop=0.1, isolate=False)
+    assert sizes.count(len(Location(system).names())) == 4  # once more for this line
 
 
 @pytest.mark.parametrize("folder", ["sources", "documentation"])

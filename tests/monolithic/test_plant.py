@@ -10,7 +10,7 @@ from orchestrator import reference
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import LinearTransformation
 from orchestrator.monolithic.plant import MAX_EVENT_ITERATIONS, Plant, differences
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import Inlet, Port
 
 

@@ -18,7 +18,7 @@ from orchestrator.engine.result import Card
 from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.monolithic.reference import reference
 from orchestrator.monolithic.tight import BOUND, GUARD, CoSimulate, estimated_error, tightened
-from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import Component, System
 
 VERSIONS = (2, 3)

@@ -17,7 +17,7 @@ from scipy.special import jve
 from fmus.boom_stick.detailed import default_lumps, detailed, line
 from fmus.components import hose
 from fmus.components.chamber import Fluid
-from fmus.components.hose import Line, lumps_needed
+from fmus.components.hose import HydraulicLine, lumps_needed
 from fmus.contract import quantities
 from fmus.parameters import values
 
@@ -33,13 +33,15 @@ def oil(viscosity: float) -> Fluid:
     return Fluid(density=RHO, viscosity=viscosity, bulk_modulus=BETA, air_share=0.0, air_exponent=1.4)
 
 
-def pipe(viscosity: float = 1e-12, wall: float = STIFF, length: float = LENGTH, bore: float = BORE) -> Line:
+def pipe(
+    viscosity: float = 1e-12, wall: float = STIFF, length: float = LENGTH, bore: float = BORE
+) -> HydraulicLine:
     """A line without air and without turbulent friction."""
-    return Line(length, bore, 0.0, wall, oil(viscosity))
+    return HydraulicLine(length, bore, 0.0, wall, oil(viscosity))
 
 
 @cache
-def jacobian(one: Line, lumps: int, unsteady: bool = False) -> np.ndarray:
+def jacobian(one: HydraulicLine, lumps: int, unsteady: bool = False) -> np.ndarray:
     """df/dx of the component at rest: flows, pressures, layers, between two constant pressures."""
     names = hose.state_names("first", "last", "inner", "", lumps, unsteady)
     x = {name: ca.SX.sym(name) for name in names.all()}
@@ -64,7 +66,7 @@ def ended(matrix: np.ndarray, lumps: int, closed_in: bool, closed_out: bool) -> 
     return matrix[np.ix_(keep, keep)]
 
 
-def closed_end(one: Line, lumps: int) -> np.ndarray:
+def closed_end(one: HydraulicLine, lumps: int) -> np.ndarray:
     """A constant pressure at the inlet, the outlet shut."""
     return ended(jacobian(one, lumps), lumps, False, True)
 
@@ -219,7 +221,7 @@ def test_stopped_oil_rises_by_joukowsky():
 # ---- frequency-dependent friction
 
 
-def zielke(one: Line, omega: float) -> complex:
+def zielke(one: HydraulicLine, omega: float) -> complex:
     """Exact impedance of laminar flow in a rigid pipe (V19)."""
     z = 1j**1.5 * one.bore / 2 * math.sqrt(omega * RHO / one.fluid.viscosity)
     return 1j * omega * one.inertance / (1 - 2 * jve(1, z) / (z * jve(0, z)))

@@ -21,8 +21,7 @@ from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.scene.view_description import Chart, Gauge, Notice, by_bare_name, view_description
-from orchestrator.ssp.assembly import assemble
-from orchestrator.ssp.load import load
+from orchestrator.ssp.load import assemble, load
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants

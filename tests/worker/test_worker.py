@@ -13,7 +13,7 @@ import pytest
 from kit.wait import LONG, runs, until
 
 from orchestrator.base.processes import machine_memory
-from orchestrator.worker.activity import ActivityRecord
+from orchestrator.worker.calls import ActivityRecord
 from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits
 
 CONTENTS = {"echo": Any, "said": str}

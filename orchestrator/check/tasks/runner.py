@@ -14,7 +14,7 @@ from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resource
 from orchestrator.fmi.library import Library, find_library
 from orchestrator.fmi.messages import ERROR, Log
 from orchestrator.fmi.raw_description import Entry, ModelDescription
-from orchestrator.worker.activity import ActivityRecord
+from orchestrator.worker.calls import ActivityRecord
 from orchestrator.worker.main import Channel
 
 MAX_MESSAGES = 10_000  # log messages that are kept per instance

@@ -1,17 +1,24 @@
-"""FMI calls in progress in a process, in a file that its parent can read after a crash.
+"""What a worker process stores for its parent in files that it maps into its memory, readable after a crash.
 
-Each FMU instance has a slot with its label, the function that is being called, and its communication points.
-Python and the C engine write the number of the function before a call and 0 after it. The slots of a worker
-process are in a file that is mapped into its memory; those of any other process are in its own memory.
+Calls in progress: each FMU instance has a slot with its label, the function that is being called, and its
+communication points. Python and the C engine write the number of the function before a call and 0 after it.
+The slots of a worker process are in a file; those of any other process are in its own memory.
+
+Last activity, of a process of `check`: number of calls, simulation time [s], name of the last call, last
+inputs as text.
 """
 
 import ctypes
 import math
 import mmap
-from collections.abc import Iterator
+import struct
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+# ---- calls in progress
 
 SLOTS = 256  # instances with a slot in the file; further ones have one in the memory of the process
 FIRST = ("", "DoStep", "GetFMUState", "SetFMUState")  # STEP, SAVE and RESTORE in engine.h
@@ -67,7 +74,7 @@ class CallSlot(ctypes.Structure):
 
 
 _Slots: Any = CallSlot * SLOTS
-SIZE = ctypes.sizeof(_Slots)
+CALLS_SIZE = ctypes.sizeof(_Slots)
 OUTSIDE = "outside of the FMUs"
 _slots = _Slots()
 
@@ -81,9 +88,9 @@ def share_calls(file: Path) -> mmap.mmap:
     """Keep the slots in a new file, before the first instance of this process; returns its map."""
     global _slots
     with file.open("w+b") as opened:
-        opened.write(bytes(SIZE))  # a full disk is an error now, not a signal later
+        opened.write(bytes(CALLS_SIZE))  # a full disk is an error now, not a signal later
         opened.flush()
-        memory = mmap.mmap(opened.fileno(), SIZE)
+        memory = mmap.mmap(opened.fileno(), CALLS_SIZE)
     _slots = _Slots.from_buffer(memory)
     return memory
 
@@ -109,10 +116,93 @@ def in_progress(label: str, fmi: int, function: str) -> Iterator[None]:
 
 def calls_in(file: bytes) -> str:
     """The calls in progress in a worker process, or at its end, for a message."""
-    if len(file) != SIZE:  # the process has not got that far
+    if len(file) != CALLS_SIZE:  # the process has not got that far
         return OUTSIDE
     slots = [
         slot for slot in _Slots.from_buffer_copy(file) if slot.fmi in (2, 3) and slot.instance.isprintable()
     ]
     calls = [f"in {slot} of {slot.instance}" for slot in slots if 0 < slot.function < len(FUNCTIONS)]
     return "; ".join(calls) or OUTSIDE
+
+
+# ---- last activity
+
+_HEAD = struct.Struct("<Qd64s")
+_TEXT = 512
+ACTIVITY_SIZE = _HEAD.size + _TEXT
+
+
+@dataclass(frozen=True)
+class Activity:
+    """The last activity of a worker.
+
+    count    number of calls
+    time     simulation time [s]; NaN before the first step
+    call     name of the last function
+    inputs   last inputs; if a case is under test, the case in round brackets and the values set in it
+    """
+
+    count: int
+    time: float
+    call: str
+    inputs: str
+
+    def __str__(self) -> str:
+        where = f"in {self.call}" if self.call else "before the first call"
+        when = f" at t = {self.time:.9g} s" if self.time == self.time else ""
+        if self.inputs.startswith("("):  # the case under test
+            return f"{where}{when} {self.inputs}"
+        return f"{where}{when}" + (f", last inputs {self.inputs}" if self.inputs else "")
+
+
+NONE = _HEAD.pack(0, float("nan"), b"") + bytes(_TEXT)
+
+
+def activity_in(file: bytes) -> Activity:
+    """The activity in a file; none if it is incomplete, or if an FMU has written to it."""
+    count, time, call = _HEAD.unpack_from(file if len(file) == ACTIVITY_SIZE else NONE)
+    if not call.rstrip(b"\0").decode("latin-1").isprintable():
+        return activity_in(NONE)
+    return Activity(count, time, _text(call), _text(file[_HEAD.size :]))
+
+
+class ActivityRecord:
+    """The activity file, for the child."""
+
+    def __init__(self, path: Path, keep: Callable[[mmap.mmap], mmap.mmap] = lambda memory: memory) -> None:
+        """keep: see `Channel.keep`."""
+        path.write_bytes(NONE)
+        with path.open("r+b") as file:
+            self._memory = keep(mmap.mmap(file.fileno(), ACTIVITY_SIZE))
+        self._count, self._case = 0, ""
+
+    def clear(self) -> None:
+        """Forget the last activity."""
+        self._memory[:] = NONE
+
+    def call(self, name: str, time: float = float("nan")) -> None:
+        """Store the function that is called next, and the simulation time [s]."""
+        self._count += 1
+        _HEAD.pack_into(self._memory, 0, self._count, time, name.encode())
+
+    def case(self, text: str) -> None:
+        """Store the case under test; values that are set afterwards follow it."""
+        self._case = f"({text})"
+        self._write(self._case)
+
+    def inputs(self, text: str) -> None:
+        """Store the values that were set last."""
+        self._write(f"{self._case}, last values {text}" if self._case else text)
+
+    def _write(self, text: str) -> None:
+        raw = text.encode()[:_TEXT]
+        self._memory[_HEAD.size : _HEAD.size + len(raw)] = raw
+        self._memory[_HEAD.size + len(raw) :] = bytes(_TEXT - len(raw))
+
+    def read(self) -> Activity:
+        """Read the last activity."""
+        return activity_in(self._memory[:])
+
+
+def _text(raw: bytes) -> str:
+    return raw.rstrip(b"\0").decode(errors="replace")
