@@ -223,4 +223,4 @@ def _spread(heights: Sequence[float]) -> list[float]:
     gaps = LABEL_GAP * np.arange(len(heights))
     lowest, highest = LABEL_RANGE
     moved = isotonic_regression(heights - gaps).x if len(heights) else gaps
-    return (gaps + np.clip(moved, lowest, highest - gaps[-1:])).tolist()
+    return [float(height) for height in gaps + np.clip(moved, lowest, highest - gaps[-1:])]
