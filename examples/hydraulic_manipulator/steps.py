@@ -19,8 +19,7 @@ from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.convergence_study import report, with_progress
 from orchestrator.studies.convergence.reference_solution import ReferenceSolution, from_run
-from orchestrator.studies.convergence.runs import ConvergenceStudy, run_settings
-from orchestrator.studies.convergence.settings import SETTINGS, Setting
+from orchestrator.studies.convergence.runs import SETTINGS, ConvergenceStudy, Setting, run_settings
 from orchestrator.studies.convergence.tables import maximum_table
 
 FOLDER = Path("build/hydraulic_manipulator")

@@ -54,7 +54,7 @@ def track(
     from fmus.controller.paths import route_start_angles, start_angles, write_route
     from fmus.package_files import PACKAGE
     from orchestrator.studies.path_following import first_point, read_machine
-    from orchestrator.studies.path_study import track as run_study
+    from orchestrator.studies.path_following import track as run_study
 
     names = read_machine(PACKAGE / "controller/tracking.toml")
     if path and through:

@@ -350,27 +350,30 @@ class Plant:
 
     def _feedthrough(self) -> Array:
         """The block-diagonal matrix D of the unconnected components; leaves the states as they are."""
-        self._call("plant_jacobian")
-        for k, member in enumerate(self.members):
-            if not member.slave.interface.directional_derivatives:
-                rows, columns = (
-                    part[member.x.stop - member.x.start :] for part in member.indices(len(self.x))
-                )
-                substitute = partial(self._call, "plant_evaluate", k, False)
-                found = differences(substitute, (self.v[member.v],), (self.y[member.y],))
-                self._jacobian[np.ix_(rows, columns)] = found
-        return self._jacobian[len(self.x) :, len(self.x) :]
+        return self._jacobians(of_states=False)[len(self.x) :, len(self.x) :]
 
     def blocks(self) -> Matrices:
         """Block-diagonal matrices of the unconnected components, with respect to x and v."""
+        halves = np.split(self._jacobians(of_states=True), [len(self.x)])
+        return Matrices(*(part.copy() for half in halves for part in np.split(half, [len(self.x)], 1)))
+
+    def _jacobians(self, of_states: bool) -> Array:
+        """The Jacobian of all components; without directional derivatives by differences.
+
+        of_states   with these differences also for states and rates, not only for inputs and outputs
+        """
         self._call("plant_jacobian")
         for k, member in enumerate(self.members):
-            if not member.slave.interface.directional_derivatives:
-                knowns, unknowns = (self.x[member.x], self.v[member.v]), (self.f[member.x], self.y[member.y])
-                found = differences(partial(self._call, "plant_evaluate", k, True), knowns, unknowns)
-                self._jacobian[np.ix_(*member.indices(len(self.x)))] = found
-        top, bottom = np.split(self._jacobian, [len(self.x)])
-        return Matrices(*(part.copy() for half in (top, bottom) for part in np.split(half, [len(self.x)], 1)))
+            if member.slave.interface.directional_derivatives:
+                continue
+            rows, columns = member.indices(len(self.x))
+            knowns, unknowns = [self.x[member.x], self.v[member.v]], [self.f[member.x], self.y[member.y]]
+            first = 0 if of_states else 1
+            evaluate = partial(self._call, "plant_evaluate", k, of_states)
+            found = differences(evaluate, knowns[first:], unknowns[first:])
+            skipped = len(knowns[0]) * first
+            self._jacobian[np.ix_(rows[skipped:], columns[skipped:])] = found
+        return self._jacobian
 
     def matrices(self) -> Matrices:
         """A, B, C, D of the connected system, from the external inputs to all outputs."""
@@ -395,10 +398,10 @@ class Plant:
 
     # ---- events
 
-    def indicators(self, into: Array) -> None:
-        """Get the event indicators of all components, shape (indicator_count,)."""
+    def indicators(self) -> Array:
+        """The event indicators of all components, shape (indicator_count,)."""
         self._call("plant_indicators")
-        into[:] = self._indicators
+        return self._indicators.copy()
 
     def completed_step(self, time: float, x: Array) -> bool:
         """Tell the components that the solver has accepted a step, to a time [s]; True for an event.

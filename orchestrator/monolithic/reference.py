@@ -17,8 +17,9 @@ signal, a rate with peaks, at a tolerance of 3e-14, 2e-8 at 1e-13 and 1e-7 at 1e
 
 import time as wall_time
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
@@ -142,14 +143,6 @@ def _inlets(system: System, scenario: Scenario | None) -> Iterator[Inlet]:
             yield Inlet(str(port), variable.unit, ((port, linear),))
 
 
-@dataclass
-class _Counts:
-    steps: int = 0
-    evaluations: int = 0
-    jacobians: int = 0
-    events: int = 0
-
-
 class _Integration:
     """One integration; `run` returns the result.
 
@@ -158,7 +151,7 @@ class _Integration:
 
     def __init__(self, plant: Plant, scenario: Scenario | None, times: Grid, tolerance: float) -> None:
         self.plant, self.scenario, self.times, self.tolerance = plant, scenario, times, tolerance
-        self.counts = _Counts()
+        self.counts = Counter[str]()
         self._problem: BaseException | None = None
         self._at: tuple[float, bytes] = (np.nan, b"")
         ports = plant.system.ports("output")
@@ -181,36 +174,24 @@ class _Integration:
         self.plant.settle_at(t, x)
         self._at = at
 
-    def _guarded(self, evaluate: Callable[[], None], result: Array) -> None:
+    def _guarded(self, count: str, values: Callable[[], Array], t: float, x: Array, into: Array) -> None:
         """NaN instead of an exception: CVODE then takes a shorter step, and fails if that does not help."""
         try:
-            evaluate()
+            self.counts[count] += 1
+            self.settle(t, x)
+            into[:] = values()
         except BaseException as problem:
             self._problem = problem
-            result[:] = np.nan
+            into[:] = np.nan
 
     def _rates(self, t: float, x: Array, into: Array) -> None:
-        def evaluate() -> None:
-            self.counts.evaluations += 1
-            self.settle(t, x)
-            into[:] = self.plant.f
-
-        self._guarded(evaluate, into)
+        self._guarded("evaluations", lambda: self.plant.f, t, x, into)
 
     def _jacobian(self, t: float, x: Array, _: Array, into: Array) -> None:
-        def evaluate() -> None:
-            self.counts.jacobians += 1
-            self.settle(t, x)
-            into[:] = self.plant.matrices().a
-
-        self._guarded(evaluate, into)
+        self._guarded("Jacobians", lambda: self.plant.matrices().a, t, x, into)
 
     def _indicators(self, t: float, x: Array, into: Array) -> None:
-        def evaluate() -> None:
-            self.settle(t, x)
-            self.plant.indicators(into)
-
-        self._guarded(evaluate, into)
+        self._guarded("indicators", self.plant.indicators, t, x, into)
 
     # ---- the integration
 
@@ -298,7 +279,7 @@ class _Integration:
             if step.t <= t:  # after an interpolation the solver returns its last step once more
                 continue
             t, x = float(step.t), step.y
-            self.counts.steps += 1
+            self.counts["steps"] += 1
             self._interpolate(solver, t, target)
             self._at = (np.nan, b"")
             event = self.plant.completed_step(t, x) or step.status == ROOT
@@ -308,12 +289,11 @@ class _Integration:
 
     def _without_states(self, t: float, x: Array, target: float) -> tuple[float, Array, bool]:
         """Outputs alone over the recorded points; an event indicator is evaluated only there."""
-        before, after = np.zeros(self.plant.indicator_count), np.zeros(self.plant.indicator_count)
-        self.plant.indicators(before)
+        before = self.plant.indicators()
         while self._before(t, target):
             t = min(self._next_point(), target)
             self.settle(t, x)
-            self.plant.indicators(after)
+            after = self.plant.indicators()
             event = self.plant.completed_step(t, x) or bool(((before > 0) != (after > 0)).any())
             if event or self.plant.ended:
                 return t, x, event
@@ -344,7 +324,7 @@ class _Integration:
 
     def _event(self, t: float, x: Array) -> Array:
         """Event mode at a time; the states after it."""
-        self.counts.events += 1
+        self.counts["events"] += 1
         self.settle(t, x)
 
         def set_discrete() -> None:
@@ -397,15 +377,15 @@ class _Integration:
         notes = [
             *plant.system.notes,
             *plant.notes,
-            f"monolithic solution: {counts.evaluations} evaluations, {counts.jacobians} Jacobians,"
-            f" {counts.events} events",
+            f"monolithic solution: {counts['evaluations']} evaluations, {counts['Jacobians']} Jacobians,"
+            f" {counts['events']} events",
         ]
         notes += [f"{plant.ended} requested the end of the simulation"] if plant.ended else []
         card = Card(
             master=SOLVER,
-            step=simulated / max(counts.steps, 1),
+            step=simulated / max(counts["steps"], 1),
             record_step=self.times.step,
-            steps=counts.steps,
+            steps=counts["steps"],
             simulated=simulated,
             wall=wall,
             warnings=plant.system.warnings,

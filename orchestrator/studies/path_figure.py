@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 
 from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.plotting import legend, legend_entry, new_figure, style_axes
-from orchestrator.studies.path_following import Array, PathRun
+
+if TYPE_CHECKING:
+    from orchestrator.studies.path_following import Array, PathRun
 
 WITH, WITHOUT = "-", (0, (3, 1.5))
 RISING = 0.05  # height over length above which a path rises

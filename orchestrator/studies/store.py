@@ -22,7 +22,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import lru_cache, partial
+from functools import partial
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -44,7 +44,6 @@ from orchestrator.studies.study import Choice, Factor, Output, Study
 NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")
 LOG = "run,status,seconds\n"  # first line of log.csv
 GROUP = 64  # runs per row group of bands.parquet, a few megabytes
-CACHED = 8  # part files in memory while the signals are sorted by run
 PARTIAL = ".half"  # suffix of a file that is being written
 LONG = 120  # characters of two lists together above which only the first difference is shown
 ATTRIBUTES = ("numbers", "options")  # keys that study.toml lacks: left out of the names of differences
@@ -223,25 +222,23 @@ class Store:
 
     def _write_bands(self, file: Path) -> None:
         """Write the signals of all runs, in the order of the runs."""
-        part_of = {n: part for part in self._files() for n in _read(part, ["run"])["run"].to_pylist()}
         names, units = self.study.bands, {o.signal: o.signal_unit for o in self.study.outputs} | {"time": "s"}
         columns = [("run", pa.int64()), ("time", pa.float64()), *((name, pa.float64()) for name in names)]
         schema = _with_units(pa.schema(columns).empty_table(), units).schema
-        load = lru_cache(maxsize=CACHED)(_by_run)
-        runs = sorted(part_of)
+        stored = ["run", "start", *(f"{BAND}{name}" for name in names)]
+        runs = pa.concat_tables([_read(part, stored) for part in self._files()]).sort_by("run")
         with pq.ParquetWriter(file, schema, write_page_checksum=True) as writer:
             for first in range(0, len(runs), GROUP):
-                rows = [load(part_of[run])[run] for run in runs[first : first + GROUP]]
-                tables = [self._one_row_per_point(row) for row in rows]
-                writer.write_table(pa.concat_tables(tables).cast(schema))
+                writer.write_table(self._one_row_per_point(runs.slice(first, GROUP)).cast(schema))
 
-    def _one_row_per_point(self, row: pa.Table) -> pa.Table:
-        """The stored signals of one run, with a row for each point of time."""
-        signals = [row[f"{BAND}{name}"].combine_chunks().flatten() for name in self.study.bands]
-        count = len(signals[0])
-        time = pa.array(band_times(self.study, row["start"][0].as_py(), count))
-        run = pa.array(np.full(count, row["run"][0].as_py(), np.int64))
-        return pa.table([run, time, *signals], names=["run", "time", *self.study.bands])
+    def _one_row_per_point(self, runs: pa.Table) -> pa.Table:
+        """The stored signals of some runs, with a row for each point of time."""
+        lists = [runs[f"{BAND}{name}"].combine_chunks() for name in self.study.bands]
+        counts = lists[0].value_lengths().to_numpy()
+        starts = zip(runs["start"].to_pylist(), counts.tolist(), strict=True)
+        time = np.concatenate([band_times(self.study, start, count) for start, count in starts])
+        run = np.repeat(runs["run"].to_numpy(), counts)
+        return pa.table([run, time, *(x.flatten() for x in lists)], names=["run", "time", *self.study.bands])
 
     def _files(self) -> list[Path]:
         return sorted(self._parts.glob("batch-*.parquet"))
@@ -283,12 +280,6 @@ def _read_results(file: Path) -> pa.Table:
     except (OSError, pa.ArrowException) as error:
         message = " ".join(str(error).split())
         raise Problem(f"{file}: cannot be read ({message}); --fresh computes the study again") from None
-
-
-def _by_run(file: Path) -> dict[int, pa.Table]:
-    """The rows of a batch file by number of the run."""
-    table = _read(file)
-    return {run: table.slice(i, 1) for i, run in enumerate(table["run"].to_pylist())}
 
 
 def _with_units(table: pa.Table, units: Mapping[str, str]) -> pa.Table:

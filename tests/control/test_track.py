@@ -15,8 +15,7 @@ from fmus.package_files import PACKAGE
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
 from orchestrator.studies.path_figure import draw, side_view, top_view
-from orchestrator.studies.path_following import PathRun, points, read_machine
-from orchestrator.studies.path_study import differences, rows, text
+from orchestrator.studies.path_following import PathRun, differences, points, read_machine, rows, text
 
 VARIANTS = ("swing=detailed", "boom_stick=detailed", "manipulator=pendulum_friction", "supply=engine_pump")
 DETAILED = [f"--swap={variant}" for variant in VARIANTS]

@@ -52,8 +52,8 @@ class Equations:
         self.jacobians += 1
         return SimpleNamespace(a=self.slope * np.eye(len(self.x)))
 
-    def indicators(self, into):
-        into[:] = self.z(self.time) if self.z else []
+    def indicators(self):
+        return np.array(self.z(self.time) if self.z else [])
 
     def completed_step(self, t, _):
         self.told.append(t)

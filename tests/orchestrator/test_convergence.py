@@ -15,8 +15,14 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.reference_solution import finest_run, from_recording, from_run
-from orchestrator.studies.convergence.runs import ConvergenceStudy, run_settings
-from orchestrator.studies.convergence.settings import SETTINGS, Setting, choose, rate_inputs
+from orchestrator.studies.convergence.runs import (
+    SETTINGS,
+    ConvergenceStudy,
+    Setting,
+    choose,
+    rate_inputs,
+    run_settings,
+)
 from orchestrator.studies.convergence.tables import UNSTABLE, adaptive_table, error_table, failures
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")  # the oscillator

@@ -22,8 +22,14 @@ from orchestrator.pages.plotting import png
 from orchestrator.results.validate_system import another_model
 from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
 from orchestrator.studies.convergence.reference_solution import default_signals, finest_run, from_recording
-from orchestrator.studies.convergence.runs import ConvergenceStudy, SettingRun, run_settings
-from orchestrator.studies.convergence.settings import applicable, choose, rate_inputs
+from orchestrator.studies.convergence.runs import (
+    ConvergenceStudy,
+    SettingRun,
+    applicable,
+    choose,
+    rate_inputs,
+    run_settings,
+)
 from orchestrator.studies.convergence.tables import failures, milliseconds, tables
 
 OTHER_RUN = ("parameters", "set", "swap")  # options with which the default reference does not fit

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
+from scipy.optimize import isotonic_regression
 
 from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.plotting import new_figure, style_axes
@@ -219,14 +220,7 @@ def _label_curves(axes: Axes, ends: Mapping[SettingCurve, tuple[float, float]], 
 
 def _spread(heights: Sequence[float]) -> list[float]:
     """Increasing heights, moved as little as needed to be LABEL_GAP apart and inside LABEL_RANGE."""
-    moved = np.array(heights)
+    gaps = LABEL_GAP * np.arange(len(heights))
     lowest, highest = LABEL_RANGE
-    gaps = LABEL_GAP * np.arange(len(moved))
-    for _ in range(400):  # each sweep halves what overlaps
-        for i in range(len(moved) - 1):
-            overlap = LABEL_GAP - (moved[i + 1] - moved[i])
-            if overlap > 0:
-                moved[i] -= overlap / 2
-                moved[i + 1] += overlap / 2
-        moved = np.clip(moved, lowest + gaps, highest - gaps[::-1])
-    return [float(height) for height in moved]
+    moved = isotonic_regression(heights - gaps).x if len(heights) else gaps
+    return [float(height) for height in gaps + np.clip(moved, lowest, highest - gaps[-1:])]
