@@ -52,11 +52,14 @@ def remarks(steps: ValveSteps, found: Openings, zero: Estimate, declared: bool) 
         "1 % in the gain of the flow meter changes the area by 1 %, and an error of 1 bar between "
         f"the two pressures by {percent:.2g} %."
     )
-    if not declared and not found.flow_zero:
+    if not found.flow_zero:
         volts = 0.1 * LITRES_PER_MINUTE[1] * float(np.ptp(good.command) / np.ptp(good.flow))
+        limit = found.known.flow_zero * math.sqrt(3) / LITRES_PER_MINUTE[1]
+        covered = f"cover {limit:.2g} L/min, not more" if declared else "do not cover it (`zero_error`)"
         yield (
-            "The zero of the flow meter is not declared (`zero_error`), and no reading shows it, so that the "
-            f"intervals do not cover it: 0.1 L/min moves the start of the opening by {volts:.1g} V."
+            f"No reading shows the zero of the flow meter: the intervals {covered}, and 0.1 L/min moves the "
+            f"start of the opening by {volts:.1g} V. A recording at rest shows it, unless the meter has a "
+            "dead zone."
         )
 
 
