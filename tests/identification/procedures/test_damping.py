@@ -10,7 +10,7 @@ from identification.procedures.lumped_machine import ENCODER, KNOWN, P, recordin
 from kit import shards
 from kit.mistakes import problem, table
 
-from fmus.identification import finding
+from fmus.identification import results
 from fmus.identification.procedures.damping import CONTACTS, as_printed, identify, joint_damping
 from orchestrator.data.recording import Sensor
 
@@ -60,7 +60,7 @@ def test_the_result_has_all_joints_with_figure_and_remarks():
     assert result.figure == 9
     assert len(result.panels) == 9
     assert not any("dry friction" in text or "incomplete" in text for text in result.remarks)
-    assert finding.named(result.findings) == []
+    assert results.named(result.findings) == []
 
 
 def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected():
@@ -104,8 +104,8 @@ def test_dry_friction_is_reported_and_estimated_with_b():
     friction = next(e for e in result.others if e.name.startswith("dry friction"))
     assert friction.value == pytest.approx(dry, rel=0.02)  # where the sign changes it is rounded
     assert any("dry friction" in text for text in result.remarks)
-    assert "dry friction" in {f.fault for f in finding.named(result.findings)}
-    assert "dry friction" not in {f.fault for f in finding.named(pushed.findings)}
+    assert "dry friction" in {f.fault for f in results.named(result.findings)}
+    assert "dry friction" not in {f.fault for f in results.named(pushed.findings)}
     assert not any(e.name.startswith("dry friction") for e in pushed.others)
     assert any("negative, which is impossible" in text for text in pushed.remarks)
 

@@ -9,7 +9,7 @@ from identification.procedures import bench, lumped_machine, test_motor_leakage
 from identification.procedures.bench import BAR, changed
 from kit.mistakes import problem
 
-from fmus.identification import finding, pipeline
+from fmus.identification import pipeline, results
 from fmus.identification.procedures import damping, hose_dynamics, hose_resistance, motor_leakage, rest
 from orchestrator.data.recording import Recording
 
@@ -17,7 +17,7 @@ UP_AND_DOWN = (*np.linspace(15.0, 275.0, 14), *np.linspace(265.0, 25.0, 12))  # 
 
 
 def names(result):
-    return {f.fault for f in finding.named(result.findings)}
+    return {f.fault for f in results.named(result.findings)}
 
 
 def hose(change=lambda r: r, flows=UP_AND_DOWN):
@@ -68,7 +68,7 @@ def test_a_fault_of_a_hose_is_named(fault):
 def test_a_recorded_temperature_takes_the_place_of_time():
     """A drop that follows the temperature is named with it."""
     (record,) = bench.steady_hose(1, bench.turbulent, UP_AND_DOWN)
-    found = finding.named(hose_resistance.identify([heated(record)], bench.KNOWN).findings)
+    found = results.named(hose_resistance.identify([heated(record)], bench.KNOWN).findings)
     assert any("changes with the oil temperature by -" in f.sentence for f in found)
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from benchmarks import openings as bench
 from fmus.components import spool_valve
-from fmus.identification import finding
+from fmus.identification import results
 from fmus.identification.procedures import openings, valve
 from orchestrator.data.recording import Sensor
 
@@ -64,7 +64,7 @@ def found(share, seed=3, zeros=(0.0, 0.0)):
 
 def faults(result):
     """Faults that the data show, but for the one edge."""
-    return [f.fault for f in finding.named(result.findings) if f.fault != "one measured edge"]
+    return [f.fault for f in results.named(result.findings) if f.fault != "one measured edge"]
 
 
 def test_two_percent_in_the_exponent_are_no_zero_of_a_transducer():

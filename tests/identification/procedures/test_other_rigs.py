@@ -9,7 +9,7 @@ import pytest
 from identification.procedures import bench
 from kit.mistakes import problem, table
 
-from fmus.identification import finding
+from fmus.identification import results
 from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
@@ -108,7 +108,7 @@ def test_estimates_stay_right(name, change):
 @pytest.mark.parametrize("name", BENCHES)
 def test_good_data_cause_no_warning(name):
     """Data of the model's own equations: no warning, so the exit status of the command is 0."""
-    assert finding.named(result_of(name).findings) == []
+    assert results.named(result_of(name).findings) == []
 
 
 @pytest.mark.parametrize("name", ["valve", "hose_resistance"])
@@ -139,13 +139,13 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
     # two sensors; a perfect one counts as 1e-6 of its reading
     assert abs(zero.value) <= 2 * (declared * bench.BAR + 1e-6 * bench.SUPPLY)
     if name == "hose_resistance":  # at the valve a curve a little off the line explains the data as well
-        assert finding.named(result.findings)
+        assert results.named(result.findings)
 
 
 def test_residuals_far_above_the_noise_are_a_warning():
     """A hose whose drop is laminar at first, which eq. (1) cannot be."""
     recordings = bench.steady_hose(5, lambda q: bench.turbulent(q) + 3e8 * q)
-    found = finding.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
+    found = results.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
     assert {f.fault for f in found} == {"model"}
     assert any("times the noise of the sensors" in f.sentence for f in found)
 
