@@ -129,7 +129,7 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         self._count[mask], self._over[mask] = 0, False
         return self._machines.start(drawn, mask)
 
-    def close_extras(self, **_: Any) -> None:
+    def close_extras(self, **_: object) -> None:
         """End the threads."""
         self._machines.close()
 

@@ -303,7 +303,7 @@ def _axes(chart: _Chart, span: tuple[float, float], box: tuple[float, ...], last
     (start, stop), low, high = span, chart.low, chart.high
     sx = width / ((stop - start) or 1.0)
     sy = height / (high - low)
-    power = _power(low, high)
+    power = power_of_ten(low, high)
     grid, parts = [], []
     for value, label in tick_labels(low, high, 3 if chart.strip else 5, power):
         y = y0 + (high - value) * sy
@@ -413,7 +413,7 @@ def _path(x: Array, y: Array) -> str:
     return "".join(parts).replace("l M", "M").replace("-0.", "-.").replace(" 0.", " .").rstrip("l ")
 
 
-def _power(low: float, high: float) -> int:
+def power_of_ten(low: float, high: float) -> int:
     """Common power of ten of tick labels; 0 if plain digits are as short."""
     largest = max(abs(low), abs(high))
     power = math.floor(math.log10(largest)) if largest > 0 else 0

@@ -19,7 +19,7 @@ from orchestrator.pages.figures import plot_scripts
 TEMPLATES = Path(__file__).with_name("templates")
 
 
-def render(template: Path, *, title: str, plots: bool = False, **content: Any) -> str:
+def render(template: Path, *, title: str, plots: bool = False, **content: object) -> str:
     """Render a template that extends `page.html.j2`, with the CSS file of the same name if there is one.
 
     template   path of the template

@@ -11,7 +11,7 @@ import io
 import itertools
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -38,6 +38,7 @@ from orchestrator.pages.figures import (
     TraceLine,
     TracePanel,
     decimate,
+    power_of_ten,
     still,
 )
 
@@ -53,10 +54,10 @@ class ShownFigure(Figure):
         return png(self, 100)
 
 
-def new_figure(width: float, height: float, **padding: Any) -> Figure:
+def new_figure(width: float, height: float, **padding: float) -> Figure:
     """An empty figure of this size [in]; `padding`: options of matplotlib's constrained layout."""
-    layout = ConstrainedLayoutEngine()
-    layout.set(**padding)
+    options: dict[str, Any] = {**padding}
+    layout = ConstrainedLayoutEngine(**options)
     figure = ShownFigure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure
@@ -79,7 +80,7 @@ def limit_ticks(axis: Axis, count: int = 5) -> None:
     """At most `count` ticks; a common power of ten of the tick labels is part of the axis label."""
     axis.set_major_locator(MaxNLocator(count))
     low, high = axis.get_view_interval()
-    power = _power(axis)
+    power = power_of_ten(low, high)
     scale = 10.0**power
     span = abs(high - low) / scale
     digits = min(4, max(0, 1 - math.floor(math.log10(span)))) if span > 0 else 2
@@ -97,20 +98,13 @@ def limit_ticks(axis: Axis, count: int = 5) -> None:
 
 def power_ticks(axis: Axis) -> None:
     """Tick labels with a common power of ten; above the axes it would collide with a legend."""
-    power = _power(axis)
+    power = power_of_ten(*axis.get_view_interval())
     if not power or axis.get_scale() != "linear":
         return
     suffix = f"·10{superscript(str(power))}"
     axis.set_major_formatter(
         lambda value, _: f"{value / 10.0**power:.3g}{suffix if value else ''}".replace("-", MINUS)
     )
-
-
-def _power(axis: Axis) -> int:
-    """Power of ten of the largest value in view; 0 if plain digits are as short."""
-    largest = max(map(abs, axis.get_view_interval()))
-    power = math.floor(math.log10(largest)) if largest > 0 else 0
-    return 0 if -3 <= power <= 4 else power
 
 
 def heading(figure: Figure, title: str, below: str = "") -> None:
@@ -121,59 +115,37 @@ def heading(figure: Figure, title: str, below: str = "") -> None:
         figure.supxlabel(below, x=0.99, ha="right", fontsize=8, color=PALETTE.soft)
 
 
-def legend(parent: Figure | Axes, **options: Any) -> Any:
+def legend(parent: Figure | Axes, **options: object) -> Any:
     """A legend above a figure or axes, where it covers no curve."""
     above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
     position = {"loc": "outside upper left"} if isinstance(parent, Figure) else above
-    return parent.legend(
-        **{"fontsize": 8, "frameon": False, "labelcolor": PALETTE.ink, "ncols": 3, **position, **options}
-    )
-
-
-def legend_entry(label: str, **style: Any) -> Line2D:
-    """A legend entry without a curve in the axes."""
-    return Line2D([], [], label=label, **style)
+    style = {"fontsize": 8, "frameon": False, "labelcolor": PALETTE.ink, "ncols": 3}
+    chosen: dict[str, Any] = {**style, **position, **options}
+    return parent.legend(**chosen)
 
 
 ROW_HEIGHT = 0.46  # [in] per unit of `TracePanel.heights`
 
 
-def draw_traces(
-    panels: Sequence[TracePanel],
-    window: tuple[float, float] | None = None,
-    title: str = "",
-    below: str = "",
-    key: Iterable[Line2D] = (),
-) -> Figure:
-    """Draw panels over a common time axis.
-
-    window   first and last time [s]
-    below    a short line below the figure
-    key      legend entries that explain the line styles
-    """
-    heights = [height for panel in panels for height in panel.heights[: 2 if panel.errors else 1]]
+def draw(shown: TraceFigure) -> Figure:
+    """The figure, drawn by matplotlib."""
+    heights = [height for panel in shown.panels for height in panel.heights[: 2 if panel.errors else 1]]
     figure = new_figure(WIDTH, ROW_HEIGHT * sum(heights) + 0.9, h_pad=0.02, hspace=0.0)
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     remaining = iter(axes)
-    for panel in panels:
+    for panel in shown.panels:
         _draw_panel(next(remaining), panel)
         if panel.errors:
             _draw_errors(next(remaining), panel)
     axes[-1].set_xlabel("time [s]", color=PALETTE.ink)
-    if window:
-        axes[-1].set_xlim(*window)
-    heading(figure, title, below)
-    if handles := list(key):
-        corner = "upper right" if title else "outside upper center"
+    if shown.window:
+        axes[-1].set_xlim(*shown.window)
+    heading(figure, shown.title, shown.below)
+    if handles := [Line2D([], [], label=label, **style) for label, style in shown.key]:
+        corner = "upper right" if shown.title else "outside upper center"
         legend(figure, handles=handles, loc=corner, ncols=min(len(handles), 4), fontsize=9)
     figure.align_ylabels()
     return figure
-
-
-def draw(figure: TraceFigure) -> Figure:
-    """The figure, drawn by matplotlib."""
-    key = [legend_entry(label, **style) for label, style in figure.key]
-    return draw_traces(figure.panels, figure.window, figure.title, figure.below, key)
 
 
 def _draw_panel(axes: Axes, panel: TracePanel) -> None:

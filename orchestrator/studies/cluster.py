@@ -42,7 +42,7 @@ class _Client(Client):  # type: ignore[misc]  # Dask has no types
     collector deletes it while another client starts its loop, its destructor waits for that start.
     """
 
-    def __init__(self, address: Any, **settings: Any) -> None:
+    def __init__(self, address: Any, **settings: object) -> None:
         try:
             super().__init__(address, **settings)
         except BaseException:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from orchestrator.pages.figures import PALETTE
-from orchestrator.pages.plotting import legend, legend_entry, new_figure, style_axes
+from orchestrator.pages.plotting import legend, new_figure, style_axes
 
 if TYPE_CHECKING:
     from orchestrator.studies.path_following import Array, PathRun
@@ -94,8 +95,10 @@ def _style(run: PathRun, machines: Sequence[str]) -> dict[str, Any]:
 
 
 def _legend(figure: Figure, runs: Sequence[PathRun], machines: Sequence[str]) -> None:
-    handles = [legend_entry("path", color=PALETTE.faint, linewidth=4, alpha=0.5)]
-    handles += [legend_entry(name, color=PALETTE.colour(k), linewidth=1.3) for k, name in enumerate(machines)]
+    handles = [Line2D([], [], label="path", color=PALETTE.faint, linewidth=4, alpha=0.5)]
+    handles += [
+        Line2D([], [], label=name, color=PALETTE.colour(k), linewidth=1.3) for k, name in enumerate(machines)
+    ]
     if any(not r.feedback for r in runs):
-        handles.append(legend_entry("without feedback", color=PALETTE.ink, linestyle=WITHOUT))
+        handles.append(Line2D([], [], label="without feedback", color=PALETTE.ink, linestyle=WITHOUT))
     legend(figure, handles=handles, loc="outside upper center", ncols=5, fontsize=10)

@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 
 from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
 from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
-from orchestrator.pages.plotting import legend, legend_entry, limit_ticks, new_figure, style_axes
+from orchestrator.pages.plotting import legend, limit_ticks, new_figure, style_axes
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -271,11 +271,12 @@ def _marks(effects: tuple[Effect, ...], measure: str, dotted: bool) -> list[Patc
     if any(effect.kind == "choice" for effect in effects):
         marks.append(Patch(color=LIGHT[1], label="choice"))
     if any(effect.estimates[measure].low is not None for effect in effects):
-        marks.append(legend_entry("95 %", color=PALETTE.ink, linewidth=1.4))
+        marks.append(Line2D([], [], label="95 %", color=PALETTE.ink, linewidth=1.4))
     if any("sigma" in effect.more for effect in effects):
         name = "\N{GREEK SMALL LETTER SIGMA} of the effects"
-        marks.append(legend_entry(name, color=PALETTE.bad, marker="|", markersize=10, linewidth=0))
+        marks.append(Line2D([], [], label=name, color=PALETTE.bad, marker="|", markersize=10, linewidth=0))
     if dotted:
-        style = {"marker": "o", "markersize": 3, "markerfacecolor": "none", "linewidth": 0}
-        marks.append(legend_entry("each combination", color=PALETTE.faint, **style))
+        hollow = Line2D([], [], label="each combination", color=PALETTE.faint, marker="o", linewidth=0)
+        hollow.set(markersize=3, markerfacecolor="none")
+        marks.append(hollow)
     return marks
