@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.probe_process import run
 from orchestrator.check.probes import first_run
 from orchestrator.check.read_ls_ref import (
@@ -29,7 +28,7 @@ from orchestrator.check.read_ls_ref import (
     relative,
     table,
 )
-from orchestrator.check.rule import CheckRule
+from orchestrator.check.rule import CheckRule, Finding, error, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
 from orchestrator.data.deviation import rms, span

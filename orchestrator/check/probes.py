@@ -11,9 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from orchestrator.check.finding import MAKE, Finding, note
 from orchestrator.check.probe_process import Outcome, run
-from orchestrator.check.rule import Check, CheckRule
+from orchestrator.check.rule import MAKE, Check, CheckRule, Finding, note
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
 from orchestrator.fmi.raw_description import INTERFACES, ModelDescription

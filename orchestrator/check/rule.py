@@ -1,4 +1,4 @@
-"""Rules of a check, and tables in which a decorator registers them."""
+"""Findings of a check, its rules, and tables in which a decorator registers them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,66 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from orchestrator.base.errors import one_line
-from orchestrator.check.finding import Finding, join_names
 
 if TYPE_CHECKING:
     from orchestrator.check.subject import Subject
+    from orchestrator.fmi.raw_description import DeclaredVariable
+
+Severity = Literal["error", "warning", "note"]
+MAX_NAME = 60  # characters of a name in a message
+SEVERITIES: tuple[Severity, ...] = get_args(Severity)  # worst first
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault of the FMU, or a remark.
+
+    rule      id of the rule, such as "unit.undefined"; if empty, the rule sets it
+    text      file or variable, line, expected and actual value
+    tools     ids of the tools that are affected; empty: any tool
+    thread    issue threads that report the problem, such as "FMPy#511"; the rule sets them
+    places    texts of the findings that differ in their places only, if there are several
+    """
+
+    rule: str
+    severity: Severity
+    text: str
+    tools: tuple[str, ...] = ()
+    thread: str = ""
+    places: tuple[str, ...] = ()
+
+
+def error(text: str, *tools: str) -> Finding:
+    """A finding about a violation of the standard, or a fault that stops a tool."""
+    return Finding("", "error", text, tools)
+
+
+def warning(text: str, *tools: str) -> Finding:
+    """A finding about wrong or poor results, or a fault that stops some tools on some machines."""
+    return Finding("", "warning", text, tools)
+
+
+def note(text: str, *tools: str) -> Finding:
+    """A finding for information; nothing fails."""
+    return Finding("", "note", text, tools)
+
+
+MAKE = {"error": error, "warning": warning, "note": note}
+
+
+def join_names(names: Sequence[str], limit: int = 5) -> str:
+    """The first names, shortened if they are too long, and the number of the others."""
+    first = [n if len(n) <= MAX_NAME else n[: MAX_NAME - 3] + "..." for n in names[:limit]]
+    return ", ".join(first) + (f" and {len(names) - limit} more" if len(names) > limit else "")
+
+
+def join_variables(variables: Sequence[DeclaredVariable]) -> str:
+    """Line of the first variable, and the names of all."""
+    return f"modelDescription.xml line {variables[0].line}: {join_names([v.name for v in variables])}"
+
 
 MAX_FINDINGS = 10_000  # of one rule; a report shows five
 CLAUSES: dict[str, str] = {"reference.result": "draft of FMI-LS-REF"} | {
@@ -24,7 +77,7 @@ CLAUSES: dict[str, str] = {"reference.result": "draft of FMI-LS-REF"} | {
     ]
     for rule in rules.split()
 }
-Check = Callable[["Subject"], Iterable["Finding"]]
+Check = Callable[["Subject"], Iterable[Finding]]
 
 
 @dataclass(frozen=True)
@@ -48,15 +101,15 @@ class CheckRule:
         return CLAUSES.get(self.id, "")
 
     def __call__(self, subject: Subject) -> Iterator[Finding]:
-        """All findings, with the id of this rule and, if they have none, its threads."""
+        """All findings, with the id and the threads of this rule."""
         findings = iter(self.check(subject))
         kinds: dict[object, list[Finding]] = {}
         for number, finding in enumerate(islice(findings, MAX_FINDINGS)):
-            text, threads = one_line(finding.text), finding.thread or " ".join(self.threads)
+            text, threads = one_line(finding.text), " ".join(self.threads)
             severity = finding.severity if self.clause or finding.severity != "error" else "warning"
             complete = replace(finding, rule=self.id, severity=severity, text=text, thread=threads)
             kind = _kind(text) if PLACE.match(text) else number
-            kinds.setdefault((severity, finding.tools, threads, kind), []).append(complete)
+            kinds.setdefault((severity, finding.tools, kind), []).append(complete)
         yield from map(_joined, kinds.values())
         if next(findings, None) is not None:
             yield Finding(

@@ -25,7 +25,7 @@ from orchestrator.base.files import (
     temporary_folder,
     why_unreadable,
 )
-from orchestrator.check.finding import Finding
+from orchestrator.check.rule import Finding
 
 if TYPE_CHECKING:
     from orchestrator.check.binary import Binary

@@ -22,8 +22,13 @@ from fmus import parameters
 from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Variable, interface_of
-from fmus.export.python import input_polynomials
-from fmus.export.python.state import InstanceState
+from fmus.export.python.state import (
+    InstanceState,
+    current_derivative,
+    input_polynomials,
+    rate_indices,
+    set_input_derivative,
+)
 from fmus.export.python.subsystem_model import RunnableModel, SubsystemFunctions, SubsystemModel
 from fmus.parameters import Values
 from fmus.solver import Array, Unsolved
@@ -67,7 +72,7 @@ class Instance:
         self.model, self.guid, self.warn, self.variables = model, guid, warn, model.interface.variables
         self.references = {v.name: v.reference for v in self.variables}
         self.ends = np.cumsum([len(group) for group in model.interface.groups]).tolist()
-        self.rates = input_polynomials.rate_indices(model.interface.inputs)
+        self.rates = rate_indices(model.interface.inputs)
         self._watched = [v for v in self.variables[self.ends[0] :] if v.watched]
         self.reset()
 
@@ -309,7 +314,7 @@ class Instance:
 
     def _advance(self, length: float) -> None:
         s, begin = self.state, self.state.time
-        inputs = input_polynomials.polynomials(s, self.rates)
+        inputs = input_polynomials(s, self.rates)
         self._discard_cache()
         try:
             s.x, s.memory = self.model.advance(s.x, s.p, inputs, begin, length, s.tolerance, s.memory)
@@ -354,7 +359,7 @@ class Instance:
             if not math.isfinite(value):
                 raise Refused(f"the derivative of {v.name} is not a finite number")
         for r, order, value in zip(references, orders, values, strict=True):
-            input_polynomials.set_input_derivative(self.state, r - self.ends[0], order, value)
+            set_input_derivative(self.state, r - self.ends[0], order, value)
 
     def directional_derivative(
         self, unknown: Sequence[int], known: Sequence[int], seed: Sequence[float]
@@ -383,9 +388,7 @@ class Instance:
         """Time derivatives of outputs and states; orders above 1 are not available and returned as 0."""
         self.require_phase(STEP_MODE | STEP_FAILED | TERMINATED)
         direction, (first, last, end, *_) = np.zeros(len(self.variables)), self.ends
-        direction[first:last] = [
-            input_polynomials.current_derivative(self.state, self.rates, i) for i in range(last - first)
-        ]
+        direction[first:last] = [current_derivative(self.state, self.rates, i) for i in range(last - first)]
         direction[last:end] = self.derivatives()
         for r, order in zip(references, orders, strict=True):
             v = self.variable(r)

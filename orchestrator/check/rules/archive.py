@@ -9,8 +9,7 @@ from pathlib import PurePosixPath
 
 from orchestrator.base.files import why_unsafe
 from orchestrator.base.xml import child, children, local_name
-from orchestrator.check.finding import Finding, error, join_names, note, warning
-from orchestrator.check.rule import RuleTable
+from orchestrator.check.rule import Finding, RuleTable, error, join_names, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
 from orchestrator.check.subject import DESCRIPTION, Subject, read_xml

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.xml import local_name
-from orchestrator.check.finding import Finding, error, note, warning
-from orchestrator.check.rule import RuleTable
+from orchestrator.check.rule import Finding, RuleTable, error, note, warning
 from orchestrator.check.rules.variables import CPP, MODELICA, C
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import Entry

@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from orchestrator.check.binary import SUFFIXES, Binary, required
-from orchestrator.check.finding import Finding, error, join_names, note, warning
-from orchestrator.check.rule import RuleTable
+from orchestrator.check.rule import Finding, RuleTable, error, join_names, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.fmi.library import platform_folders
 

@@ -7,8 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.finding import MAKE, Finding, error, join_names, note, warning
-from orchestrator.check.rule import RuleTable
+from orchestrator.check.rule import MAKE, Finding, RuleTable, error, join_names, note, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, Unknown
 

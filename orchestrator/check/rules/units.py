@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from orchestrator.base.units import BASES, parse_unit
 from orchestrator.base.xml import children
-from orchestrator.check.finding import Finding, error, join_variables, note, warning
-from orchestrator.check.rule import RuleTable
+from orchestrator.check.rule import Finding, RuleTable, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.variables import words
 from orchestrator.check.subject import Element, Subject, read_xml

@@ -5,8 +5,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.check.finding import Finding, error, join_variables, note, warning
-from orchestrator.check.rule import RuleTable
+from orchestrator.check.rule import Finding, RuleTable, error, join_variables, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.fmi.raw_description import SIGNED, UNSIGNED
 from orchestrator.fmi.raw_description import DeclaredVariable as Variable
