@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from identification.procedures import bench
 
-from fmus.identification import results
 from fmus.identification.balance import linearised, solve
 from fmus.identification.procedures import hose_dynamics
+from fmus.identification.results import named
 from orchestrator.base.errors import Problem
 
 SEEDS = 24
@@ -127,7 +127,7 @@ def test_samples_in_the_dead_zone_are_in_no_window():
 def test_the_delay_of_a_logger_is_named_and_taken_out(late):
     """Signals that are 12 ms (2.4 samples) late: only this is named, and both intervals hold the truth."""
     result = hose_dynamics.identify(bench.moving_hose(1, late=late, delay=0.012), bench.KNOWN)
-    (fault,) = results.named(result.findings)
+    (fault,) = named(result.findings)
     assert fault.fault == "time shift"
     found = bench.named(result)
     for name, truth in (("I", bench.INERTANCE), ("C", bench.CAPACITANCE)):
