@@ -29,7 +29,7 @@ FLAGS = (
     "-mcpu=baseline",  # the cache may be shared by machines with different instruction sets
 )
 TYPES = {
-    "double": ctypes.c_double,
+    **{"double": ctypes.c_double, "Real": ctypes.c_double, "Mask": ctypes.c_int32, "WIDTH": 1},
     **{f"{u}int{n}_t": getattr(ctypes, f"c_{u}int{n}") for u in ("", "u") for n in (8, 32, 64)},
 }
 ELEMENTS = tuple(  # types of values in an FMU, in the order of the enumeration in engine.h
@@ -58,7 +58,7 @@ def library() -> ctypes.CDLL:
         engine = ctypes.CDLL(str(shared_library(*recipe(host()))))
     except (OSError, Problem) as error:
         raise Problem(f"the engine is not compiled: {error}") from None
-    for name in re.findall(r"EXPORT double (\w+)\(", _header()):
+    for name in re.findall(r"EXPORT (?:double|Real) (\w+)\(", _header()):
         getattr(engine, name).restype = ctypes.c_double
     return engine
 
@@ -90,7 +90,7 @@ def engine_h() -> Any:
 
 def structures(header: str) -> Any:
     """All structures and constants of a C header without comments, by name; a pointer is an address."""
-    names_of_header: dict[str, Any] = {}
+    names_of_header: dict[str, Any] = {**TYPES}
     for names in re.findall(r"enum \{([^}]*)\}", header):
         value = -1
         for entry in names.split(","):
@@ -109,13 +109,13 @@ def _fields(declaration: str, header: dict[str, Any]) -> Iterable[tuple[str, Any
     """The fields of one declaration, such as `const double *a, b[DEGREE + 1]`."""
     type_name, names = declaration.replace("const ", "").strip().split(None, 1)
     for name in (part.strip() for part in names.split(",")):
-        size = re.search(r"\[(\w+) \+ 1\]", name)
+        size = re.search(r"\[(\w+)( \+ 1)?\]", name)
         if name.startswith("*"):
             yield name.lstrip("*"), ctypes.c_void_p
         elif size:
-            yield name[: size.start()], (TYPES.get(type_name) or header[type_name]) * (header[size[1]] + 1)
+            yield name[: size.start()], header[type_name] * (header[size[1]] + bool(size[2]))
         else:
-            yield name, TYPES.get(type_name) or header[type_name]
+            yield name, header[type_name]
 
 
 # ---- one simulation
