@@ -29,7 +29,7 @@ FLAGS = (
     "-mcpu=baseline",  # the cache may be shared by machines with different instruction sets
 )
 TYPES = {
-    **{"double": ctypes.c_double, "Real": ctypes.c_double, "Mask": ctypes.c_int32, "WIDTH": 1},
+    "double": ctypes.c_double,
     **{f"{u}int{n}_t": getattr(ctypes, f"c_{u}int{n}") for u in ("", "u") for n in (8, 32, 64)},
 }
 ELEMENTS = tuple(  # types of values in an FMU, in the order of the enumeration in engine.h
@@ -88,9 +88,15 @@ def engine_h() -> Any:
     return structures(_header())
 
 
-def structures(header: str) -> Any:
-    """All structures and constants of a C header without comments, by name; a pointer is an address."""
-    names_of_header: dict[str, Any] = {**TYPES}
+def structures(header: str, width: int = 1) -> Any:
+    """All structures and constants of a C header without comments, by name; a pointer is an address.
+
+    width   number of machines; with more than one, a structure has its Reals and Masks first
+    """
+    real, mask = (
+        (ctypes.c_double, ctypes.c_int32) if width == 1 else (ctypes.c_double * width, ctypes.c_int64 * width)
+    )
+    names_of_header: dict[str, Any] = {**TYPES, "WIDTH": width, "Real": real, "Mask": mask}
     for names in re.findall(r"enum \{([^}]*)\}", header):
         value = -1
         for entry in names.split(","):
@@ -101,6 +107,9 @@ def structures(header: str) -> Any:
         fields = [
             field for line in body.split(";") if line.strip() for field in _fields(line, names_of_header)
         ]
+        if width > 1 and any(kind in (real, mask) or hasattr(kind, "aligned") for _, kind in fields):
+            size = ctypes.sizeof(type(name, (Struct,), {"_fields_": fields}))
+            fields.append(("aligned", ctypes.c_byte * (-size % ctypes.sizeof(real))))
         names_of_header[name] = type(name, (Struct,), {"_fields_": fields, "__slots__": ()})
     return SimpleNamespace(**names_of_header)
 

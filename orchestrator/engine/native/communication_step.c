@@ -76,7 +76,7 @@ int component_advance(Simulation *sim, int k, Real h, double *clock) {
     Component *p = &sim->components[k];
     const int32_t n = p->halved ? 2 : p->substeps;
     for (int32_t j = 0; j < n; j++) {
-        const Real begin = j ? h * j / n : 0.0, end = j == n - 1 ? h : h * (j + 1) / n;
+        const Real begin = j ? h * (double)j / (double)n : 0.0, end = j == n - 1 ? h : h * (double)(j + 1) / (double)n;
         int verdict = component_set_inputs(sim, p, begin, end - begin, j == n - 1);
         if (!verdict) verdict = component_step(sim, k, begin, end);
         if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);

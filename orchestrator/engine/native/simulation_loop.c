@@ -102,7 +102,7 @@ static Mask accepted(Simulation *sim, Real h) {
     for (int i = 0; i < WIDTH; i++)
         if (chosen(machines, i) && !step_size_accepts(&sim->step_size[i], machine(error, i), machine(h, i)))
             remove_machine(&machines, i);
-    sim->diverged = any(machines && !is_finite(error));
+    sim->diverged = WIDTH == 1 && any(machines && !is_finite(error));
     return machines;
 }
 
