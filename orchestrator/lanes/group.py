@@ -29,6 +29,8 @@ from orchestrator.ssp.system import Connection, Port, System
 
 MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
 ALIGNMENT = 64  # bytes, of a vector
+# members of a coupling input that any number of machines have in common
+COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
 OK, EARLY, FAILED = "ok", "early", "failed"
 
 Array = NDArray[np.float64]
@@ -222,12 +224,12 @@ class Lanes:
         return header().Wire(c.map.factor, c.map.offset, source, *self._input(c.target), checked)
 
     def _coupling_inputs(self) -> tuple[NDArray[Any], NDArray[np.int64]]:
-        """The inputs that the master varies or watches, and where the slopes of their sources are; -1: none."""
+        """The inputs that the master varies or watches, and the index of each source's slope; -1: none."""
         h, sources = header(), {c.target: c.source for c in self._network.connections}
         rows = np.zeros(len(self._inputs.inputs), np.dtype(h.CouplingInput))
         slopes = np.full(len(rows), -1)
         for i, (port, s) in enumerate(zip(self._inputs.ports, self._inputs.inputs, strict=True)):
-            for name in ["target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale"]:
+            for name in COMMON:
                 rows[name][i] = getattr(s, name)
             rows["slope_factor"][i] = s.factor
             rows["fmu_degree"][i], rows["requested_degree"][i] = h.DEGREE, h.DEGREE * (s.requested_degree > 0)

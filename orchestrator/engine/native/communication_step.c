@@ -122,10 +122,10 @@ static void set_polynomials(const Simulation *sim, const Component *p, int n, Re
         CouplingInput *s = &sim->inputs[p->first_input + i];
         if (s->source_component == DRIVEN) continue;
         const int others = n && !all(sim->computed); /* machines whose last pass was final */
-        CouplingInput before;
-        if (others) before = *s;
+        Real before[POLYNOMIAL];
+        if (others) memcpy((void *)before, s->c, sizeof before);
         set_polynomial(sim, s, n, h);
-        if (others) input_replace(s, &before, !sim->computed);
+        if (others) input_replace_polynomial(s, before, !sim->computed);
     }
 }
 

@@ -127,9 +127,10 @@ void input_interpolate(CouplingInput *s, int32_t degree, Real h, Real length) {
     }
     interpolate_all(s, 1, h, length);
     if (all(straight)) return;
-    const CouplingInput line = *s;
+    Real line[POLYNOMIAL];
+    memcpy((void *)line, s->c, sizeof line);
     interpolate_all(s, degree, h, length);
-    input_replace(s, &line, straight);
+    input_replace_polynomial(s, line, straight);
 }
 
 /* Corrects the mean of the input by its deficit over the previous step. The deficit of an extrapolation of order k is
@@ -199,12 +200,18 @@ void input_accept(CouplingInput *s, Real h) {
     s->scale = larger(s->scale, fabs(s->value));
 }
 
+static void replace_some(Real *to, const Real *from, size_t count, Mask machines) {
+    for (size_t i = 0; i < count; i++) to[i] = where(machines, from[i], to[i]);
+}
+
+/* Takes the polynomial and what is expected of it from an earlier one, for some machines. */
+void input_replace_polynomial(CouplingInput *s, const Real by[], Mask machines) {
+    replace_some(s->c, by, POLYNOMIAL, machines);
+}
+
 /* Takes all numbers of an input from another one, for some machines. */
 void input_replace(CouplingInput *s, const CouplingInput *by, Mask machines) {
-    Real *to = &s->value;
-    const Real *from = &by->value;
-    const size_t count = offsetof(CouplingInput, source_slope) / sizeof *to;
-    for (size_t i = 0; i < count; i++) to[i] = where(machines, from[i], to[i]);
+    replace_some(&s->value, &by->value, offsetof(CouplingInput, source_slope) / sizeof(Real), machines);
 }
 
 /* ---- the error of the input ------------------------------------------------------------------- */

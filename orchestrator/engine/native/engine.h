@@ -18,9 +18,9 @@
  * collects recorded rows between two calls of simulation_advance. A function that returns an int returns CONTINUE or
  * the reason to end the run.
  *
- * The files that step a system can also be compiled for several machines at once, which differ in their numbers only. A
- * Real has one double, and a Mask one truth value, for each of WIDTH machines; `where` chooses between two numbers of
- * each machine.
+ * orchestrator/lanes/native/machines.cpp compiles the files that step a system for several machines at once, which differ
+ * in their numbers only. A Real has one double, and a Mask one truth value, for each of WIDTH machines; `where` chooses
+ * between two numbers of each machine.
  */
 #ifndef ENGINE_H
 #define ENGINE_H
@@ -50,7 +50,7 @@ enum { REAL, INTEGER };                                           /* arrays of v
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of values in an FMU */
 enum { ACCESS, COPY, LOOP, PYTHON, EXCHANGE };                    /* types of instructions */
 enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of calls in Model Exchange */
-enum { DRIVEN = -1, LINE = 1, DEGREE = 3 };
+enum { DRIVEN = -1, LINE = 1, DEGREE = 3, POLYNOMIAL = 7 }; /* POLYNOMIAL: Reals of a coupling input from c on */
 enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
 enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python; also numbers of FMI functions */
 enum { OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* further statuses: an integer that the other type cannot
@@ -215,11 +215,11 @@ typedef struct CouplingInput {
     Real middle;            /* of the source in the middle of the step, if its component is `halved` */
     Real slope_before;      /* at the beginning of the previous step */
     Real chord_before, chord_earlier; /* mean slopes in the previous step and the one before */
-    Real expected, weight;  /* value at the end that the past lets expect, and weight of the difference to it */
     Real deficit;           /* mean of the source less mean of the input over the last step */
-    Real correction;        /* part of c[0] that compensates the deficit */
     Real scale;             /* magnitude: the nominal value (1 if none is declared), or the largest if larger */
     Real c[DEGREE + 1];     /* coefficients of the polynomial over the step */
+    Real correction;        /* part of c[0] that compensates the deficit */
+    Real expected, weight;  /* value at the end that the past lets expect, and weight of the difference to it */
     const Real *source_slope; /* slope of the source: a slope that its FMU gives, or the value of an output that is the
                                  slope; NULL: computed from values */
     double slope_factor;      /* from the slope of the source to that of the input */
@@ -399,7 +399,7 @@ static inline Real source_slope(const CouplingInput *s) {
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-/* calls.c */
+/* calls.c; machines.cpp for several machines */
 int execute(Simulation *, const Program *);
 int component_step(Simulation *, int k, Real begin, Real end); /* [s] after the start of the step */
 int component_save(Simulation *, int k);
@@ -470,6 +470,7 @@ EXPORT void input_true_course(const CouplingInput *, Real h, Real c[]);
 EXPORT void input_find_deficit(CouplingInput *, Real h);
 EXPORT void input_accept(CouplingInput *, Real h);
 EXPORT void input_replace(CouplingInput *, const CouplingInput *by, Mask);
+EXPORT void input_replace_polynomial(CouplingInput *, const Real by[], Mask);
 EXPORT Real input_mismatch(const CouplingInput *, Real h);
 EXPORT Real input_deviation(const CouplingInput *, Real h, int32_t repeated);
 EXPORT Real input_mean_error(const CouplingInput *, Real h);

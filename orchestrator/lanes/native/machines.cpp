@@ -1,6 +1,6 @@
-/* Co-simulation of a group of machines in the lanes of a processor: the files of the engine that step a system, in which
-   a number has one double for each machine. There are no calls: all values are in the instances of the models, which
-   follow cubics, and slopes of all outputs are known. */
+/* Co-simulation of a group of machines in the lanes of a processor: the files of the engine that step a system, with one
+   double for each machine in a number. There are no calls: all values are in the instances of the models, which follow
+   cubics, and slopes of all outputs are known. */
 
 #include <math.h>
 #include <stddef.h>
@@ -53,7 +53,9 @@ Group *group_of(Simulation *sim) { return (Group *)sim; } /* its first member */
 
 /* ---- values ------------------------------------------------------------------------------------ */
 
-Lanes &input_value(const Group *g, int k, int input) { return g->instances[k]->values[g->models[k]->parameters + input]; }
+Lanes &input_value(const Group *g, int k, int input) {
+    return g->instances[k]->values[g->models[k]->parameters + input];
+}
 
 void set_input(const Group *g, int k, int input, Lanes value) {
     input_value(g, k, input) = g->instances[k]->last_set[input] = value;
@@ -66,7 +68,8 @@ void note_change(Group *g, const Wire *wire, Mask changed) {
 void copy(Group *g, const Wire *wires, int count, Mask machines) {
     for (int i = 0; i < count; i++) {
         const Wire *w = &wires[i];
-        const Lanes now = g->sim.reals[w->source] * w->factor + w->offset, before = input_value(g, w->component, w->input);
+        const Lanes now = g->sim.reals[w->source] * w->factor + w->offset;
+        const Lanes before = input_value(g, w->component, w->input);
         note_change(g, w, before != now);
         set_input(g, w->component, w->input, all(machines) ? now : where(machines, now, before));
     }
