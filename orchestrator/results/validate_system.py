@@ -41,7 +41,7 @@ from orchestrator.results.validation import (
     validate,
     without_repetitions,
 )
-from orchestrator.scene.live_page import Replayed, fragment
+from orchestrator.drive.page import Replayed, fragment
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_signals, with_doubts

@@ -19,10 +19,10 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.validate_system import validate_system
-from orchestrator.scene import live_page
-from orchestrator.scene.live_page import Replayed, find_fmu, fragment, write_page
+from orchestrator.drive import page as live_page
+from orchestrator.drive.page import Replayed, find_fmu, fragment, write_page
 from orchestrator.view import driving
-from orchestrator.view.driving.sticks import ResponseCurve, response
+from orchestrator.drive.sticks import ResponseCurve, response
 
 SCHEMES = ("light", "dark")
 

@@ -13,10 +13,10 @@ from view.standin import MODES, StandIn
 
 from orchestrator.view.access import Guard, rules
 from orchestrator.view.driving import endpoint
-from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
-from orchestrator.view.task.score import NEEDED
-from orchestrator.view.task.training import Training
-from orchestrator.view.task.training import mount as mount_task
+from orchestrator.view.authority import ControlAuthority, OperatorStation
+from orchestrator.drive.score import NEEDED
+from orchestrator.view.training import Training
+from orchestrator.view.training import mount as mount_task
 
 FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
 

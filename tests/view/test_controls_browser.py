@@ -15,7 +15,7 @@ import pytest
 from kit import shards
 from kit.wait import LONG, until
 
-from orchestrator.view.driving.authority import AGAIN, HOLD
+from orchestrator.view.authority import AGAIN, HOLD
 
 pytestmark = shards.browser
 

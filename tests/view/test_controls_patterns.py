@@ -7,8 +7,8 @@ from kit.mistakes import problem
 from view.standin import CONTROLLER, LEVERS, MODES, StandIn
 
 from orchestrator.base.errors import Problem
-from orchestrator.view.driving.authority import ControlAuthority
-from orchestrator.view.driving.sticks import (
+from orchestrator.view.authority import ControlAuthority
+from orchestrator.drive.sticks import (
     PATTERNS,
     CraneFunctions,
     ResponseCurve,

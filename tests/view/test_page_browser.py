@@ -20,7 +20,7 @@ from orchestrator.realtime.machine import APART, RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import server as serving
 from orchestrator.view.choice import MachineChoice
-from orchestrator.view.driving.authority import ControlAuthority
+from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.server import Server
 from orchestrator.view.session import Session
 

@@ -20,12 +20,12 @@ from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
-from orchestrator.scene.view_description import Chart, Gauge, Notice, by_bare_name, view_description
+from orchestrator.drive.view_description import Chart, Gauge, Notice, by_bare_name, view_description
 from orchestrator.ssp.load import assemble, load
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants
-from orchestrator.view.driving.sticks import modes
+from orchestrator.drive.sticks import modes
 from orchestrator.view.page import AHEAD, LOST, Credit, notices
 from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes, options
 from orchestrator.view.panels.gauges import RealTimeFactor, cells, tip_limit

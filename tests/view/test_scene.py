@@ -16,9 +16,9 @@ from fmus.contract import quantities, symbolic
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
-from orchestrator.scene import bodies, live_page
-from orchestrator.scene.drawing import SCALE, UNKNOWN, colour, rings
-from orchestrator.scene.geometry import NODES, Geometry, geometry
+from orchestrator.drive import bodies, live_page
+from orchestrator.drive.drawing import SCALE, UNKNOWN, colour, rings
+from orchestrator.drive.geometry import NODES, Geometry, geometry
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import System
 from orchestrator.view.choice import MachineChoice, plan

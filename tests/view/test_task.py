@@ -17,8 +17,8 @@ from view.standin import StandIn
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.view.task import score as scores
-from orchestrator.view.task.score import Exercise, Progress, Target, follow, of_trace, phase, score
-from orchestrator.view.task.training import Training, directions
+from orchestrator.drive.score import Exercise, Progress, Target, follow, of_trace, phase, score
+from orchestrator.view.training import Training, directions
 
 Array = NDArray[np.float64]
 STEP = 0.01
