@@ -16,9 +16,9 @@ from view.standin import StandIn
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.view.task import score as scores
+from orchestrator.drive import score as scores
 from orchestrator.drive.score import Exercise, Progress, Target, follow, of_trace, phase, score
-from orchestrator.view.training import Training, directions
+from orchestrator.view.training import Training
 
 Array = NDArray[np.float64]
 STEP = 0.01
@@ -190,7 +190,6 @@ def test_way() -> None:
     assert scores.way((3.0, 0.0, 1.0), (0.0, 4.0, 0.5)) == pytest.approx((1.0, -0.5, math.pi / 2))
     behind, beyond = (-4.0, 0.1, 0.0), (-4.0, -0.1, 0.0)
     assert scores.way(behind, beyond)[2] == pytest.approx(2 * math.atan(0.1 / 4))
-    assert directions((1.0, -0.5, math.pi / 2)) == "out 1.00 m, down 0.50 m, left 90°"
 
 
 def test_restart_ends_an_attempt() -> None:
