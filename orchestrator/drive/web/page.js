@@ -167,11 +167,12 @@ export class Page {
 
   key(event) {
     if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
-    if (event.target.closest?.("dialog, input:not([type=range]), textarea")) return;
+    if (event.target.closest?.("dialog")) return;
+    if (event.code === "Escape") return this.escape(event.target);
+    if (event.target.closest?.("input:not([type=range]), textarea, select")) return;
     const inside = this.shared || event.target === this.at("stage");
     const does = { KeyP: () => this.toggle(), Home: () => this.again(), Space: this.shared ? null : () => this.run(true) }[event.code];
-    if (event.code === "Escape") return this.escape(event.target);
-    if (!does || !inside || (event.code === "Home" && event.target.matches("input, select"))) return;
+    if (!does || !inside || (event.code === "Home" && event.target.matches("input"))) return;
     event.preventDefault(); // no scrolling
     does();
   }
