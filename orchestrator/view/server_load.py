@@ -6,14 +6,14 @@ uvicorn closes a connection only after its first response (`timeout_keep_alive`)
 import asyncio
 from typing import Any
 
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 HEADER_TIME = 10.0  # s for the header of a request; a browser sends it within a round trip
 WAITING = 64  # connections without a request; a browser opens up to 6 ahead
 REQUESTS = 256  # connections, above which requests are refused with status 503
 
 
-class TimedConnection(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+class TimedConnection(H11Protocol):
     """An HTTP connection that closes without a complete header after `HEADER_TIME`.
 
     Of more than `WAITING` connections without a request, the oldest is closed.

@@ -102,6 +102,7 @@ export class Page {
       this.ready();
     };
     source.onframe = () => this.present();
+    source.oninfo = () => this.panels();
     source.onstatus = () => this.told();
     source.onlate = () => this.slow();
     source.onanswer = (answer) => this.answer(answer);
@@ -364,7 +365,7 @@ export class Page {
       const colours = Object.entries(this.data.pressures).map(([part, name]) => [part, colour(this.data, source.values[name])]);
       this.scene.show(angles, Object.fromEntries(colours), again, source.reference && this.angles(source.reference, angles));
     }
-    if (again || performance.now() - (this.shown ?? 0) > PANELS) this.panels();
+    if (again || (!this.shared && performance.now() - (this.shown ?? 0) > PANELS)) this.panels();
   }
 
   get state() {

@@ -10,8 +10,8 @@ export class SocketSource {
   shared = true;
 
   constructor(address) {
-    // onhello: another machine; onframe; onstatus: of the controls; onanswer; onlate
-    for (const name of ["onhello", "onframe", "onstatus", "onanswer", "onlate"]) this[name] = () => {};
+    // onhello: another machine; onframe; oninfo; onstatus: of the controls; onanswer; onlate
+    for (const name of ["onhello", "onframe", "oninfo", "onstatus", "onanswer", "onlate"]) this[name] = () => {};
     [this.opened, this.late, this.spoke, this.lost, this.heard] = [false, false, false, false, performance.now()];
     [this.status, this.info, this.jumps, this.values, this.time, this.state] = [FREE, {}, 0, {}, 0, "starting"];
     this.worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" });
@@ -22,11 +22,13 @@ export class SocketSource {
   hear(data) {
     this.heard = performance.now();
     if ("open" in data) this.connected(data.open);
-    if ("late" in data) [this.late] = [data.late, data.late && this.onlate()];
+    if ("late" in data) this.late = data.late;
+    if (data.late) this.onlate();
     if (data.hello) this.begin(data.hello);
-    if (data.info) this.info = data.info;
     for (const [number, first, second] of data.bins ?? []) this.history.put(number, first, second);
     if (data.frame) this.show(data.frame);
+    if (data.info) this.info = data.info;
+    if (data.info) this.oninfo();
     if (data.status) {
       [this.status, this.lost] = [data.status, this.lost && data.status.role === "free"];
       this.onstatus();
