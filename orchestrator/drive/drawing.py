@@ -7,7 +7,6 @@ Its lightness is monotone, so it is readable with any colour blindness. Its pale
 is hard to see on light background.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any

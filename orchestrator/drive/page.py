@@ -1,8 +1,8 @@
 """The page on which one drives: HTML fragments that need no server, and the page of `harvester view`.
 
-A visitor drives the FMU of the whole machine, compiled to WebAssembly (fmus/export/compile.py), or, on the page
-of `harvester view`, the machine in real time; with a recorded run the page replays it, next to a reference. All
-of it is the same section and the same scripts, ES modules in `web`:
+A visitor drives the FMU of the whole machine, compiled to WebAssembly (fmus/export/compile.py), or, on the
+page of `harvester view`, the machine in real time; with a recorded run the page replays it, next to a
+reference. All of it is the same section and the same scripts, ES modules in `web`:
 
     page.js         the section: toolbar, time, what is seen
     module.js       source: the module in the browser, called by fmu.js
@@ -19,8 +19,8 @@ of it is the same section and the same scripts, ES modules in `web`:
 A fragment contains modules, data and WebAssembly, compressed; reports and the documentation contain it, and
 `write_page` writes it as a file of its own. Nothing is requested.
 
-The commands change every 10 ms of simulated time (`FRAME`) and are linear in between. A scenario with a row of
-each frame, which the page can save, gives the same motion with `harvester run`.
+The commands change every 10 ms of simulated time (`FRAME`) and are linear in between. A scenario with a row
+of each frame, which the page can save, gives the same motion with `harvester run`.
 """
 
 import base64
@@ -106,13 +106,11 @@ def fragment(
     if replayed is not None:
         data |= {"replay": _replay(description.shown, description.scene.joints, replayed)}
     parts["data"] = json.dumps(data, separators=(",", ":")).encode()
-    packed = "".join(
-        f'<script type="text/plain" data-part="{name}">{base64.b64encode(zlib.compress(part, 9)).decode()}</script>\n'
-        for name, part in parts.items()
-    )
-    return Markup(
-        f"<div>\n<style>\n{style()}\n</style>\n{_web('section.html')}{packed}<script>\n{_web('loader.js')}</script>\n</div>"
-    )
+    packed = [(name, base64.b64encode(zlib.compress(part, 9)).decode()) for name, part in parts.items()]
+    texts = [f'<script type="text/plain" data-part="{name}">{text}</script>' for name, text in packed]
+    script = f"<script>\n{_web('loader.js')}</script>"
+    content = (f"<style>\n{style()}\n</style>", _web("section.html"), *texts, script)
+    return Markup("<div>\n{}\n</div>").format(Markup("\n".join(content)))
 
 
 def write_page(path: Path, system: Path, title: str) -> Path:
@@ -135,7 +133,11 @@ def write_page(path: Path, system: Path, title: str) -> Path:
 
 def scripts() -> dict[str, str]:
     """The modules of a fragment, by the names under which they are imported; uPlot is a plain script."""
-    own = (path for path in sorted(WEB.glob("*.js")) if path.stem not in ("loader", "socket", "worker", "dialogs"))
+    own = (
+        path
+        for path in sorted(WEB.glob("*.js"))
+        if path.stem not in ("loader", "socket", "worker", "dialogs")
+    )
     return {f"drive/{path.name}": path.read_text(encoding="utf-8") for path in own} | libraries()
 
 
@@ -167,7 +169,9 @@ def served(title: str) -> dict[str, tuple[str, str]]:
     page = html_page.render(HERE / "served.html.j2", title=title, section=section)
     files = {path.name: path.read_text(encoding="utf-8") for path in WEB.glob("*.js")}
     files |= {f"{name}.js": text for name, text in libraries().items()}
-    return {"/": ("text/html", page)} | {f"/drive/{n}": ("text/javascript", text) for n, text in files.items()}
+    return {"/": ("text/html", page)} | {
+        f"/drive/{n}": ("text/javascript", text) for n, text in files.items()
+    }
 
 
 # ---- data
@@ -206,7 +210,10 @@ def page_data(description: ViewDescription, shape: Geometry | None, initial: Sta
         "curve": asdict(sticks.ResponseCurve()),
         "patterns": {name: asdict(pattern) for name, pattern in sticks.PATTERNS.items()},
         "legends": {
-            name: {p: sticks.legend(pattern, mode.words, bool(mode.full.curl)) for p, pattern in sticks.PATTERNS.items()}
+            name: {
+                p: sticks.legend(pattern, mode.words, bool(mode.full.curl))
+                for p, pattern in sticks.PATTERNS.items()
+            }
             for name, mode in description.modes.items()
         },
         "task": score.rules(),

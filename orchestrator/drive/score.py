@@ -210,8 +210,21 @@ EXERCISES: Mapping[str, Exercise] = {
 def rules() -> dict[str, Any]:
     """The task as data for a page that scores by itself (task.js)."""
     exercises = [asdict(exercise) for exercise in EXERCISES.values()]
-    names = {"tip": TIP, "speeds": SPEEDS, "velocities": VELOCITIES, "lines": LINES, "supply": (PRESSURE, FLOW)}
-    return {"exercises": exercises, "load": LOAD, "moving": MOVING, "longest": LONGEST, "needed": NEEDED, **names}
+    names = {
+        "tip": TIP,
+        "speeds": SPEEDS,
+        "velocities": VELOCITIES,
+        "lines": LINES,
+        "supply": (PRESSURE, FLOW),
+    }
+    return {
+        "exercises": exercises,
+        "load": LOAD,
+        "moving": MOVING,
+        "longest": LONGEST,
+        "needed": NEEDED,
+        **names,
+    }
 
 
 def distance(exercise: Exercise, progress: Progress, tip: Point) -> float:

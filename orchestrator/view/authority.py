@@ -1,7 +1,7 @@
 """Control authority: which page drives the machine, and the watchdog of the driver.
 
-Each connection of a page has an operator station; at most one station is the driver. The machine follows the sticks only
-while all of these conditions hold:
+Each connection of a page has an operator station; at most one station is the driver. The machine follows the
+sticks only while all of these conditions hold:
 
     the station has the controls
     its last message is younger than `timeout`
@@ -24,8 +24,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.base.errors import Problem
-from orchestrator.realtime.setup import Frame, Machine
-from orchestrator.drive.view_description import DriveMode
 from orchestrator.drive.sticks import (
     Message,
     ResponseCurve,
@@ -37,6 +35,8 @@ from orchestrator.drive.sticks import (
     pattern,
     uncommanded,
 )
+from orchestrator.drive.view_description import DriveMode
+from orchestrator.realtime.setup import Frame, Machine
 
 Modes = Callable[[], Mapping[str, DriveMode]]
 Loads = Callable[[], Mapping[str, float]]
@@ -197,7 +197,7 @@ class CommandGate:
         names = sorted({axis.rpartition(".")[2] for axis in self.machine.axes} - driven)
         if not isinstance(name, str) or name not in names:
             raise Problem(f"input: expected one of {', '.join(names) or 'none'}, found {ascii(name)[:60]}")
-        if type(value) not in (int, float) or not math.isfinite(value):
+        if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
             raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
         self.values[name] = float(value)
 
@@ -218,7 +218,9 @@ class CommandGate:
 
     def _kept(self) -> dict[str, float]:
         values = self._set()
-        return {axis: values[bare] for axis in self.machine.axes if (bare := axis.rpartition(".")[2]) in values}
+        return {
+            axis: values[bare] for axis in self.machine.axes if (bare := axis.rpartition(".")[2]) in values
+        }
 
     def _command(self, values: Mapping[str, float]) -> None:
         try:

@@ -1,8 +1,8 @@
 """The websocket of an open page: frames of the machine and the state of the controls to the page, sticks and
 actions of its operator back.
 
-A page sends its sticks every 30 ms, and actions such as `{"do": "take"}`. A message is sent at once or dropped,
-and the end of the connection ends driving. The server sends objects with these keys:
+A page sends its sticks every 30 ms, and actions such as `{"do": "take"}`. A message is sent at once or
+dropped, and the end of the connection ends driving. The server sends objects with these keys:
 
     hello    what the page shows of the machine, when that has changed (`orchestrator.drive.page.page_data`)
     frame    number, time, state, and the values of `names` in the hello
@@ -110,7 +110,8 @@ class History:
 
     def since(self, number: int) -> list[tuple[int, list[Any], list[Any]]]:
         """Bins from this number on, as data."""
-        return [(k, *map(numbers_of, self.bins[k])) for k in sorted(self.bins) if k >= number]
+        kept = [k for k in sorted(self.bins) if k >= number]
+        return [(k, numbers_of(self.bins[k][0]), numbers_of(self.bins[k][1])) for k in kept]
 
     def _add(self, bins: NDArray[np.int64], table: Array) -> None:
         for k in np.unique(bins):
@@ -163,7 +164,8 @@ class Broadcast:
         time = frame.t if math.isfinite(frame.t) else 0.0
         self.frame = [round(time, 4), frame.state, numbers_of(row)]
         if self._ticks % round(RATE / INFO) == 0:
-            self._training.update()
+            if self._training.shown:
+                self._training.update()
             self.history.look()
             timing = {**asdict(frame.timing), "latency": [*frame.timing.latency]}
             span, factor = session.span, session.machine.factor
@@ -285,7 +287,7 @@ class OpenPage:
             await self._socket.close(1008, "too many invalid messages")
 
     def _hear(self, raw: str | bytes) -> bool:
-        """Process a message; False if it is ignored. What is no action is taken for sticks, or is a mistake."""
+        """Process a message; False if it is ignored. What is no action is of the sticks, or a mistake."""
         asked = action(raw)
         if asked is None:
             return self._authority.hear(self.station, raw)
@@ -385,10 +387,14 @@ class OpenPage:
             self._show_task(bool(value))
         elif what == "again":
             self._training.again()
-        elif what == "choose" and value in EXERCISES and value != self._training.exercise.name:
-            self._training.choose(EXERCISES[value])
+        elif what == "choose":
+            self._choose_exercise(str(value))
         elif what == "write" and self._session.folders:
             self._answer(f"written: {self._training.write(self._session.folders[0] / TABLE).name}")
+
+    def _choose_exercise(self, name: str) -> None:
+        if name in EXERCISES and name != self._training.exercise.name:
+            self._training.choose(EXERCISES[name])
 
     def _show_task(self, on: bool) -> None:
         if on != self._task_shown:
@@ -417,16 +423,18 @@ def action(raw: str | bytes) -> dict[str, Any] | None:
 
 
 def _number(value: object, name: str) -> float:
-    if type(value) not in (int, float) or not math.isfinite(value):  # type: ignore[arg-type]
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
         raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
 
 
 def offered(now: MachineChoice) -> dict[str, Any]:
     """The choices before a start: systems in the same folder, poses, and variants by component."""
     swap = {part: label for part, label in now.swap.items()}
     return {
-        "systems": list(dict.fromkeys([now.system.name, *sorted(p.name for p in now.system.parent.glob("*.ssp"))])),
+        "systems": list(
+            dict.fromkeys([now.system.name, *sorted(p.name for p in now.system.parent.glob("*.ssp"))])
+        ),
         "poses": list(poses(now.system)),
         "variants": {
             part: {**({swap[part]: swap[part]} if part in swap else {}), **labels}
@@ -440,7 +448,7 @@ def chosen(now: MachineChoice, asked: dict[str, Any]) -> MachineChoice:
     """What a page chooses; a `Problem` for what was not offered, such as a file elsewhere."""
     offer = offered(now)
     system, pose, swap = asked.get("system"), asked.get("pose"), asked.get("swap")
-    if system not in offer["systems"]:
+    if not isinstance(system, str) or system not in offer["systems"]:
         raise Problem(f"system: expected one of {', '.join(offer['systems'])}, found {ascii(system)[:60]}")
     if not isinstance(pose, str) or not isinstance(swap, dict):
         raise Problem("machine: expected a pose and the variants of components")

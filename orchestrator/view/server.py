@@ -16,14 +16,14 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
+from orchestrator.drive.page import served
 from orchestrator.realtime.failure_report import failures_reported
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.replay import Replay
-from orchestrator.drive.page import served
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
 from orchestrator.view.authority import ControlAuthority
@@ -128,7 +128,7 @@ def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Sta
             finally:
                 reading.cancel()
 
-    routes = [Route(path, file) for path in files]
+    routes: list[BaseRoute] = [Route(path, file) for path in files]
     routes += [Route("/result/{name:path}", result), WebSocketRoute("/live", pages.serve)]
     return Starlette(routes=routes, lifespan=life, exception_handlers={404: _not_found})
 

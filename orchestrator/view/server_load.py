@@ -19,7 +19,7 @@ class TimedConnection(H11Protocol):
     Of more than `WAITING` connections without a request, the oldest is closed.
     """
 
-    def connection_made(self, transport: asyncio.Transport) -> None:
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Start the time of the first header."""
         super().connection_made(transport)
         self._opened = self.loop.time()

@@ -1,11 +1,10 @@
 """The training task of a machine that all pages show: the current attempt, and a table of the finished ones.
 
-The server calls `update` a few times a second, and sends `status`, which is plain data. The score of an attempt
-equals that of `score.score` for the same samples. A page with a machine of its own scores by task.js.
+The server calls `update` a few times a second, and sends `status`, which is plain data. The score of an
+attempt equals that of `score.score` for the same samples. A page with a machine of its own scores by task.js.
 """
 
 import csv
-import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.realtime.setup import Machine
 from orchestrator.drive.score import (
     DEFAULT,
     LOAD,
@@ -33,6 +31,7 @@ from orchestrator.drive.score import (
     task_signals,
     way,
 )
+from orchestrator.realtime.setup import Machine
 
 
 @dataclass(frozen=True)
@@ -57,12 +56,17 @@ class Training:
         """A page shows the task. The first page begins an attempt."""
         self._open += 1
         if self._open == 1:
-            self._number = self._machine.latest().number
+            self._source, self._number = _source(self._machine), self._machine.latest().number
             self._clear()
 
     def close(self) -> None:
         """A page hides the task. While no page shows it, nothing is recorded."""
         self._open = max(0, self._open - 1)
+
+    @property
+    def shown(self) -> bool:
+        """Does a page show the task?"""
+        return self._open > 0
 
     def choose(self, exercise: Exercise) -> None:
         """Begin another exercise."""

@@ -20,7 +20,9 @@ def script(chromium: Any) -> Iterator[Script]:
     page.set_content(f'<script type="importmap">{json.dumps({"imports": addresses})}</script>')
 
     def value(module: str, expression: str, argument: object = None) -> Any:
-        return page.evaluate(f"async (a) => {{ const m = await import('drive/{module}.js'); return {expression}; }}", argument)
+        return page.evaluate(
+            f"async (a) => {{ const m = await import('drive/{module}.js'); return {expression}; }}", argument
+        )
 
     yield value
     page.close()

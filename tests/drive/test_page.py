@@ -19,9 +19,9 @@ from fmus.machine.build import data
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.validate_system import validate_system
 from orchestrator.drive import page as drive_page
 from orchestrator.drive.page import Replayed, find_fmu, fragment, write_page
+from orchestrator.results.validate_system import validate_system
 
 SCHEMES = ("light", "dark")
 
@@ -105,7 +105,16 @@ def test_keyboard_alone(opened: Any) -> None:
     for _ in range(32):
         page.page.keyboard.press("Tab")
         reached.add(page.page.evaluate("() => document.activeElement.textContent.trim().split('\\n')[0]"))
-    assert {"Demonstration", "Drive", "Start again", "Save the drive", "Training task", "SAE", "Keys", "top"} <= reached
+    assert {
+        "Demonstration",
+        "Drive",
+        "Start again",
+        "Save the drive",
+        "Training task",
+        "SAE",
+        "Keys",
+        "top",
+    } <= reached
 
 
 @shards.browser
@@ -141,9 +150,7 @@ def test_parameters_and_poses(opened: Any) -> None:
     assert page.ask("source.values.supply_pressure") == pytest.approx(10e6)
     # 450 kg more at 3 m: 13 kN.m over a lever of some 0.4 m and 113 cm2 are some 3 MPa, after the oscillation
     assert page.ask("source.values.boom_head_pressure") > light + 1e6
-    assert page.page.get_by_role("button", name="Save the drive").is_disabled(), (
-        "a scenario has no head mass"
-    )
+    assert page.page.get_by_role("button", name="Save the drive").is_disabled(), "a scenario has no head mass"
 
 
 def halt(page: Opened, time: float) -> None:
@@ -189,7 +196,9 @@ def test_replay_then_drive(opened: Any) -> None:
 def test_a_failure_is_said(opened: Any) -> None:
     """A call that the FMU refuses stops the machine with the FMU's own words."""
     page = opened("drive")
-    page.page.evaluate(f"() => {{ {SECTION}.sources.drive.simulation.axes[0].limit = null; {SECTION}.choose('drive'); }}")
+    page.page.evaluate(
+        f"() => {{ {SECTION}.sources.drive.simulation.axes[0].limit = null; {SECTION}.choose('drive'); }}"
+    )
     page.page.evaluate(
         f"() => {{ {SECTION}.source.commanded = () => ({{ swing_command: NaN }}); {SECTION}.run(true); }}"
     )

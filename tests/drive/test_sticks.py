@@ -7,7 +7,6 @@ from kit.mistakes import problem
 from view.standin import CONTROLLER, LEVERS, MODES, StandIn
 
 from orchestrator.base.errors import Problem
-from orchestrator.view.authority import ControlAuthority
 from orchestrator.drive.sticks import (
     PATTERNS,
     CraneFunctions,
@@ -20,6 +19,7 @@ from orchestrator.drive.sticks import (
     pattern,
     response,
 )
+from orchestrator.view.authority import ControlAuthority
 
 share = st.floats(0, 0.9)
 CURVES = st.builds(ResponseCurve, share, st.floats(0, 1))

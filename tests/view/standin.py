@@ -81,7 +81,9 @@ class StandIn:
 def pages(machine: StandIn, authority: ControlAuthority, training: Training | None = None) -> Pages:
     """The pages of a machine without a scene."""
     plan = SimpleNamespace(description=DESCRIPTION, geometry=None, start=Start())
-    session = SimpleNamespace(machine=machine, index=SignalIndex(machine), plan=plan, span=None, title="", folders=())
+    session = SimpleNamespace(
+        machine=machine, index=SignalIndex(machine), plan=plan, span=None, title="", folders=()
+    )
     return Pages(session, authority, training or Training(machine))
 
 

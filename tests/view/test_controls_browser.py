@@ -77,7 +77,9 @@ def open_page(browser: Any, address: str) -> Any:
     opened = browser.new_page(viewport={"width": 900, "height": 600})
     opened.set_default_timeout(1e3 * LONG)
     opened.goto(address)
-    opened.evaluate("document.body.insertAdjacentHTML('beforeend', '<input aria-label=field><p style=height:3000px>')")
+    opened.evaluate(
+        "document.body.insertAdjacentHTML('beforeend', '<input aria-label=field><p style=height:3000px>')"
+    )
     opened.locator(STATE).wait_for()
     opened.wait_for_function(f"!['connecting', 'no connection'].includes({TOLD})")
     return opened

@@ -19,8 +19,8 @@ from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.machine import APART, RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import server as serving
-from orchestrator.view.choice import MachineChoice
 from orchestrator.view.authority import ControlAuthority
+from orchestrator.view.choice import MachineChoice
 from orchestrator.view.server import Server
 from orchestrator.view.session import Session
 
@@ -161,7 +161,9 @@ def test_loads(page: Any, server: Server) -> None:
     assert page.complaints == []
     assert page.hosts == {f"127.0.0.1:{server.port}"}
     # this browser has no graphics card, so the canvas is opened without smoothing
-    smooth = "document.querySelector('.hm-stage canvas').getContext('webgl2').getContextAttributes().antialias"
+    smooth = (
+        "document.querySelector('.hm-stage canvas').getContext('webgl2').getContextAttributes().antialias"
+    )
     assert page.evaluate(smooth) is False
 
 
@@ -213,8 +215,8 @@ def test_keys_of_the_page(page: Any, server: Server) -> None:
     assert until(lambda: not server.authority.status().driver)
 
 
-CAMERA = """() => { const { camera, controls } = document.querySelector('.harvester-machine').machine.scene.stage;
-  return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
+CAMERA = """() => { const { scene } = document.querySelector('.harvester-machine').machine;
+  const { camera, controls } = scene.stage; return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
 
 
 def test_view_with_the_tip(page: Any, server: Server) -> None:

@@ -22,8 +22,21 @@ POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.he
 RECORDING = "recording.csv"  # of a test rig, with names of its own
 get = partial(httpx.get, timeout=LONG)
 NONSENSE = (
-    *("", "garbage", "[]", "{}", '{"do":null}', '{"do":"shown"}', '{"do":"replay","file":1e999}', '{"do":"task","what":{}}'),
-    *('{"do":"start","system":"x.ssp","pose":"","swap":{}}', '{"do":"choose","mode":"x"}', '{"do":"set","name":"x","value":1}'),
+    *(
+        "",
+        "garbage",
+        "[]",
+        "{}",
+        '{"do":null}',
+        '{"do":"shown"}',
+        '{"do":"replay","file":1e999}',
+        '{"do":"task","what":{}}',
+    ),
+    *(
+        '{"do":"start","system":"x.ssp","pose":"","swap":{}}',
+        '{"do":"choose","mode":"x"}',
+        '{"do":"set","name":"x","value":1}',
+    ),
     *('{"do":"save"' + "[" * 3000, "x" * 100_000, b"\x00" * 100_000, os.urandom(100)),
 )
 
@@ -57,7 +70,12 @@ def talk_nonsense(url: str) -> None:
             assert socket.ping(ack_on_close=True).wait(LONG)
     assert httpx.post(f"{url}live", content=b"x" * 2_000_000, timeout=LONG).status_code == 405
     assert get(f"{url}live").status_code == 404
-    for path in ("result/../secret.csv", "result/%2e%2e/secret.csv", "result/nothing.csv", "drive/../live.py"):
+    for path in (
+        "result/../secret.csv",
+        "result/%2e%2e/secret.csv",
+        "result/nothing.csv",
+        "drive/../live.py",
+    ):
         assert get(f"{url}{path}").status_code == 404
     with pytest.raises(InvalidStatus, match="403"), opened(address, origin="http://evil.example"):
         pass

@@ -11,19 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-
 from kit.mistakes import problem
 
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
+from orchestrator.drive.sticks import modes
+from orchestrator.drive.view_description import by_bare_name, view_description
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
-from orchestrator.drive.view_description import by_bare_name, view_description
 from orchestrator.ssp.load import assemble, load
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants
-from orchestrator.drive.sticks import modes
 from orchestrator.view.live import AHEAD, BIN, LOST, WINDOW, Credit, History, chosen, extremes, offered
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, SignalIndex
@@ -165,10 +164,20 @@ def test_only_what_is_offered_is_started(fmu_dir: Path) -> None:
     offer = offered(now)
     assert {"harvester.ssp", "harvester_control.ssp"} <= set(offer["systems"])
     assert offer["chosen"] == {"system": "harvester.ssp", "pose": "", "swap": {"swing": "detailed"}}
-    asked = {"system": "harvester.ssp", "pose": "reach", "swap": {"swing": "usual", "manipulator": "pendulum"}}
+    asked = {
+        "system": "harvester.ssp",
+        "pose": "reach",
+        "swap": {"swing": "usual", "manipulator": "pendulum"},
+    }
     found = chosen(now, asked)
     assert (found.pose, dict(found.swap)) == ("reach", {"manipulator": "pendulum"})
-    for wrong in ({"system": "../x.ssp"}, {"system": None}, {"pose": 1}, {"swap": {"swing": "/tmp/x.fmu"}}, {"swap": {"x": "y"}}):
+    for wrong in (
+        {"system": "../x.ssp"},
+        {"system": None},
+        {"pose": 1},
+        {"swap": {"swing": "/tmp/x.fmu"}},
+        {"swap": {"x": "y"}},
+    ):
         problem(lambda wrong=wrong: chosen(now, asked | wrong))
 
 

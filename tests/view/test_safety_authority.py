@@ -213,12 +213,18 @@ def test_gone(desk: Desk, way: str) -> None:
 
 
 def test_inputs_that_are_set(desk: Desk) -> None:
-    """A slider's value stays while its page drives, moving or not, and goes with the controls or a silence."""
+    """A slider's value stays while its page drives, moving or not; it goes with the controls or a silence."""
     desk.machine.axes = (*LEVERS, "manipulator.payload_mass")
     watcher, station = desk.page(), desk.driver()
     with pytest.raises(Problem, match="only the driver"):
         desk.authority.set(watcher, "payload_mass", 1.0)
-    for name, value in (("swing_command", 1.0), ("x", 1.0), (None, 1.0), ("payload_mass", "1"), ("payload_mass", float("nan"))):
+    for name, value in (
+        ("swing_command", 1.0),
+        ("x", 1.0),
+        (None, 1.0),
+        ("payload_mass", "1"),
+        ("payload_mass", float("nan")),
+    ):
         with pytest.raises(Problem, match="expected"):
             desk.authority.set(station, name, value)
     desk.authority.set(station, "payload_mass", 100)

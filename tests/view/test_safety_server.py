@@ -12,7 +12,7 @@ import httpx
 import pytest
 from kit.wait import LONG, until
 from view.standin import SILENCE_LIMIT, TIMEOUT, Server, serving
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from orchestrator.view.authority import OperatorStation
@@ -82,12 +82,20 @@ WRONG = {
     "infinite command": '{"n":2,"sticks":[1e999,0,0,0],"dead_man":true}',
     "deep": "[" * 60_000,
     "no text": b"",
-    **{f"no action {raw[:9]}": raw for raw in ('{"do":', '{"do":1}', '{"do":"x"}', '{"do":"_hear"}', '{"do":' + "[" * 3000)},
+    **{
+        f"no action {raw[:9]}": raw
+        for raw in ('{"do":', '{"do":1}', '{"do":"x"}', '{"do":"_hear"}', '{"do":' + "[" * 3000)
+    },
 }
 ACTIONS = (
-    '{"do":"shown","number":1e999}', '{"do":"seek","t":null}', '{"do":"set","name":[],"value":{}}',
-    '{"do":"start","system":"/etc/passwd","pose":1,"swap":[]}', '{"do":"replay","file":"../../etc/passwd.csv"}',
-    '{"do":"speed","factor":"fast"}', '{"do":"choose","pattern":{}}', '{"do":"task","what":[],"value":[]}',
+    '{"do":"shown","number":1e999}',
+    '{"do":"seek","t":null}',
+    '{"do":"set","name":[],"value":{}}',
+    '{"do":"start","system":"/etc/passwd","pose":1,"swap":[]}',
+    '{"do":"replay","file":"../../etc/passwd.csv"}',
+    '{"do":"speed","factor":"fast"}',
+    '{"do":"choose","pattern":{}}',
+    '{"do":"task","what":[],"value":[]}',
 )
 
 
