@@ -215,8 +215,9 @@ def test_keys_of_the_page(page: Any, server: Server) -> None:
     assert until(lambda: not server.authority.status().driver)
 
 
-CAMERA = """() => { const { scene } = document.querySelector('.harvester-machine').machine;
-  const { camera, controls } = scene.stage; return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
+CAMERA = """() => {
+  const { camera, controls } = document.querySelector('.harvester-machine').machine.scene.stage;
+  return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
 
 
 def test_view_with_the_tip(page: Any, server: Server) -> None:

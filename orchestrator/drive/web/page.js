@@ -59,7 +59,7 @@ export class Page {
     this.data = data;
     this.scene?.close();
     this.scene = data.scene && new Scene(this.at("stage"), { ...data.scene }, Boolean(this.sources.replay?.ghost));
-    this.at("scene").classList.toggle("hm-flat", !this.scene);
+    this.root.classList.toggle("hm-flat", !this.scene);
     this.at("looks").replaceChildren(...(this.scene?.views ?? []).map((name) =>
       make("button", { type: "button", textContent: name, onclick: () => this.scene.look(name) })));
     this.gauges = new Gauges(this.at("panel"), data, names);
@@ -320,7 +320,7 @@ export class Page {
     if (status.role === "watching") return `another page drives${refused ? ': press "Request controls"' : ""}`;
     if (status.role === "free" && refused && status.drives) return 'press "Take controls" first';
     if (status.role === "free") return lost ? "the connection was lost: take the controls again" : status.why;
-    if (elsewhere(document.activeElement)) return "Esc: back to the sticks";
+    if (status.mode && elsewhere(document.activeElement)) return "Esc: back to the sticks";
     if (late) return "this page was too slow: release Space, then hold it again";
     return status.live ? "driving" : status.why;
   }

@@ -85,11 +85,12 @@ export class Sliders {
   line({ name, text, unit, low, high, step, start, factor }, set) {
     const field = make("input", { type: "range", min: low, max: high, step });
     const output = make("output");
+    const digits = Math.max(0, Math.ceil(-Math.log10(step)));
     const row = make("label", { className: "hm-slider" }, make("span", { textContent: text, title: text }), field, output);
     const line = { name, field, row, touched: -Infinity };
     line.show = (value) => {
       field.value = value;
-      write(output, `${Number(value.toFixed(step < 1 ? 2 : 1))} ${unit}`);
+      write(output, `${value.toFixed(digits)} ${unit === "1" ? "" : unit}`);
     };
     line.follow = (value) => line.show(value * factor);
     line.show(start * factor);
