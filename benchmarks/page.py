@@ -84,7 +84,9 @@ def measure(name: str, url: str, seconds: float) -> None:
         times, drawn = page.evaluate(FRAMES, seconds)
         page.keyboard.up("a")
     high = statistics.quantiles(times, n=20)[-1]
-    print(f"{name:<6}{first:>8.2f}{statistics.median(times):>9.1f}{high:>9.1f}{drawn:>8.1f}{statistics.median(keys):>9.0f}")
+    print(
+        f"{name:<6}{first:>8.2f}{statistics.median(times):>9.1f}{high:>9.1f}{drawn:>8.1f}{statistics.median(keys):>9.0f}"
+    )
 
 
 def main() -> None:
