@@ -1,4 +1,4 @@
-"""How fast is the page on which one drives? Frame times in software rendering, and from a key to a moving machine.
+"""How fast is the page on which one drives? Frame times in software rendering, and the time from key to motion.
 
     python -m benchmarks.page [--seconds 10] [--only view]
 

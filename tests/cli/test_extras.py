@@ -120,14 +120,8 @@ def test_a_call_that_needs_a_package_says_so(tmp_path):
 
 def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
     """Where no check was made in advance: no traceback."""
-<<<<<<< HEAD
-    imported = "m.application = lambda *_: lambda **_: __import__('nicegui')"
+    imported = "m.application = lambda *_: lambda **_: __import__('starlette')"
     code = f"import orchestrator.__main__ as m\n{imported}\nsys.exit(m.main([]))"
-=======
-    code = (
-        "import orchestrator.__main__ as m\nm.app = lambda **_: __import__('starlette')\nsys.exit(m.main([]))"
-    )
->>>>>>> 91a3d668 (Starlette, uvicorn and websockets are what the view needs)
     done = without(EVERY, code, tmp_path)
     install = 'install with: pip install "harvester-cosim[view]"'
     told = f"harvester: the package starlette is not installed; {install}\n"

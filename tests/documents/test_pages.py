@@ -191,7 +191,8 @@ def test_the_operators_page_fits_into_the_window(width: int, view: str, opened: 
     page.locator(".hm-gauge").first.wait_for()
     page.wait_for_function("() => document.querySelector('.hm-foot').innerText.includes('load')")
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    outside = """() => [...document.querySelectorAll('.hm-stick text, .hm-foot span, .hm-hands button, .hm-bar button')]
+    outside = """() => [
+      ...document.querySelectorAll('.hm-stick text, .hm-foot span, .hm-hands button, .hm-bar button')]
       .filter(e => e.getBoundingClientRect().left < 0 || e.getBoundingClientRect().right > innerWidth)
       .map(e => e.textContent)"""
     assert page.evaluate(outside) == []

@@ -34,7 +34,6 @@ from orchestrator.drive.view_description import FILE, view_description
 from orchestrator.fmi.library import find_library
 from orchestrator.fmi.raw_description import read_description
 from orchestrator.results.validate_system import _provenance
-from orchestrator.drive.view_description import FILE, view_description
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import open_component
 from orchestrator.ssp.write import write_ssp
