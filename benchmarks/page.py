@@ -1,4 +1,4 @@
-"""How fast is the page on which one drives? Frame times in software rendering, and the time from key to motion.
+"""How fast is the page on which one drives? Frame times in software rendering, time from a key to motion.
 
     python -m benchmarks.page [--seconds 10] [--only view]
 
