@@ -503,13 +503,12 @@ def solve(
     bound = np.array([limits.get(n, math.inf) for n in free])
     moved = np.zeros(len(free))  # since the start
     measured = true = [s.raw for s in samples]
-    failed = Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
     for iteration in range(ITERATIONS):
         parts = [whitened(s, t, y, x) for s, t, y in zip(samples, true, measured, strict=True)]
         normal = Normal(np.concatenate([p.columns[[n in free for n in x]] for p in parts], axis=1), prior)
         e = np.concatenate([p.e for p in parts])
         if not (np.isfinite(normal.columns).all() and np.isfinite(e).all()):
-            raise failed
+            raise Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
         if np.linalg.cond(normal.scaled) > SINGULAR:
             unknown = ", ".join(fitted)
             raise Problem(f"{label}: the {e.size} points cannot distinguish between {unknown}")
@@ -525,7 +524,7 @@ def solve(
         every = zip(samples, parts, measured, true, strict=True)
         share = 0.5 if iteration > ALTERNATING else 1.0
         true = [t + share * (p.most_probable(y, s.sd**2 / k_square) - t) for s, p, y, t in every]
-    raise failed
+    raise Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
 
 
 def _solution(

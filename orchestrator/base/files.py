@@ -206,7 +206,8 @@ class SharedFolder:
     users: int = 0
 
 
-_unpacked: dict[tuple[str, tuple[str, ...]], SharedFolder] = {}  # SHA-256 and what stays packed -> folder
+# process (a fork has its own folders), SHA-256 and what stays packed -> folder
+_unpacked: dict[tuple[int, str, tuple[str, ...]], SharedFolder] = {}
 _unpacking = Lock()
 
 # ---- locations ---------------------------------------------------------------------------------------------
@@ -398,7 +399,7 @@ class Location:
             yield self.path.resolve()
             return
         with self._open() as file:
-            key = _sha256(file), without
+            key = os.getpid(), _sha256(file), without
             with _unpacking:
                 shared = _unpacked.get(key) or _unpacked.setdefault(key, self._shared(file, without))
                 shared.users += 1

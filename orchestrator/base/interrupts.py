@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
-POLL_INTERVAL = 0.01  # [s] between two checks for an interrupt
+POLL_INTERVAL = 0.01  # [s] between two checks for an interrupt: short beside a run of some milliseconds
 _ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 

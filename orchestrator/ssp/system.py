@@ -27,10 +27,8 @@ MAX_NAMES = 4  # in a message
 ROUNDING = 1e-12  # relative difference of equal values after a conversion of units; messages show 13 digits
 WRITTEN = 1e-6  # relative difference of equal values that tools have written with 6 to 9 digits
 RESOURCES = "resources"  # folder of an SSP
-SOURCES, TARGETS = (
-    ("output", "calculatedParameter"),
-    ("input", "parameter"),
-)  # causalities at the ends of connections
+SOURCES = ("output", "calculatedParameter")  # causalities at the first end of a connection
+TARGETS = ("input", "parameter")  # at its second end
 
 
 class Port(NamedTuple):
@@ -464,7 +462,7 @@ def open_component(name: str, fmu: Location, exchange: bool = False) -> Componen
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
     """A connection; raises Problem if causalities or types do not fit."""
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
-    if y.causality not in ("output", "calculatedParameter") or u.causality not in ("input", "parameter"):
+    if y.causality not in SOURCES or u.causality not in TARGETS:
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
     if connectable_type(y) != connectable_type(u) or y.kind == "String":
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")

@@ -222,3 +222,23 @@ def test_window_that_is_too_short_is_refused(recording):
     """A cubic needs more than three samples."""
     with pytest.raises(Problem, match=r"window of 0\.01 s at 200 Hz is 3 samples; expected 2 <= degree"):
         filter_for(recording(x=np.zeros(50)), 0.01)
+
+
+def test_jitter_is_taken_off(recording):
+    """With time stamps up to a fifth of a period late, a line over true time is a line over the new clock."""
+    made = recording(u=np.zeros(400))
+    late = np.random.default_rng(2).uniform(0, 0.2, 400) / 200
+    time = made.time + late
+    found = resample_uniformly(replace(made, time=time, signals={"u": 3 * time}))
+    assert uniform_rate(found) > 0
+    np.testing.assert_allclose(found["u"], 3 * found.time, atol=1e-12)  # interpolation of a line: rounding
+
+
+def test_sensor_behind_the_filter_has_the_noise_that_is_left(recording):
+    """The noise of the new sensor is the standard deviation after the filter."""
+    rng = np.random.default_rng(1)
+    made = recording(x=rng.normal(0, 2.0, 80_000), sensors={"x": Sensor(noise=2.0)})
+    found = resample(made, 20.0)
+    # 8000 samples: 1 / sqrt(16 000) = 0.8 %, four times that
+    assert found["x"].std() == pytest.approx(found.sensor("x").sd, rel=0.032)
+    assert resample(made, 200.0).sensor("x") == made.sensor("x")

@@ -1,9 +1,11 @@
 """The sensitivities of the machine against methods that share no code with the compiled ones."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,12 +13,11 @@ from hypothesis import strategies as st
 from kit import shards
 from kit.properties import examples
 
-from fmus import swing
-from fmus.contract import quantities
-from fmus.identification.refinement.compiled_model import CompiledModel
+from fmus.contract import quantities, symbolic
+from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import COMMANDS, Move, sample
-from fmus.monolith import join, simulate
+from fmus.monolith import breakpoints
 from fmus.parameters import values
 
 OUTPUTS = (
@@ -52,42 +53,81 @@ def inputs(machine: CompiledModel) -> np.ndarray:
     return rows
 
 
-# a valve, a line, a mass and an initial state until all axes move; all until a line is emptied
+def variational(chosen: Sequence[str], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs and their derivatives by some parameters from the start on, (n, ny) and (n, ny, np).
+
+    CVODES integrates the states with the variational equations dS/dt = J S + f_p, both in magnitudes;
+    from one kink of the inputs to the next, as in `fmus.monolith.simulate`.
+    """
+    sym = symbolic(HARVESTER)
+    nx, scale = sym.x.numel(), np.array([q.nominal for q in quantities(HARVESTER.states).values()])
+    names = list(quantities(HARVESTER.parameters))
+    rows = [list(quantities(HARVESTER.outputs)).index(name) for name in OUTPUTS]
+    y = ca.vertcat(*[sym.y[i] for i in rows])
+    p = np.array([NUMBERS.p[name] for name in names])
+    free = [names.index(name) for name in chosen]
+    own = ca.SX.zeros(p.size, len(free))
+    for j, i in enumerate(free):
+        own[i, j] = p[i]  # the derivative by the parameter over its value: columns of one magnitude
+    s = ca.SX.sym("s", nx, len(free))
+    known = [sym.x, sym.u, sym.p]
+
+    def along(value: ca.SX) -> ca.SX:
+        return ca.jacobian(value, sym.x) @ s + ca.jacobian(value, sym.p) @ own
+
+    at, slope, t = ca.SX.sym("at", sym.u.numel()), ca.SX.sym("slope", sym.u.numel()), ca.SX.sym("t")
+    z = ca.SX.sym("z", nx * (1 + len(free)))
+    weights = np.tile(scale, 1 + len(free))
+    spread = [z[:nx] * scale, ca.reshape(z[nx:] * weights[nx:], nx, len(free))]
+    rate = ca.Function("rate", [*known, s], [ca.vertcat(sym.dx, ca.vec(along(sym.dx)))], {"cse": True})
+    evaluate = ca.Function("evaluate", [*known, s], [y, along(y)])
+    ode = {"t": t, "x": z, "p": ca.vertcat(at, slope)}
+    ode["ode"] = rate(spread[0], at + slope * t, p, spread[1]) / weights
+    x = np.array(list(NUMBERS.x.values()))
+    u = np.tile([NUMBERS.u[name] for name in quantities(HARVESTER.inputs)], (TIME.size, 1))
+    for name, column in zip(COMMANDS, COMMANDED.T, strict=True):
+        u[:, list(quantities(HARVESTER.inputs)).index(name)] = column
+    begin = ca.Function(
+        "begin", known, [sym.start, ca.substitute(along(sym.start), s, ca.SX.zeros(nx, len(free)))]
+    )
+    x0, s0 = (value.full() for value in begin(x, u[0], p))
+    state = np.concatenate([x0.T.ravel(), s0.T.ravel()]) / weights
+    history = [state]
+    options = {"reltol": 1e-11, "abstol": 1e-11, "max_num_steps": 100_000}
+    for first, last in pairwise(breakpoints(TIME[:count], u[:count])):
+        grid = TIME[first : last + 1] - TIME[first]
+        solver = ca.integrator("variational", "cvodes", ode, 0.0, grid[1:], options)
+        ends = solver(x0=state, p=np.concatenate([u[first], (u[last] - u[first]) / grid[-1]]))["xf"].full().T
+        history.extend(ends)
+        state = ends[-1]
+    found = [
+        evaluate(row[:nx] * scale, u[i], p, (row[nx:] * weights[nx:]).reshape(len(free), nx).T)
+        for i, row in enumerate(history)
+    ]
+    outputs = np.array([a.full()[:, 0] for a, _ in found])
+    return outputs, np.array([b.full() for _, b in found]) / p[free]
+
+
+# a valve, a line, a mass and an initial state until all axes move; all until they stop
 @pytest.mark.parametrize(
     ("chosen", "count"),
     [
         (("valve_dead_band", "line_capacitance", "head_mass", "initial_boom_angle"), 91),
-        pytest.param(FREE, 150, marks=shards.machine),
+        pytest.param(FREE, TIME.size, marks=shards.machine),
     ],
     ids=["some", "all"],
 )
-def test_sensitivities_are_differences_of_another_solver(chosen: Sequence[str], count: int) -> None:
-    """Each column, with the effect on the initial state: CVODES with a parameter changed up and down."""
+def test_sensitivities_are_those_of_the_variational_equations(chosen: Sequence[str], count: int) -> None:
+    """Every sensitivity to a parameter, including its effect on the initial state, while all axes move."""
     machine = model(1e-10)
-    rows = inputs(machine)[:count]
+    rows = inputs(machine)
     x0, start = machine.start(machine.p0, rows[0])
-    piece = machine.segment(x0, machine.p0, TIME[:count], rows)
-    found = piece.y_p + piece.y_x @ start
-    every = list(quantities(HARVESTER.inputs))
-    block = join({"block": HARVESTER}, (), {n: [f"block.{n}"] for n in every}, {"block": NUMBERS})
-    assert list(block.inputs) == every
-    u = np.tile([NUMBERS.u[name] for name in every], (count, 1))
-    u[:, [every.index(name) for name in COMMANDS]] = COMMANDED[:count]
-    measured = [block.output_names.index(f"block.{name}") for name in OUTPUTS]
-
-    def solved(name: str = "", change: float = 0.0) -> np.ndarray:
-        p = np.where(np.array(block.parameters) == f"block.{name}", 1 + change, 1) * block.p
-        return simulate(block, TIME[:count], u, p, tolerance=1e-12)[1][:, measured]
-
-    # errors of both solvers, measured 3e-8, most from 0.795 s: an emptied line is full again
-    y = solved()
+    piece = machine.segment(x0, machine.p0, TIME[:count], rows[:count])
+    found = (piece.y_p + piece.y_x @ start)[:, :, [FREE.index(name) for name in chosen]]
+    y, expected = variational(chosen, count)
+    # errors of both solvers, measured 3e-8 and 2e-6, most from 0.795 s: an emptied line is full again
     assert (np.abs(piece.y - y).max(axis=0) < 1e-6 * np.abs(y).max(axis=0)).all()
-    for name in chosen:
-        expected = (solved(name, 1e-3) - solved(name, -1e-3)) / (2e-3 * NUMBERS.p[name])
-        away = np.abs(found[:, :, FREE.index(name)] - expected).max(axis=0)
-        # the errors of the outputs over the change of the parameter, and its square in the difference
-        error = 1e-11 * np.abs(y).max(axis=0) / (1e-3 * NUMBERS.p[name])
-        assert (away < 1e-4 * np.abs(expected).max(axis=0) + 100 * error).all(), name
+    assert (np.abs(found - expected).max(axis=0) < 2e-5 * np.abs(expected).max(axis=0)).all()
 
 
 @examples(20)
@@ -121,50 +161,40 @@ def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
     assert (np.abs(found - expected).max(axis=0) < 1e-6 * np.abs(found).max(axis=0)).all()
 
 
-# ---- points of opening curves, in the variants of a drive that have them
-
-POINTS = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10.0, 1.0))
-DRIVE_OUTPUTS = ("swing_pressure_a", "swing_torque", "supply_flow")
-CURVES = (
-    *("valve_area", "valve_pa_opening_3", "valve_pa_opening_4", "valve_pa_command_3"),
-    *("valve_bt_opening_4", "valve_bt_command_1", "valve_bt_command_2"),
-)
-
-
-def with_tables(sub):
-    """The values of a drive with a table in each edge."""
-    v = values(sub)
-    points = {
-        f"valve_{edge}_{what}_{i}": x
-        for edge in ("pa", "at", "pb", "bt")
-        for i, point in enumerate(POINTS, 1)
-        for what, x in zip(("command", "opening"), point, strict=True)
-    }
-    return replace(v, p={**v.p, **points})
+@examples(10)
+@given(cut=st.integers(1, TIME.size - 2))
+def test_two_pieces_are_one(cut: int) -> None:
+    """Two consecutive segments give the whole by the chain rule, as multiple shooting requires."""
+    machine = model(1e-10)
+    rows = inputs(machine)
+    x0, _ = machine.start(machine.p0, rows[0])
+    whole = machine.segment(x0, machine.p0, TIME, rows)
+    first = machine.segment(x0, machine.p0, TIME[: cut + 1], rows[: cut + 1])
+    second = machine.segment(first.x, machine.p0, TIME[cut:], rows[cut:])
+    assert np.array_equal(first.y, whole.y[: cut + 1])
+    assert np.array_equal(first.y_p, whole.y_p[: cut + 1])
+    by_x, by_p = second.y_x @ first.x_x, second.y_p + second.y_x @ first.x_p
+    for found, expected in ((by_x, whole.y_x[cut:]), (by_p, whole.y_p[cut:])):
+        # the second piece begins with other steps: errors of the solver, measured 1e-8
+        scale = np.maximum(np.abs(expected), np.abs(found)).max(axis=0)
+        assert (np.abs(found - expected).max(axis=0) <= 1e-6 * scale).all()
+    assert np.array_equal(second.y[-1, 4:6], second.x[12:14])  # two angles are outputs and states
 
 
-@pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
-def test_derivatives_by_points_are_those_of_differences(variant):
-    """A command that sweeps the first four points of P-A and B-T, at a speed that follows it."""
-    sub = swing.VARIANTS[variant]
-    numbers = with_tables(sub)
-    model = CompiledModel(sub, DRIVE_OUTPUTS, CURVES, numbers, tolerance=1e-9)
-    time = np.linspace(0.0, 0.4, 41)
-    rows = np.tile([numbers.u[name] for name in model.inputs], (time.size, 1))
-    rows[:, model.inputs.index("swing_command")] = 4.5 * time / 0.4
-    rows[:, model.inputs.index("swing_speed")] = 0.2 * (time / 0.4) ** 2
+def test_threads_do_not_disturb_each_other() -> None:
+    """Segments from two threads on one model are bit-identical to those from one thread."""
+    machine = model(1e-6)
+    rows = inputs(machine)
+    x0, _ = machine.start(machine.p0, rows[0])
 
-    def simulated(p, sensitivities=False):
-        x, _ = model.start(p, rows[0])
-        return model.segment(x, p, time, rows, sensitivities)
+    def run(scale: float) -> SegmentSolution:
+        return machine.segment(x0, machine.p0 * scale, TIME, rows)
 
-    exact = simulated(model.p0, sensitivities=True).y_p
-    for j, name in enumerate(CURVES):
-        step = 1e-4 * model.p0[j]
-        change = step * (np.arange(len(CURVES)) == j)
-        ahead, behind = (simulated(model.p0 + sign * change).y for sign in (1, -1))
-        difference = (ahead - behind) / (2 * step)
-        scale = np.abs(difference).max(axis=0)
-        assert (scale > 0).all(), name
-        # the error of the difference, with kinks of the second derivative at the points
-        assert (np.abs(exact[:, :, j] - difference).max(axis=0) < 1e-3 * scale).all(), name
+    scales = np.linspace(0.98, 1.02, 20)
+    alone = [run(scale) for scale in scales]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(run, scales))
+    for a, b in zip(alone, together, strict=True):
+        assert a.steps == b.steps
+        for name in ("y", "x", "y_x", "y_p", "x_x", "x_p"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))

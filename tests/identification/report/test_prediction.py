@@ -165,3 +165,13 @@ def test_inputs_outside_their_range_in_training_are_told(training, predicted, to
     """Farther from zero than ever, or nearer for long; each sign by itself; other signals do not count."""
     found = extrapolations(predicted, {"command": training["command"]}, ["command", "missing"])
     assert [str(extrapolation) for extrapolation in found] == told
+
+
+def test_rounding_makes_no_corners():
+    """A ramp that was written with six digits becomes one straight line."""
+    time = np.arange(0.0, 4.0, 0.005)
+    move = Move("boom", 0.5, 3.3, 0.7, 1.1, 0.6).sample(time)
+    found = simplify(time, np.round(move, 5)[:, None])[:, 0]
+    corners = np.abs(np.diff(found, 2)) > 1e-9
+    assert corners.sum() <= 8  # four corners, each between two samples at most
+    assert np.abs(found - move).max() < COMMAND_TOLERANCE

@@ -1,0 +1,56 @@
+"""Sensitivities with respect to the points of opening curves, in the variants of a drive that have them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from fmus import swing
+from fmus.identification.refinement.compiled_model import CompiledModel
+from fmus.parameters import values
+
+POINTS = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10.0, 1.0))
+OUTPUTS = ("swing_pressure_a", "swing_torque", "supply_flow")
+FREE = (
+    *("valve_area", "valve_pa_opening_3", "valve_pa_opening_4", "valve_pa_command_3"),
+    *("valve_bt_opening_4", "valve_bt_command_1", "valve_bt_command_2"),
+)
+
+
+def with_tables(sub):
+    """The values of a drive with a table in each edge."""
+    v = values(sub)
+    points = {
+        f"valve_{edge}_{what}_{i}": x
+        for edge in ("pa", "at", "pb", "bt")
+        for i, point in enumerate(POINTS, 1)
+        for what, x in zip(("command", "opening"), point, strict=True)
+    }
+    return dataclasses.replace(v, p={**v.p, **points})
+
+
+@pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
+def test_derivatives_by_points_are_those_of_differences(variant):
+    """A command that sweeps the first four points of P-A and B-T, at a speed that follows it."""
+    sub = swing.VARIANTS[variant]
+    numbers = with_tables(sub)
+    model = CompiledModel(sub, OUTPUTS, FREE, numbers, tolerance=1e-9)
+    time = np.linspace(0.0, 0.4, 41)
+    rows = np.tile([numbers.u[name] for name in model.inputs], (time.size, 1))
+    rows[:, model.inputs.index("swing_command")] = 4.5 * time / 0.4
+    rows[:, model.inputs.index("swing_speed")] = 0.2 * (time / 0.4) ** 2
+
+    def simulated(p, sensitivities=False):
+        x, _ = model.start(p, rows[0])
+        return model.segment(x, p, time, rows, sensitivities)
+
+    exact = simulated(model.p0, sensitivities=True).y_p
+    for j, name in enumerate(FREE):
+        step = 1e-4 * model.p0[j]
+        change = step * (np.arange(len(FREE)) == j)
+        ahead, behind = (simulated(model.p0 + sign * change).y for sign in (1, -1))
+        difference = (ahead - behind) / (2 * step)
+        scale = np.abs(difference).max(axis=0)
+        assert (scale > 0).all(), name
+        # the error of the difference, with kinks of the second derivative at the points
+        assert (np.abs(exact[:, :, j] - difference).max(axis=0) < 1e-3 * scale).all(), name
