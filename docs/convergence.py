@@ -16,14 +16,14 @@ import tempfile
 from pathlib import Path
 
 from orchestrator.pages.plotting import png
-from orchestrator.studies.convergence.convergence_study import convergence
-from orchestrator.studies.convergence.figures import draw_error
-from orchestrator.studies.convergence.runs import ConvergenceStudy
-from orchestrator.studies.convergence.tables import (
+from orchestrator.studies.convergence.convergence_study import (
     adaptive_table,
+    convergence,
     error_table,
     maximum_table,
 )
+from orchestrator.studies.convergence.figures import draw_error
+from orchestrator.studies.convergence.runs import ConvergenceStudy
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"

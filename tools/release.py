@@ -166,7 +166,7 @@ def _zip() -> None:
 
 def read_me(release: str) -> str:
     """The README of the zip."""
-    from fmus.machine.partners import HELD, UNPOWERED, connection_list
+    from fmus.machine.ssp import HELD, UNPOWERED, connection_list
 
     held = textwrap.fill(HELD, 110)
     return READ_ME.format(version=release, connections=connection_list(), held=held, unpowered=UNPOWERED)

@@ -17,10 +17,9 @@ from run import M1, REFERENCE
 from orchestrator import load, read_trace, run
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.convergence_study import report, with_progress
+from orchestrator.studies.convergence.convergence_study import maximum_table, report, with_progress
 from orchestrator.studies.convergence.reference_solution import ReferenceSolution, from_run
 from orchestrator.studies.convergence.runs import SETTINGS, ConvergenceStudy, Setting, run_settings
-from orchestrator.studies.convergence.tables import maximum_table
 
 FOLDER = Path("build/hydraulic_manipulator")
 STEPS = (0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 40e-3, 100e-3)  # [s]

@@ -19,8 +19,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from fmus import ports
 from fmus.boom_stick.variables import AXES, BoomStickInputs, OilState
-from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, ports, spool_valve
+from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
 from fmus.components.load_sensing import LoadPressure

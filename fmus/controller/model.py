@@ -9,37 +9,49 @@ and T_blend `blend_time`.
 
 Signs: radius outwards, height upwards, angle counter-clockwise seen from above. Commands have the signs of
 the levers: a positive one turns left, raises the boom, extends the stick cylinder (which folds the stick in).
-Errors are reference minus machine.
+Errors are reference minus machine. Values that the machine has, too, are those of its subsystems.
 """
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
+from fmus import ports
 from fmus.boom_stick import BOOM_STICK
 from fmus.boom_stick import drive as boom_stick_drive
-from fmus.components import ports
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import VolumeHose
 from fmus.components.spool_valve import Valve
-from fmus.contract import Scalar, Subsystem
+from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller import actuator, geometry
 from fmus.controller.actuator import ActuatorCommand, LoopGains, MeasuredPressures, Setpoint
+from fmus.controller.gains import Gains
 from fmus.controller.reference import Reference, engaged, errors, measured_joints, reference
-from fmus.controller.values import FILE, controller_tables
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
     AXES,
+    CYLINDERS,
+    GEOMETRY,
+    MOTOR,
+    VALVE,
     ControllerInputs,
     ControllerOutputs,
     ControllerParameters,
     ControllerState,
 )
 from fmus.manipulator import MANIPULATOR
+from fmus.parameters import Number, Tables, numbers, read, values
 from fmus.swing import SWING
 from fmus.swing import drive as swing_drive
+
+GAINS = tuple(quantities(Gains))
+NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # start values of boom_stick
+PRESSURES = tuple(n for n, q in quantities(ControllerInputs).items() if q.unit == "Pa")
+FILE = Path(__file__).with_name("parameters.toml")
+
 
 LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
 
@@ -180,6 +192,42 @@ def require(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
         full, band = getattr(p, f"{prefix}valve_full_command"), getattr(p, f"{prefix}valve_dead_band")
         requirements[f"{prefix}valve_full_command exceeds {prefix}valve_dead_band"] = full - band
     return requirements
+
+
+def controller_tables(swing: Subsystem, boom_stick: Subsystem, manipulator: Subsystem) -> Tables:
+    """Parameter and start values of the controller for a machine built from these subsystems."""
+    of_boom_stick, of_swing, of_manipulator = numbers(boom_stick), numbers(swing), numbers(manipulator)
+    gains, poses = read(FILE)["parameters"], of_manipulator["parameters"]
+    parameters = {n: gains[n] for n in GAINS}
+    parameters |= {n: _noted(of_manipulator["parameters"][n], "manipulator") for n in GEOMETRY}
+    parameters |= {n: _noted(of_boom_stick["parameters"][n], "boom_stick") for n in CYLINDERS}
+    parameters |= {f"swing_{n}": _noted(of_swing["parameters"][n], "swing") for n in VALVE}
+    parameters |= {n: _noted(of_swing["parameters"][n], "swing") for n in MOTOR}
+    parameters |= {f"nominal_{n}": _noted(of_boom_stick["start"][n], "boom_stick") for n in NOMINAL}
+    start = {f"{axis}_angle": _noted(poses[f"initial_{axis}_angle"], "manipulator") for axis in AXES}
+    start |= {
+        n: _noted(of_boom_stick["start"][n], "boom_stick") for n in ("supply_pressure", "tank_pressure")
+    }
+    pressures = start_pressures(swing) | start_pressures(boom_stick)
+    at_rest = "pressure at rest in the nominal pose"
+    start |= {n: Number(value, "Pa", "derived", at_rest) for n, value in pressures.items()}
+    return {"parameters": parameters, "start": start}
+
+
+def start_pressures(sub: Subsystem, inputs: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Initial pressures of a drive that are inputs of the controller, rounded to nine digits.
+
+    inputs   values by name that replace start values of the drive's inputs
+    """
+    v = values(sub)
+    u = {**v.u, **(inputs or {})}
+    x = symbolic(sub).initial()(*(list(group.values()) for group in (v.x, u, v.p))).full()[:, 0]
+    return {n: float(f"{a:.9g}") for n, a in zip(v.x, x, strict=True) if n in PRESSURES}
+
+
+def _noted(number: Number, component: str) -> Number:
+    """The same value, with the component in its note."""
+    return replace(number, note=f"{number.note} (as in {component})")
 
 
 def controller(

@@ -9,13 +9,12 @@ from shutil import copyfile
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER, controller
-from fmus.controller.values import GAINS
+from fmus.controller.model import GAINS
 from fmus.export.build import build_all
 from fmus.machine.one_block import composed_machine
-from fmus.machine.partners import with_partners
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.ssp import NAME, write_control, write_system
+from fmus.machine.ssp import NAME, with_partners, write_control, write_system
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
 from fmus.package_files import data, shipped_folder

@@ -6,10 +6,10 @@ Inputs are commands, supply and payload. Only differences from the declarations 
 from collections.abc import Mapping
 from pathlib import Path
 
-from fmus.components.ports import grip, lever, return_line, supply_line
 from fmus.composition import compose
 from fmus.contract import Subsystem
 from fmus.machine.parts import CONNECTIONS, DRIVES, HOLDING, INPUTS, RATES, SUBSYSTEMS
+from fmus.ports import grip, lever, return_line, supply_line
 
 # signals of internal connections; accelerations stay visible, because they can be measured
 HIDDEN = (

@@ -8,8 +8,8 @@ import numpy as np
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
 from fmus.controller import geometry
+from fmus.controller.model import start_pressures
 from fmus.controller.paths import PATHS, Route, start
-from fmus.controller.values import start_pressures
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 

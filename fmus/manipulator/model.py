@@ -26,7 +26,7 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components import ports
+from fmus import ports
 from fmus.components.friction import Resistance
 from fmus.contract import Scalar, Subsystem, column
 from fmus.manipulator import arm

@@ -20,7 +20,7 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components import ports
+from fmus import ports
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group
 
 AHEAD = 5e-7  # s, lead of the time at which corners are evaluated, see `sample`

@@ -2,7 +2,7 @@
 
 import casadi as ca
 
-from fmus.components import ports
+from fmus import ports
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.load_sensing import LoadPressure, highest, relieved
 from fmus.contract import Group, Quantity, Scalar

@@ -6,7 +6,8 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 import math
 from typing import Any
 
-from fmus.components import chamber, hose, load_sensing, motor, opening_curve, ports, spool_valve
+from fmus import ports
+from fmus.components import chamber, hose, load_sensing, motor, opening_curve, spool_valve
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
 from fmus.components.opening_curve import OpeningCurves

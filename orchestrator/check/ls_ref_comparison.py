@@ -31,7 +31,7 @@ from orchestrator.check.read_ls_ref import (
 from orchestrator.check.rule import CheckRule, Finding, error, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
-from orchestrator.data.deviation import rms, span
+from orchestrator.data.trace import rms, span
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, parse_numbers
 
 SETTABLE = ("parameter", "structuralParameter", "input")

@@ -1,8 +1,12 @@
-"""Setup of a machine in real time, its frames, and the interface `Machine` that a page uses."""
+"""Setup of a machine in real time, its frames, the interface `Machine` that a page uses, and its failures."""
 
-from collections.abc import Mapping, Sequence
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from math import isfinite
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -10,6 +14,9 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
+
+INTERVAL = 0.1  # [s] between two looks at the state
+
 
 Array = NDArray[np.float64]
 
@@ -169,3 +176,36 @@ class Machine(Protocol):
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]: ...
     def trace(self) -> Trace: ...
     def close(self) -> None: ...
+
+
+@contextmanager
+def failures_reported(machine: Machine, save: Callable[[], Path]) -> Iterator[None]:
+    """Context that prints each failure in one line on stderr; it closes the machine at its end.
+
+    save   saves what the machine has recorded, for each failure; raises Problem if that is nothing
+    """
+    ended, failed = threading.Event(), False
+
+    def look() -> None:
+        nonlocal failed
+        frame, before = machine.latest(), failed
+        failed = frame.state == "failed"
+        if failed and not before:
+            saved = ""
+            with suppress(Problem):
+                saved = f"; the session until then is in {save()}"
+            print(f"harvester: {frame.message}{saved}", file=sys.stderr, flush=True)
+
+    def watch() -> None:
+        while not ended.wait(INTERVAL):
+            look()
+
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watching.join()
+        machine.close()
+        look()  # the FMUs may have failed at the end

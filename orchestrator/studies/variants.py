@@ -21,8 +21,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
-from orchestrator.data.deviation import rms, span
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import Trace, rms, span
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run

@@ -18,9 +18,9 @@ from nicegui import app as nicegui
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
-from orchestrator.realtime.failure_report import failures_reported
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.replay import Replay
+from orchestrator.realtime.setup import failures_reported
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
 from orchestrator.view.choice import MachineChoice

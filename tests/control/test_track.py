@@ -14,8 +14,17 @@ from fmus.manipulator import MANIPULATOR
 from fmus.package_files import PACKAGE
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
-from orchestrator.studies.path_figure import draw, side_view, top_view
-from orchestrator.studies.path_following import PathRun, differences, points, read_machine, rows, text
+from orchestrator.studies.path_following import (
+    PathRun,
+    differences,
+    draw,
+    points,
+    read_machine,
+    rows,
+    side_view,
+    text,
+    top_view,
+)
 
 VARIANTS = ("swing=detailed", "boom_stick=detailed", "manipulator=pendulum_friction", "supply=engine_pump")
 DETAILED = [f"--swap={variant}" for variant in VARIANTS]

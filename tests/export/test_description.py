@@ -169,7 +169,7 @@ def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
 def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
     """C code that does not compile gives one line, with the location and message of the compiler."""
     sub, numbers = toys["gain"]
-    monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"gain_fmu.c": "#error broken\n"})
+    monkeypatch.setattr("fmus.export.build.sources", lambda *_: {"gain_fmu.c": "#error broken\n"})
     with pytest.raises(
         Problem,
         match=r"^gain, [a-z0-9_-]+: the C compiler failed with exit status 1: gain_fmu.c:1:2: error: broken$",

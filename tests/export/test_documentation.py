@@ -17,12 +17,12 @@ from markdown_it import MarkdownIt
 from fmus.components.opening_curve import POINTS
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
+from fmus.export.build import packages
 from fmus.export.documentation import formulas, mathml, printed, project_file, prose, slug
 from fmus.export.interface import interface_of
-from fmus.export.package import packages
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.partners import HELD, HELD_COMMAND, UNPOWERED
 from fmus.machine.parts import ALL, COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, FAMILIES, SUPPLY_WIRES
+from fmus.machine.ssp import HELD, HELD_COMMAND, UNPOWERED
 from fmus.parameters import numbers, values
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import pretty

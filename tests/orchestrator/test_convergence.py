@@ -14,6 +14,7 @@ from orchestrator.__main__ import main
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
+from orchestrator.studies.convergence.convergence_study import UNSTABLE, adaptive_table, error_table, failures
 from orchestrator.studies.convergence.reference_solution import finest_run, from_recording, from_run
 from orchestrator.studies.convergence.runs import (
     SETTINGS,
@@ -23,7 +24,6 @@ from orchestrator.studies.convergence.runs import (
     rate_inputs,
     run_settings,
 )
-from orchestrator.studies.convergence.tables import UNSTABLE, adaptive_table, error_table, failures
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")  # the oscillator
 META = """[reference]

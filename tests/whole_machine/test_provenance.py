@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from fmus.export.build import build
-from fmus.export.package import packages
+from fmus.export.build import build, packages
 from fmus.machine.build import controller_of, parts_with_parameters
 from fmus.machine.one_block import composed_machine
 from fmus.machine.parts import SUBSYSTEMS

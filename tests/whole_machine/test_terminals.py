@@ -7,12 +7,12 @@ from itertools import combinations
 import pytest
 from lxml import etree
 
-from fmus.components.ports import lever
 from fmus.contract import quantities
 from fmus.export.interface import interface_of
 from fmus.export.model_description import terminals
 from fmus.machine.parts import ALL, COMMAND_WIRES, CONNECTIONS
 from fmus.parameters import values
+from fmus.ports import lever
 from orchestrator.base.errors import Problem
 
 

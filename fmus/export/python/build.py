@@ -14,11 +14,11 @@ from typing import Any
 
 from fmus import parameters
 from fmus.contract import Subsystem
+from fmus.export.build import PLACEHOLDER, common_files, guid_of
 from fmus.export.c_code import string
 from fmus.export.compile import WASM, binaries, shared_library
 from fmus.export.interface import Interface, interface_of
 from fmus.export.model_description import CAPABILITIES, Unknowns, model_description
-from fmus.export.package import PLACEHOLDER, common_files, guid_of
 from fmus.export.python.slave import MODEL_FILE
 from fmus.export.python.subsystem_model import fingerprint, import_subsystem, origin
 from fmus.export.python.user_file import checked, declared_files, in_file, refuse_neighbours, structure

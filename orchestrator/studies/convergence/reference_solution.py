@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
-from orchestrator.data.deviation import rms, span
 from orchestrator.data.recording import Recording
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import Trace, rms, span
 from orchestrator.engine.run import run
 from orchestrator.results.metrics import AT_REST
 from orchestrator.ssp.coupling import Coupling
