@@ -46,7 +46,7 @@ from orchestrator.data.table import Array
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
 ROUNDING = "boom_stick.valve_command_rounding"
-UNREAL = 100.0  # times the full command, or a part of it
+REAL = 0.01, 1.5  # full commands, between which the largest command of a bench is
 MIN_VOLTAGES = 3  # different commands at which the flow must be measured
 # sign of the command that opens each edge, correction E7 in docs/equations.md
 COMMAND_SIGN = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}
@@ -110,7 +110,7 @@ def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Ar
     """The edge, its opening command [V] and the steps in which it is held, also those at zero."""
     edge, samples = data.condition(recording, "edge", COMMAND_SIGN), recording["command"]
     largest, full = float(np.nanmax(np.abs(samples))), constants.full_command
-    if not full / UNREAL < largest < full * UNREAL:  # such as mV taken as V
+    if not REAL[0] * full < largest < REAL[1] * full:  # such as mV taken as V
         expected = f"expected a full command of about {full:g} V, got {largest:g} V: is its unit right?"
         raise Problem(f"{recording.source}: command: {expected}")
     command = COMMAND_SIGN[edge] * recording.interpolated("command")  # a missing sample does not end a step
