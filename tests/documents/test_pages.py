@@ -353,7 +353,7 @@ def test_a_still_picture_has_its_curves_where_they_belong() -> None:
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.4e-5, 3.4e-5), (1e6, 1.02e6), (-1.0, 250.0)])
 def test_ticks_are_round_and_inside(low: float, high: float) -> None:
     """Two or more ticks inside the axis, whose labels are their values."""
-    power = figures._power(low, high)
+    power = figures.power_of_ten(low, high)
     ticks = figures.tick_labels(low, high, 5, power)
     assert 2 <= len(ticks) <= 6
     for value, label in ticks:
