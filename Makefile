@@ -130,7 +130,7 @@ TESTS_NEED := pytest pytest-timeout pytest-xdist hypothesis httpx playwright
 
 # Licences of the installed packages, and known vulnerabilities of the versions in lock.txt; the latter
 # asks a database on the internet. Read by hand: casadi LGPL-3.0 (a library that is imported, unchanged),
-# docutils public domain with a few GPL files (of nicegui, not loaded); without a declaration FMPy BSD-2-Clause,
+# docutils public domain with a few GPL files (of Sphinx, not loaded); without a declaration FMPy BSD-2-Clause,
 # cmeel-qhull Qhull, objective-rating-metrics MIT, axe-playwright-python MIT (of tests)
 PERMISSIVE := MIT;BSD;Apache;ISC;MPL;Mozilla;PSF;Python Software Foundation;Zlib;BSL;Unlicense;CC0
 audit: $(RELEASING) $(TESTING)

@@ -62,9 +62,8 @@ class Watched:
         self.machine = self.session.machine
         self.url, self._server = "", None
         if server:
-            from orchestrator.view.server import Server, quiet
+            from orchestrator.view.server import Server
 
-            quiet()
             self._server = Server(self.session)
             self._server.start()
             self.url = self._server.url
@@ -85,8 +84,8 @@ class Watched:
 
 
 @contextmanager
-def browser(url: str) -> Iterator[Any]:
-    """A headless Chromium that shows a page; nothing without an address."""
+def browser(url: str, wait: str = "canvas") -> Iterator[Any]:
+    """A headless Chromium that shows a page; nothing without an address. wait: for this element."""
     if not url:
         yield None
         return
@@ -101,7 +100,8 @@ def browser(url: str) -> Iterator[Any]:
         chromium = play.chromium.launch(executable_path=path, args=list(FLAGS))
         page = chromium.new_page(viewport={"width": 1280, "height": 800})
         page.goto(url)
-        page.wait_for_selector("canvas")
+        if wait:
+            page.wait_for_selector(wait)
         yield page
         chromium.close()
 

@@ -110,7 +110,7 @@ def insert_machine(app: Sphinx, page: str, _template: str, context: dict[str, An
     """Put the machine itself on the page that has a place for it."""
     if MACHINE not in context.get("body", ""):
         return
-    from orchestrator.scene.live_page import fragment
+    from orchestrator.drive.page import fragment
 
     system = ROOT / app.config.machine_system
     if not system.is_file():

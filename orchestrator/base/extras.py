@@ -11,7 +11,7 @@ from orchestrator.base.errors import Problem
 # extra -> modules that it brings, as they are imported; the same packages are in pyproject.toml
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "build": ("ziglang",),
-    "view": ("fastapi", "nicegui", "uvicorn", "websockets"),
+    "view": ("starlette", "uvicorn", "websockets"),
     "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow"),
     "identify": ("statsmodels", "ziglang"),
     "files": ("h5py", "pandas", "pyarrow"),
@@ -59,7 +59,7 @@ def require(extra: str, purpose: str, *modules: str, advice: str = "") -> None:
 
 
 def extra_of(module: str) -> str | None:
-    """The first extra that brings a module, such as "view" for nicegui.elements."""
+    """The first extra that brings a module, such as "view" for starlette.routing."""
     top = module.partition(".")[0]
     return next((extra for extra, names in EXTRAS.items() if top in names), None)
 

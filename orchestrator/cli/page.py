@@ -22,7 +22,7 @@ def page(
     title   Title of the page.
     """
     from orchestrator.base.files import require_system
-    from orchestrator.scene.live_page import write_page
+    from orchestrator.drive.page import write_page
 
     path = write_page(out, require_system(system_file(system)), title)
     print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

@@ -25,6 +25,7 @@ from orchestrator.data.recording import Recording, fill_gaps, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
+from orchestrator.drive.page import Replayed, fragment
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.result import Card, Result
 from orchestrator.engine.run import run_to_file
@@ -41,7 +42,6 @@ from orchestrator.results.validation import (
     validate,
     without_repetitions,
 )
-from orchestrator.scene.live_page import Replayed, fragment
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_signals, with_doubts

@@ -214,7 +214,7 @@ async def _answer(send: Send, status: int, text: str, headers: list[tuple[bytes,
     await send({"type": "http.response.body", "body": body})
 
 
-LIBRARIES = ("asyncio", "engineio.server", "socketio.server", "uvicorn.error")
+LIBRARIES = ("asyncio", "uvicorn.error")
 
 
 def shorten_library_logs() -> None:

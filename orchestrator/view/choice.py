@@ -6,9 +6,9 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS
+from orchestrator.drive.geometry import Geometry, Start, geometry, pose_names, start
+from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.realtime.setup import Axis, Setup
-from orchestrator.scene.geometry import Geometry, Start, geometry, pose_names, start
-from orchestrator.scene.view_description import ViewDescription, view_description
 from orchestrator.ssp import parameter_sets
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps

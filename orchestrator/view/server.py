@@ -1,9 +1,10 @@
-"""The web server of the view: one session and any number of pages, behind access control."""
+"""The web server of the view: one session and any number of pages, behind access control.
+
+The page is static (`orchestrator.drive.page.served`). Each open page has one websocket (`live`).
+"""
 
 import asyncio
 import contextlib
-import gc
-import logging
 import socket
 import threading
 import webbrowser
@@ -12,36 +13,37 @@ from dataclasses import replace
 from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI, Response
-from nicegui import Client, core, ui
-from nicegui import app as nicegui
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
+from orchestrator.drive.page import served
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import failures_reported
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
+from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.choice import MachineChoice
-from orchestrator.view.driving.authority import ControlAuthority
-from orchestrator.view.driving.endpoint import serve as serve_controls
-from orchestrator.view.driving.endpoint import watching
-from orchestrator.view.page import Page, SharedFigures, Stream
-from orchestrator.view.server_load import REQUESTS, PageInterval, TimedConnection
+from orchestrator.view.live import Pages
+from orchestrator.view.result_files import find_result
+from orchestrator.view.server_load import REQUESTS, TimedConnection
 from orchestrator.view.session import Session
-from orchestrator.view.task.training import Training
+from orchestrator.view.training import Training
 
 TITLE = "Harvester"
 LOOPBACK = "127.0.0.1"
 SHORTEST = 16  # characters of a chosen token, at least
 LARGEST = 2**16  # bytes of one message of a browser; ordinary messages are far smaller
 GRACE = 2  # s for open connections at the end
-TIMEOUT = 20.0  # s for a page that is slow to load or has lost its connection
+WATCH = 0.05  # s between two checks of the watchdog
 
 
 class Server:
-    """Serves a session. One per process, because NiceGUI has one application per process.
+    """Serves a session.
 
     url         address of the page, with the token if one is required
     authority   decides which page drives the machine
@@ -51,9 +53,9 @@ class Server:
         """port: 0 selects a free one; token: by default random, if `host` is not a loopback address."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
-        self.session, self._training = session, Training(session.machine)
+        self.session, training = session, Training(session.machine)
         self.authority = ControlAuthority(
-            session.machine, lambda: session.plan.description.modes, loads=self._training.loads
+            session.machine, lambda: session.plan.description.modes, loads=training.loads
         )
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
@@ -61,17 +63,7 @@ class Server:
         allowed = replace(default, token=token or default.token)
         query = f"?token={allowed.token}" if allowed.token else ""
         self.url = f"http://{_displayed(host)}:{self.port}/{query}"
-        app = FastAPI(lifespan=self._life, docs_url=None, redoc_url=None, openapi_url=None)
-        serve_controls(app, self.authority)
-        self._stream = Stream(session, SharedFigures(session))
-        ui.page("/")(self._page)
-        ui.run_with(app, title=TITLE, tailwind=False, show_welcome_message=False, reconnect_timeout=TIMEOUT)
-        # NiceGUI would build a page for an unknown path, and serve long polls next to its websocket
-        nicegui.add_exception_handler(404, _not_found)
-        # no loading bar, because a screen reader finds no name on it
-        nicegui.config.quasar_config["loadingBar"]["skipHijack"] = True
-        nicegui.config.socket_io_js_transports = core.sio.eio.transports = ["websocket"]
-        app.add_middleware(PageInterval)
+        app = application(Pages(session, self.authority, training), self._begin)
         app.add_middleware(Guard, rules=allowed)
         config = uvicorn.Config(
             app,
@@ -106,21 +98,56 @@ class Server:
         if self._thread is not None:
             self._thread.join(4 * GRACE)
 
-    def _page(self) -> None:
-        # pages that were never shown; each adds 3 ms to a collection of garbage, which halts the server
-        Client.prune_instances(client_age_threshold=TIMEOUT)
-        Page(self.session, self._stream, self.authority, self._training)
+    def _begin(self) -> None:
+        self._began()
+
+
+def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Starlette:
+    """The page and its websocket, without access control. began: called when it serves."""
+    files = {path: (kind, text.encode()) for path, (kind, text) in served(TITLE).items()}
+
+    async def file(request: Request) -> Response:
+        kind, content = files[request.url.path]
+        return Response(content, media_type=kind, headers={"Cache-Control": "no-cache"})
+
+    async def result(request: Request) -> Response:
+        try:
+            path = find_result(request.path_params["name"], pages.session.folders)
+        except Problem as problem:
+            return Response(f"{problem}\n", 404, media_type="text/plain")
+        return FileResponse(path, filename=path.name)
 
     @contextlib.asynccontextmanager
-    async def _life(self, _: FastAPI) -> AsyncIterator[None]:
-        """Run the watchdog and the stream of frames while the server runs."""
-        async with watching(self.authority):
-            showing = asyncio.create_task(self._stream.run())
+    async def life(_: Starlette) -> AsyncIterator[None]:
+        """Run the watchdog and read the machine while the server runs."""
+        async with watching(pages.authority):
+            reading = asyncio.create_task(pages.run())
             try:
-                self._began()
+                began()
                 yield
             finally:
-                showing.cancel()
+                reading.cancel()
+
+    routes: list[BaseRoute] = [Route(path, file) for path in files]
+    routes += [Route("/result/{name:path}", result), WebSocketRoute("/live", pages.serve)]
+    return Starlette(routes=routes, lifespan=life, exception_handlers={404: _not_found})
+
+
+@contextlib.asynccontextmanager
+async def watching(authority: ControlAuthority) -> AsyncIterator[None]:
+    """Run the watchdog inside this block. At its end the machine rests."""
+
+    async def watch() -> None:
+        while True:
+            authority.check()
+            await asyncio.sleep(WATCH)
+
+    task = asyncio.create_task(watch())
+    try:
+        yield
+    finally:
+        task.cancel()
+        authority.stop()
 
 
 async def _not_found(*_: object) -> Response:
@@ -152,12 +179,6 @@ def _displayed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def quiet() -> None:
-    """Do not log errors of pages that were closed while a message was on its way."""
-    logging.getLogger("nicegui").setLevel(logging.ERROR)
-    access.shorten_library_logs()
-
-
 def serve(
     system: Path,
     replay: Path | None,
@@ -174,7 +195,7 @@ def serve(
     """Serve until interrupted. Raises `Problem` for a mistake before anything is served."""
     first = MachineChoice(require_system(system), pose, swap, set_)
     make_folder(results)
-    quiet()
+    access.shorten_library_logs()
     session = Session(first, RealTimeMachine, Replay, [results])
     try:
         if replay is not None:
@@ -182,7 +203,6 @@ def serve(
         server = Server(session, host, port, token)
 
         def began() -> None:
-            gc.freeze()  # what exists by now stays: a collection of garbage would halt the server for it
             print(f"{session.title}\n{server.url}\npress Ctrl-C to end", flush=True)
             if open_:  # in a thread, because on some systems the call waits for the browser
                 threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()

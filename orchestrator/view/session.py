@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
+from orchestrator.drive.view_description import by_bare_name
 from orchestrator.realtime.setup import Array, Frame, Machine, Setup
-from orchestrator.scene.view_description import by_bare_name
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
 
@@ -28,28 +28,30 @@ def columns(names: Sequence[str]) -> Mapping[str, int]:
 
 
 class SignalIndex:
-    """Finds values in the frames of one machine by bare name."""
+    """Finds values in the frames of one machine by bare name.
+
+    names   names of the axes and the signals
+    """
 
     def __init__(self, machine: Machine) -> None:
-        self._signals, self._axes = columns(machine.signals), columns(machine.axes)
+        count = len(machine.axes)
+        signals = {name: count + k for name, k in columns(machine.signals).items()}
+        self._places = {**signals, **columns(machine.axes)}
+        self.names = tuple(self._places)
 
     def contains(self, name: str) -> bool:
         """Is there a signal or axis of this name?"""
-        return name in self._signals or name in self._axes
+        return name in self._places
 
     def value(self, frame: Frame, name: str) -> float:
         """Value of the axis or signal of this name; NaN if there is none."""
-        if name in self._axes:
-            return float(frame.axes[self._axes[name]])
-        if name in self._signals:
-            return float(frame.values[self._signals[name]])
-        return math.nan
+        if name not in self._places:
+            return math.nan
+        return float(np.concatenate((frame.axes, frame.values))[self._places[name]])
 
-    def column(self, name: str) -> tuple[str, int] | None:
-        """Array ("axes" or "values") and index of a name; None if there is none."""
-        if name in self._axes:
-            return "axes", self._axes[name]
-        return ("values", self._signals[name]) if name in self._signals else None
+    def columns(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Columns of these names in a table of axes, then signals."""
+        return np.array([self._places[name] for name in names], dtype=np.int64)
 
 
 class ExchangeableMachine:

@@ -120,11 +120,11 @@ def test_a_call_that_needs_a_package_says_so(tmp_path):
 
 def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
     """Where no check was made in advance: no traceback."""
-    imported = "m.application = lambda *_: lambda **_: __import__('nicegui')"
+    imported = "m.application = lambda *_: lambda **_: __import__('starlette')"
     code = f"import orchestrator.__main__ as m\n{imported}\nsys.exit(m.main([]))"
     done = without(EVERY, code, tmp_path)
     install = 'install with: pip install "harvester-cosim[view]"'
-    told = f"harvester: the package nicegui is not installed; {install}\n"
+    told = f"harvester: the package starlette is not installed; {install}\n"
     assert (done.returncode, done.stderr) == (2, told)
 
 

@@ -98,7 +98,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
 
 @pytest.fixture(scope="module")
 def view(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of the operator's page; its server is another process, since NiceGUI serves once in each."""
+    """Address of the operator's page, served by another process."""
     with started(fmu_dir, tmp_path_factory.mktemp("results")) as (_, said):
         yield said[URL]
 
@@ -160,18 +160,17 @@ def test_a_page_is_accessible_and_asks_for_nothing(
 def test_the_operators_page_is_accessible(scheme: str, view: str, opened: Callable[..., Any]) -> None:
     """No violation by axe-core: the page, its task, and its dialogs, one after the other."""
     page = opened(view, scheme)
-    page.locator(".gauge").first.wait_for()
-    page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('running')")
+    page.locator(".hm-gauge").first.wait_for()
+    page.wait_for_function("() => document.querySelector('.hm-foot').innerText.includes('running')")
     assert violations(page) == []
     page.get_by_role("button", name="Training task").click()
     page.get_by_text("pick: ").wait_for()
-    page.mouse.move(1, 1)  # off the button: a tooltip while it fades has less contrast, and no landmark
-    page.wait_for_timeout(500)  # ms: the tooltip fades out
     assert violations(page) == []
-    page.get_by_role("button", name="Keys, sticks and mouse").click()
-    page.locator(".window").get_by_text("the machine rests without it").wait_for()
-    page.wait_for_timeout(500)  # ms: so does the dialog
-    assert violations(page) == []
+    for name, text in (("Keys", "the machine rests without it"), ("Machine", "Pose"), ("Replay", "Replay")):
+        page.locator(".hm-bar").get_by_role("button", name=name, exact=True).click()
+        page.locator("dialog[open]").get_by_text(text).first.wait_for()
+        assert violations(page) == []
+        page.keyboard.press("Escape")
 
 
 @pytest.mark.parametrize("width", [420, 1100, 1400])
@@ -185,13 +184,15 @@ def test_a_page_fits_into_the_window(
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-@pytest.mark.parametrize("width", [420, 1100])
+@pytest.mark.parametrize("width", [360, 420, 1100])
 def test_the_operators_page_fits_into_the_window(width: int, view: str, opened: Callable[..., Any]) -> None:
     """Sticks, their labels and the status line lie inside the window."""
     page = opened(view, width=width)
-    page.locator(".gauge").first.wait_for()
-    page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('load')")
-    outside = """() => [...document.querySelectorAll('.harvester-sticks text, .foot span, .hands button')]
+    page.locator(".hm-gauge").first.wait_for()
+    page.wait_for_function("() => document.querySelector('.hm-foot').innerText.includes('load')")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    outside = """() => [
+      ...document.querySelectorAll('.hm-stick text, .hm-foot span, .hm-hands button, .hm-bar button')]
       .filter(e => e.getBoundingClientRect().left < 0 || e.getBoundingClientRect().right > innerWidth)
       .map(e => e.textContent)"""
     assert page.evaluate(outside) == []
@@ -200,10 +201,10 @@ def test_the_operators_page_fits_into_the_window(width: int, view: str, opened: 
 def test_the_picture_follows_the_theme(view: str, opened: Callable[..., Any]) -> None:
     """In a dark browser the picture is dark, too, and the toolbar has a contrast of 4.5 : 1 (WCAG AA)."""
     page = opened(view, "dark")
-    page.locator(".machine canvas").wait_for()
-    assert "brightness" in page.evaluate("getComputedStyle(document.querySelector('.machine canvas')).filter")
+    page.locator(".hm-stage canvas").wait_for()
+    assert page.evaluate("document.querySelector('.harvester-machine').machine.scene.scheme") == "dark"
     parts = "getComputedStyle(document.querySelector('%s')).%s.match(/[0-9.]+/g).slice(0, 3).map(Number)"
-    asked = (".bar .q-btn", "color"), (".view > header", "backgroundColor")
+    asked = (".hm-bar button", "color"), (".hm-bar button", "backgroundColor")
     colours = [page.evaluate(parts % names) for names in asked]
     ink, ground = (luminance(colour) for colour in colours)
     assert (ink + 0.05) / (ground + 0.05) > 4.5
@@ -352,7 +353,7 @@ def test_a_still_picture_has_its_curves_where_they_belong() -> None:
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.4e-5, 3.4e-5), (1e6, 1.02e6), (-1.0, 250.0)])
 def test_ticks_are_round_and_inside(low: float, high: float) -> None:
     """Two or more ticks inside the axis, whose labels are their values."""
-    power = figures._power(low, high)
+    power = figures.power_of_ten(low, high)
     ticks = figures.tick_labels(low, high, 5, power)
     assert 2 <= len(ticks) <= 6
     for value, label in ticks:

@@ -28,7 +28,7 @@ from orchestrator.check.ls_ref_comparison import cases
 from orchestrator.check.read_ls_ref import FOLDER, manifest, parameter_set, table
 from orchestrator.check.subject import open_subject
 from orchestrator.cli.lists import lines
-from orchestrator.scene.view_description import view_description
+from orchestrator.drive.view_description import view_description
 from orchestrator.ssp.dependencies import output_order
 from orchestrator.ssp.parameter_sets import parameter_sets, with_sets
 from orchestrator.ssp.swap import with_swaps

@@ -30,10 +30,10 @@ from orchestrator.check import check
 from orchestrator.check.read_ls_ref import resolve
 from orchestrator.check.rules import archive as archive_rules
 from orchestrator.check.subject import Subject
+from orchestrator.drive.view_description import FILE, view_description
 from orchestrator.fmi.library import find_library
 from orchestrator.fmi.raw_description import read_description
 from orchestrator.results.validate_system import _provenance
-from orchestrator.scene.view_description import FILE, view_description
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import open_component
 from orchestrator.ssp.write import write_ssp

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from kit import shards
 
+from orchestrator.drive.sticks import CraneFunctions, commands
 from orchestrator.realtime.setup import Array
 from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.view.choice import MachineChoice, plan
-from orchestrator.view.driving.sticks import CraneFunctions, commands
 
 HELD, WATCHED = 400, 400  # frames of 10 ms
 DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}

@@ -4,16 +4,16 @@ import sys
 from pathlib import Path
 
 from orchestrator.view import server
-from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
+from orchestrator.view.authority import ControlAuthority, OperatorStation
 
 
 class Volunteering(ControlAuthority):
     """Gives the controls to whoever connects while they are free."""
 
-    def connect(self, station: OperatorStation) -> int:
-        number = super().connect(station)
+    def join(self) -> OperatorStation:
+        station = super().join()
         self.take(station)
-        return number
+        return station
 
 
 if __name__ == "__main__":

@@ -13,16 +13,20 @@ from typing import Any
 
 import numpy as np
 import uvicorn
-from fastapi import FastAPI
 from kit.wait import LONG, until
 
 from fmus.machine.ssp import VIEW
 from orchestrator.base.toml import read, read_dataclass
-from orchestrator.scene.view_description import ViewDescription
+from orchestrator.drive.geometry import Start
+from orchestrator.drive.view_description import ViewDescription
+from orchestrator.realtime.setup import Timing
 from orchestrator.view.access import Guard, Rules, rules
-from orchestrator.view.driving import endpoint
-from orchestrator.view.driving.authority import ControlAuthority
+from orchestrator.view.authority import ControlAuthority
+from orchestrator.view.live import Pages
+from orchestrator.view.server import application
 from orchestrator.view.server_load import TimedConnection
+from orchestrator.view.session import SignalIndex
+from orchestrator.view.training import Training
 
 # how the harvester is driven, as its own description says
 DESCRIPTION = read_dataclass(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
@@ -47,6 +51,8 @@ class StandIn:
     still: dict[str, float] = field(default_factory=dict)
     state: str = "running"
     number: int = 0
+    exchanges: int = 0
+    factor: float = 1.0
 
     def command(self, values: Mapping[str, float]) -> None:
         self.commands.append(dict(values))
@@ -55,7 +61,9 @@ class StandIn:
         """A new frame; what drives it is at rest, but for what a test sets in `still`."""
         self.number += self.state == "running"
         axes = np.array([self.still.get(name, 0.0) for name in self.axes])
-        return SimpleNamespace(number=self.number, state=self.state, axes=axes)
+        values = np.array(self.frames[-1][1] if self.frames else [0.0] * len(self.signals))
+        named = {"number": self.number, "state": self.state, "axes": axes, "values": values}
+        return SimpleNamespace(t=0.01 * self.number, message="", timing=Timing(), **named)
 
     @property
     def moving(self) -> bool:
@@ -63,10 +71,20 @@ class StandIn:
         return bool(self.commands) and any(self.commands[-1].values())
 
     def since(self, number: int) -> tuple[Any, ...]:
-        part = self.frames[number + 1 :]
+        first = max(number + 1, 0)
+        part = self.frames[first:]
         values = np.array([row for _, row in part]).reshape(len(part), len(self.signals))
-        numbers = np.arange(number + 1, len(self.frames))
-        return numbers, np.array([t for t, _ in part]), np.empty((len(part), 0)), values
+        numbers = np.arange(first, first + len(part))
+        return numbers, np.array([t for t, _ in part]), np.zeros((len(part), len(self.axes))), values
+
+
+def pages(machine: StandIn, authority: ControlAuthority, training: Training | None = None) -> Pages:
+    """The pages of a machine without a scene."""
+    plan = SimpleNamespace(description=DESCRIPTION, geometry=None, start=Start())
+    session = SimpleNamespace(
+        machine=machine, index=SignalIndex(machine), plan=plan, span=None, title="", folders=()
+    )
+    return Pages(session, authority, training or Training(machine))
 
 
 @dataclass
@@ -83,13 +101,14 @@ class Server:
     def http(self) -> str:
         return f"http://127.0.0.1:{self.port}"
 
-    def socket(self, key: str) -> str:
-        return f"ws://127.0.0.1:{self.port}{endpoint.PATH}?station={key}"
+    @property
+    def socket(self) -> str:
+        return f"ws://127.0.0.1:{self.port}/live"
 
 
 @contextlib.contextmanager
 def serving(host: str = "127.0.0.1") -> Iterator[Server]:
-    """The websocket of the controls, one plain page, and the guard around both.
+    """The page, its websocket, and the guard around both.
 
     Its authority has so much timeout that a halt of this computer never uses it up, and no test waits for it:
     what rests does so for a reason. Silence comes by moving the authority's clock.
@@ -100,16 +119,8 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
         machine, lambda: MODES, clock=lambda: time.monotonic() + sum(passed), **limits
     )
     asked = rules(host)
-
-    @contextlib.asynccontextmanager
-    async def lifespan(_: FastAPI) -> Any:
-        async with endpoint.watching(authority):
-            yield
-
-    app = FastAPI(lifespan=lifespan)
-    endpoint.serve(app, authority)
+    app = application(pages(machine, authority))
     app.add_middleware(Guard, rules=asked)
-    app.get("/")(lambda: "the page")
     options = {"log_level": "error", "ws_max_size": 2**16, "ws": "websockets-sansio", "http": TimedConnection}
     server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, **options))
     thread = threading.Thread(target=server.run)

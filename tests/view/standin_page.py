@@ -1,22 +1,21 @@
-"""A page with nothing but the controls and the task, for a browser: `python standin_page.py PORT`."""
+"""The page of a machine without physics, for a browser: `python standin_page.py PORT`."""
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from nicegui import app, ui
-from view.standin import MODES, StandIn
+import uvicorn
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+from view.standin import MODES, StandIn, pages
 
+from orchestrator.drive.score import NEEDED
 from orchestrator.view.access import Guard, rules
-from orchestrator.view.driving import endpoint
-from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
-from orchestrator.view.task.score import NEEDED
-from orchestrator.view.task.training import Training
-from orchestrator.view.task.training import mount as mount_task
+from orchestrator.view.authority import ControlAuthority
+from orchestrator.view.server import application
 
 FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
 
@@ -34,32 +33,31 @@ class Machine(StandIn):
         super().command(values)
 
 
+class Counting(ControlAuthority):
+    """Counts the accepted messages of all pages, also of those that are closed."""
+
+    heard = 0
+
+    def hear(self, *arguments: object) -> bool:
+        accepted = super().hear(*arguments)
+        self.heard += accepted
+        return accepted
+
+
 def main(port: int) -> None:
     machine = Machine(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
     # a computer that does much else may halt for some seconds: that is no driver who went away
-    authority, training = ControlAuthority(machine, lambda: MODES, silence_limit=6.0), Training(machine)
+    authority = Counting(machine, lambda: MODES, silence_limit=6.0)
     machine.driver = lambda: authority.status().driver
-    stations: list[OperatorStation] = []
-    endpoint.serve(app, authority)
-    watchdog = endpoint.watching(authority)
-    app.on_startup(watchdog.__aenter__)
-    app.on_shutdown(lambda: watchdog.__aexit__(None, None, None))
+    app = application(pages(machine, authority))
+
+    async def last(_: Request) -> JSONResponse:
+        known = {"command": machine.commands[-1:], "rested": machine.rested, "heard": authority.heard}
+        return JSONResponse(known | asdict(authority.status()))
+
+    app.add_route("/last", last)
     app.add_middleware(Guard, rules=rules("127.0.0.1"))
-
-    @app.get("/last")
-    def last() -> dict[str, Any]:
-        heard = sum(station.counts["accepted"] for station in stations)
-        known = {"command": machine.commands[-1:], "rested": machine.rested, "heard": heard}
-        return known | vars(authority.status())
-
-    @ui.page("/")
-    def page() -> None:
-        stations.append(endpoint.mount(machine, authority))
-        ui.input("field")
-        mount_task(training)
-        ui.html("<div style='height: 3000px'></div>", sanitize=False)
-
-    ui.run(host="127.0.0.1", port=port, show=False, reload=False, show_welcome_message=False)
+    uvicorn.run(app, host="127.0.0.1", port=port, log_level="error", ws="websockets-sansio")
 
 
 main(int(sys.argv[1]))

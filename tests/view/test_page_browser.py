@@ -19,23 +19,21 @@ from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.machine import APART, RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import server as serving
+from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.choice import MachineChoice
-from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.server import Server
 from orchestrator.view.session import Session
 
 pytestmark = shards.browser
 
-DRAWN = "(number) => document.querySelector('.machine')?.dataset.drawn > number"
+DRAWN = "(number) => document.querySelector('.hm-stage')?.dataset.drawn > number"
+FOOT = "document.querySelector('.hm-foot').innerText"
 MOVED = 0.1  # rad; far more than creep of a machine that nobody drives
 
 
 @pytest.fixture(scope="session")
 def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The page of the real machine, in this process, so that a test can look at what moves.
-
-    NiceGUI serves once in a process, so pytest-xdist must not end this server and begin another one.
-    """
+    """The page of the real machine, in this process, so that a test can look at what moves."""
     results = tmp_path_factory.mktemp("results")
     times = np.linspace(0, 4, 401)
     angles = {"manipulator.boom_angle": 0.2 + 0.1 * times, "manipulator.stick_angle": -1.4 + 0 * times}
@@ -89,7 +87,7 @@ def close_windows(page: Any) -> None:
 
     def closed() -> bool:
         page.keyboard.press("Escape")
-        return until(lambda: page.locator(".q-dialog, .q-menu").count() == 0, 1.0)
+        return until(lambda: page.locator("dialog[open]").count() == 0, 1.0)
 
     assert until(closed)
 
@@ -105,7 +103,7 @@ def own(chromium: Any, server: Server) -> Iterator[Any]:
 
 def picture(page: Any) -> NDArray[np.float64]:
     """What is on the screen where the machine is, shape (rows, columns, 3), 0 to 1."""
-    found = image.imread(io.BytesIO(page.locator(".machine canvas").screenshot()))
+    found = image.imread(io.BytesIO(page.locator(".hm-stage canvas").screenshot()))
     return np.asarray(found[..., :3], dtype=np.float64)
 
 
@@ -157,13 +155,15 @@ def drive(page: Any, server: Server, key: str, done: Callable[[], bool]) -> None
 
 def test_loads(page: Any, server: Server) -> None:
     """No error in the console, nothing asked of other hosts; numbers, state, and rough edges on the page."""
-    page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('running')")
-    page.wait_for_function("() => document.querySelectorAll('.gauge').length > 8")
-    page.wait_for_function("() => parseFloat(document.querySelector('.gauge output').textContent) > 15")
+    page.wait_for_function(f"() => {FOOT}.includes('running')")
+    page.wait_for_function("() => document.querySelectorAll('.hm-gauge').length > 8")
+    page.wait_for_function("() => parseFloat(document.querySelector('.hm-gauge output').textContent) > 15")
     assert page.complaints == []
     assert page.hosts == {f"127.0.0.1:{server.port}"}
     # this browser has no graphics card, so the canvas is opened without smoothing
-    smooth = "document.querySelector('.machine canvas').getContext('webgl2').getContextAttributes().antialias"
+    smooth = (
+        "document.querySelector('.hm-stage canvas').getContext('webgl2').getContextAttributes().antialias"
+    )
     assert page.evaluate(smooth) is False
 
 
@@ -184,10 +184,10 @@ def test_machine_is_seen_and_moves(own: Any, server: Server) -> None:
 def test_pause_and_restart(page: Any, server: Server) -> None:
     """Pause stops the time, play goes on, restart begins at zero."""
     before = begin(server)
-    page.get_by_role("button", name="Play or pause").click()
+    page.get_by_role("button", name="Pause").click()
     assert comes_to(server, "paused")
-    page.wait_for_function("() => document.querySelector('.foot').innerText.includes('paused')")
-    page.get_by_role("button", name="Play or pause").click()
+    page.wait_for_function(f"() => {FOOT}.includes('paused')")
+    page.get_by_role("button", name="Go on").click()
     assert until(lambda: server.session.machine.latest().t > 1.0)
     page.get_by_role("button", name="Start again").click()
     assert until(lambda: begin(server) > before + APART / 2)
@@ -207,22 +207,22 @@ def test_keys_of_the_page(page: Any, server: Server) -> None:
         if not drives:
             take(page, server)
     assert server.authority.status().driver
-    page.get_by_role("button", name="Replay a result file").click()
-    page.get_by_role("combobox", name="File").press_sequentially("pause")
+    page.get_by_role("button", name="Replay").click()
+    page.get_by_role("combobox", name="File").press("p")
     assert server.session.machine.latest().state == "running"
     close_windows(page)
     page.keyboard.press("Home")
     assert until(lambda: not server.authority.status().driver)
 
 
-CAMERA = """() => { const { camera, controls } = getElement(document.querySelector('.machine').id.slice(1));
+CAMERA = """() => {
+  const { camera, controls } = document.querySelector('.harvester-machine').machine.scene.stage;
   return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
 
 
 def test_view_with_the_tip(page: Any, server: Server) -> None:
     """The view looks at the tip, from the same distance, before and after the tip has moved."""
-    page.get_by_role("button", name="View", exact=True).click()
-    page.get_by_text("With the tip").click()
+    page.get_by_role("button", name="tip", exact=True).first.click()
 
     def looked_at() -> bool:
         *target, away = page.evaluate(CAMERA)
@@ -242,20 +242,11 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
 
 def test_less_to_draw(own: Any) -> None:
     """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
-    own.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
-    own.locator(".machine[data-detail=low]").wait_for()
-    drawn = int(own.evaluate("document.querySelector('.machine').dataset.drawn"))
+    own.evaluate("() => document.querySelector('.harvester-machine').machine.slow()")
+    own.locator(".hm-stage[data-detail=low]").wait_for()
+    drawn = int(own.evaluate("document.querySelector('.hm-stage').dataset.drawn"))
     own.wait_for_function(DRAWN, arg=drawn + 1)
     assert picture(own).std() > 0.05, "a blank picture has no contrast"
-
-
-def test_a_tooltip_does_not_cover_the_menu(page: Any) -> None:
-    """The tooltip of a button is seen until its menu opens below it."""
-    page.get_by_role("button", name="View", exact=True).hover()
-    page.locator(".q-tooltip").get_by_text("View").wait_for()
-    page.get_by_role("button", name="View", exact=True).click()
-    page.get_by_text("Quarter").wait_for()
-    assert page.locator(".q-tooltip:visible").count() == 0
 
 
 def test_asking_hides_nothing(own: Any, server: Server) -> None:
@@ -268,59 +259,58 @@ def test_asking_hides_nothing(own: Any, server: Server) -> None:
     ask = second.get_by_role("button", name="Request controls")
     assert ask.bounding_box()["width"] == pytest.approx(wide, abs=0.5)  # px: rounding of the layout
     ask.click()
-    told = second.locator(".q-notification").get_by_text("requested; the driver has to release the controls")
+    told = second.get_by_role("alert").get_by_text("requested; the driver has to release the controls")
     told.wait_for()
     box = told.bounding_box()
-    assert box["y"] + box["height"] < second.locator(".hands").bounding_box()["y"]
+    assert box["y"] + box["height"] < second.locator(".hm-hands").bounding_box()["y"]
 
 
 def test_task_in_a_line(page: Any) -> None:
     """The panel is a line with the way to the target; there is no table before the first attempt is over."""
     page.get_by_role("button", name="Training task").click()
     page.get_by_text("pick: ").wait_for()
-    assert page.locator(".task").bounding_box()["height"] < 120, "a line or two, not a table over the boom"
-    assert not page.locator(".task .q-table").is_visible()
+    assert page.locator(".hm-task").bounding_box()["height"] < 120, "a line or two, not a table over the boom"
+    assert not page.locator(".hm-task table").is_visible()
+    page.get_by_role("button", name="Training task").click()
 
 
 def test_speed_is_that_of_the_machine(page: Any, server: Server) -> None:
     """What another page has chosen is shown here, too."""
     server.session.machine.speed(0.5)
-    page.wait_for_function("() => document.querySelector('.speed').innerText.includes('0.5')")
-    page.get_by_role("combobox", name="Speed").click()
-    page.get_by_role("option", name="\N{MULTIPLICATION SIGN} 1", exact=True).click()
+    page.wait_for_function("() => document.querySelector('.hm-speed').value === '0.5'")
+    page.get_by_role("combobox", name="Speed").select_option("1")
     assert until(lambda: server.session.machine.factor == 1.0)
 
 
 def test_pose_and_fidelity(page: Any, server: Server) -> None:
     """Another pose and another variant, chosen on the page, start the machine anew as these."""
-    page.get_by_role("button", name="Pose and fidelity").click()
+    page.get_by_role("button", name="Machine", exact=True).click()
     for label, option in (("Pose", "reach"), ("Manipulator", "pendulum")):
-        page.get_by_role("combobox", name=label).click()
-        page.get_by_role("option", name=option, exact=True).click()
+        page.get_by_role("combobox", name=label).select_option(option)
     page.get_by_role("button", name="Start", exact=True).click()
     assert until(lambda: server.session.plan.choice.pose == "reach")
     assert comes_to(server, "running")
     first = server.session.machine.trace()["manipulator.stick_angle"][0]
     assert first == pytest.approx(-0.65, abs=1e-6)  # it creeps afterwards; rounding of the file
-    page.wait_for_function("() => document.querySelector('.gauges').innerText.includes('Head, sideways')")
+    page.wait_for_function("() => document.querySelector('.hm-panel').innerText.includes('Head, sideways')")
 
 
 def test_replay(page: Any, server: Server) -> None:
     """A result file is played and cannot be driven; from there it goes back to the live machine."""
-    page.get_by_role("button", name="Replay a result file").click()
-    page.get_by_role("button", name="Replay", exact=True).click()
+    page.get_by_role("button", name="Replay").click()
+    page.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
     assert until(lambda: server.session.replaying)
-    page.wait_for_function("() => document.querySelector('.bar .title').innerText.includes('rising.csv')")
+    page.wait_for_function("() => document.querySelector('.hm-mode').innerText.includes('rising.csv')")
     assert until(lambda: angle(server, "boom") > 0.3)
     server.session.machine.pause()  # a click may take longer than the file
-    slider = page.get_by_role("slider", name="Time of the replay")
+    slider = page.get_by_role("slider", name="Time")
     slider.click(position={"x": 0.1 * slider.bounding_box()["width"], "y": 8})
     assert until(lambda: angle(server, "boom") < 0.3)
     server.session.machine.play()
     assert comes_to(server, "ended")
     page.get_by_text("end of the replay: press P to repeat it").wait_for()
     assert not server.session.machine.drives
-    page.get_by_role("button", name="Back to the live machine").click()
+    page.get_by_role("button", name="Live machine").click()
     assert until(lambda: server.session.machine.drives)
 
 
@@ -329,12 +319,12 @@ def test_save(page: Any, tmp_path: Path) -> None:
     from orchestrator.data.trace import read_trace
 
     with page.expect_download() as loaded:
-        page.get_by_role("button", name="Save the session").click()
+        page.get_by_role("button", name="Save the drive").click()
     found = read_trace(loaded.value.path().rename(tmp_path / "session.parquet"))
     assert {"boom_command", "manipulator.boom_angle"} <= set(found.signals)
 
 
 def test_help(page: Any) -> None:
     """The map of the keys opens over the page."""
-    page.get_by_role("button", name="Keys, sticks and mouse").click()
-    page.locator(".window").get_by_text("the machine rests without it").wait_for()
+    page.get_by_role("button", name="Keys").click()
+    page.locator("dialog").get_by_text("the machine rests without it").wait_for()

@@ -21,14 +21,23 @@ from websockets.sync.client import connect
 POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.head_mass=900")
 RECORDING = "recording.csv"  # of a test rig, with names of its own
 get = partial(httpx.get, timeout=LONG)
-SOCKET = "_nicegui_ws/socket.io/?EIO=4"
 NONSENSE = (
-    *("", "garbage", "9", "42", "42[", "42{}", "42[]", '42["event"]', '42["event",null]', '42["event",{}]'),
-    *('42["handshake",{}]', '42["handshake",{"client_id":"x","tab_id":"y"}]'),
-    '42["ack",{"client_id":1e999}]',
-    *('42["javascript_response",{"client_id":"x","request_id":"y"}]', '42["log",null]', "42" + "[" * 30_000),
-    *('451-["event",{"_placeholder":true,"num":0}]', '459999999-["event"]', '0{"sid":1}', "2probe"),
-    *("x" * 100_000, b"\x00" * 100_000, os.urandom(100)),
+    *(
+        "",
+        "garbage",
+        "[]",
+        "{}",
+        '{"do":null}',
+        '{"do":"shown"}',
+        '{"do":"replay","file":1e999}',
+        '{"do":"task","what":{}}',
+    ),
+    *(
+        '{"do":"start","system":"x.ssp","pose":"","swap":{}}',
+        '{"do":"choose","mode":"x"}',
+        '{"do":"set","name":"x","value":1}',
+    ),
+    *('{"do":"save"' + "[" * 3000, "x" * 100_000, b"\x00" * 100_000, os.urandom(100)),
 )
 
 opened = partial(connect, compression=None, open_timeout=LONG, ping_timeout=None)
@@ -51,18 +60,23 @@ def test_begins_and_ends(fmu_dir: Path, tmp_path: Path) -> None:
 
 
 def talk_nonsense(url: str) -> None:
-    """On the socket of the page itself, which is the library's."""
-    address = f"{url.replace('http', 'ws')}{SOCKET}&transport=websocket"
+    """On the socket of a page."""
+    address = f"{url.replace('http', 'ws')}live"
     for piece in NONSENSE:
         with contextlib.suppress(ConnectionClosed), opened(address) as socket:
-            socket.recv(timeout=LONG)
-            socket.send("40" + json.dumps({}))
+            assert "hello" in json.loads(socket.recv(timeout=LONG))
             socket.send(piece)
             # until it was read, or the connection was closed over it
             assert socket.ping(ack_on_close=True).wait(LONG)
-    for piece in (b"garbage", b"\x1e" * 10, b"x" * 2_000_000):
-        assert httpx.post(f"{url}{SOCKET}&transport=polling", content=piece, timeout=LONG).status_code == 405
-    assert get(f"{url}{SOCKET}&transport=polling").status_code == 400
+    assert httpx.post(f"{url}live", content=b"x" * 2_000_000, timeout=LONG).status_code == 405
+    assert get(f"{url}live").status_code == 404
+    for path in (
+        "result/../secret.csv",
+        "result/%2e%2e/secret.csv",
+        "result/nothing.csv",
+        "drive/../live.py",
+    ):
+        assert get(f"{url}{path}").status_code == 404
     with pytest.raises(InvalidStatus, match="403"), opened(address, origin="http://evil.example"):
         pass
 

@@ -1,35 +1,29 @@
-"""What the page is made of, without a browser: history, gauges, line of the state, frames to slow pages."""
+"""What the server of the page is made of: history, frames to slow pages, choices, files."""
 
 import math
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from kit.mistakes import problem, table
-from view.standin import DESCRIPTION
+from kit.mistakes import problem
 
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
+from orchestrator.drive.sticks import modes
+from orchestrator.drive.view_description import by_bare_name, view_description
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
-from orchestrator.scene.view_description import Chart, Gauge, Notice, by_bare_name, view_description
 from orchestrator.ssp.load import assemble, load
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants
-from orchestrator.view.driving.sticks import modes
-from orchestrator.view.page import AHEAD, LOST, Credit, notices
-from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes, options
-from orchestrator.view.panels.gauges import RealTimeFactor, cells, tip_limit
-from orchestrator.view.panels.gauges import figure as figure_of
+from orchestrator.view.live import AHEAD, BIN, LOST, WINDOW, Credit, History, chosen, extremes, offered
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, SignalIndex
 
@@ -64,42 +58,31 @@ class Recorded:
         return np.arange(first, len(self.rows)), table[:, 0], table[:, 1:2], table[:, 2:]
 
 
+def peaks(history: History) -> list[float]:
+    """Largest values of the signals."""
+    return list(np.concatenate(list(history.bins.values())).max(axis=0))
+
+
 def test_history() -> None:
     """A spike of one frame stays in sight for the window, and is gone after it; a restart begins anew."""
     machine = Recorded(rows=[(0.01 * k, 1.0, 9.0 if k == 137 else 0.5) for k in range(1000)])
     history = History(machine, SignalIndex(machine), ["boom_command", "boom_speed", "unknown"])
     history.look()
-    times, table = history.table()
-    assert history.names == ("boom_command", "boom_speed")
-    assert table.max(axis=0).tolist() == [1.0, 9.0]
-    assert (np.diff(times) > 0).all()
-    assert times[-1] == 0.0
+    *known, unknown = peaks(history)
+    assert known == [1.0, 9.0]
+    assert math.isnan(unknown), "a curve that is not in the file"
+    (last,) = history.since(49)
+    assert last == (49, [1.0, 0.5, None], [1.0, 0.5, None])
     machine.rows += [(0.01 * k, 1.0, 0.5) for k in range(1000, 1000 + round(WINDOW / 0.01))]
     history.look()
-    assert history.table()[1].max() == 1.0
-    assert len(history.table()[0]) <= 2 * (WINDOW / BIN + 1)
+    assert peaks(history)[1] == 0.5
+    assert len(history.bins) <= WINDOW / BIN + 1
     machine.rows += [(0.01 * k, 0.0, 0.1) for k in range(50)]
     history.look()
-    assert history.table()[1].max() == 0.1
+    assert peaks(history)[1] == 0.1
     empty = History(machine, SignalIndex(machine), ["unknown"])
     empty.look()
-    assert empty.table()[0].size == 0, "none of the curves is in the file"
-
-
-def test_figures() -> None:
-    """Numbers come in the units that people read, bars begin at zero, what is not known is a dash."""
-    gauges = {gauge.name: gauge for group in DESCRIPTION.gauges for gauge in group.lines}
-
-    def figure(gauge: Gauge, value: float) -> list[Any]:
-        return figure_of(gauge, value, DESCRIPTION.full_pressure)
-
-    assert figure(gauges["supply_pressure"], 20.68e6)[:3] == ["20.7", 0.0, 0.827]
-    text, begin, end, *_ = figure(gauges["swing_speed"], math.radians(-30))
-    assert (text, begin, end) == ("\N{MINUS SIGN}30", 0.25, 0.5)
-    assert figure(gauges["tip_radius"], math.nan)[0] == "\N{EN DASH}"
-    assert figure(gauges["boom_rod_pressure"], -1e5)[-1] == "cavitates"
-    assert figure(gauges["boom_rod_pressure"], -1e3)[-1] == "", "the sound of a pressure at rest is no void"
-    assert figure(gauges["tip_radial_velocity"], -1e-4)[0] == "0", "no minus sign at rest"
+    assert empty.bins == {}, "none of the curves is in the file"
 
 
 def test_credit() -> None:
@@ -158,13 +141,44 @@ def bench(fmu_dir: Path) -> System:
 
 
 def test_a_machine_without_a_description(bench: System, tmp_path: Path) -> None:
-    """Its outputs are gauges in the units that people read, and charts; nothing is drawn or driven."""
+    """Its outputs are gauges in the units that people read, and charts; its free inputs have sliders."""
     found = plan(MachineChoice(write_ssp(bench, tmp_path / "bench.ssp")))
     lines = {line.name: line for group in found.description.gauges for line in group.lines}
     assert lines["swing_pressure_a"].unit == "bar"
     assert set(found.description.curves) <= set(lines) == {p.rpartition(".")[2] for p in found.setup.signals}
-    assert (found.geometry, found.setup.axes, dict(found.description.modes)) == (None, (), {})
+    assert (found.geometry, dict(found.description.modes)) == (None, {})
     assert len(lines) <= len(bench.ports("output"))
+    sliders = {slider.name: slider for slider in found.description.sliders}
+    axes = {axis.name: axis for axis in found.setup.axes}
+    assert set(sliders) == set(axes)
+    assert {"swing_command", "supply_pressure"} <= set(axes)
+    assert not [name for name in axes if name.endswith("_rate")], "slopes follow their input"
+    supply = axes["supply_pressure"]
+    assert supply.rest == pytest.approx(sliders["supply_pressure"].start)
+    assert supply.limit >= abs(supply.rest)
+
+
+def test_only_what_is_offered_is_started(fmu_dir: Path) -> None:
+    """A page chooses among the systems of the folder and their variants, not other files."""
+    now = MachineChoice(fmu_dir / "harvester.ssp", "", {"swing": "detailed"})
+    offer = offered(now)
+    assert {"harvester.ssp", "harvester_control.ssp"} <= set(offer["systems"])
+    assert offer["chosen"] == {"system": "harvester.ssp", "pose": "", "swap": {"swing": "detailed"}}
+    asked = {
+        "system": "harvester.ssp",
+        "pose": "reach",
+        "swap": {"swing": "usual", "manipulator": "pendulum"},
+    }
+    found = chosen(now, asked)
+    assert (found.pose, dict(found.swap)) == ("reach", {"manipulator": "pendulum"})
+    for wrong in (
+        {"system": "../x.ssp"},
+        {"system": None},
+        {"pose": 1},
+        {"swap": {"swing": "/tmp/x.fmu"}},
+        {"swap": {"x": "y"}},
+    ):
+        problem(lambda wrong=wrong: chosen(now, asked | wrong))
 
 
 ONE_GAUGE = 'charts = []\n[[gauges]]\ntitle = "a"\nlines = [{name = "x", text = "x", unit = "%s", high = %d}]'
@@ -230,64 +244,3 @@ def test_port_in_use() -> None:
         message = problem(lambda: bound("127.0.0.1", port))
     assert message.startswith(f"--host 127.0.0.1 --port {port}: cannot listen: ")
     assert message.endswith("; --port 0 selects a free port")
-
-
-@pytest.mark.parametrize(("force", "shown"), [(0.0, []), (999.0, []), (-2e3, ["at an end"]), (math.nan, [])])
-def test_an_end_of_stroke_is_noticed(force: float, shown: list[str]) -> None:
-    """Above the value of the notice, of either sign; not without the signal."""
-    described = replace(DESCRIPTION, notices=(Notice("stop_force", 1e3, "at an end"), Notice("x", 0.0, "x")))
-    index = SignalIndex(SimpleNamespace(signals=("arm.stop_force",), axes=()))
-    frame = SimpleNamespace(axes=np.zeros(0), values=np.array([force]))
-    assert notices(described, index, frame) == shown
-
-
-PULSE = Timing()
-NAMES = ("engaged", "reference_share", "stroke_use", "speed_use")
-
-
-def frame(t: float = 1.0, state: str = "running", message: str = "", timing: Timing = PULSE) -> Frame:
-    return Frame(1, t, np.zeros(0), np.zeros(0), state, message, timing)
-
-
-def test_clock() -> None:
-    """The factor is simulated over real time, and nothing is told right after a pause."""
-    now = [0.0]
-    clock = RealTimeFactor(lambda: now[0])
-    for k in range(20):
-        now[0] = 0.1 * k
-        clock.look(frame(t=0.05 * k))
-    assert clock.factor == pytest.approx(0.5)
-    clock.look(frame(t=0.95, state="paused"))
-    assert clock.factor is None
-
-
-def test_cells() -> None:
-    """Missed deadlines and latency are told of a live machine, the reason of a failure in any case."""
-    timing = Timing(frames=1000, missed=10, latency=(4e-4, 1e-3, 2e-2), load=0.05)
-    live = dict((name, text) for name, text, _ in cells(frame(timing=timing), 1.0, drives=True))
-    assert live["missed"] == "10 of 1000 (1.00 %)"
-    assert live["latency"] == "0.4 ms, 99 % 1.0, worst 20.0"
-    replayed = cells(frame(timing=timing), 1.0, drives=False)
-    assert next(text for _, text, _ in replayed) == "replaying"
-    assert "missed" not in [name for name, *_ in replayed]
-    assert cells(frame(state="failed", message="it broke"), None, drives=True)[-1][1:] == ("it broke", "bad")
-
-
-@table(__file__, "limits", "values, told")
-def test_what_holds_the_tip(values: tuple[float, ...], told: str) -> None:
-    """The limit that is used most has a cell of its own while the controller is on, else the wait has."""
-    machine = SimpleNamespace(signals=NAMES, axes=())
-    now = Frame(1, 1.0, np.zeros(0), np.array(values), "running", "", PULSE)
-    held = tip_limit(SignalIndex(machine), now)
-    assert held == told
-    shown = {name: text for name, text, _ in cells(now, 1.0, drives=True, limited=held)}
-    assert shown.get("tip", "") == told
-    assert tip_limit(SignalIndex(SimpleNamespace(signals=(), axes=())), now) == "", "no controller"
-
-
-@pytest.mark.parametrize("chart", DESCRIPTION.charts, ids=lambda chart: chart.title)
-def test_time_axis_has_a_unit(chart: Chart) -> None:
-    """Each label of the time axis says s; the unit of the other axis stands in the title."""
-    assert options(chart)["title"]["text"].endswith(f"[{chart.unit}]")
-    assert options(chart)["xAxis"]["axisLabel"]["formatter"] == "{value} s"
-    assert "formatter" not in options(chart)["yAxis"]["axisLabel"]

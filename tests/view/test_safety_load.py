@@ -1,21 +1,16 @@
 """What a server bears: floods of requests and of silent connections leave the driver and the page alone."""
 
-import asyncio
 import contextlib
 import http.client
 import json
-import re
 import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 from urllib.parse import urlsplit
 
 import httpx
@@ -26,7 +21,7 @@ from view.standin import Server, serving
 from websockets.sync.client import connect
 
 from orchestrator.view import server_load
-from orchestrator.view.server_load import WAITING, PageInterval
+from orchestrator.view.server_load import WAITING
 
 get = partial(httpx.get, timeout=LONG)
 HALF = b"GET / HTTP/1.1\r\nHost: 127."
@@ -47,10 +42,8 @@ class Driver:
     """Holds the dead-man like a browser, 33 times a second, and notes what the server answers."""
 
     def __init__(self, url: str) -> None:
-        found = re.search(r"station\W+([\w-]{22})", get(url).text)
-        assert found
         self.live: list[bool] = []
-        self._address, self._end = f"ws{url[4:]}/controls?station={found[1]}", threading.Event()
+        self._address, self._end = f"ws{url[4:]}/live", threading.Event()
         self._thread = threading.Thread(target=self._drive)
         self._thread.start()
         assert until(lambda: any(self.live))
@@ -67,7 +60,7 @@ class Driver:
         hearing.join()
 
     def _hear(self, raw: str | bytes) -> None:
-        self.live.append(json.loads(raw)["live"])
+        self.live += [status["live"]] if (status := json.loads(raw).get("status")) else []
 
     def stop(self) -> None:
         self._end.set()
@@ -82,7 +75,7 @@ def fetch(url: str, path: str, answers: list[int]) -> None:
 
 
 @shards.faults
-@pytest.mark.parametrize(("path", "expected"), [("/", {200}), ("/any", {404}), ("/_nicegui/any", {404})])
+@pytest.mark.parametrize(("path", "expected"), [("/", {200}), ("/any", {404}), ("/drive/any", {404})])
 def test_flood_of_requests(served: str, path: str, expected: set[int]) -> None:
     """100 requests within 3 s, for the page or anything else: the driver goes on driving."""
     driver, answers = Driver(served), list[int]()
@@ -94,37 +87,6 @@ def test_flood_of_requests(served: str, path: str, expected: set[int]) -> None:
     driver.stop()
     assert until(lambda: len(answers) == 100)
     assert expected <= set(answers) <= {*expected, 503}
-
-
-def test_interval_of_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages wait for one interval more each; beyond the queue the browser is told to load again."""
-    monkeypatch.setattr(server_load, "INTERVAL", 0.25)
-    monkeypatch.setattr(server_load, "QUEUE", 3)
-    waits, begun, sent = list[float](), list[str](), list[dict[str, Any]]()
-
-    async def sleep(seconds: float) -> None:
-        waits.append(seconds)
-
-    async def page(scope: dict[str, Any], *_: object) -> None:
-        begun.append(scope["path"])
-
-    async def send(message: dict[str, Any]) -> None:
-        sent.append(message)
-
-    async def ask(path: str, count: int) -> None:
-        for _ in range(count):
-            await paced({"type": "http", "path": path}, page, send)
-
-    monkeypatch.setattr(server_load, "asyncio", SimpleNamespace(sleep=sleep))
-    monkeypatch.setattr(server_load, "time", SimpleNamespace(monotonic=lambda: 100.0))
-    paced = PageInterval(page)
-    with ThreadPoolExecutor(1) as apart:  # this thread may have the event loop of a browser
-        apart.submit(asyncio.run, ask("/", 10)).result()
-        apart.submit(asyncio.run, ask("/style.css", 10)).result()
-    assert waits == [0.0, 0.25, 0.5, 0.75]
-    starts = [message for message in sent if "status" in message]
-    assert [(s["status"], (b"refresh", b"1") in s["headers"]) for s in starts] == 6 * [(503, True)]
-    assert begun == 4 * ["/"] + 10 * ["/style.css"]
 
 
 def opened(port: int, first: bytes) -> socket.socket:
@@ -184,13 +146,12 @@ def test_incomplete_header(hasty: Server, first: bytes) -> None:
 
 def test_complete_requests_stay(hasty: Server) -> None:
     """A websocket, and a connection with one request after the other, live longer than a header may take."""
-    station = hasty.authority.join()
     asking = http.client.HTTPConnection("127.0.0.1", hasty.port, timeout=LONG)
-    with contextlib.closing(asking), connect(hasty.socket(station.key), open_timeout=LONG):
+    with contextlib.closing(asking), connect(hasty.socket, open_timeout=LONG):
         kept = None
         for _ in range(6):  # 0.6 s, twice the time of a header
             asking.request("GET", "/")
             asking.getresponse().read()
             assert asking.sock is (kept := kept or asking.sock)
             time.sleep(0.1)
-        assert station.connected
+        assert hasty.authority.stations

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.base.errors import Problem
-from orchestrator.view.driving.authority import Message, TokenBucket, parse
-from orchestrator.view.driving.sticks import StickAxes
+from orchestrator.drive.sticks import StickAxes
+from orchestrator.view.authority import Message, TokenBucket, parse
 
 GOOD = {"n": 3, "sticks": [0, -1, 0.25, 1], "dead_man": True}
 

@@ -1,0 +1,342 @@
+"""The view description of a machine: the file `resources/view.toml` in its SSP or in one of its FMUs.
+
+It declares the inputs that an operator drives and how the functions of the sticks act on them, the signals of
+gauges and charts, and the joints and pressures of the drawing. Names are bare, without their component. Names
+that a system does not have are ignored. A system without the file has sliders for its free inputs, and gauges
+and charts for its outputs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
+from orchestrator.base.toml import read as read_toml
+from orchestrator.base.units import parse_unit, reader_unit
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.ssp.system import Port, System
+
+FILE = "view.toml"
+# Pa, gauge pressure; below it a gauge shows "cavitates": a cavity of some 2 mL (fmus/components/chamber.py)
+CAVITATION = -5e4
+MOST_GAUGES, MOST_CHARTS, MOST_CURVES, MOST_SLIDERS = 24, 3, 7, 24  # for a system without the file
+RANGE = 200.0  # range of its gauges, in the displayed unit
+PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
+
+
+@dataclass(frozen=True)
+class DrivenInput:
+    """An input that takes commands. Its name is the first of `name` that is an input of the system.
+
+    limit        largest magnitude, in the unit of the FMU
+    rate         largest change per second, in that unit, also towards rest
+    rest         value without a command
+    rest_delay   time for which it keeps its value before it goes to rest [s]
+    """
+
+    name: Annotated[tuple[str, ...], SOME]
+    limit: float
+    rate: float
+    rest: float = 0.0
+    rest_delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class FullDeflection:
+    """For each crane function: input -> its value at full deflection."""
+
+    swing: Mapping[str, float] = field(default_factory=dict)
+    boom: Mapping[str, float] = field(default_factory=dict)
+    stick: Mapping[str, float] = field(default_factory=dict)
+    curl: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FunctionLabels:
+    """Labels of the positive and the negative end of a crane function."""
+
+    boom: Annotated[tuple[str, ...], PAIR] = ("boom up", "boom down")
+    stick: Annotated[tuple[str, ...], PAIR] = ("stick in", "stick out")
+
+
+@dataclass(frozen=True)
+class DriveMode:
+    """Inputs that the functions of the sticks (swing, boom, stick, curl) drive.
+
+    constant   input -> its value while the machine is driven; the mode requires all of these inputs
+    words      labels at the ends of the sticks
+    """
+
+    full: FullDeflection
+    constant: Mapping[str, float] = field(default_factory=dict)
+    words: FunctionLabels = FunctionLabels()
+
+    @property
+    def inputs(self) -> set[str]:
+        """The inputs that it sets."""
+        return {name for driven in (self.constant, *vars(self.full).values()) for name in driven}
+
+    def drives(self, inputs: Collection[str]) -> bool:
+        """Can a machine with these inputs be driven in this mode?"""
+        any_input = any(name in inputs for driven in vars(self.full).values() for name in driven)
+        return any_input and all(name in inputs for name in self.constant)
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """One gauge: a signal in SI units, its label, the displayed unit, and the range of its bar."""
+
+    name: str
+    text: str
+    unit: str
+    high: float
+    low: float = 0.0
+    digits: int = 1
+
+    def __post_init__(self) -> None:
+        parse_unit(self.unit, f"gauge {self.name}")
+        if not self.high > self.low:
+            raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
+
+    @property
+    def factor(self) -> float:
+        """Factor from SI to the displayed unit."""
+        return 1.0 / parse_unit(self.unit).factor
+
+    @property
+    def is_pressure(self) -> bool:
+        """Is it a pressure? Then the bar has the colour of the pressure."""
+        return parse_unit(self.unit).base() == parse_unit("Pa").base()
+
+
+@dataclass(frozen=True)
+class GaugeGroup:
+    """A titled group of gauges."""
+
+    title: str
+    lines: tuple[Gauge, ...]
+
+
+@dataclass(frozen=True)
+class ChartCurve:
+    """One curve: a signal in SI units. dashed: the second of a pair."""
+
+    name: str
+    text: str
+    colour: str
+    dashed: bool = False
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Curves over time.
+
+    ends   possible upper ends of the axis; the first that includes all values is used
+    both   True: the axis is symmetric; False: it begins at zero
+    """
+
+    title: str
+    unit: str
+    curves: tuple[ChartCurve, ...]
+    ends: Annotated[tuple[float, ...], SOME]
+    both: bool = True
+
+    def __post_init__(self) -> None:
+        parse_unit(self.unit, f"chart {self.title}")
+
+    @property
+    def factor(self) -> float:
+        """Factor from SI to the displayed unit."""
+        return 1.0 / parse_unit(self.unit).factor
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A slider of the machine on a page: an input, or a tunable parameter, in SI units.
+
+    unit         displayed unit; low, high and step are in this unit
+    rate         largest change of an input per second [SI unit/s]
+    start        value at the beginning
+    """
+
+    name: str
+    text: str
+    unit: str
+    low: float
+    high: float
+    step: float
+    rate: float = 0.0
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        parse_unit(self.unit, f"slider {self.name}")
+        if not self.high > self.low:
+            raise Problem(f"slider {self.name}: expected an end above {self.low:g}, got {self.high:g}")
+
+
+@dataclass(frozen=True)
+class SceneSignals:
+    """Signals that move and colour the drawing.
+
+    joints      angles of swing, boom, stick, and head in the plane of the arm and out of it
+    initial     parameters with the initial angles of swing, boom and stick
+    pressures   part of the drawing -> its pressure
+    """
+
+    joints: Annotated[tuple[str, ...], Rule("five angles", lambda value: len(value) == 5)]
+    initial: Annotated[tuple[str, ...], Rule("three parameters", lambda value: len(value) == 3)]
+    pressures: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A text that is shown while the magnitude of a signal is above a value, in the unit of the FMU."""
+
+    name: str
+    above: float
+    text: str
+
+
+@dataclass(frozen=True)
+class ViewDescription:
+    """Content of the file. full_pressure: end of the colour scale [Pa]; signals: also recorded."""
+
+    gauges: tuple[GaugeGroup, ...]
+    charts: tuple[Chart, ...]
+    full_pressure: float = 25e6
+    signals: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
+    axes: tuple[DrivenInput, ...] = ()
+    modes: Mapping[str, DriveMode] = field(default_factory=dict)
+    scene: SceneSignals | None = None
+    sliders: tuple[Slider, ...] = ()
+
+    @property
+    def curves(self) -> tuple[str, ...]:
+        """The signals of the charts."""
+        return tuple(curve.name for chart in self.charts for curve in chart.curves)
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """All signals that the page uses, in the order in which they are recorded."""
+        scene = self.scene
+        drawn = (*scene.joints, *scene.pressures.values()) if scene else ()
+        gauges = (line.name for group in self.gauges for line in group.lines)
+        return tuple(
+            dict.fromkeys((*drawn, *gauges, *self.curves, *(n.name for n in self.notices), *self.signals))
+        )
+
+    def driven(self, system: System) -> Mapping[str, DrivenInput]:
+        """Inputs that an operator drives, by name. Raises `Problem` if none of those in the file exists."""
+        inputs = {port.variable for port in system.ports("input")}
+        named = [(next((n for n in a.name if n in inputs), None), a) for a in self.axes]
+        axes = {name: driven for name, driven in named if name}
+        if self.axes and not axes:
+            raise Problem(
+                f"{system.source or system.name}: expected an input to drive, such as"
+                f" {self.axes[0].name[-1]}, found {', '.join(sorted(inputs)[:6]) or 'none'}"
+            )
+        return axes
+
+    def watched(self, system: System) -> tuple[str, ...]:
+        """`component.variable` of the shown outputs that the system has.
+
+        Outputs with the name of a driven input, such as those of a lever program, are left out.
+        """
+        driven = self.driven(system)
+        outputs = by_bare_name(str(port) for port in system.ports("output"))
+        return tuple(dict.fromkeys(outputs[n] for n in self.shown if n in outputs and n not in driven))
+
+
+def view_description(system: System) -> ViewDescription:
+    """The file of a system or of its first FMU that has one; else gauges and charts of its outputs."""
+    name, source = f"resources/{FILE}", system.source
+    files = [source.resolve(name)] if source and str(source).endswith(".ssd") else []
+    files += [component.source.member(name) for component in system.components.values() if component.source]
+    file = next((file for file in files if file.exists), None)
+    if file is None:
+        return of_variables(system)
+    return read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES)))
+
+
+def of_variables(system: System) -> ViewDescription:
+    """Gauges for the real outputs, grouped by unit, charts of the first, and sliders for the free inputs."""
+    names = by_bare_name(str(port) for port in system.ports("output"))
+    outputs = {bare: system.variable(system.port(name)) for bare, name in names.items()}
+    by_unit = dict[str, list[str]]()
+    for bare, variable in [(n, v) for n, v in outputs.items() if v.is_real][:MOST_GAUGES]:
+        by_unit.setdefault(_shown_unit(variable), []).append(bare)
+    groups = tuple(
+        GaugeGroup(unit, tuple(Gauge(n, n.replace("_", " "), unit, RANGE, -RANGE) for n in bare))
+        for unit, bare in by_unit.items()
+    )
+    ends = tuple(m * 10.0**k for k in range(-3, 7) for m in (1, 2, 5))
+    charts = []
+    for unit, shown in list(by_unit.items())[:MOST_CHARTS]:
+        named = zip(shown[:MOST_CURVES], COLOURS, strict=False)
+        curves = tuple(ChartCurve(name, name.replace("_", " "), colour) for name, colour in named)
+        charts.append(Chart("Outputs", unit, curves, ends))
+    sliders = tuple(_slider(system, port) for port in _free_inputs(system)[:MOST_SLIDERS])
+    return ViewDescription(groups, tuple(charts), axes=tuple(map(_axis, sliders)), sliders=sliders)
+
+
+def _free_inputs(system: System) -> list[Port]:
+    """Real inputs without a connection, but for those that take the slope of another one."""
+    taken = {connection.target for connection in system.connections}
+    for name, component in system.components.items():
+        taken |= {Port(name, slope) for slope in component.interface.rate_inputs.values()}
+    free = {port.variable: port for port in system.ports("input") if port not in taken}
+    return [port for port in free.values() if system.variable(port).is_real]
+
+
+def _slider(system: System, port: Port) -> Slider:
+    """From the declared minimum to the maximum, else as far around the start value as it is large."""
+    variable, start = system.variable(port), system.components[port.component].value(port.variable)
+    start = float(start) if math.isfinite(float(start)) else 0.0
+    reach = 2 * abs(start) or variable.nominal or 1.0
+    low = start - reach if variable.minimum is None else variable.minimum
+    high = start + reach if variable.maximum is None else variable.maximum
+    if not low < high:
+        low, high = start - reach, start + reach
+    unit = _shown_unit(variable)
+    factor = 1 / parse_unit(unit).factor
+    step = 10.0 ** math.floor(math.log10(factor * (high - low) / 200))
+    text = port.variable.replace("_", " ")
+    return Slider(port.variable, text, unit, factor * low, factor * high, step, high - low, start)
+
+
+def _axis(slider: Slider) -> DrivenInput:
+    """The input of a slider: it goes from end to end within 1 s, and rests at its start value."""
+    factor = parse_unit(slider.unit).factor
+    limit = max(abs(slider.low), abs(slider.high), 1e-12) * factor
+    return DrivenInput((slider.name,), limit, slider.rate, slider.start)
+
+
+def _shown_unit(variable: FmuVariable) -> str:
+    """The displayed unit; "1" for an unknown unit."""
+    unit = variable.unit.name if variable.unit else "1"
+    try:
+        parse_unit(unit)
+    except Problem:
+        return "1"
+    return reader_unit(unit)
+
+
+def by_bare_name(names: Iterable[str]) -> Mapping[str, str]:
+    """Bare name -> full name.
+
+    If several components have the name, the one whose name is its prefix is used: `supply_flow` is the
+    variable of `supply`, not of a drive.
+    """
+    full = dict[str, str]()
+    for name in names:
+        component, _, bare = name.rpartition(".")
+        if bare not in full or (component and bare.startswith(component.rpartition(".")[2])):
+            full[bare] = name
+    return full

@@ -1,0 +1,185 @@
+// Numbers beside the picture: gauges, sliders, and the line of the state. Written to the page directly, a few times a
+// second, and only what has changed.
+
+const SPAN = 2000; // ms over which the real-time factor is measured
+const MISSED = 0.005; // fraction of missed frames that is still good
+const FULL = 0.9; // fraction of the commanded speed that counts as full speed
+const ENGAGED = 0.5; // value of `engaged`, 0 to 1, above which the controller moves the tip
+const TONES = { running: "good", failed: "bad" };
+
+export const make = (tag, properties = {}, ...children) => {
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...children);
+  return element;
+};
+
+export const write = (element, text) => {
+  if (element.textContent !== text) element.textContent = text;
+};
+
+// colour of a pressure [Pa] on the scale from zero to `full`; grey if it is not finite
+export function colour({ scale, unknown, full }, pressure) {
+  if (!Number.isFinite(pressure)) return unknown;
+  return scale[Math.round(Math.min(1, Math.max(0, pressure / full)) * (scale.length - 1))];
+}
+
+// a value in the unit of its gauge, begin and end of the bar as fractions of its length, and a warning or empty
+export function figure(gauge, value, cavitation) {
+  const share = (shown) => Math.min(1, Math.max(0, (shown - gauge.low) / (gauge.high - gauge.low)));
+  const shown = value * gauge.factor;
+  if (!Number.isFinite(shown)) return { text: "–", begin: share(0), end: share(0), warning: "" };
+  const [begin, end] = [share(0), share(shown)].sort((a, b) => a - b);
+  const text = shown.toFixed(gauge.digits).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−");
+  return { text, begin, end, warning: gauge.coloured && value < cavitation ? "cavitates" : "" };
+}
+
+export class Gauges {
+  constructor(place, data, names) {
+    [this.data, this.lines] = [data, []];
+    place.replaceChildren();
+    for (const { title, lines } of data.gauges) {
+      const present = lines.filter((line) => names.has(line.name));
+      if (!present.length) continue;
+      const heading = make("p", { className: "hm-title", textContent: title });
+      place.append(make("div", { className: "hm-group" }, heading, ...present.map((line) => this.line(line))));
+    }
+    if (!this.lines.some(({ gauge }) => gauge.coloured)) return;
+    const bar = make("div", { style: `background: linear-gradient(to right, ${data.scale.join()})` });
+    const ends = ["0", "chamber pressure", `${data.full / 1e6} MPa`].map((textContent) => make("span", { textContent }));
+    if (data.scene) place.append(make("div", { className: "hm-legend" }, bar, ...ends));
+  }
+
+  line(gauge) {
+    const [bar, output] = [make("i"), make("output", { textContent: "–" })];
+    const unit = make("small", { textContent: gauge.unit });
+    const track = make("div", { className: "hm-track" }, bar);
+    if (gauge.low < 0) track.append(make("b", { style: `left: ${(-100 * gauge.low) / (gauge.high - gauge.low)}%` }));
+    const row = make("div", { className: "hm-gauge" }, make("span", { textContent: gauge.text, title: gauge.text }), track, output, unit);
+    this.lines.push({ gauge, bar, output, unit, row });
+    return row;
+  }
+
+  show(values) {
+    for (const { gauge, bar, output, unit, row } of this.lines) {
+      const value = values[gauge.name] ?? NaN;
+      const { text, begin, end, warning } = figure(gauge, value, this.data.cavitation);
+      write(output, text);
+      bar.style.transform = `translateX(${100 * begin}%) scaleX(${end - begin})`;
+      row.classList.toggle("hm-cavitates", Boolean(warning));
+      write(unit, warning || gauge.unit);
+      if (gauge.coloured) bar.style.background = colour(this.data, value);
+    }
+  }
+}
+
+// inputs and parameters that are set; they follow the machine unless they are held
+export class Sliders {
+  // set: called with name and value [SI]; input: value of an input by name, or undefined
+  constructor(place, sliders, set, input) {
+    this.input = input;
+    this.lines = sliders.map((slider) => this.line(slider, set));
+    place.replaceChildren(...this.lines.map(({ row }) => row));
+    place.hidden = !sliders.length;
+  }
+
+  line({ name, text, unit, low, high, step, start, factor }, set) {
+    const field = make("input", { type: "range", min: low, max: high, step });
+    const output = make("output");
+    const digits = Math.max(0, Math.ceil(-Math.log10(step)));
+    const row = make("label", { className: "hm-slider" }, make("span", { textContent: text, title: text }), field, output);
+    const line = { name, field, row, touched: -Infinity };
+    line.show = (value) => {
+      field.value = value;
+      write(output, `${value.toFixed(digits)} ${unit === "1" ? "" : unit}`);
+    };
+    line.follow = (value) => line.show(value * factor);
+    line.show(start * factor);
+    field.addEventListener("input", () => {
+      line.touched = performance.now();
+      line.show(Number(field.value));
+      set(name, Number(field.value) / factor);
+    });
+    return line;
+  }
+
+  // the input goes to the value with its own rate, and through a network
+  show() {
+    for (const { name, field, follow, touched } of this.lines) {
+      const value = this.input(name);
+      if (Number.isFinite(value) && performance.now() - touched > 1000 && !field.matches(":active")) follow(value);
+    }
+  }
+
+  get disabled() {
+    return this.lines.some(({ field }) => field.disabled);
+  }
+
+  set disabled(on) {
+    for (const { field } of this.lines) field.disabled = on;
+  }
+}
+
+// simulated over real time, over the last two seconds in which the machine ran
+export class Pace {
+  constructor(now = () => performance.now()) {
+    [this.now, this.seen] = [now, []];
+  }
+
+  look(t, running) {
+    if (!running || (this.seen.length && t < this.seen[this.seen.length - 1][1])) this.seen = [];
+    if (running) this.seen.push([this.now(), t]);
+    while (this.seen.length && this.now() - this.seen[0][0] > SPAN) this.seen.shift();
+  }
+
+  get factor() {
+    const [[begin, from], [end, to]] = [this.seen[0] ?? [0, 0], this.seen[this.seen.length - 1] ?? [0, 0]];
+    return end - begin < SPAN / 4 ? null : (1e3 * (to - from)) / (end - begin);
+  }
+}
+
+// why the controller moves the tip slower than commanded; empty if it does not, or is off. `stroke_use` and
+// `speed_use` limit the speed above 1; below that, the controller waits for the machine
+export function tipLimit({ reference_share: share, engaged, stroke_use: stroke, speed_use: speed }) {
+  if (!(share < FULL && engaged > ENGAGED)) return "";
+  if (Math.max(stroke, speed) <= 1) return "waits for the machine";
+  return stroke > speed ? "at the end of a stroke" : "at a speed limit";
+}
+
+// texts of the notices whose signal is above its value
+export const notices = (described, values) =>
+  described.filter(({ name, above }) => Math.abs(values[name]) > above).map(({ text }) => text);
+
+// cells of the line: name, text, tone
+export function cells({ state, time, factor, values, drives, timing, able, message }) {
+  const shown = drives || state !== "running" ? state : "replaying";
+  const line = [["", shown, TONES[state] ?? "watch"], ["t", `${time.toFixed(1)} s`, ""]];
+  line.push(["real time", factor === null ? "–" : `× ${factor.toFixed(2)}`, ""]);
+  const held = tipLimit(values);
+  if (held) line.push(["tip", held, "watch"]);
+  if (able) line.push(["", able, ""]);
+  if (drives && timing?.frames) {
+    const fraction = timing.missed / timing.frames;
+    const [median, most, worst] = timing.latency.map((seconds) => (1e3 * seconds).toFixed(1));
+    line.push(["missed", `${timing.missed} of ${timing.frames} (${(100 * fraction).toFixed(2)} %)`, fraction < MISSED ? "good" : "bad"]);
+    line.push(["latency", `${median} ms, 99 % ${most}, worst ${worst}`, ""], ["load", `${(100 * timing.load).toFixed(0)} %`, ""]);
+  }
+  return message ? [...line, ["", message, state === "failed" ? "bad" : ""]] : line;
+}
+
+export class StatusLine {
+  constructor(place) {
+    this.place = place;
+  }
+
+  show(state) {
+    const found = cells(state);
+    while (this.place.children.length > found.length) this.place.lastChild.remove();
+    found.forEach(([name, text, tone], k) => {
+      if (!this.place.children[k]) this.place.append(make("span", {}, make("small"), make("b")));
+      const cell = this.place.children[k];
+      write(cell.firstChild, name);
+      write(cell.lastChild, text);
+      if (cell.className !== tone) cell.className = tone;
+    });
+  }
+}

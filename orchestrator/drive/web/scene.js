@@ -1,0 +1,185 @@
+// The machine in space: the picture of a pose, with the reference as a ghost and the rings of a task.
+import * as THREE from "three";
+import { Brush } from "drive/brush.js";
+import { Rig } from "drive/rig.js";
+
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+const LAYERS = [0, 1, 2]; // of the branches of a tree
+const FIELD = 34; // degrees
+const TIP = "tip"; // the view that follows the tip
+
+export class Scene {
+  constructor(place, data, ghost = false) {
+    [this.data, this.place, this.colours, this.marked] = [data, place, {}, ""];
+    // where the processor draws, edges are not smoothed: that would take twice as long
+    const renderer = new THREE.WebGLRenderer({ antialias: !SOFTWARE.test(graphics()) });
+    const camera = new THREE.PerspectiveCamera(FIELD, 1, 0.3, 200);
+    camera.up.set(0, 0, 1);
+    place.replaceChildren(renderer.domElement);
+    const controls = new THREE.OrbitControls(camera, renderer.domElement);
+    this.stage = { renderer, camera, controls, element: place, scene: new THREE.Scene() };
+    this.brush = new Brush(this.stage);
+    this.scheme = dark(place) ? "dark" : "light";
+    const { machine, shade } = data;
+    const moving = { ...machine, parts: machine.parts.filter((part) => part.node !== "site") };
+    if (ghost) this.ghost = this.add(new Rig(this.stage, moving, shade[this.scheme]));
+    this.rig = this.add(new Rig(this.stage, machine, shade[this.scheme]));
+    if (ghost) this.fade();
+    this.marks = new THREE.Group();
+    this.stage.scene.add(this.marks);
+    this.ground();
+    this.look("quarter");
+    this.observer = new ResizeObserver(() => this.fit());
+    this.observer.observe(place);
+    this.fit();
+  }
+
+  // in a page that others scroll, the wheel and fingers scroll it
+  embed() {
+    this.stage.controls.enableZoom = false; // two fingers and Ctrl + wheel are the browser's
+    this.stage.renderer.domElement.style.touchAction = "pan-y";
+  }
+
+  close() {
+    this.observer.disconnect();
+    this.stage.controls.dispose();
+    this.stage.renderer.dispose();
+    this.stage.renderer.forceContextLoss();
+    this.place.replaceChildren();
+  }
+
+  add(rig) {
+    this.stage.scene.add(rig.root);
+    return rig;
+  }
+
+  // the reference: transparent and of one colour, without shadow and trail; behind the machine where they agree
+  fade() {
+    const colour = new THREE.Color("#e69f00");
+    const behind = { polygonOffset: true, polygonOffsetFactor: 4, polygonOffsetUnits: 40, depthWrite: false };
+    for (const material of this.ghost.materials.values())
+      Object.assign(material, { vertexColors: false, color: colour, transparent: true, opacity: 0.45, ...behind });
+    this.ghost.shadow.visible = this.ghost.line.visible = false;
+    this.ghost.materials = new Map(); // pressures do not colour it
+  }
+
+  ground() {
+    if (this.floor) this.stage.scene.remove(this.floor);
+    const colours = this.data.ground[this.scheme];
+    this.floor = surroundings(colours);
+    this.stage.scene.fog = new THREE.Fog(colours.sky, 22, 62);
+    this.stage.scene.background = new THREE.Color(colours.sky);
+    this.stage.scene.add(this.floor);
+    this.rig.ink.color.set(this.data.shade[this.scheme]);
+  }
+
+  // after a change of the colour scheme
+  recolour() {
+    const scheme = dark(this.place) ? "dark" : "light";
+    if (scheme === this.scheme) return;
+    this.scheme = scheme;
+    this.ground();
+    this.brush.redraw();
+  }
+
+  get views() {
+    return [...Object.keys(this.data.views), TIP];
+  }
+
+  look(name) {
+    this.rig.track(name === TIP);
+    if (name !== TIP) {
+      const [x, y, z, ...target] = this.data.views[name];
+      this.stage.camera.position.set(x, y, z);
+      this.stage.controls.target.set(...target);
+      this.stage.controls.update();
+    }
+    this.brush.redraw();
+  }
+
+  fit() {
+    const { clientWidth: width, clientHeight: height } = this.place;
+    if (!width || !height) return;
+    this.stage.renderer.setSize(width, height);
+    this.stage.camera.aspect = width / height;
+    this.stage.camera.updateProjectionMatrix();
+    this.brush.redraw();
+  }
+
+  // angles of the joints; colours: part -> colour; again: the trail begins anew; reference: angles of the ghost
+  show(angles, colours, again, reference = null) {
+    const changed = Object.entries(colours).filter(([name, colour]) => this.colours[name] !== colour);
+    this.colours = { ...colours };
+    this.rig.show(angles, Object.fromEntries(changed), again);
+    if (this.ghost) this.ghost.root.visible = Boolean(reference);
+    if (reference) this.ghost?.show(reference, {}, true);
+    this.brush.redraw();
+  }
+
+  // targets of a task: a ring in space, on a staff from the ground
+  mark(rings) {
+    const key = JSON.stringify(rings);
+    if (key === this.marked) return;
+    this.marked = key;
+    this.marks.clear();
+    for (const ring of rings) this.marks.add(...mark(ring, this.data.level));
+    this.brush.redraw();
+  }
+}
+
+function mark({ at: [x, y, z], radius, colour, strong }, ground) {
+  const paint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: strong ? 0.95 : 0.35 });
+  const ring = new THREE.Mesh(new THREE.TorusGeometry(radius, 0.03, 6, 28), paint);
+  const staff = new THREE.Mesh(new THREE.CylinderGeometry(0.014, 0.014, z - ground, 6), paint);
+  const foot = new THREE.Mesh(new THREE.RingGeometry(0.8 * radius, radius, 28), paint);
+  const dot = new THREE.Mesh(new THREE.SphereGeometry(0.05, 10, 8), paint);
+  for (const one of [ring, dot]) one.position.set(x, y, z);
+  staff.rotation.x = Math.PI / 2;
+  staff.position.set(x, y, (z + ground) / 2);
+  foot.position.set(x, y, ground + 0.02);
+  return [ring, dot, staff, foot];
+}
+
+// ground, grid, trees and light; nothing of it moves
+function surroundings(data) {
+  const sun = new THREE.DirectionalLight(0xfff6e8, 2.0);
+  sun.position.set(...data.sun);
+  const [root, low] = [new THREE.Group(), new THREE.Group()];
+  low.position.z = data.ground;
+  const grid = new THREE.GridHelper(48, 48, data.axis, data.grid).rotateX(Math.PI / 2);
+  grid.position.z = 0.006;
+  const floor = new THREE.Mesh(new THREE.CircleGeometry(90, 48), new THREE.MeshBasicMaterial({ color: data.floor }));
+  low.add(forest(data.trees), floor, grid);
+  root.add(new THREE.HemisphereLight(0xffffff, 0xaab0a4, 2.1), sun, low);
+  return root;
+}
+
+function forest(trees) {
+  const crowns = new THREE.ConeGeometry(1, 1, 6, 1, true).rotateX(Math.PI / 2).translate(0, 0, 0.5);
+  const many = new THREE.InstancedMesh(crowns, new THREE.MeshLambertMaterial({ flatShading: true }), LAYERS.length * trees.length);
+  trees.forEach(([x, y, height, radius], k) => {
+    for (const layer of LAYERS) {
+      const wide = radius * (1 - 0.27 * layer);
+      const place = new THREE.Matrix4().makeScale(wide, wide, 0.5 * height);
+      place.setPosition(x, y, height * (0.06 + 0.22 * layer));
+      many.setMatrixAt(LAYERS.length * k + layer, place);
+      many.setColorAt(LAYERS.length * k + layer, new THREE.Color().setHSL(0.38, 0.22, 0.27 + 0.05 * layer + 0.02 * (k % 4)));
+    }
+  });
+  many.userData.extra = true;
+  return many;
+}
+
+// whether the page is dark where this element is: by the setting of the browser, or by a switch of the site
+export function dark(element) {
+  const [red] = getComputedStyle(element).color.match(/[\d.]+/g); // of the ink: grey
+  return Number(red) > 128;
+}
+
+function graphics() {
+  const probe = document.createElement("canvas").getContext("webgl2");
+  const names = probe?.getExtension("WEBGL_debug_renderer_info");
+  const name = names ? probe.getParameter(names.UNMASKED_RENDERER_WEBGL) : probe?.getParameter(probe.RENDERER);
+  probe?.getExtension("WEBGL_lose_context")?.loseContext();
+  return name ?? "";
+}

@@ -1,0 +1,117 @@
+// Source: the machine in real time, or a replay, of `harvester view`, by one websocket. It belongs to a worker
+// (worker.js), so that messages go in time; a message goes now or never, nothing is kept for later.
+import { History } from "drive/charts.js";
+
+const SILENT = 1000; // ms after which a server that says nothing counts as gone
+const HEARD = 4; // pictures between two words to the server that they were drawn
+const FREE = { role: "free", live: false, why: "", asked: "", drives: false, modes: [] };
+
+export class SocketSource {
+  shared = true;
+
+  constructor(address) {
+    // onhello: another machine; onframe; oninfo; onstatus: of the controls; onanswer; onlate
+    for (const name of ["onhello", "onframe", "oninfo", "onstatus", "onanswer", "onlate"]) this[name] = () => {};
+    [this.opened, this.late, this.spoke, this.lost, this.heard] = [false, false, false, false, performance.now()];
+    [this.status, this.info, this.jumps, this.values, this.time, this.state] = [FREE, {}, 0, {}, 0, "starting"];
+    this.worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" });
+    this.worker.onmessage = ({ data }) => this.hear(data);
+    this.worker.postMessage({ address });
+  }
+
+  hear(data) {
+    this.heard = performance.now();
+    if ("open" in data) this.connected(data.open);
+    if ("late" in data) this.late = data.late;
+    if (data.late) this.onlate();
+    if (data.hello) this.begin(data.hello);
+    for (const [number, first, second] of data.bins ?? []) this.history.put(number, first, second);
+    if (data.frame) this.show(data.frame);
+    if (data.info) this.info = data.info;
+    if (data.info) this.oninfo();
+    if (data.status) {
+      [this.status, this.lost] = [data.status, this.lost && data.status.role === "free"];
+      this.onstatus();
+    }
+    if (data.answer) this.onanswer(data.answer);
+  }
+
+  connected(open) {
+    this.opened = open;
+    if (open) return;
+    this.lost ||= this.driving;
+    this.status = FREE;
+    this.onstatus();
+  }
+
+  begin(hello) {
+    [this.data, this.names, this.history] = [hello, new Set(hello.names), new History(hello.charts)];
+    this.jumps += 1;
+    this.onhello();
+  }
+
+  show([number, t, state, values]) {
+    [this.time, this.state] = [t, state];
+    this.values = Object.fromEntries(this.data.names.map((name, k) => [name, values[k] ?? NaN]));
+    this.onframe();
+    if (number % HEARD === 0) this.do("shown", { number });
+  }
+
+  get alive() {
+    return this.opened && performance.now() - this.heard < SILENT;
+  }
+
+  get driving() {
+    return this.status.role === "driving" && this.alive;
+  }
+
+  // ---- for the operator
+
+  do(what, more = {}) {
+    this.worker.postMessage({ do: what, ...more });
+  }
+
+  // the sticks, every 30 ms; nothing is said by a page that does not drive or is not seen
+  steer({ sticks, deadMan }) {
+    const speaks = this.driving && !document.hidden;
+    if (speaks) this.worker.postMessage({ sticks, held: deadMan });
+    else if (this.spoke) this.worker.postMessage({ quiet: true });
+    this.spoke = speaks;
+  }
+
+  get drives() {
+    return this.status.drives;
+  }
+
+  get pattern() {
+    return this.status.pattern ?? "ISO";
+  }
+
+  get mode() {
+    return this.status.mode ?? "";
+  }
+
+  get span() {
+    return this.info.span;
+  }
+
+  get sliders() {
+    return this.data.sliders.filter(({ name }) => this.data.inputs.includes(name)).map((one) => ({ ...one, start: one.start ?? 0 }));
+  }
+
+  input(name) {
+    return this.values[name];
+  }
+
+  set(name, value) {
+    this.do("set", { name, value });
+  }
+
+  seek(t) {
+    this.do("seek", { t });
+  }
+
+  curves() {
+    return this.history.curves(this.time);
+  }
+}

@@ -1,1 +1,0 @@
-"""Control by two sticks: from their deflections in the browser to the commands of the machine."""

@@ -1,0 +1,459 @@
+"""The websocket of an open page: frames of the machine and the state of the controls to the page, sticks and
+actions of its operator back.
+
+A page sends its sticks every 30 ms, and actions such as `{"do": "take"}`. A message is sent at once or
+dropped, and the end of the connection ends driving. The server sends objects with these keys:
+
+    hello    what the page shows of the machine, when that has changed (`orchestrator.drive.page.page_data`)
+    frame    number, time, state, and the values of `names` in the hello
+    bins     extremes of the charts in bins of time
+    status   of the controls; ten times a second, so that it is the heartbeat of the server, too
+    info     the rest: timing, span of a replay, training task
+    answer   to an action: a line, or what there is to choose
+
+A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
+further ones. So a slow browser shows fewer pictures, but no outdated ones, and does not load the server.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from orchestrator.base.errors import Problem
+from orchestrator.drive.page import page_data
+from orchestrator.drive.score import EXERCISES
+from orchestrator.realtime.setup import Machine
+from orchestrator.view.authority import ControlAuthority, OperatorStation
+from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
+from orchestrator.view.session import Session, SignalIndex
+from orchestrator.view.training import Training
+
+Array = NDArray[np.float64]
+
+RATE, INFO = 25.0, 5.0  # 1/s; rates of pictures and of the rest
+TELL = 0.1  # s between two states of the controls
+AHEAD = 8  # pictures sent to a browser and not yet drawn, at most
+LOST = 2.0  # s; after this time without an acknowledgement, pictures count as lost
+PATIENT = 100  # ignored messages after which a client is disconnected: 3 s at the usual rate
+LONGEST = 2**12  # characters of an action
+WINDOW, BIN = 20.0, 0.2  # s, of simulated time; as in charts.js
+DIGITS = 6  # significant digits of a value
+TABLE = "training.csv"
+log = logging.getLogger(__name__)
+
+
+class Credit:
+    """Flow control for one browser: number of pictures sent and drawn."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self.sent = self.drawn = 0
+        self._heard = clock()
+
+    def next(self) -> int:
+        """Number of the next picture, or 0 if the browser must catch up first."""
+        if self.sent - self.drawn >= AHEAD:
+            if self._clock() - self._heard < LOST:
+                return 0
+            self.drawn = self.sent
+        if self.sent == self.drawn:
+            self._heard = self._clock()
+        return self.sent + 1
+
+    def shown(self, number: int) -> None:
+        """The browser has drawn this picture."""
+        if self.drawn < number <= self.sent:
+            self.drawn, self._heard = number, self._clock()
+
+
+class History:
+    """Smallest and largest values of signals in the time bins of the last `WINDOW`. All pages share it.
+
+    names    names of the signals that the machine has
+    number   number of the last frame that was added
+    bins     number of the bin -> its extremes in order of time, shape (2, names)
+    """
+
+    def __init__(self, machine: Machine, index: SignalIndex, names: Sequence[str]) -> None:
+        self.names = tuple(dict.fromkeys(names))
+        self._machine = machine
+        self._known = np.array([index.contains(name) for name in self.names], dtype=bool)
+        self._columns = index.columns([name for name in self.names if index.contains(name)])
+        self.number = -1
+        self.bins = dict[int, Array]()
+
+    def look(self) -> None:
+        """Add the frames since the last call."""
+        if self.number < 0:  # the first call needs only the last `WINDOW`
+            self.number = self._machine.latest().number - round(WINDOW / 0.01) - 1
+        numbers, times, axes, values = self._machine.since(self.number)
+        if not len(numbers) or not len(self._columns):
+            return
+        if self.bins and times[0] < max(self.bins) * BIN - BIN:  # restarted
+            self.bins.clear()
+        self.number = int(numbers[-1])
+        table = np.full((len(numbers), len(self.names)), np.nan)
+        table[:, self._known] = np.concatenate((axes, values), axis=1)[:, self._columns]
+        self._add(np.floor(times / BIN + 1e-9).astype(int), table)
+
+    def since(self, number: int) -> list[tuple[int, list[Any], list[Any]]]:
+        """Bins from this number on, as data."""
+        kept = [k for k in sorted(self.bins) if k >= number]
+        return [(k, numbers_of(self.bins[k][0]), numbers_of(self.bins[k][1])) for k in kept]
+
+    def _add(self, bins: NDArray[np.int64], table: Array) -> None:
+        for k in np.unique(bins):
+            rows = table[bins == k]
+            if k in self.bins:
+                rows = np.concatenate((self.bins[k], rows))
+            self.bins[int(k)] = extremes(rows)
+        oldest = max(self.bins) - round(WINDOW / BIN)
+        for k in [k for k in self.bins if k < oldest]:
+            del self.bins[k]
+
+
+def extremes(rows: Array) -> Array:
+    """Smallest and largest value of each column, in order of time, shape (2, columns)."""
+    low, high = rows.argmin(axis=0), rows.argmax(axis=0)
+    columns = np.arange(rows.shape[1])
+    first, second = np.minimum(low, high), np.maximum(low, high)
+    return np.stack((rows[first, columns], rows[second, columns]))
+
+
+def numbers_of(row: Array) -> list[float | None]:
+    """Values for the page: rounded, None if not finite."""
+    return [float(f"{v:.{DIGITS}g}") if math.isfinite(v) else None for v in row.tolist()]
+
+
+class Broadcast:
+    """What all pages are sent; made once for all of them.
+
+    hello     description of the machine that is shown, and its number, which counts up
+    frame     time, state and values of the last frame; None before the first
+    """
+
+    def __init__(self, session: Session, training: Training) -> None:
+        self._session, self._training = session, training
+        self._fitted: tuple[object, ...] = ()
+        self.number, self.hello, self.info = 0, dict[str, Any](), dict[str, Any]()
+        self.frame: list[Any] | None = None
+        self._ticks = 0
+        self.look()
+
+    def look(self) -> None:
+        """Read the machine once."""
+        session = self._session
+        fitted = (session.index, session.plan, session.machine.exchanges)
+        if fitted != self._fitted:
+            self._fitted = fitted
+            self._begin()
+        frame = session.machine.latest()
+        row = np.concatenate((frame.axes, frame.values))[self._columns]
+        time = frame.t if math.isfinite(frame.t) else 0.0
+        self.frame = [round(time, 4), frame.state, numbers_of(row)]
+        if self._ticks % round(RATE / INFO) == 0:
+            if self._training.shown:
+                self._training.update()
+            self.history.look()
+            timing = {**asdict(frame.timing), "latency": [*frame.timing.latency]}
+            span, factor = session.span, session.machine.factor
+            self.info = {"span": span, "factor": factor, "message": frame.message, "timing": timing}
+            self.info["task"] = self._training.status()
+        self._ticks += 1
+
+    def _begin(self) -> None:
+        """Another machine, or another part of its time."""
+        session, plan = self._session, self._session.plan
+        description, index = plan.description, session.index
+        names = [n for n in dict.fromkeys((*description.shown, *index.names)) if index.contains(n)]
+        self._columns = index.columns(names)
+        self.history = History(session.machine, index, description.curves)
+        self.number += 1
+        self._ticks = 0
+        self.hello = page_data(description, plan.geometry, plan.start)
+        self.hello |= {"names": names, "title": session.title, "inputs": _inputs(session)}
+
+
+def _inputs(session: Session) -> list[str]:
+    """Bare names of the inputs of the machine that are not for the sticks."""
+    driven = {name for mode in session.plan.description.modes.values() for name in mode.inputs}
+    return [name for axis in session.machine.axes if (name := axis.rpartition(".")[2]) not in driven]
+
+
+class Pages:
+    """All open pages of a server."""
+
+    def __init__(self, session: Session, authority: ControlAuthority, training: Training) -> None:
+        self.session, self.authority, self.training = session, authority, training
+        self.broadcast = Broadcast(session, training)
+
+    async def run(self) -> None:
+        """Read the machine until cancelled."""
+        due = time.monotonic()
+        while True:
+            try:
+                self.broadcast.look()
+            except Exception:  # otherwise one error would stop the pictures of all pages for good
+                log.exception("a frame could not be shown")
+            due = max(due + 1 / RATE, time.monotonic() + 0.2 / RATE)
+            await asyncio.sleep(due - time.monotonic())
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Serve one page, as long as its connection lasts."""
+        await socket.accept()
+        page = OpenPage(self, socket)
+        sending = asyncio.create_task(page.send())
+        try:
+            await page.listen()
+        finally:
+            sending.cancel()
+            page.close()
+
+
+class OpenPage:
+    """One open page."""
+
+    def __init__(self, pages: Pages, socket: WebSocket) -> None:
+        self._socket, self._session = socket, pages.session
+        self._authority, self._training, self._broadcast = pages.authority, pages.training, pages.broadcast
+        self.station: OperatorStation = pages.authority.join()
+        self._credit = Credit()
+        self._task_shown, self._action = False, asyncio.Lock()
+        self._running = set[asyncio.Task[None]]()
+        self._answers: list[dict[str, Any]] = []
+
+    def close(self) -> None:
+        """The page is gone."""
+        self._authority.leave(self.station)
+        self._show_task(False)
+
+    # ---- to the page
+
+    async def send(self) -> None:
+        """Send what is new until the connection ends."""
+        begun, sent, told, info, latest = -1, None, 0.0, None, -1
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
+            while True:
+                new, shared, now = dict[str, Any](), self._broadcast, time.monotonic()
+                if begun != shared.number:
+                    begun, sent, info, latest = shared.number, None, None, -1
+                    new["hello"] = shared.hello
+                if info is not shared.info:
+                    info = new["info"] = shared.info
+                    if bins := shared.history.since(latest):
+                        new["bins"], latest = bins, bins[-1][0]
+                if sent != shared.frame and shared.frame and (number := self._credit.next()):
+                    sent, self._credit.sent = shared.frame, number
+                    new["frame"] = [number, *shared.frame]
+                if now - told >= TELL:
+                    told, new["status"] = now, asdict(self._authority.status(self.station))
+                if self._answers:
+                    new["answer"] = self._answers.pop(0)
+                if new:
+                    await self._socket.send_text(json.dumps(new, separators=(",", ":")))
+                await asyncio.sleep(1 / RATE)
+
+    def _answer(self, text: str, bad: bool = False, **more: Any) -> None:
+        self._answers.append({"text": text, "bad": bad, **more})
+
+    # ---- from the page
+
+    async def listen(self) -> None:
+        """Process messages until the connection ends, or too many of them were not understood."""
+        ignored = 0
+        while ignored < PATIENT:
+            try:
+                event = await self._socket.receive()
+            except (WebSocketDisconnect, RuntimeError):
+                return
+            if event["type"] != "websocket.receive":
+                return
+            raw = event.get("text")
+            accepted = self._hear(raw if raw is not None else event.get("bytes") or b"")
+            ignored = max(0, ignored - 1) if accepted else ignored + 1
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+            await self._socket.close(1008, "too many invalid messages")
+
+    def _hear(self, raw: str | bytes) -> bool:
+        """Process a message; False if it is ignored. What is no action is of the sticks, or a mistake."""
+        asked = action(raw)
+        if asked is None:
+            return self._authority.hear(self.station, raw)
+        if not self.station.bucket.take(time.monotonic()):
+            self.station.counts["flood"] += 1
+            return False
+        act = ACTIONS[asked["do"]]
+        task = asyncio.create_task(self._act(act, asked))
+        self._running.add(task)
+        task.add_done_callback(self._running.discard)
+        return True
+
+    async def _act(self, act: Callable[..., Any], asked: dict[str, Any]) -> None:
+        """Do what the operator asks; a mistake is answered in one line."""
+        try:
+            result = act(self, asked)
+            if asyncio.iscoroutine(result):
+                async with self._action:  # one after the other
+                    await result
+        except Problem as problem:
+            self._answer(str(problem), bad=True)
+        except Exception:  # of a message that no page of ours sends, too
+            log.exception("an action of a page failed")
+            self._answer("that could not be done", bad=True)
+
+    # ---- actions
+
+    def _shown(self, asked: dict[str, Any]) -> None:
+        if type(asked.get("number")) is int:
+            self._credit.shown(asked["number"])
+
+    def _take(self, _: dict[str, Any]) -> None:
+        if not self._authority.take(self.station) and self._session.machine.drives:
+            self._answer("requested; the driver has to release the controls")
+
+    def _release(self, _: dict[str, Any]) -> None:
+        self._authority.release(self.station)
+
+    def _choose(self, asked: dict[str, Any]) -> None:
+        pattern, mode = (None if (v := asked.get(name)) is None else str(v) for name in ("pattern", "mode"))
+        self._authority.choose(self.station, pattern, mode)
+
+    def _set(self, asked: dict[str, Any]) -> None:
+        self._authority.set(self.station, asked.get("name"), asked.get("value"))
+
+    async def _toggle(self, _: dict[str, Any]) -> None:
+        machine = self._session.machine
+        state = machine.latest().state
+        if state in ("running", "starting"):
+            machine.pause()  # every page may pause
+        elif state in ("ended", "failed"):
+            await self._change(self._authority.stop, self._session.again)
+        else:
+            await self._change(self._authority.halt, machine.play)
+
+    async def _speed(self, asked: dict[str, Any]) -> None:
+        factor = _number(asked.get("factor"), "speed")
+        await self._change(self._authority.halt, self._session.machine.speed, factor)
+
+    async def _again(self, _: dict[str, Any]) -> None:
+        await self._change(self._authority.stop, self._session.again)
+
+    async def _back(self, _: dict[str, Any]) -> None:
+        await self._change(self._authority.stop, self._session.back)
+
+    async def _replay(self, asked: dict[str, Any]) -> None:
+        await self._change(self._authority.stop, self._session.replay, asked.get("file"))
+
+    async def _start(self, asked: dict[str, Any]) -> None:
+        choice = await asyncio.to_thread(chosen, self._session.plan.choice, asked)
+        await self._change(self._authority.stop, self._session.start, choice)
+
+    async def _change(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> None:
+        """Change what all pages see, after the machine rests, unless another page drives."""
+        if self._authority.status(self.station).role == "watching":
+            raise Problem("another page drives the machine and decides")
+        before()
+        await asyncio.to_thread(action, *arguments)
+
+    def _seek(self, asked: dict[str, Any]) -> None:
+        self._session.seek(_number(asked.get("t"), "time"))
+
+    async def _save(self, _: dict[str, Any]) -> None:
+        path = await asyncio.to_thread(self._session.save)
+        self._answer(f"saved: {path}", href=f"/result/{quote(path.name)}")
+
+    async def _files(self, _: dict[str, Any]) -> None:
+        files = await asyncio.to_thread(self._session.files)
+        self._answers.append({"files": files, "folders": [str(folder) for folder in self._session.folders]})
+
+    async def _machines(self, _: dict[str, Any]) -> None:
+        self._answers.append({"machines": await asyncio.to_thread(offered, self._session.plan.choice)})
+
+    def _task(self, asked: dict[str, Any]) -> None:
+        what, value = asked.get("what"), asked.get("value")
+        if what == "show":
+            self._show_task(bool(value))
+        elif what == "again":
+            self._training.again()
+        elif what == "choose":
+            self._choose_exercise(str(value))
+        elif what == "write" and self._session.folders:
+            self._answer(f"written: {self._training.write(self._session.folders[0] / TABLE).name}")
+
+    def _choose_exercise(self, name: str) -> None:
+        if name in EXERCISES and name != self._training.exercise.name:
+            self._training.choose(EXERCISES[name])
+
+    def _show_task(self, on: bool) -> None:
+        if on != self._task_shown:
+            self._task_shown = on
+            (self._training.open if on else self._training.close)()
+
+
+ACTIONS: dict[str, Callable[[OpenPage, dict[str, Any]], Any]] = {
+    name.removeprefix("_"): getattr(OpenPage, name)
+    for name in (
+        *("_shown", "_take", "_release", "_choose", "_set", "_toggle", "_speed", "_again", "_back"),
+        *("_replay", "_start", "_seek", "_save", "_files", "_machines", "_task"),
+    )
+}
+
+
+def action(raw: str | bytes) -> dict[str, Any] | None:
+    """The action in a message; None for anything else."""
+    if not isinstance(raw, str) or not raw.startswith('{"do":') or len(raw) > LONGEST:
+        return None
+    try:
+        asked: dict[str, Any] = json.loads(raw)
+    except (ValueError, RecursionError):
+        return None
+    return asked if isinstance(asked["do"], str) and asked["do"] in ACTIONS else None
+
+
+def _number(value: object, name: str) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
+    return float(value)
+
+
+def offered(now: MachineChoice) -> dict[str, Any]:
+    """The choices before a start: systems in the same folder, poses, and variants by component."""
+    swap = {part: label for part, label in now.swap.items()}
+    return {
+        "systems": list(
+            dict.fromkeys([now.system.name, *sorted(p.name for p in now.system.parent.glob("*.ssp"))])
+        ),
+        "poses": list(poses(now.system)),
+        "variants": {
+            part: {**({swap[part]: swap[part]} if part in swap else {}), **labels}
+            for part, labels in variants(now.system).items()
+        },
+        "chosen": {"system": now.system.name, "pose": now.pose, "swap": swap},
+    }
+
+
+def chosen(now: MachineChoice, asked: dict[str, Any]) -> MachineChoice:
+    """What a page chooses; a `Problem` for what was not offered, such as a file elsewhere."""
+    offer = offered(now)
+    system, pose, swap = asked.get("system"), asked.get("pose"), asked.get("swap")
+    if not isinstance(system, str) or system not in offer["systems"]:
+        raise Problem(f"system: expected one of {', '.join(offer['systems'])}, found {ascii(system)[:60]}")
+    if not isinstance(pose, str) or not isinstance(swap, dict):
+        raise Problem("machine: expected a pose and the variants of components")
+    for part, name in swap.items():
+        if name not in offer["variants"].get(part, {}):
+            raise Problem(f"{ascii(part)[:60]}: no variant {ascii(name)[:60]} is offered")
+    others = {part: name for part, name in swap.items() if name != USUAL}
+    return MachineChoice(Path(now.system).with_name(system), pose, others, now.set)

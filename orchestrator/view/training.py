@@ -1,0 +1,182 @@
+"""The training task of a machine that all pages show: the current attempt, and a table of the finished ones.
+
+The server calls `update` a few times a second, and sends `status`, which is plain data. The score of an
+attempt equals that of `score.score` for the same samples. A page with a machine of its own scores by task.js.
+"""
+
+import csv
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.drive.score import (
+    DEFAULT,
+    LOAD,
+    LONGEST,
+    Exercise,
+    Progress,
+    Samples,
+    Score,
+    clock,
+    distance,
+    follow,
+    judge,
+    load,
+    of_values,
+    phase,
+    task_signals,
+    way,
+)
+from orchestrator.realtime.setup import Machine
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A finished attempt: done, given up by `again`, or ended by a restart of the machine."""
+
+    number: int
+    exercise: str
+    score: Score
+
+
+class Training:
+    """The task of one machine, shared by all pages."""
+
+    def __init__(self, machine: Machine, exercise: Exercise = DEFAULT) -> None:
+        self.exercise, self.attempts = exercise, list[Attempt]()
+        self._machine, self._source = machine, _source(machine)
+        self._number, self._open = -1, 0
+        self._clear()
+
+    def open(self) -> None:
+        """A page shows the task. The first page begins an attempt."""
+        self._open += 1
+        if self._open == 1:
+            self._source, self._number = _source(self._machine), self._machine.latest().number
+            self._clear()
+
+    def close(self) -> None:
+        """A page hides the task. While no page shows it, nothing is recorded."""
+        self._open = max(0, self._open - 1)
+
+    @property
+    def shown(self) -> bool:
+        """Does a page show the task?"""
+        return self._open > 0
+
+    def choose(self, exercise: Exercise) -> None:
+        """Begin another exercise."""
+        self.again()
+        self.exercise = exercise
+
+    def again(self) -> None:
+        """Begin a new attempt. A started one is kept as unfinished."""
+        self._keep()
+        self._clear()
+
+    def update(self) -> None:
+        """Add the frames since the last call."""
+        if self._source != _source(self._machine):  # another machine, with other frame numbers
+            self.again()
+            self._source, self._number = _source(self._machine), -1
+        numbers, times, _, values = self._machine.since(self._number)
+        if not len(numbers):
+            return
+        self._number = int(numbers[-1])
+        for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(times) < 0) + 1):
+            if len(self._time) and times[part[0]] < self._time[-1][-1]:  # restarted
+                self.again()
+            self._add(times[part], values[part])
+
+    def status(self) -> dict[str, Any]:
+        """State of the current attempt, without the score, which is computed at its end."""
+        tip = self._tip
+        left = self.exercise.targets[len(self._progress.done) :]
+        inside = self._progress.inside
+        return {
+            "exercise": self.exercise.name,
+            "phase": phase(self.exercise, self._progress),
+            "target": asdict(left[0]) if left else None,
+            "radius": self.exercise.radius,
+            "done": len(self._progress.done),
+            "distance": distance(self.exercise, self._progress, tip) if tip else None,
+            "way": way(tip, left[0].at) if tip and left else None,
+            "held": 0.0 if inside is None else (self._progress.now - inside) / self.exercise.hold,
+            "time": clock(self._progress),
+            "load": load(self.exercise, self._progress),
+            "problem": self._problem,
+            "table": self.table(),
+        }
+
+    def loads(self) -> dict[str, float]:
+        """Input -> its value: the load of the head while a page shows the task, else none."""
+        return {LOAD: load(self.exercise, self._progress) if self._open else 0.0}
+
+    def table(self) -> list[dict[str, Any]]:
+        """The finished attempts, one row each."""
+        return [{"attempt": a.number, "exercise": a.exercise, **asdict(a.score)} for a in self.attempts]
+
+    def write(self, path: Path) -> Path:
+        """Write the table as CSV."""
+        if not self.attempts:
+            raise Problem(f"{path}: expected a finished attempt, found none")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            rows = self.table()
+            with path.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.DictWriter(file, [*rows[0]], lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(rows)
+        except OSError as error:
+            raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
+        return path
+
+    def _clear(self) -> None:
+        self._progress = Progress()
+        self._time: list[NDArray[np.float64]] = []
+        self._samples: list[Samples] = []
+        self._tip: tuple[float, float, float] | None = None
+        self._problem = ""
+        self._kept = False
+
+    def _add(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+        if self._kept:
+            return
+        names = list(self._machine.signals)
+        try:
+            part = of_values(times, {name: values[:, names.index(name)] for name in task_signals(names)})
+        except Problem as error:
+            self._problem = str(error)
+            return
+        if self._progress.started is None:  # samples before the start are not needed; a pause may be long
+            self._time, self._samples = [], []
+        self._time.append(times)
+        self._samples.append(part)
+        self._tip = (float(part.tip[-1, 0]), float(part.tip[-1, 1]), float(part.tip[-1, 2]))
+        self._progress = follow(self.exercise, self._progress, part)
+        if phase(self.exercise, self._progress) == "done":
+            self._keep()
+        elif self._progress.started is not None and times[-1] - self._progress.started > LONGEST:
+            self.again()
+
+    def _keep(self) -> None:
+        result = self._score()
+        if result and not self._kept:
+            self.attempts.append(Attempt(len(self.attempts) + 1, self.exercise.name, result))
+        self._kept = True
+
+    def _score(self) -> Score | None:
+        if self._progress.started is None:
+            return None
+        names = Samples.__dataclass_fields__
+        samples = Samples(*(np.concatenate([getattr(s, name) for s in self._samples]) for name in names))
+        return judge(samples, self.exercise, self._progress)
+
+
+def _source(machine: Machine) -> int:
+    """Number of exchanges of the machine."""
+    return int(getattr(machine, "exchanges", 0))

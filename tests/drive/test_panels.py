@@ -1,0 +1,160 @@
+"""What the page shows beside the picture, as its scripts compute it in a browser."""
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pytest
+from drive.test_task import EXERCISE, cycle
+from kit import shards
+from kit.mistakes import table
+from view.standin import DESCRIPTION
+
+from orchestrator.drive import score as scores
+from orchestrator.drive.drawing import SCALE, UNKNOWN
+from orchestrator.drive.geometry import Start
+from orchestrator.drive.page import page_data
+from orchestrator.drive.sticks import PATTERNS, ResponseCurve, StickAxes, functions
+from orchestrator.drive.view_description import CAVITATION
+
+pytestmark = shards.browser
+DATA = json.loads(json.dumps(page_data(DESCRIPTION, None, Start())))
+GAUGES = {line["name"]: line for group in DATA["gauges"] for line in group["lines"]}
+
+
+def test_levers_as_in_real_time(script: Any) -> None:
+    """Patterns and response curve of a page's own machine are those of the server's."""
+    rows = [[0.05, 1, -1, 0.08], *np.random.default_rng(1).uniform(-1, 1, (50, 4)).tolist()]
+    for name, pattern in PATTERNS.items():
+        found = script(
+            "levers",
+            "a[0].map((row) => m.functions(row, a[1], a[2]))",
+            [rows, DATA["patterns"][name], DATA["curve"]],
+        )
+        for row, values in zip(rows, found, strict=True):
+            expected = asdict(functions(StickAxes(*row), pattern, ResponseCurve()))
+            assert values == pytest.approx(expected, abs=1e-15)  # rounding
+
+
+def test_figures(script: Any) -> None:
+    """Numbers come in the units that people read, bars begin at zero, what is not known is a dash."""
+
+    def figure(name: str, value: float) -> Any:
+        return script(
+            "panels",
+            "m.figure(a[0], a[1] ?? NaN, a[2])",
+            [GAUGES[name], None if math.isnan(value) else value, CAVITATION],
+        )
+
+    supply = figure("supply_pressure", 20.68e6)
+    assert (supply["text"], supply["begin"], round(supply["end"], 3)) == ("20.7", 0.0, 0.827)
+    swing = figure("swing_speed", math.radians(-30))
+    assert swing["text"] == "\N{MINUS SIGN}30"
+    assert (swing["begin"], swing["end"]) == pytest.approx((0.25, 0.5))
+    assert figure("tip_radius", math.nan)["text"] == "\N{EN DASH}"
+    assert figure("boom_rod_pressure", -1e5)["warning"] == "cavitates"
+    assert figure("boom_rod_pressure", -1e3)["warning"] == "", "the sound of a pressure at rest is no void"
+    assert figure("tip_radial_velocity", -1e-4)["text"] == "0.00", "no minus sign at rest"
+
+
+@pytest.mark.parametrize(
+    ("pressure", "expected"),
+    [("-1e5", SCALE[0]), ("9e7", SCALE[-1]), ("NaN", UNKNOWN), ("Infinity", UNKNOWN)],
+)
+def test_colours_at_the_ends(script: Any, pressure: str, expected: str) -> None:
+    """What is beyond the scale has the colour of its end, what is no number is grey."""
+    assert script("panels", f"m.colour(a, {pressure})", DATA) == expected
+
+
+def test_clock(script: Any) -> None:
+    """The factor is simulated over real time, and nothing is told right after a pause."""
+    begun = "(() => { let now = 0; const p = new m.Pace(() => now);"
+    begun += " for (let k = 0; k < 20; k++) { now = 100 * k; p.look(0.05 * k, true); }"
+    assert script("panels", f"{begun} return p.factor; }})()") == pytest.approx(0.5)
+    assert script("panels", f"{begun} p.look(0.95, false); return p.factor; }})()") is None
+
+
+NOW = {"state": "running", "time": 1.0, "factor": 1.0, "values": {}, "drives": True, "message": ""}
+
+
+def test_cells(script: Any) -> None:
+    """Missed deadlines and latency are told of a live machine, the reason of a failure in any case."""
+    timing = {"frames": 1000, "missed": 10, "latency": [4e-4, 1e-3, 2e-2], "load": 0.05}
+    live = {name: text for name, text, _ in script("panels", "m.cells(a)", NOW | {"timing": timing})}
+    assert live["missed"] == "10 of 1000 (1.00 %)"
+    assert live["latency"] == "0.4 ms, 99 % 1.0, worst 20.0"
+    replayed = script("panels", "m.cells(a)", NOW | {"timing": timing, "drives": False})
+    assert replayed[0][1] == "replaying"
+    assert "missed" not in [name for name, *_ in replayed]
+    failed = script("panels", "m.cells(a)", NOW | {"state": "failed", "message": "it broke"})
+    assert failed[-1][1:] == ["it broke", "bad"]
+
+
+@table(__file__, "limits", "values, told")
+def test_what_holds_the_tip(script: Any, values: tuple[float, ...], told: str) -> None:
+    """The limit that is used most has a cell of its own while the controller is on, else the wait has."""
+    named = dict(zip(("engaged", "reference_share", "stroke_use", "speed_use"), values, strict=True))
+    shown = {name: text for name, text, _ in script("panels", "m.cells(a)", NOW | {"values": named})}
+    assert shown.get("tip", "") == told
+    assert script("panels", "m.tipLimit({})") == "", "no controller"
+
+
+@pytest.mark.parametrize(("force", "shown"), [(0.0, []), (999.0, []), (-2e3, ["at an end"]), (None, [])])
+def test_an_end_of_stroke_is_noticed(script: Any, force: float | None, shown: list[str]) -> None:
+    """Above the value of the notice, of either sign; not without the signal."""
+    described = [
+        {"name": "stop_force", "above": 1e3, "text": "at an end"},
+        {"name": "x", "above": 0.0, "text": "x"},
+    ]
+    assert script("panels", "m.notices(a[0], { stop_force: a[1] ?? NaN })", [described, force]) == shown
+
+
+def test_history(script: Any) -> None:
+    """A spike of one frame stays in sight for the window, and is gone after it; a restart begins anew."""
+    make = "const h = new m.History([{ curves: [{ name: 'a' }] }]); "
+    make += "const add = (k, v) => h.add(0.01 * k, { a: v });"
+    spike = f"{make} for (let k = 0; k < 1000; k++) add(k, k === 137 ? 9 : 0.5);"
+    peak = "return [Math.max(...h.curves(0).columns.a), h.curves(0).time.length];"
+    later = "for (let k = 1000; k < 3100; k++) add(k, 0.5);"
+    again = "for (let k = 0; k < 50; k++) add(k, 0.1);"
+    assert script("charts", f"(() => {{ {spike} {peak} }})()") == [9, 100]
+    highest, count = script("charts", f"(() => {{ {spike} {later} {peak} }})()")
+    assert highest == 0.5
+    assert count <= 2 * (20 / 0.2 + 1)
+    assert script("charts", f"(() => {{ {spike} {again} {peak} }})()")[0] == 0.1
+    put = f"{make} h.put(3, [5], [-1]); h.put(3, [5], [-2]);"
+    assert script("charts", f"(() => {{ {put} return h.curves(1).columns.a; }})()") == [5, -2], (
+        "a bin that has grown"
+    )
+
+
+def test_task_as_in_python(script: Any) -> None:
+    """Progress and score of the page are those of score.py for the same samples; so are its words."""
+    trace = cycle()
+    names = [name.rpartition(".")[2] for name in trace.signals]
+    rows = np.stack(list(trace.signals.values()), axis=1).tolist()
+    rules = DATA["task"] | {"exercises": [asdict(EXERCISE)]}
+    run = """(() => { const task = new m.Attempts(a.rules); task.show(true); const seen = new Set();
+      const values = (k) => Object.fromEntries(a.names.map((n, j) => [n, a.rows[k][j]]));
+      a.time.forEach((t, k) => { task.add(t, values(k)); seen.add(task.phase); });
+      return { table: task.table, seen: [...seen], csv: task.csv() }; })()"""
+    found = script("task", run, {"rules": rules, "time": trace.time.tolist(), "names": names, "rows": rows})
+    assert set(found["seen"]) == {"ready", "moving", "holding", "done"}
+    expected = asdict(scores.score(trace, EXERCISE))
+    (row,) = found["table"]
+    assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-9)  # other order of sums
+    assert found["csv"].startswith("attempt,exercise,finished,cycle_time")
+
+
+def test_words_of_the_task(script: Any) -> None:
+    """Where to go is told as the hands do it: the way round is the shorter one; what is done has no ring."""
+    assert script("task", "m.directions(a)", [1.0, -0.5, math.pi / 2]) == "out 1.00 m, down 0.50 m, left 90°"
+    assert script("task", "m.way(...a)", [[-4.0, 0.1, 0.0], [-4.0, -0.1, 0.0]])[2] == pytest.approx(
+        2 * math.atan(0.1 / 4)
+    )
+    status = {"exercise": "stem on the left", "radius": 0.3}
+    for done, strong in ((0, [True, False]), (1, [True]), (2, [])):
+        rings = script("task", "m.rings(...a)", [DATA["task"], status | {"done": done}])
+        assert [ring["strong"] for ring in rings] == strong
