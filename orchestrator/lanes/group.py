@@ -60,7 +60,7 @@ def vectors(*shape: int) -> Array:
 class Instances:
     """The instances of all models for one group, in one memory of vectors.
 
-    values, slopes   of each component, the index of its first value or slope in the memory
+    values, slopes, last_set   of each component, the index of its first one in the memory
     """
 
     def __init__(self, lanes: Lanes) -> None:
@@ -80,9 +80,9 @@ class Instances:
             np.uint64,
         )
         structs = [header().Instance.from_address(int(address)) for address in self.addresses]
-        self.values, self.slopes = (
+        self.values, self.slopes, self.last_set = (
             [(getattr(s, name) - base) // (8 * lane_count()) for s in structs]
-            for name in ("values", "slopes")
+            for name in ("values", "slopes", "last_set")
         )
         for name, component in lanes.system.components.items():
             for variable, value in component.start.items():
@@ -214,10 +214,11 @@ class Lanes:
         struct = header().StepSize(**limits, power=self._inputs.power)
         return (header().StepSize * lane_count())(*[struct] * lane_count())
 
-    def _input(self, port: Port) -> tuple[int, int]:
-        """The number of the component and of its input."""
+    def _input(self, port: Port) -> tuple[int, int, int]:
+        """Index of an input in the memory, that of its last set value, number of its component."""
         k = self.index[port.component]
-        return k, self.reference(port) - self.models[k].struct.parameters
+        number = self.reference(port) - self.models[k].struct.parameters
+        return self._network.reals.index[port], self._instances.last_set[k] + number, k
 
     def _wire(self, c: Connection, checked: bool = False) -> Any:
         source = self._network.reals.index[c.source]

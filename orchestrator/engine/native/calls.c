@@ -125,17 +125,20 @@ static int exchange_call(Simulation *sim, const ExchangeCall *e) {
     return status ? sim->check_status(e, 0, status) : CONTINUE;
 }
 
+#define COPY_VALUES(TYPE, ARRAY)                                                                            \
+    do {                                                                                                    \
+        TYPE *values = ARRAY;                                                                               \
+        const TYPE *factor = copy->factor, *offset = copy->offset;                                          \
+        const int64_t *source = copy->source, *target = copy->target, count = copy->count;                  \
+        if (factor)                                                                                         \
+            for (int64_t i = 0; i < count; i++) values[target[i]] = values[source[i]] * factor[i] + offset[i]; \
+        else                                                                                                \
+            for (int64_t i = 0; i < count; i++) values[target[i]] = values[source[i]];                      \
+    } while (0)
+
 static void copy_values(Simulation *sim, const ConnectionCopy *copy) {
-    for (int32_t i = 0; i < copy->count; i++) {
-        const int64_t from = copy->source[i], to = copy->target[i];
-        if (copy->array == REAL) {
-            const double *factor = copy->factor, *offset = copy->offset;
-            sim->reals[to] = factor ? sim->reals[from] * factor[i] + offset[i] : sim->reals[from];
-        } else {
-            const int32_t *factor = copy->factor, *offset = copy->offset;
-            sim->integers[to] = factor ? sim->integers[from] * factor[i] + offset[i] : sim->integers[from];
-        }
-    }
+    if (copy->array == REAL) COPY_VALUES(double, sim->reals);
+    else COPY_VALUES(int32_t, sim->integers);
 }
 
 int execute(Simulation *sim, const Program *program) {
@@ -241,9 +244,11 @@ void record(Simulation *sim) {
     double *reals = r->reals + (size_t)r->filled * (size_t)r->real_count;
     int32_t *integers = r->integers + (size_t)r->filled * (size_t)r->integer_count;
     r->time[r->filled] = sim->t;
-    if (r->real_indices)
-        for (int32_t i = 0; i < r->real_count; i++) reals[i] = sim->reals[r->real_indices[i]];
-    else memcpy(reals, sim->reals, (size_t)r->real_count * sizeof *reals);
+    const double *from = sim->reals;
+    const int64_t *indices = r->real_indices, count = r->real_count;
+    if (indices)
+        for (int64_t i = 0; i < count; i++) reals[i] = from[indices[i]];
+    else memcpy(reals, from, (size_t)count * sizeof *reals);
     for (int32_t i = 0; i < r->integer_count; i++) integers[i] = sim->integers[r->integer_indices[i]];
     r->filled++;
 }

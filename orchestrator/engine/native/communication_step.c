@@ -14,7 +14,7 @@
  *     3. component_advance      the FMU gets the polynomials and steps
  *     4. set_exact_inputs       inputs that it followed at a lower degree are set to the end of their polynomial
  *     5. output_reads           its new outputs, and their slopes, are read
- *     6. set_source_ends        they become the ends of the inputs that they feed, for the components that follow
+ *     6. set_ends_from          they become the ends of the inputs that they feed, for the components that follow
  *
  * After the step simulation_loop.c exchanges all values at the new communication point.
  */
@@ -30,12 +30,16 @@
 int component_set_inputs(Simulation *sim, Component *p, Real begin, Real length, int last) {
     static const double factorial[] = {1.0, 2.0, 6.0};
     const int first = !any(begin > 0.0), keeps_ends = sim->input_ends != NULL;
-    Real *value = p->values, *derivative = p->derivatives, c[DEGREE + 1];
+    Real *value = p->values, *derivative = p->derivatives, part[DEGREE + 1];
     for (int32_t i = 0; i < p->input_count; i++) {
         const CouplingInput *s = &sim->inputs[p->first_input + i];
-        if (first) memcpy((void *)c, s->c, sizeof c);
-        else polynomial_shift(s->c, begin, c);
-        polynomial_project(c, s->fmu_degree, length);
+        const Real *c = s->c;
+        if (!first || s->fmu_degree < DEGREE) {
+            if (first) memcpy((void *)part, s->c, sizeof part);
+            else polynomial_shift(s->c, begin, part);
+            polynomial_project(part, s->fmu_degree, length);
+            c = part;
+        }
         if (p->sets_values && s->requested_degree) *value++ = c[0];
         for (int32_t k = 0; k < s->fmu_degree && k < s->requested_degree; k++) *derivative++ = factorial[k] * c[k + 1];
         if (!keeps_ends || !s->requested_degree) continue;
@@ -64,9 +68,9 @@ static int read_middle(Simulation *sim, int k, Real h) {
     const Component *p = &sim->components[k];
     int verdict = set_exact_inputs(sim, p, 0.5 * h);
     if (!verdict) verdict = execute(sim, &p->output_reads);
-    for (int32_t i = 0; i < sim->input_count; i++) {
+    for (int32_t i = p->first_fed; i >= 0; i = sim->inputs[i].next_fed) {
         CouplingInput *s = &sim->inputs[i];
-        if (s->source_component == k) s->middle = sim->reals[s->source] * s->factor + s->offset;
+        s->middle = sim->reals[s->source] * s->factor + s->offset;
     }
     return verdict;
 }
@@ -75,12 +79,14 @@ static int read_middle(Simulation *sim, int k, Real h) {
 int component_advance(Simulation *sim, int k, Real h, double *clock) {
     Component *p = &sim->components[k];
     const int32_t n = p->halved ? 2 : p->substeps;
+    Real begin = 0.0;
     for (int32_t j = 0; j < n; j++) {
-        const Real begin = j ? h * (double)j / (double)n : 0.0, end = j == n - 1 ? h : h * (double)(j + 1) / (double)n;
+        const Real end = j == n - 1 ? h : h * (double)(j + 1) / (double)n;
         int verdict = component_set_inputs(sim, p, begin, end - begin, j == n - 1);
         if (!verdict) verdict = component_step(sim, k, begin, end);
         if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);
         if (verdict) return verdict;
+        begin = end;
     }
     const double before = *clock;
     *clock = seconds();
@@ -95,13 +101,16 @@ static void set_source_end(Simulation *sim, CouplingInput *s, Real h) {
     input_set_end(s, value, source_slope(s), h, sim->length, sim->length_before);
 }
 
-/* The outputs of one component, or of every component, are the ends of the inputs that they feed. */
-void set_source_ends(Simulation *sim, Real h, int source_component) {
-    for (int32_t i = 0; i < sim->input_count; i++) {
-        CouplingInput *s = &sim->inputs[i];
-        const int from_it = s->source_component == source_component && !s->in_loop;
-        if (s->source_component != DRIVEN && (source_component == EVERY_COMPONENT || from_it)) set_source_end(sim, s, h);
-    }
+/* The outputs of all components are the ends of the inputs that they feed. */
+void set_source_ends(Simulation *sim, Real h) {
+    for (int32_t i = 0; i < sim->input_count; i++)
+        if (sim->inputs[i].source_component != DRIVEN) set_source_end(sim, &sim->inputs[i], h);
+}
+
+/* The outputs of one component are the ends of the inputs that it feeds outside of loops. */
+static void set_ends_from(Simulation *sim, const Component *p, Real h) {
+    for (int32_t i = p->first_fed; i >= 0; i = sim->inputs[i].next_fed)
+        if (!sim->inputs[i].in_loop) set_source_end(sim, &sim->inputs[i], h);
 }
 
 static void set_polynomial(const Simulation *sim, CouplingInput *s, int n, Real h) {
@@ -175,7 +184,7 @@ static int gauss_seidel_pass(Simulation *sim, int n, Real h) {
         if (!verdict) verdict = execute(sim, &p->output_reads);
         if (!verdict) verdict = execute(sim, &p->slope_reads);
         if (verdict) return verdict;
-        set_source_ends(sim, h, k);
+        set_ends_from(sim, p, h);
         sim->has_stepped[k] = 1;
     }
     return CONTINUE;

@@ -233,6 +233,7 @@ typedef struct CouplingInput {
     int32_t in_loop;          /* the source is in an algebraic loop: computed when all components have stepped */
     int32_t predicted;        /* linear_prediction.c makes the polynomial */
     int32_t history_order;    /* order of extrapolation that the past allows: 0 (no slope yet), 1 (one slope) or 3 */
+    int32_t next_fed;         /* the next input that the same component feeds, or -1 */
 } CouplingInput;
 
 typedef struct Component { /* a running FMU; do_step NULL: Python steps it, saves and restores its state */
@@ -248,6 +249,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     int32_t substeps;                   /* its own steps in one communication step */
     int32_t halved;                     /* it takes two of them, and its outputs between them are read */
     int32_t first_input, input_count;   /* its coupling inputs */
+    int32_t first_fed;                  /* the first of the coupling inputs that it feeds, or -1 */
     int32_t sets_values;                /* values of the inputs are set, not only derivatives */
     int32_t simplifies_inputs;          /* some inputs have a lower degree than the master asks for */
     int32_t rollback;                   /* its state is saved at the beginning of every step */
@@ -491,10 +493,9 @@ int scenario_set_inputs(Simulation *, Real t);
 int communication_step(Simulation *, Real h, int *passes);
 int component_set_inputs(Simulation *, Component *, Real begin, Real length, int last);
 int component_advance(Simulation *, int k, Real h, double *clock);
-void set_source_ends(Simulation *, Real h, int source_component);
+void set_source_ends(Simulation *, Real h);
 Real step_error(const Simulation *, Real h);
 Real power_error(const Simulation *, Real h);
-enum { EVERY_COMPONENT = -2 };
 
 /* threads.c; `threads` includes the caller's */
 Pool *pool_start(Simulation *, int threads);

@@ -30,7 +30,7 @@ static int read_slopes(Simulation *sim) {
 static int exchange_at_end(Simulation *sim, Real h) {
     int verdict = simulation_exchange(sim, sim->t + h);
     if (!verdict) verdict = read_slopes(sim);
-    if (!verdict) set_source_ends(sim, h, EVERY_COMPONENT);
+    if (!verdict) set_source_ends(sim, h);
     return verdict;
 }
 
@@ -194,6 +194,17 @@ static int next_step(Simulation *sim) {
 
 /* ---- the run */
 
+/* Lists the inputs that each component feeds. */
+static void list_fed_inputs(Simulation *sim) {
+    for (int32_t k = 0; k < sim->component_count; k++) sim->components[k].first_fed = -1;
+    for (int32_t i = sim->input_count - 1; i >= 0; i--) {
+        CouplingInput *s = &sim->inputs[i];
+        if (s->source_component == DRIVEN) continue;
+        int32_t *first = &sim->components[s->source_component].first_fed;
+        s->next_fed = *first, *first = i;
+    }
+}
+
 /* Marks inputs fed from algebraic loops; slopes of their sources depend on each other and are not used. */
 static void mark_loops(Simulation *sim) {
     for (int32_t k = 0; k < sim->loop_count; k++) {
@@ -230,6 +241,7 @@ static int begin_inputs(Simulation *sim) {
 int32_t simulation_begin(Simulation *sim) {
     machines_move(sim, sim->alive = EVERY_MACHINE);
     int verdict = simulation_exchange(sim, sim->t);
+    list_fed_inputs(sim);
     mark_loops(sim);
     if (!verdict) verdict = begin_inputs(sim);
     if (!verdict) verdict = machines_check(sim);

@@ -53,35 +53,27 @@ Group *group_of(Simulation *sim) { return (Group *)sim; } /* its first member */
 
 /* ---- values ------------------------------------------------------------------------------------ */
 
-Lanes &input_value(const Group *g, int k, int input) {
-    return g->instances[k]->values[g->models[k]->parameters + input];
-}
-
-void set_input(const Group *g, int k, int input, Lanes value) {
-    input_value(g, k, input) = g->instances[k]->last_set[input] = value;
-}
-
 void note_change(Group *g, const Wire *wire, Mask changed) {
-    if (wire->checked) g->changed[wire->component] = g->changed[wire->component] || changed;
+    g->changed[wire->component] = g->changed[wire->component] || changed;
 }
 
 void copy(Group *g, const Wire *wires, int count, Mask machines) {
-    for (int i = 0; i < count; i++) {
-        const Wire *w = &wires[i];
-        const Lanes now = g->sim.reals[w->source] * w->factor + w->offset;
-        const Lanes before = input_value(g, w->component, w->input);
-        note_change(g, w, before != now);
-        set_input(g, w->component, w->input, all(machines) ? now : where(machines, now, before));
+    Lanes *values = g->sim.reals;
+    const int every = all(machines);
+    for (const Wire *w = wires; w < wires + count; w++) {
+        const Lanes now = values[w->source] * w->factor + w->offset, before = values[w->target];
+        if (w->checked) note_change(g, w, before != now);
+        values[w->target] = values[w->last_set] = every ? now : where(machines, now, before);
     }
 }
 
 /* The scenario has set inputs. */
 void drive(Group *g, const Wire *wires, int count) {
-    for (int i = 0; i < count; i++) {
-        const Lanes now = input_value(g, wires[i].component, wires[i].input);
-        Lanes *set = &g->instances[wires[i].component]->last_set[wires[i].input];
-        note_change(g, &wires[i], *set != now);
-        *set = now;
+    Lanes *values = g->sim.reals;
+    for (const Wire *w = wires; w < wires + count; w++) {
+        const Lanes now = values[w->target];
+        if (w->checked) note_change(g, w, values[w->last_set] != now);
+        values[w->last_set] = now;
     }
 }
 
@@ -94,7 +86,7 @@ void follow(Group *g, int k) {
         const CouplingInput *s = &g->sim.inputs[i];
         if (!s->requested_degree) continue;
         const int input = (int)(g->sim.reals + s->target - instance->values) - g->models[k]->parameters;
-        if (p->sets_values) set_input(g, k, input, *value++);
+        if (p->sets_values) g->sim.reals[s->target] = instance->last_set[input] = *value++;
         memcpy((void *)(instance->derivatives + DEGREE * input), derivative, DEGREE * sizeof *derivative);
         instance->has_derivatives[input] = 1;
         derivative += DEGREE;
@@ -215,10 +207,9 @@ EXPORT int32_t group_initialise(void *group) {
             g->models[k]->outputs_now(g->instances[k]);
         }
         for (int i = 0; i < g->wire_count; i++) {
-            const Wire *w = &g->wires[i];
-            const Lanes before = input_value(g, w->component, w->input);
-            copy(g, w, 1, EVERY_MACHINE);
-            const Lanes now = input_value(g, w->component, w->input);
+            const Lanes *input = &sim->reals[g->wires[i].target], before = *input;
+            copy(g, &g->wires[i], 1, EVERY_MACHINE);
+            const Lanes now = *input;
             changed |= any(before != now && (before == before || now == now));
         }
         if (!changed) return 1;

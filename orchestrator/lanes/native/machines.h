@@ -8,9 +8,9 @@
 /* Further types of instructions; index: the component, or the number of wires in the operand */
 enum { HOLD = 16, DRIVE, FOLLOW, OUTPUTS, DERIVATIVES, SLOPES };
 
-typedef struct Wire { /* an input of a component and its source; source: index in the memory of the group */
+typedef struct Wire { /* an input of a component and its source: indices in the memory of the group */
     double factor, offset;
-    int32_t source, component, input;
+    int32_t source, target, last_set, component;
     int32_t checked; /* outputs depend on the input, which a step may leave at another value */
 } Wire;
 
