@@ -58,7 +58,7 @@ def library() -> ctypes.CDLL:
         engine = ctypes.CDLL(str(shared_library(*recipe(host()))))
     except (OSError, Problem) as error:
         raise Problem(f"the engine is not compiled: {error}") from None
-    for name in re.findall(r"EXPORT double (\w+)\(", _header()):
+    for name in re.findall(r"EXPORT (?:double|Real) (\w+)\(", _header()):
         getattr(engine, name).restype = ctypes.c_double
     return engine
 
@@ -88,9 +88,15 @@ def engine_h() -> Any:
     return structures(_header())
 
 
-def structures(header: str) -> Any:
-    """All structures and constants of a C header without comments, by name; a pointer is an address."""
-    names_of_header: dict[str, Any] = {}
+def structures(header: str, width: int = 1) -> Any:
+    """All structures and constants of a C header without comments, by name; a pointer is an address.
+
+    width   number of machines; with more than one, a structure has its Reals and Masks first
+    """
+    real, mask = (
+        (ctypes.c_double, ctypes.c_int32) if width == 1 else (ctypes.c_double * width, ctypes.c_int64 * width)
+    )
+    names_of_header: dict[str, Any] = {**TYPES, "WIDTH": width, "Real": real, "Mask": mask}
     for names in re.findall(r"enum \{([^}]*)\}", header):
         value = -1
         for entry in names.split(","):
@@ -101,6 +107,9 @@ def structures(header: str) -> Any:
         fields = [
             field for line in body.split(";") if line.strip() for field in _fields(line, names_of_header)
         ]
+        if width > 1 and any(kind in (real, mask) or hasattr(kind, "aligned") for _, kind in fields):
+            size = ctypes.sizeof(type(name, (Struct,), {"_fields_": fields}))
+            fields.append(("aligned", ctypes.c_byte * (-size % ctypes.sizeof(real))))
         names_of_header[name] = type(name, (Struct,), {"_fields_": fields, "__slots__": ()})
     return SimpleNamespace(**names_of_header)
 
@@ -109,13 +118,13 @@ def _fields(declaration: str, header: dict[str, Any]) -> Iterable[tuple[str, Any
     """The fields of one declaration, such as `const double *a, b[DEGREE + 1]`."""
     type_name, names = declaration.replace("const ", "").strip().split(None, 1)
     for name in (part.strip() for part in names.split(",")):
-        size = re.search(r"\[(\w+) \+ 1\]", name)
+        size = re.search(r"\[(\w+)( \+ 1)?\]", name)
         if name.startswith("*"):
             yield name.lstrip("*"), ctypes.c_void_p
         elif size:
-            yield name[: size.start()], (TYPES.get(type_name) or header[type_name]) * (header[size[1]] + 1)
+            yield name[: size.start()], header[type_name] * (header[size[1]] + bool(size[2]))
         else:
-            yield name, TYPES.get(type_name) or header[type_name]
+            yield name, header[type_name]
 
 
 # ---- one simulation

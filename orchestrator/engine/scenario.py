@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,21 +242,30 @@ class DrivenInputs:
         self.offset, self.discrete_offset = (np.array([m.offset for m in group]) for group in maps)
         self.at_end, self.at_midpoint = np.zeros(len(self.continuous)), np.zeros(len(self.continuous))
 
+    def members(self, at: Callable[[NDArray[Any]], int], inputs: Sequence[int]) -> dict[str, int]:
+        """The members of the C structure that any number of machines have in common; `at`: the address.
+
+        inputs   index of each continuous input among the coupling inputs
+        """
+        arrays = dict(zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True))
+        names = "columns targets factor offset discrete_columns discrete discrete_factor discrete_offset"
+        names += " integer_columns integers rates rate_columns rate_factor"
+        arrays |= {name: getattr(self, name) for name in names.split()}
+        return {name: at(array) for name, array in arrays.items()} | {
+            "samples": len(arrays["time"]),
+            "width": arrays["base"].shape[1],
+            "inputs": at(np.array(inputs, np.int32)),
+            "count": len(self.continuous),
+            "discrete_count": len(self.discrete),
+            "integer_count": len(self.integers),
+            "rate_count": len(self.rates),
+        }
+
     def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
         """Fill the C structure; inputs: index of each continuous input among the coupling inputs."""
-        arrays = zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True)
         struct = binding.h.Scenario(
-            **{name: binding.at(array) for name, array in arrays},
-            **binding.all_at(self, "columns targets factor offset discrete_columns discrete"),
-            **binding.all_at(self, "discrete_factor discrete_offset integer_columns integers"),
-            **binding.all_at(self, "at_end at_midpoint rates rate_columns rate_factor"),
-            samples=len(self.table.arrays[0]),
-            width=self.table.arrays[1].shape[1],
-            inputs=binding.at(np.array(inputs, np.int32)),
-            count=len(self.continuous),
-            discrete_count=len(self.discrete),
-            integer_count=len(self.integers),
-            rate_count=len(self.rates),
+            **self.members(binding.at, inputs),
+            **binding.all_at(self, "at_end at_midpoint"),
             evaluated_at=np.nan,
             input_writes=binding.program(self.set_calls),
         )

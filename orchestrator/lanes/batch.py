@@ -28,9 +28,8 @@ from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import NotInLanes, lane_count
-from orchestrator.lanes.group import FAILED, OK, Ended, Group
+from orchestrator.lanes.group import FAILED, OK, Ended, Group, Lanes
 from orchestrator.lanes.one_by_one import run_one_by_one
-from orchestrator.lanes.plan import Lanes
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 

@@ -5,7 +5,7 @@ place of double. The libraries are compiled for the processor of this computer, 
 """
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -24,8 +24,14 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import structures, without_comments
 from orchestrator.ssp.system import Component
 
+LANES = 8  # as in lanes.h
 FOLDER = Path(__file__).parent / "native"
 ENGINE = Path(__file__).parents[1] / "engine" / "native"
+# files of the engine that machines.cpp includes
+STEPPING = (
+    *("engine.h", "coupling_input.c", "communication_step.c", "scenario.c", "simulation_loop.c"),
+    "step_size.c",
+)
 # C files of a native FMU that model.cpp includes
 SOURCES = (
     *("sizes.h", "model.h", "model.c", "start.h", "start.c", "opening_curve.h"),
@@ -36,10 +42,11 @@ FLAGS = (
     *("-x", "c++", "-std=gnu++20", "-O2", "-g0", "-s", "-shared", "-fvisibility=hidden"),
     *("-nostdinc++", "-nostdlib++", "-fno-exceptions", "-fno-rtti"),
     *("-Wall", "-Wextra", "-Werror", "-Wno-unused-function"),
-    # divisions dominate: a vector of reciprocals takes as long as two of products
-    *("-freciprocal-math", "-ffp-contract=fast", "-fno-signed-zeros"),
     *("-fno-math-errno", "-fno-trapping-math"),
 )
+# in models divisions dominate: a vector of reciprocals takes as long as two of products
+FAST = ("-freciprocal-math", "-ffp-contract=fast", "-fno-signed-zeros")
+EXACT = ("-ffp-contract=off",)  # as in the engine for one machine
 # instruction sets of x86-64, the best one first -> the features of NumPy that they need, and further flags
 LEVELS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "x86_64_v4": (("AVX512_SKX",), ("-mprefer-vector-width=512",)),  # the default is 256
@@ -64,7 +71,7 @@ def processor() -> str:
 
 
 def recipe(
-    name: str, file: str, code: Mapping[str, bytes], cpu: str
+    name: str, file: str, code: Mapping[str, bytes], cpu: str, arithmetic: Sequence[str] = FAST
 ) -> tuple[str, dict[str, bytes], list[str]]:
     """A library for an instruction set, as arguments of `shared_library`.
 
@@ -72,7 +79,7 @@ def recipe(
     """
     target, library = PLATFORMS[host()], f"{name}_lanes{SUFFIX}"
     headers = {path.name: path.read_bytes() for path in FOLDER.glob("*.h")}
-    flags = ["-target", target.target, f"-mcpu={cpu}", *FLAGS, *LEVELS.get(cpu, ((), ()))[1]]
+    flags = ["-target", target.target, f"-mcpu={cpu}", *FLAGS, *arithmetic, *LEVELS.get(cpu, ((), ()))[1]]
     flags += ["-fPIC"] if SUFFIX != ".dll" else []
     own = {} if file in code else {file: (FOLDER / file).read_bytes()}
     sources = {**code, **headers, **own}
@@ -81,28 +88,29 @@ def recipe(
 
 @cache
 def header() -> Any:
-    """Structures and constants of group.h, by name."""
-    texts = [(FOLDER / name).read_text(encoding="utf-8") for name in ("lanes.h", "group.h")]
-    return structures(without_comments("\n".join(texts)))
+    """Structures and constants of the headers for several machines, by name."""
+    files = FOLDER / "lanes.h", FOLDER / "instance.h", ENGINE / "engine.h", FOLDER / "machines.h"
+    text = without_comments("\n".join(file.read_text(encoding="utf-8") for file in files))
+    return structures(text, LANES)
 
 
 def lane_count() -> int:
     """Number of machines in a group."""
-    return int(header().LANES)
+    return LANES
 
 
 @cache
-def group_library() -> ctypes.CDLL:
-    """The functions of group.cpp."""
-    code = {name: (ENGINE / name).read_bytes() for name in ("engine.h", "step_size.c")}
-    return _loaded("", *recipe("group", "group.cpp", code, processor()))
+def machines_library() -> ctypes.CDLL:
+    """The functions of machines.cpp."""
+    code = {name: (ENGINE / name).read_bytes() for name in STEPPING}
+    return _loaded("", *recipe("machines", "machines.cpp", code, processor(), EXACT))
 
 
 @dataclass(frozen=True)
 class Model:
     """The compiled model of a component.
 
-    struct   `Model` of group.h
+    struct   `Model` of instance.h
     names    variable name -> value reference
     """
 

@@ -1,20 +1,36 @@
-"""A group of machines in the lanes of a core: its memory, its start and its steps, by native/group.cpp."""
+"""Machines in the lanes of a core: how the models of a system are coupled, and groups of machines.
+
+native/machines.cpp steps a group by the plan of the engine's master. What lanes do not have raises
+`NotInLanes`: other FMUs than native ones, algebraic loops, the master interface-jacobian.
+"""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.lanes.compiled import NotInLanes, group_library, header, lane_count
-from orchestrator.lanes.plan import Lanes
-from orchestrator.ssp.system import Port
+from orchestrator.base.processes import available_cores
+from orchestrator.engine.coupling_inputs import CouplingInputs
+from orchestrator.engine.job import Job
+from orchestrator.engine.masters import MASTERS, Plan
+from orchestrator.engine.network import Network
+from orchestrator.engine.open_job import step_control
+from orchestrator.engine.scenario import DrivenInputs
+from orchestrator.engine.time_grid import Grid
+from orchestrator.lanes.compiled import NotInLanes, compiled_model, header, lane_count, machines_library
+from orchestrator.ssp.system import Connection, Port, System
 
+MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
 ALIGNMENT = 64  # bytes, of a vector
+# members of a coupling input that any number of machines have in common
+COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
 OK, EARLY, FAILED = "ok", "early", "failed"
 
 Array = NDArray[np.float64]
@@ -36,69 +52,406 @@ def aligned(size: int) -> NDArray[np.uint8]:
     return memory[offset : offset + size]
 
 
-class Group:
-    """Machines in lanes. After `reset`, `set` changes values of single machines; `begin` starts the run."""
+def vectors(*shape: int) -> Array:
+    """Aligned zeros, one for each machine: shape (..., lanes)."""
+    return aligned(8 * lane_count() * int(np.prod(shape))).view(np.float64).reshape(*shape, lane_count())
+
+
+class Instances:
+    """The instances of all models for one group, in one memory of vectors.
+
+    values, slopes, last_set   of each component, the index of its first one in the memory
+    """
 
     def __init__(self, lanes: Lanes) -> None:
-        h, lane = header(), lane_count()
-        self.lanes = lanes
-        self._memory = [aligned(m.struct.size) for m in lanes.models]
-        self._courses = aligned(max(lanes.plan.input_count, 1) * h.COURSE_VECTORS * 8 * lane)
-        self._pace = aligned(h.PACE_VECTORS * 8 * lane).view(np.int64).reshape(h.PACE_VECTORS, lane)
-        self._time, self._alive = self._pace[0].view(np.float64), self._pace[2]
-        self._failures = (h.Failure * lane)()
-        self._instances = np.zeros(len(lanes.models), np.uint64)
-        self._changed = aligned(len(lanes.models) * 8 * lane)
-        self.struct = h.Group(
-            instances=self._instances.ctypes.data,
-            courses=self._courses.ctypes.data,
-            pace=self._pace.ctypes.data,
-            failures=ctypes.addressof(self._failures),
-            changed=self._changed.ctypes.data,
-        )
-        self._create()
-        self._defaults = [memory.copy() for memory in self._memory]
-
-    # ---- values before the start
-
-    def _create(self) -> None:
-        """Make the instances, with the start values of the system."""
+        """With the start values of the system."""
+        self._lanes = lanes
+        sizes = [model.struct.size for model in lanes.models]
+        self.memory = aligned(sum(sizes))
+        base = self.memory.ctypes.data
         create = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
-        tolerance = self.lanes.job.execution.tolerance or 0.0
-        for k, (model, memory) in enumerate(zip(self.lanes.models, self._memory, strict=True)):
-            self._instances[k] = create(model.struct.create)(memory.ctypes.data, tolerance)
-        for name, component in self.lanes.system.components.items():
+        tolerance = lanes.job.execution.tolerance or 0.0
+        places = base + np.cumsum([0, *sizes[:-1]])
+        self.addresses = np.array(
+            [
+                create(m.struct.create)(int(place), tolerance)
+                for m, place in zip(lanes.models, places, strict=True)
+            ],
+            np.uint64,
+        )
+        structs = [header().Instance.from_address(int(address)) for address in self.addresses]
+        self.values, self.slopes, self.last_set = (
+            [(getattr(s, name) - base) // (8 * lane_count()) for s in structs]
+            for name in ("values", "slopes", "last_set")
+        )
+        for name, component in lanes.system.components.items():
             for variable, value in component.start.items():
                 self.set(Port(name, variable), float(value))
+        self._defaults = self.memory.copy()
 
     def reset(self) -> None:
         """Go back to the values of the system before the start."""
-        for memory, defaults in zip(self._memory, self._defaults, strict=True):
-            memory[:] = defaults
-        self._courses[:] = 0
-        self._pace[:] = 0
-        self._alive[:] = -1
-        ctypes.memset(self._failures, 0, ctypes.sizeof(self._failures))
-        self._step_sizes = self.lanes.step_sizes()
-        self.struct.step_size = ctypes.addressof(self._step_sizes) if self._step_sizes else None
-        self.struct.row = self.struct.done = 0
+        self.memory[:] = self._defaults
 
     def _view(self, component: int, name: str, rows: int) -> Array:
         """An array of an instance, shape (rows, lanes)."""
-        instance = header().Instance.from_address(int(self._instances[component]))
+        instance = header().Instance.from_address(int(self.addresses[component]))
         pointer = ctypes.cast(getattr(instance, name), ctypes.POINTER(ctypes.c_double))
         return cast(Array, np.ctypeslib.as_array(pointer, (rows, lane_count())))
 
     def set(self, port: Port, value: float | Array) -> None:
         """Set a parameter, an input or the start value of a state: one value, or shape (lanes,)."""
-        k, reference = self.lanes.index[port.component], self.lanes.reference(port)
-        model = self.lanes.models[k].struct
+        k, reference = self._lanes.index[port.component], self._lanes.reference(port)
+        model = self._lanes.models[k].struct
         self._view(k, "values", reference + 1)[reference] = value
         number = reference - model.parameters
         if 0 <= number < model.inputs:
             self._view(k, "last_set", number + 1)[number] = value
         elif number >= 0:
             self._view(k, "start", number - model.inputs + 1)[number - model.inputs] = value
+
+
+class Lanes:
+    """A system in lanes: its models, and what all groups of machines have in common.
+
+    job       the run of one machine
+    signals   recorded variables
+    models    compiled, by component; index: component -> its number
+    """
+
+    def __init__(self, job: Job, times: Grid, signals: Sequence[Port]) -> None:
+        """Raises NotInLanes if the system or its coupling is not supported."""
+        self.job, self.system, self.times, self.signals = job, job.system, times, signals
+        _check_coupling(job, times)
+        with ThreadPoolExecutor(available_cores()) as threads:  # several compilers at once
+            self.models = list(threads.map(compiled_model, self.system.components.values()))
+        self.index = {name: k for k, name in enumerate(self.system.components)}
+        self._alive: list[Any] = []
+        with ExitStack() as stack:
+            slaves = {}
+            for name, component in self.system.components.items():
+                slaves[name] = job.execution.open(component)
+                stack.callback(slaves[name].close)
+            self._network = Network(self.system, slaves, job.scenario, signals)
+            if self._network.loops:
+                raise NotInLanes(self._network.loops[0].cycle.text)
+            self._instances = Instances(self)
+            self._network.reals.index = {
+                Port(model.component, name): first + reference
+                for model, first in zip(self.models, self._instances.values, strict=True)
+                for name, reference in model.names.items()
+            }
+            self.plan = MASTERS[job.coupling.master](self.system, job.coupling)
+            self._inputs = CouplingInputs(self._network, self.plan)
+            self.control = step_control(job, self._inputs, times)
+            self.inputs, self.slopes = self._coupling_inputs()
+            self._make_programs()
+            self.driven, self.scenario = self._scenario()
+
+    def reference(self, port: Port) -> int:
+        """The value reference of a variable."""
+        return self.models[self.index[port.component]].names[port.variable]
+
+    # ---- structures
+
+    def at(self, array: NDArray[Any]) -> int:
+        """The address of an array that C uses."""
+        self._alive.append(array)
+        return array.ctypes.data
+
+    def _array(self, kind: Any, values: Sequence[Any]) -> int:
+        """The address of an array of structures."""
+        array = (kind * max(len(values), 1))(*values)
+        self._alive.append(array)
+        return ctypes.addressof(array)
+
+    def members(self) -> dict[str, Any]:
+        """The members of `Simulation` of engine.h that are the same for all groups."""
+        plan, control, times = self.plan, self.control, self.times
+        return {
+            "exchange": self.exchange,
+            "component_count": len(self.models),
+            "input_count": len(self.inputs),
+            "initial_rounds": self._network.order.count + 1,
+            "order": self.at(np.array(plan.order, np.int32)),
+            "degree": plan.degree,
+            "sequential": plan.sequential,
+            "passes": plan.passes,
+            "tolerance": plan.tolerance,
+            "error_tolerance": control.tolerance if control else 0.0,
+            "saves": self.saves,
+            "events": self.at(np.array(times.events, np.float64)),
+            "event_count": len(times.events),
+            "start": times.start,
+            "step": times.step,
+            "total": times.steps,
+        }
+
+    def group_members(self) -> dict[str, Any]:
+        """The members of `Group` of machines.h that are the same for all groups."""
+        h = header()
+        signals = [h.Signal(self.index[p.component], self.reference(p)) for p in self.signals]
+        return {
+            "models": self.at(np.array([ctypes.addressof(m.struct) for m in self.models], np.uint64)),
+            "wires": self.wires,
+            "wire_count": self.wire_count,
+            "signals": self._array(h.Signal, signals),
+            "signal_count": len(signals),
+            "every": self.times.every,
+        }
+
+    @property
+    def saves(self) -> bool:
+        """Are the states saved at the beginning of each step?"""
+        return self.plan.passes > 1 or self.control is not None
+
+    def step_sizes(self) -> Any:
+        """The control of the steps of each machine of a new group; None: equal steps."""
+        if (c := self.control) is None:
+            return None
+        first = min(max(c.first, c.smallest), c.largest)
+        limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": 1}
+        struct = header().StepSize(**limits, power=self._inputs.power)
+        return (header().StepSize * lane_count())(*[struct] * lane_count())
+
+    def _input(self, port: Port) -> tuple[int, int, int]:
+        """Index of an input in the memory, that of its last set value, number of its component."""
+        k = self.index[port.component]
+        number = self.reference(port) - self.models[k].struct.parameters
+        return self._network.reals.index[port], self._instances.last_set[k] + number, k
+
+    def _wire(self, c: Connection, checked: bool = False) -> Any:
+        source = self._network.reals.index[c.source]
+        return header().Wire(c.map.factor, c.map.offset, source, *self._input(c.target), checked)
+
+    def _coupling_inputs(self) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        """The inputs that the master varies or watches, and the index of each source's slope; -1: none."""
+        h, sources = header(), {c.target: c.source for c in self._network.connections}
+        rows = np.zeros(len(self._inputs.inputs), np.dtype(h.CouplingInput))
+        slopes = np.full(len(rows), -1)
+        for i, (port, s) in enumerate(zip(self._inputs.ports, self._inputs.inputs, strict=True)):
+            for name in COMMON:
+                rows[name][i] = getattr(s, name)
+            rows["slope_factor"][i] = s.factor
+            rows["fmu_degree"][i], rows["requested_degree"][i] = h.DEGREE, h.DEGREE * (s.requested_degree > 0)
+            if s.source_component != h.DRIVEN and self.plan.needs_slopes:
+                source = sources[port]
+                slopes[i] = self._instances.slopes[self.index[source.component]] + self.reference(source)
+        return rows, slopes
+
+    def _scenario(self) -> tuple[int, dict[str, Any]]:
+        """The number of driven inputs, and the members of `Scenario` that are the same for all groups."""
+        h = header()
+        if self._network.driven is None:
+            return 0, {}
+        assert self.job.scenario is not None
+        driven = DrivenInputs(self.job.scenario, self.system, self._network.reals.index, {}, ())
+        inputs = [self._inputs.ports.index(port) for port in driven.continuous]
+        ports = [(port, False) for port in driven.continuous] + [(rate, True) for rate in self._network.rates]
+        wires = [h.Wire(1.0, 0.0, 0, *self._input(port), checked) for port, checked in ports]
+        program = self._program([h.Instruction(h.DRIVE, len(wires), self._array(h.Wire, wires))])
+        return len(inputs), driven.members(self.at, inputs) | {"input_writes": program}
+
+    # ---- the calls of a step
+
+    def _program(self, instructions: Sequence[Any]) -> Any:
+        return header().Program(len(instructions), self._array(header().Instruction, instructions))
+
+    def _make_programs(self) -> None:
+        """Make the programs of each component, and that of an exchange."""
+        h, plan = header(), self.plan
+        driven = self._network.driven
+        if driven and (len(driven.discrete) or len(driven.integers)):
+            raise NotInLanes("the scenario drives inputs that are not continuous")
+        instructions, wires = self._exchange()
+        self.wires, self.wire_count = self._array(h.Wire, wires), len(wires)
+        first = 0
+        for instruction in instructions:
+            if instruction.type == h.COPY:
+                instruction.operand = self.wires + first * ctypes.sizeof(h.Wire)
+                first += instruction.index
+        self.exchange = self._program(instructions)
+        used = {s.source_component for s in self._inputs.inputs} if plan.needs_slopes else set()
+        held = self._inputs.held(plan.order) if plan.sequential else [[] for _ in self.models]
+        self.programs = []
+        for k, connections in enumerate(held):
+            copied = self._array(h.Wire, [self._wire(c) for c in connections])
+            programs = {
+                "input_writes": [h.Instruction(h.FOLLOW, k)],
+                "held_inputs": [h.Instruction(h.HOLD, len(connections), copied)],
+                "slope_reads": [h.Instruction(h.SLOPES, k)] if k in used else [],
+            }
+            self.programs.append({name: self._program(calls) for name, calls in programs.items()})
+
+    def components(self, values: Sequence[Array], derivatives: Sequence[Array]) -> Any:
+        """The components of a group, as structures of engine.h."""
+        targets = [self.index[port.component] for port in self._inputs.ports]
+        first = np.searchsorted(targets, range(len(self.models) + 1))
+        return (header().Component * len(self.models))(
+            *(
+                header().Component(
+                    first_input=first[k],
+                    input_count=first[k + 1] - first[k],
+                    substeps=1,
+                    rollback=self.saves,
+                    repeated=k in self.plan.repeated,
+                    values=values[k].ctypes.data,
+                    derivatives=derivatives[k].ctypes.data,
+                    **programs,
+                )
+                for k, programs in enumerate(self.programs)
+            )
+        )
+
+    def _exchange(self) -> tuple[list[Any], list[Any]]:
+        """The instructions of an exchange, and the wires in the order in which they are copied.
+
+        A component computes its outputs again if an input on which they depend directly is not settled, when
+        as many of its sources as possible are known.
+        """
+        h, network, system = header(), self._network, self.system
+        source = {c.target: c.source for c in network.connections}
+        settled, known = _settled(system, self.plan, self._inputs, network.rates)
+        needed = {*source.values()} | {*network.order.stages}.intersection(self.signals)
+        checked = {u for y in needed for u in _direct(system, y)} - settled
+        pending, program, ordered = needed - known, list[Any](), list[Any]()
+
+        def copy(outputs: set[Port]) -> None:
+            copied = [c for c in network.connections if c.source in outputs]
+            program.append(h.Instruction(h.COPY, len(copied)))
+            ordered.extend(self._wire(c, c.target in checked) for c in copied)
+
+        copy(known)
+        while pending:
+            waiting = {name: {y for y in pending if y.component == name} for name in self.index}
+            ready = {
+                name: {y for y in outputs if pending.isdisjoint(source.get(u) for u in _direct(system, y))}
+                for name, outputs in waiting.items()
+            }
+            name = max(ready, key=lambda n: (len(ready[n]) > 0, ready[n] == waiting[n], len(ready[n])))
+            program.append(h.Instruction(h.OUTPUTS, self.index[name]))
+            pending -= ready[name]
+            copy(ready[name])
+        rates = {
+            k
+            for p in self.signals
+            if self.models[k := self.index[p.component]].is_derivative(self.reference(p))
+        }
+        return program + [h.Instruction(h.DERIVATIVES, k) for k in sorted(rates)], ordered
+
+
+def _check_coupling(job: Job, times: Grid) -> None:
+    """Raise NotInLanes for settings of the master that lanes do not have."""
+    c = job.coupling
+    reasons = {
+        f"the master {c.master}": c.master not in MASTERS_IN_LANES,
+        "corrected inputs": c.correct,
+        "several steps of a component in a communication step": any(n > 1 for n in c.factors.values()),
+        "control of the energy": c.adaptive is not None and c.controls_energy,
+        "adaptive steps without a record step": times.free,
+    }
+    if found := next((reason for reason, applies in reasons.items() if applies), None):
+        raise NotInLanes(found)
+
+
+def _direct(system: System, output: Port) -> list[Port]:
+    """The inputs on which an output depends directly."""
+    names = system.components[output.component].interface.direct_inputs(output.variable)
+    return [Port(output.component, name) for name in names]
+
+
+def _settled(
+    system: System, plan: Plan, inputs: CouplingInputs, rates: Collection[Port]
+) -> tuple[set[Port], set[Port]]:
+    """Inputs that end a step at their final value, and outputs that depend directly on no others.
+
+    These inputs are open, driven, or end at an output of this kind of a component that steps before.
+    `rates` are inputs that get the slope of a driven one.
+    """
+    source = {c.target: c.source for c in system.connections}
+    varied = inputs.varying - {*inputs.driven}
+    names, settled, known, before = list(system.components), set[Port](), set[Port](), set[str]()
+    for k in plan.order:
+        interface = system.components[names[k]].interface
+        for port in (Port(names[k], v.name) for v in interface.of("input")):
+            follows = port in varied and source[port].component in before and source[port] in known
+            if port not in rates and (port in inputs.driven or port not in source or follows):
+                settled.add(port)
+        ports = (Port(names[k], name) for name in interface.variables)
+        known |= {port for port in ports if settled.issuperset(_direct(system, port))}
+        if plan.sequential:
+            before.add(names[k])
+    return settled, known
+
+
+class Group:
+    """Machines in lanes. After `reset`, `set` changes values of single machines; `begin` starts the run."""
+
+    def __init__(self, lanes: Lanes) -> None:
+        h, count = header(), lanes.inputs.size
+        self.lanes, self._instances = lanes, Instances(lanes)
+        base = self._instances.memory.ctypes.data
+        self._inputs = aligned(lanes.inputs.nbytes).view(lanes.inputs.dtype)
+        self._template = lanes.inputs.copy()
+        self._template["source_slope"] = np.where(
+            lanes.slopes >= 0, base + 8 * lane_count() * lanes.slopes, 0
+        )
+        values, derivatives = ([vectors(n * max(count, 1)) for _ in lanes.models] for n in (1, h.DEGREE))
+        self._components = lanes.components(values, derivatives)
+        self._failures = (h.Failure * lane_count())()
+        self._changed = vectors(len(lanes.models))
+        self._has_stepped = np.zeros(len(lanes.models), np.uint8)
+        self._alive_arrays = values, derivatives
+        self._memory = aligned(ctypes.sizeof(h.Group))
+        self.struct = h.Group.from_buffer(self._memory)
+        for name, value in lanes.group_members().items():
+            setattr(self.struct, name, value)
+        self.struct.instances = self._instances.addresses.ctypes.data
+        self.struct.failures = ctypes.addressof(self._failures)
+        self.struct.changed = self._changed.ctypes.data
+        self._sim = self.struct.sim
+        for name, value in lanes.members().items():
+            setattr(self._sim, name, value)
+        self._sim.reals, self._sim.inputs = base, self._inputs.ctypes.data
+        self._sim.components = ctypes.addressof(self._components)
+        self._sim.has_stepped = self._has_stepped.ctypes.data
+        self._scenario: Any = None
+        if lanes.driven:
+            self._add_scenario()
+        self._time, self._alive = np.ctypeslib.as_array(self._sim.t), np.ctypeslib.as_array(self._sim.alive)
+        self._length = np.ctypeslib.as_array(self._sim.length)
+
+    def _add_scenario(self) -> None:
+        """Add the inputs that the scenario drives, and memory for commands in its place."""
+        h, lanes = header(), self.lanes
+        self._ends = vectors(2, lanes.driven)
+        self._commands = vectors(lanes.scenario["width"])
+        self._scenario_memory = aligned(ctypes.sizeof(h.Scenario))
+        self._scenario = h.Scenario.from_buffer(self._scenario_memory)
+        for name, value in lanes.scenario.items():
+            setattr(self._scenario, name, value)
+        self._scenario.at_end, self._scenario.at_midpoint = (ends.ctypes.data for ends in self._ends)
+        self._sim.scenario = ctypes.addressof(self._scenario)
+
+    # ---- values before the start
+
+    def reset(self) -> None:
+        """Go back to the values of the system before the start."""
+        self._instances.reset()
+        self._inputs[:] = self._template
+        self._time[:] = self._length[:] = 0.0
+        self._alive[:] = -1
+        ctypes.memset(self._failures, 0, ctypes.sizeof(self._failures))
+        self._step_sizes = self.lanes.step_sizes()
+        self._sim.step_size = ctypes.addressof(self._step_sizes) if self._step_sizes else None
+        self._sim.event[:] = [0] * lane_count()
+        self.struct.row = self._sim.done = 0
+        if self._scenario:
+            self._scenario.evaluated_at[:] = [np.nan] * lane_count()
+
+    def set(self, port: Port, value: float | Array) -> None:
+        """Set a parameter, an input or the start value of a state: one value, or shape (lanes,)."""
+        self._instances.set(port, value)
 
     # ---- the run
 
@@ -115,11 +468,10 @@ class Group:
     def move(self, point: int) -> None:
         """Begin at a communication point instead of the first one."""
         times = self.lanes.times
-        self.struct.done, self._time[:] = point, times.start + point * times.step
+        self._sim.done, self._time[:] = point, times.start + point * times.step
 
     def _call(self, function: str, *arguments: Any) -> int:
-        plan, group = ctypes.byref(self.lanes.plan), ctypes.byref(self.struct)
-        return int(getattr(group_library(), function)(plan, group, *arguments))
+        return int(getattr(machines_library(), function)(ctypes.byref(self.struct), *arguments))
 
     def adopt(self, other: Group, lanes: NDArray[np.bool_]) -> None:
         """Replace machines by those in the same lanes of another group, which has just begun."""
@@ -133,8 +485,11 @@ class Group:
 
     def command(self, values: Array) -> None:
         """Hold commands in place of the scenario from now on, shape (columns of the scenario, lanes)."""
-        self._commands = np.ascontiguousarray(values, np.float64)
-        self.struct.commands = self._commands.ctypes.data
+        self._commands[:] = values
+        self._scenario.commands = self._commands.ctypes.data
+        self._scenario.evaluated_at[:] = [np.nan] * lane_count()
+        for component in self._components:
+            component.sets_values = 1
 
     def stop(self) -> None:
         """End a run in another thread as soon as possible, for good."""

@@ -16,8 +16,7 @@ from orchestrator.engine.job import Execution
 from orchestrator.engine.run import prepare
 from orchestrator.lanes.batch import machine_values
 from orchestrator.lanes.compiled import lane_count
-from orchestrator.lanes.group import Group
-from orchestrator.lanes.plan import Lanes
+from orchestrator.lanes.group import Group, Lanes
 from orchestrator.ssp.system import System
 
 FOREVER = 1e6  # [s], stop time: steps of 1 ms are equal to 1e-7 until then

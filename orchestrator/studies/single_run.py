@@ -15,9 +15,8 @@ from orchestrator.engine.run import prepare, run
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import lane_count
-from orchestrator.lanes.group import EARLY, FAILED, OK, Group
+from orchestrator.lanes.group import EARLY, FAILED, OK, Group, Lanes
 from orchestrator.lanes.one_by_one import early_end
-from orchestrator.lanes.plan import Lanes
 from orchestrator.studies.cases import Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
 

@@ -151,7 +151,8 @@ def watched(c, lengths, order=0, slopes=True, degree=3):
         s.extrapolate(h, steps[0])
         s.set_end(at(c, t + h), slope_at(c, t + h), h, *steps)
         if n < len(lengths) - 1:
-            s.accept(h, steps[0])
+            s.find_deficit(h)
+            s.accept(h)
             t, steps = t + h, (h, steps[0])
     return s, t, steps
 

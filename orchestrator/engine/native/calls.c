@@ -125,17 +125,20 @@ static int exchange_call(Simulation *sim, const ExchangeCall *e) {
     return status ? sim->check_status(e, 0, status) : CONTINUE;
 }
 
+#define COPY_VALUES(TYPE, ARRAY)                                                                            \
+    do {                                                                                                    \
+        TYPE *values = ARRAY;                                                                               \
+        const TYPE *factor = copy->factor, *offset = copy->offset;                                          \
+        const int64_t *source = copy->source, *target = copy->target, count = copy->count;                  \
+        if (factor)                                                                                         \
+            for (int64_t i = 0; i < count; i++) values[target[i]] = values[source[i]] * factor[i] + offset[i]; \
+        else                                                                                                \
+            for (int64_t i = 0; i < count; i++) values[target[i]] = values[source[i]];                      \
+    } while (0)
+
 static void copy_values(Simulation *sim, const ConnectionCopy *copy) {
-    for (int32_t i = 0; i < copy->count; i++) {
-        const int64_t from = copy->source[i], to = copy->target[i];
-        if (copy->array == REAL) {
-            const double *factor = copy->factor, *offset = copy->offset;
-            sim->reals[to] = factor ? sim->reals[from] * factor[i] + offset[i] : sim->reals[from];
-        } else {
-            const int32_t *factor = copy->factor, *offset = copy->offset;
-            sim->integers[to] = factor ? sim->integers[from] * factor[i] + offset[i] : sim->integers[from];
-        }
-    }
+    if (copy->array == REAL) COPY_VALUES(double, sim->reals);
+    else COPY_VALUES(int32_t, sim->integers);
 }
 
 int execute(Simulation *sim, const Program *program) {
@@ -175,8 +178,9 @@ int linearise(Simulation *sim, const JacobianColumn *columns, int32_t count, dou
     return CONTINUE;
 }
 
-int component_step(Simulation *sim, int k, double t, double h) {
+int component_step(Simulation *sim, int k, Real begin, Real end) {
     Component *p = &sim->components[k];
+    const double t = sim->t + begin, h = p->fixed_step != 0.0 ? p->fixed_step : sim->t + end - t;
     p->clock[0] = p->clock[1] = t;
     if (!p->do_step) return sim->call_python(STEP, k, t, h);
     int status;
@@ -200,11 +204,51 @@ int component_save(Simulation *sim, int k) {
     return status ? sim->check_status(p->get_state, k, status) : CONTINUE;
 }
 
-int component_restore(Simulation *sim, int k) {
+int component_restore(Simulation *sim, int k, Mask machines) {
+    (void)machines;
     Component *p = &sim->components[k];
     if (!p->do_step) return sim->call_python(RESTORE, k, 0.0, 0.0);
     *p->call = RESTORE;
     const int status = ((SetState *)p->set_state)(p->instance, p->state);
     *p->call = 0;
     return status ? sim->check_status(p->set_state, k, status) : CONTINUE;
+}
+
+/* ---- the values of a run ---------------------------------------------------------------------- */
+
+void set_clocks(Simulation *sim, Real t) {
+    for (int32_t k = 0; k < sim->component_count; k++) sim->components[k].clock[0] = t;
+}
+
+void machines_move(Simulation *sim, Mask machines) { sim->moving = machines; }
+
+int machines_check(Simulation *sim) { return (void)sim, CONTINUE; } /* recorder.py does */
+
+int values_save(Simulation *sim) {
+    memcpy(sim->saved_reals, sim->reals, (size_t)sim->real_count * sizeof *sim->reals);
+    memcpy(sim->saved_integers, sim->integers, (size_t)sim->integer_count * sizeof *sim->integers);
+    return CONTINUE;
+}
+
+int values_restore(Simulation *sim) {
+    memcpy(sim->reals, sim->saved_reals, (size_t)sim->real_count * sizeof *sim->reals);
+    memcpy(sim->integers, sim->saved_integers, (size_t)sim->integer_count * sizeof *sim->integers);
+    return sim->check_status(0, 0, WITHDRAWN);
+}
+
+/* Sets inputs again, which may not be part of the state of an FMU. */
+int values_set(Simulation *sim) { return simulation_exchange(sim, sim->t); }
+
+void record(Simulation *sim) {
+    Recorder *r = &sim->recorder;
+    double *reals = r->reals + (size_t)r->filled * (size_t)r->real_count;
+    int32_t *integers = r->integers + (size_t)r->filled * (size_t)r->integer_count;
+    r->time[r->filled] = sim->t;
+    const double *from = sim->reals;
+    const int64_t *indices = r->real_indices, count = r->real_count;
+    if (indices)
+        for (int64_t i = 0; i < count; i++) reals[i] = from[indices[i]];
+    else memcpy(reals, from, (size_t)count * sizeof *reals);
+    for (int32_t i = 0; i < r->integer_count; i++) integers[i] = sim->integers[r->integer_indices[i]];
+    r->filled++;
 }

@@ -14,7 +14,7 @@
  *     3. component_advance      the FMU gets the polynomials and steps
  *     4. set_exact_inputs       inputs that it followed at a lower degree are set to the end of their polynomial
  *     5. output_reads           its new outputs, and their slopes, are read
- *     6. set_source_ends        they become the ends of the inputs that they feed, for the components that follow
+ *     6. set_ends_from          they become the ends of the inputs that they feed, for the components that follow
  *
  * After the step simulation_loop.c exchanges all values at the new communication point.
  */
@@ -27,27 +27,33 @@
 /* ---- one component */
 
 /* Set the coupling inputs of a component from `begin` [s] after the start of the step on, for `length` [s]. */
-int component_set_inputs(Simulation *sim, Component *p, double begin, double length, int last) {
+int component_set_inputs(Simulation *sim, Component *p, Real begin, Real length, int last) {
     static const double factorial[] = {1.0, 2.0, 6.0};
-    double *value = p->values, *derivative = p->derivatives, c[DEGREE + 1];
+    const int first = !any(begin > 0.0), keeps_ends = sim->input_ends != NULL;
+    Real *value = p->values, *derivative = p->derivatives, part[DEGREE + 1];
     for (int32_t i = 0; i < p->input_count; i++) {
         const CouplingInput *s = &sim->inputs[p->first_input + i];
-        if (begin != 0.0) polynomial_shift(s->c, begin, c);
-        else memcpy(c, s->c, sizeof c);
-        polynomial_project(c, s->fmu_degree, length);
+        const Real *c = s->c;
+        if (!first || s->fmu_degree < DEGREE) {
+            if (first) memcpy((void *)part, s->c, sizeof part);
+            else polynomial_shift(s->c, begin, part);
+            polynomial_project(part, s->fmu_degree, length);
+            c = part;
+        }
         if (p->sets_values && s->requested_degree) *value++ = c[0];
         for (int32_t k = 0; k < s->fmu_degree && k < s->requested_degree; k++) *derivative++ = factorial[k] * c[k + 1];
-        if (begin == 0.0 && s->requested_degree) sim->input_ends[s->target] = c[0];
-        if (last && s->requested_degree) sim->input_ends[sim->real_count + s->target] = polynomial_value(c, length);
+        if (!keeps_ends || !s->requested_degree) continue;
+        if (first) sim->input_ends[s->target] = c[0];
+        if (last) sim->input_ends[sim->real_count + s->target] = polynomial_value(c, length);
     }
     return execute(sim, &p->input_writes);
 }
 
 /* Set the inputs that the FMU could only follow at a lower degree to their polynomials, `at` [s] after the start of the
  * step, before outputs are read. */
-static int set_exact_inputs(Simulation *sim, const Component *p, double at) {
+static int set_exact_inputs(Simulation *sim, const Component *p, Real at) {
     if (!p->simplifies_inputs) return CONTINUE;
-    double *value = p->values, *derivative = p->derivatives;
+    Real *value = p->values, *derivative = p->derivatives;
     for (int32_t i = 0; i < p->input_count; i++) {
         const CouplingInput *s = &sim->inputs[p->first_input + i];
         if (s->requested_degree) *value++ = polynomial_value(s->c, at);
@@ -58,27 +64,29 @@ static int set_exact_inputs(Simulation *sim, const Component *p, double at) {
 }
 
 /* Read the outputs of a component in the middle of the step, for the inputs that they feed. */
-static int read_middle(Simulation *sim, int k, double h) {
+static int read_middle(Simulation *sim, int k, Real h) {
     const Component *p = &sim->components[k];
     int verdict = set_exact_inputs(sim, p, 0.5 * h);
     if (!verdict) verdict = execute(sim, &p->output_reads);
-    for (int32_t i = 0; i < sim->input_count; i++) {
+    for (int32_t i = p->first_fed; i >= 0; i = sim->inputs[i].next_fed) {
         CouplingInput *s = &sim->inputs[i];
-        if (s->source_component == k) s->middle = sim->reals[s->source] * s->factor + s->offset;
+        s->middle = sim->reals[s->source] * s->factor + s->offset;
     }
     return verdict;
 }
 
 /* Take a component over the communication step, in its own steps; `clock` is the wall time before, and after [s]. */
-int component_advance(Simulation *sim, int k, double h, double *clock) {
+int component_advance(Simulation *sim, int k, Real h, double *clock) {
     Component *p = &sim->components[k];
     const int32_t n = p->halved ? 2 : p->substeps;
+    Real begin = 0.0;
     for (int32_t j = 0; j < n; j++) {
-        const double begin = h * j / n, end = j == n - 1 ? h : h * (j + 1) / n, now = sim->t + begin;
+        const Real end = j == n - 1 ? h : h * (double)(j + 1) / (double)n;
         int verdict = component_set_inputs(sim, p, begin, end - begin, j == n - 1);
-        if (!verdict) verdict = component_step(sim, k, now, p->fixed_step != 0.0 ? p->fixed_step : sim->t + end - now);
+        if (!verdict) verdict = component_step(sim, k, begin, end);
         if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);
         if (verdict) return verdict;
+        begin = end;
     }
     const double before = *clock;
     *clock = seconds();
@@ -88,50 +96,64 @@ int component_advance(Simulation *sim, int k, double h, double *clock) {
 
 /* ---- coupling inputs */
 
-static void set_source_end(Simulation *sim, CouplingInput *s, double h) {
-    const double value = sim->reals[s->source] * s->factor + s->offset;
+static void set_source_end(Simulation *sim, CouplingInput *s, Real h) {
+    const Real value = sim->reals[s->source] * s->factor + s->offset;
     input_set_end(s, value, source_slope(s), h, sim->length, sim->length_before);
 }
 
-/* The outputs of one component, or of every component, are the ends of the inputs that they feed. */
-void set_source_ends(Simulation *sim, double h, int source_component) {
-    for (int32_t i = 0; i < sim->input_count; i++) {
-        CouplingInput *s = &sim->inputs[i];
-        const int from_it = s->source_component == source_component && !s->in_loop;
-        if (s->source_component != DRIVEN && (source_component == EVERY_COMPONENT || from_it)) set_source_end(sim, s, h);
+/* The outputs of all components are the ends of the inputs that they feed. */
+void set_source_ends(Simulation *sim, Real h) {
+    for (int32_t i = 0; i < sim->input_count; i++)
+        if (sim->inputs[i].source_component != DRIVEN) set_source_end(sim, &sim->inputs[i], h);
+}
+
+/* The outputs of one component are the ends of the inputs that it feeds outside of loops. */
+static void set_ends_from(Simulation *sim, const Component *p, Real h) {
+    for (int32_t i = p->first_fed; i >= 0; i = sim->inputs[i].next_fed)
+        if (!sim->inputs[i].in_loop) set_source_end(sim, &sim->inputs[i], h);
+}
+
+static void set_polynomial(const Simulation *sim, CouplingInput *s, int n, Real h) {
+    const int stepped = sim->has_stepped[s->source_component] && !s->in_loop;
+    if (s->predicted) {
+        if (!n && stepped) input_end_at_source(s, h);
+    } else if (s->requested_degree && (n || stepped)) {
+        input_interpolate(s, sim->degree, h, sim->length);
+    } else {
+        input_extrapolate(s, h, sim->length);
+        if (sim->corrected && s->requested_degree) input_correct(s, h, sim->length);
     }
 }
 
 /* Make the polynomials of the inputs of a component, in pass n = 0, 1, ... */
-static void set_polynomials(Simulation *sim, const Component *p, int n, double h) {
+static void set_polynomials(const Simulation *sim, const Component *p, int n, Real h) {
     for (int32_t i = 0; i < p->input_count; i++) {
         CouplingInput *s = &sim->inputs[p->first_input + i];
         if (s->source_component == DRIVEN) continue;
-        const int stepped = sim->has_stepped[s->source_component] && !s->in_loop;
-        if (s->predicted) {
-            if (!n && stepped) input_end_at_source(s, h);
-        } else if (s->requested_degree && (n || stepped)) {
-            input_interpolate(s, sim->degree, h, sim->length);
-        } else {
-            input_extrapolate(s, h, sim->length);
-            if (sim->corrected && s->requested_degree) input_correct(s, h, sim->length);
-        }
+        const int others = n && !all(sim->computed); /* machines whose last pass was final */
+        Real before[POLYNOMIAL];
+        if (others) memcpy((void *)before, s->c, sizeof before);
+        set_polynomial(sim, s, n, h);
+        if (others) input_replace_polynomial(s, before, !sim->computed);
     }
 }
 
-static void set_driven_polynomials(Simulation *sim, double h) {
+static void set_driven_polynomials(Simulation *sim, Real h) {
     Scenario *d = sim->scenario;
     if (!d) return;
     scenario_evaluate(d, sim->t + 0.5 * h);
-    memcpy(d->at_midpoint, d->at_end, (size_t)d->count * sizeof *d->at_midpoint);
+    memcpy((void *)d->at_midpoint, d->at_end, (size_t)d->count * sizeof *d->at_midpoint);
     scenario_evaluate(d, sim->t + h);
-    for (int32_t i = 0; i < d->count; i++)
-        input_drive(&sim->inputs[d->inputs[i]], d->at_midpoint[i], d->at_end[i], h);
+    for (int32_t i = 0; i < d->count; i++) {
+        CouplingInput *s = &sim->inputs[d->inputs[i]];
+        if (d->commands) s->value = d->at_end[i]; /* a command jumps at the beginning of a step */
+        input_drive(s, d->at_midpoint[i], d->at_end[i], h);
+    }
 }
 
 /* ---- one pass over all components */
 
-static int jacobi_pass(Simulation *sim, double h) {
+static int jacobi_pass(Simulation *sim, Real h) {
     for (int32_t k = 0; k < sim->component_count; k++) set_polynomials(sim, &sim->components[k], 0, h);
     if (sim->pool) return pool_step(sim->pool, h);
     double clock = seconds();
@@ -142,7 +164,7 @@ static int jacobi_pass(Simulation *sim, double h) {
     return CONTINUE;
 }
 
-static int gauss_seidel_pass(Simulation *sim, int n, double h) {
+static int gauss_seidel_pass(Simulation *sim, int n, Real h) {
     memset(sim->has_stepped, 0, (size_t)sim->component_count);
     for (int32_t i = 0; i < sim->component_count; i++) {
         const int k = sim->order[i];
@@ -154,7 +176,7 @@ static int gauss_seidel_pass(Simulation *sim, int n, double h) {
         }
         if (n && !p->repeated) continue; /* its inputs are the same as in the first pass */
         set_polynomials(sim, p, n, h);
-        if (n) verdict = component_restore(sim, k);
+        if (n) verdict = component_restore(sim, k, sim->computed);
         if (!verdict) verdict = execute(sim, &p->held_inputs);
         double clock = seconds(); /* here, so that the time of the component contains no reads of others */
         if (!verdict) verdict = component_advance(sim, k, h, &clock);
@@ -162,7 +184,7 @@ static int gauss_seidel_pass(Simulation *sim, int n, double h) {
         if (!verdict) verdict = execute(sim, &p->output_reads);
         if (!verdict) verdict = execute(sim, &p->slope_reads);
         if (verdict) return verdict;
-        set_source_ends(sim, h, k);
+        set_ends_from(sim, p, h);
         sim->has_stepped[k] = 1;
     }
     return CONTINUE;
@@ -171,7 +193,7 @@ static int gauss_seidel_pass(Simulation *sim, int n, double h) {
 /* ---- the step */
 
 /* Solve the algebraic loops at the end of a step that may be computed again. */
-static int solve_loops(Simulation *sim, double h) {
+static int solve_loops(Simulation *sim, Real h) {
     for (int32_t k = 0; k < sim->loop_count; k++) {
         const int verdict = sim->loops[k]->solved_in_passes ? loop_solve(sim, sim->loops[k]) : CONTINUE;
         if (verdict) return verdict;
@@ -182,21 +204,22 @@ static int solve_loops(Simulation *sim, double h) {
 }
 
 /* The largest relative change of an input that a further pass could make. */
-static double largest_mismatch(const Simulation *sim, double h) {
-    double worst = 0.0;
+static Real largest_mismatch(const Simulation *sim, Real h) {
+    Real worst = 0.0;
     for (int32_t i = 0; i < sim->input_count; i++)
         if (sim->inputs[i].source_component != DRIVEN) worst = worse(worst, input_mismatch(&sim->inputs[i], h));
     return worst;
 }
 
-int communication_step(Simulation *sim, double h, int *passes) {
+int communication_step(Simulation *sim, Real h, int *passes) {
+    sim->computed = sim->moving;
     set_driven_polynomials(sim, h);
-    for (int n = 0; n < sim->passes; n++) {
+    for (int n = 0; n < sim->passes && any(sim->computed); n++) {
         int verdict = sim->sequential ? gauss_seidel_pass(sim, n, h) : jacobi_pass(sim, h);
         *passes = n + 1;
         if (!verdict && sim->passes > 1) verdict = solve_loops(sim, h);
         if (verdict) return verdict;
-        if (sim->passes > 1 && !(largest_mismatch(sim, h) > sim->tolerance)) break;
+        if (sim->passes > 1) sim->computed = sim->computed && sim->moving && largest_mismatch(sim, h) > sim->tolerance;
     }
     if (sim->sequential) return CONTINUE;
     for (int32_t k = 0; k < sim->component_count; k++) {
@@ -209,27 +232,27 @@ int communication_step(Simulation *sim, double h, int *passes) {
 
 /* ---- the estimated error of the step */
 
-double step_error(const Simulation *sim, double h) {
-    double worst = 0.0;
+Real step_error(const Simulation *sim, Real h) {
+    Real worst = 0.0;
     for (int32_t i = 0; i < sim->input_count; i++) {
         const CouplingInput *s = &sim->inputs[i];
         const int by_mean = sim->corrected && s->source_component != DRIVEN;
-        const double deviation = by_mean ? input_mean_error(s, h) : input_deviation(s, h, sim->passes > 1);
+        const Real deviation = by_mean ? input_mean_error(s, h) : input_deviation(s, h, sim->passes > 1);
         worst = worse(worst, input_relative(s, deviation));
     }
     return worst;
 }
 
-double power_error(const Simulation *sim, double h) {
-    double worst = 0.0;
+Real power_error(const Simulation *sim, Real h) {
+    Real worst = 0.0;
     for (int32_t i = 0; i < sim->bond_count; i++) {
         const CouplingInput *effort = &sim->inputs[sim->bonds[2 * i]], *flow = &sim->inputs[sim->bonds[2 * i + 1]];
         const int repeated = sim->passes > 1;
-        const double power =
+        const Real power =
             effort->value_end * input_deviation(flow, h, repeated) -
             flow->value_end * input_deviation(effort, h, repeated);
-        const double magnitude = input_magnitude(effort) * input_magnitude(flow);
-        worst = worse(worst, magnitude > 0.0 ? fabs(power) / magnitude : 0.0);
+        const Real magnitude = input_magnitude(effort) * input_magnitude(flow);
+        worst = worse(worst, where(magnitude > 0.0, fabs(power) / magnitude, 0.0));
     }
     return worst;
 }

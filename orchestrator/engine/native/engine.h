@@ -17,19 +17,40 @@
  * Python owns all arrays. c_library.py reads the structures from this file; Python fills them before a run and
  * collects recorded rows between two calls of simulation_advance. A function that returns an int returns CONTINUE or
  * the reason to end the run.
+ *
+ * orchestrator/lanes/native/machines.cpp compiles the files that step a system for several machines at once, which differ
+ * in their numbers only. A Real has one double, and a Mask one truth value, for each of WIDTH machines; `where` chooses
+ * between two numbers of each machine.
  */
 #ifndef ENGINE_H
 #define ENGINE_H
 
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+
+#ifndef WIDTH
+#define WIDTH 1
+typedef double Real;
+typedef int32_t Mask;
+enum { NO_MACHINE, EVERY_MACHINE };
+static inline int any(Mask machines) { return machines; }
+static inline int all(Mask machines) { return machines; }
+static inline Mask is_finite(Real a) { return isfinite(a) != 0; }
+static inline Real where(Mask machines, Real a, Real b) { return machines ? a : b; }
+static inline double machine(Real a, int i) { return (void)i, a; }
+static inline int chosen(Mask machines, int i) { return (void)i, machines; }
+static inline void remove_machine(Mask *machines, int i) { *machines = 0, (void)i; }
+/* Sets the number of machine i of `count` that differ; if count is 1, all machines have it */
+static inline void set_machine(Real *a, int i, int count, double value) { *a = value, (void)i, (void)count; }
+#endif
 
 enum { REAL, INTEGER };                                           /* arrays of values; INTEGER: all but Real values */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of values in an FMU */
 enum { ACCESS, COPY, LOOP, PYTHON, EXCHANGE };                    /* types of instructions */
 enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of calls in Model Exchange */
-enum { DRIVEN = -1, LINE = 1, DEGREE = 3 };
+enum { DRIVEN = -1, LINE = 1, DEGREE = 3, POLYNOMIAL = 7 }; /* POLYNOMIAL: Reals of a coupling input from c on */
 enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
 enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python; also numbers of FMI functions */
 enum { OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* further statuses: an integer that the other type cannot
@@ -189,6 +210,20 @@ typedef struct ErrorPropagation {
 
 /* One input of a component that changes inside a communication step; all values in the unit of the input */
 typedef struct CouplingInput {
+    Real value, slope;      /* of the source at the beginning of the step */
+    Real value_end, slope_end;
+    Real middle;            /* of the source in the middle of the step, if its component is `halved` */
+    Real slope_before;      /* at the beginning of the previous step */
+    Real chord_before, chord_earlier; /* mean slopes in the previous step and the one before */
+    Real deficit;           /* mean of the source less mean of the input over the last step */
+    Real scale;             /* magnitude: the nominal value (1 if none is declared), or the largest if larger */
+    Real c[DEGREE + 1];     /* coefficients of the polynomial over the step */
+    Real correction;        /* part of c[0] that compensates the deficit */
+    Real expected, weight;  /* value at the end that the past lets expect, and weight of the difference to it */
+    const Real *source_slope; /* slope of the source: a slope that its FMU gives, or the value of an output that is the
+                                 slope; NULL: computed from values */
+    double slope_factor;      /* from the slope of the source to that of the input */
+    double factor, offset;    /* from the value of the source to that of the input */
     int32_t target, source;   /* indices in the array of Real values; a driven input has the source -1 */
     int32_t source_component; /* its index, or DRIVEN */
     int32_t fmu_degree;       /* the degree that the FMU can follow: 0 (it holds its input), 1 or 3 */
@@ -197,21 +232,8 @@ typedef struct CouplingInput {
     int32_t autonomous;       /* the source has no inputs: its slope may jump, but no further pass changes it */
     int32_t in_loop;          /* the source is in an algebraic loop: computed when all components have stepped */
     int32_t predicted;        /* linear_prediction.c makes the polynomial */
-    int32_t history_order;    /* the highest order of extrapolation that the recorded history allows */
-    const double *source_slope; /* slope of the source: a slope that its FMU gives, or the value of an output that is the
-                                   slope; NULL: computed from values */
-    double slope_factor;        /* from the slope of the source to that of the input */
-    double factor, offset;      /* from the value of the source to that of the input */
-    double scale;             /* magnitude: the nominal value (1 if none is declared), or the largest if larger */
-    double value, slope;      /* of the source at the beginning of the step */
-    double value_end, slope_end;
-    double middle;            /* of the source in the middle of the step, if its component is `halved` */
-    double slope_before, chord_before, bend_before; /* of the previous step: slope at its beginning, mean slope, divided
-                                                       difference of second order */
-    double expected, weight;  /* value at the end that the past lets expect, and weight of the difference to it */
-    double deficit;           /* mean of the source less mean of the input over the last step */
-    double correction;        /* part of c[0] that compensates the deficit */
-    double c[DEGREE + 1];     /* coefficients of the polynomial over the step */
+    int32_t history_order;    /* order of extrapolation that the past allows: 0 (no slope yet), 1 (one slope) or 3 */
+    int32_t next_fed;         /* the next input that the same component feeds, or -1 */
 } CouplingInput;
 
 typedef struct Component { /* a running FMU; do_step NULL: Python steps it, saves and restores its state */
@@ -227,11 +249,12 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     int32_t substeps;                   /* its own steps in one communication step */
     int32_t halved;                     /* it takes two of them, and its outputs between them are read */
     int32_t first_input, input_count;   /* its coupling inputs */
+    int32_t first_fed;                  /* the first of the coupling inputs that it feeds, or -1 */
     int32_t sets_values;                /* values of the inputs are set, not only derivatives */
     int32_t simplifies_inputs;          /* some inputs have a lower degree than the master asks for */
     int32_t rollback;                   /* its state is saved at the beginning of every step */
     int32_t repeated;                   /* further passes compute it again */
-    double *values, *derivatives;
+    Real *values, *derivatives;
     Program input_writes; /* set values and derivatives of its coupling inputs */
     Program output_reads; /* read the outputs that other components use */
     Program held_inputs;  /* set the other inputs to the newest value of their source */
@@ -239,26 +262,27 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
 } Component;
 
 typedef struct Scenario { /* a table of columns over time, linear between the samples, and the inputs that it drives */
-    int64_t samples, width, interval;
+    Real evaluated_at;
+    const Real *commands; /* held in place of the columns; NULL: none */
+    int64_t samples, width, interval[WIDTH];
     const double *time, *base, *slopes, *anchor;
     const int64_t *columns, *targets, *discrete_columns, *discrete, *integer_columns, *integers;
     const double *factor, *offset, *discrete_factor, *discrete_offset;
     const int64_t *rate_columns, *rates; /* rate inputs of continuous inputs, which get the slope of their column */
     const double *rate_factor;
-    double *at_end, *at_midpoint; /* continuous inputs at the end and at the middle of the step */
+    Real *at_end, *at_midpoint;   /* continuous inputs at the end and at the middle of the step */
     const int32_t *inputs;        /* the coupling inputs of the continuous ones */
     int32_t count, discrete_count, integer_count, rate_count;
-    double evaluated_at;
     Program input_writes;
 } Scenario;
 
 typedef struct EnergyMonitor { /* of power bonds: efforts and flows alternate in the arrays */
     const int64_t *indices, *read_indices;
     const uint8_t *varied; /* by the master; the others are read back */
-    const double *read_values;
-    double *start;                  /* true values at the start of the step */
-    double *used_start, *used_end;  /* values that the FMUs used at both ends of the step */
-    double *sums;                   /* shape (3, bonds): residual, sum of its magnitude, exchanged energy */
+    const Real *read_values;
+    Real *start;                    /* true values at the start of the step */
+    Real *used_start, *used_end;    /* values that the FMUs used at both ends of the step */
+    Real *sums;                     /* shape (3, bonds): residual, sum of its magnitude, exchanged energy */
     int32_t count;
     Program input_reads;
 } EnergyMonitor;
@@ -307,8 +331,13 @@ typedef struct Plant {
 typedef struct Pool Pool;
 
 typedef struct Simulation {
-    double *reals, *saved_reals;
-    double *input_ends; /* shape (2, real_count): coupling inputs at both ends of the step */
+    Real t, length, length_before; /* time, lengths of the last two steps; 0: none [s] */
+    Real shortest, longest;
+    Mask alive;    /* machines that have not failed */
+    Mask moving;   /* those that take the present step */
+    Mask computed; /* those that compute the present pass */
+    Real *reals, *saved_reals;
+    Real *input_ends; /* shape (2, real_count): coupling inputs at both ends of the step */
     int32_t *integers, *saved_integers;
     int64_t real_count, integer_count;
     Program exchange;
@@ -330,7 +359,7 @@ typedef struct Simulation {
     const int32_t *bonds; /* the coupling inputs of effort and flow of each bond */
     int32_t bond_count;
     /* the loop over steps */
-    StepSize *step_size; /* NULL: all steps are equal */
+    StepSize *step_size; /* of each machine; NULL: all steps are equal */
     double error_tolerance;
     int32_t by_energy; /* the tolerance applies to power */
     int32_t free;      /* every communication point is recorded */
@@ -338,8 +367,8 @@ typedef struct Simulation {
     int32_t rollback;  /* all components can go back, so that a shorter step can be tried */
     int32_t diverged;  /* a step was accepted although its error is not finite */
     const double *events;
-    int64_t event_count, event;
-    double start, step, t, length, length_before, shorter, shortest, longest, patience;
+    int64_t event_count, event[WIDTH];
+    double start, step, shorter, patience;
     int64_t total, done, steps, all_passes, repeated;
     Pool *pool; /* threads that step components; NULL: one component after the other */
     int32_t threads;
@@ -350,26 +379,40 @@ typedef struct Simulation {
 } Simulation;
 
 /* Maximum and minimum as Python computes them with NaN, and the worse of two errors */
-static inline double larger(double a, double b) { return b > a ? b : a; }
-static inline double smaller(double a, double b) { return b < a ? b : a; }
-static inline double worse(double a, double b) { return b <= a || a != a ? a : b; }
+#define COMPARING(Number)                                                                 \
+    static inline Number larger(Number a, Number b) { return where(b > a, b, a); }        \
+    static inline Number smaller(Number a, Number b) { return where(b < a, b, a); }       \
+    static inline Number worse(Number a, Number b) { return where(b <= a || a != a, a, b); }
+COMPARING(Real)
+#if WIDTH > 1
+COMPARING(double)
+#endif
 
 /* The slope of the source in the unit of the input; 0 if it is computed from values */
-static inline double source_slope(const CouplingInput *s) {
+static inline Real source_slope(const CouplingInput *s) {
     return s->source_slope ? *s->source_slope * s->slope_factor : 0.0;
 }
 
-#ifdef _WIN32
+#if WIDTH > 1
+#define EXPORT
+#elif defined(_WIN32)
 #define EXPORT __declspec(dllexport)
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-/* calls.c */
+/* calls.c; machines.cpp for several machines */
 int execute(Simulation *, const Program *);
-int component_step(Simulation *, int k, double t, double h);
+int component_step(Simulation *, int k, Real begin, Real end); /* [s] after the start of the step */
 int component_save(Simulation *, int k);
-int component_restore(Simulation *, int k);
+int component_restore(Simulation *, int k, Mask);
+void set_clocks(Simulation *, Real t);
+void machines_move(Simulation *, Mask); /* those that take the next step */
+int machines_check(Simulation *);       /* at the start */
+int values_save(Simulation *);
+int values_restore(Simulation *);
+int values_set(Simulation *);
+void record(Simulation *);
 int directional_derivative(Simulation *, const Derivative *);
 int linearise(Simulation *, const JacobianColumn *, int32_t count, double *matrices);
 double seconds(void);
@@ -390,8 +433,8 @@ EXPORT int32_t loop_factorise(double *a, int32_t *pivots, int32_t n);
 EXPORT void loop_substitute(const double *a, const int32_t *pivots, double *b, int32_t n);
 
 /* linear_prediction.c */
-int predict_inputs(Simulation *, double h);
-void prediction_accept(LinearPrediction *, double h);
+int predict_inputs(Simulation *, Real h);
+void prediction_accept(LinearPrediction *, Real h);
 EXPORT void prediction_find_drift(const LinearPrediction *);
 EXPORT void prediction_prepare(LinearPrediction *, double h);
 EXPORT void prediction_solve(const LinearPrediction *);
@@ -413,47 +456,50 @@ void linear_system_respond(const LinearSystem *, const double *w, double *respon
 
 /* error_propagation.c */
 int error_begin(Simulation *);
-EXPORT int32_t error_propagate(Simulation *, double h);
+EXPORT int32_t error_propagate(Simulation *, Real h);
 EXPORT void error_advance(ErrorPropagation *, double h);
 
 /* coupling_input.c */
-EXPORT void input_begin(CouplingInput *, double value, double slope);
-EXPORT void input_drive(CouplingInput *, double middle, double value_end, double h);
-EXPORT void input_extrapolate(CouplingInput *, double h, double length);
-EXPORT void input_predict(CouplingInput *, double v1, double v2, double v3, double h);
-EXPORT void input_end_at_source(CouplingInput *, double h);
-EXPORT void input_interpolate(CouplingInput *, int32_t degree, double h, double length);
-EXPORT void input_correct(CouplingInput *, double h, double length);
-EXPORT void input_set_end(CouplingInput *, double value, double slope, double h, double length, double before);
-EXPORT void input_true_course(const CouplingInput *, double h, double c[]);
-EXPORT void input_accept(CouplingInput *, double h, double length);
-EXPORT double input_mismatch(const CouplingInput *, double h);
-EXPORT double input_deviation(const CouplingInput *, double h, int32_t repeated);
-EXPORT double input_mean_error(const CouplingInput *, double h);
-EXPORT double input_magnitude(const CouplingInput *);
-EXPORT double input_relative(const CouplingInput *, double deviation);
-EXPORT void polynomial_shift(const double c[], double by, double shifted[]);
-EXPORT void polynomial_project(double c[], int32_t degree, double h);
-EXPORT double polynomial_mean(const double c[], double h);
-EXPORT double polynomial_value(const double c[], double s);
-EXPORT double polynomial_slope(const double c[], double s);
+EXPORT void input_begin(CouplingInput *, Real value, Real slope);
+EXPORT void input_drive(CouplingInput *, Real middle, Real value_end, Real h);
+EXPORT void input_extrapolate(CouplingInput *, Real h, Real length);
+EXPORT void input_predict(CouplingInput *, Real v1, Real v2, Real v3, Real h);
+EXPORT void input_end_at_source(CouplingInput *, Real h);
+EXPORT void input_interpolate(CouplingInput *, int32_t degree, Real h, Real length);
+EXPORT void input_correct(CouplingInput *, Real h, Real length);
+EXPORT void input_set_end(CouplingInput *, Real value, Real slope, Real h, Real length, Real before);
+EXPORT void input_true_course(const CouplingInput *, Real h, Real c[]);
+EXPORT void input_find_deficit(CouplingInput *, Real h);
+EXPORT void input_accept(CouplingInput *, Real h);
+EXPORT void input_replace(CouplingInput *, const CouplingInput *by, Mask);
+EXPORT void input_replace_polynomial(CouplingInput *, const Real by[], Mask);
+EXPORT Real input_mismatch(const CouplingInput *, Real h);
+EXPORT Real input_deviation(const CouplingInput *, Real h, int32_t repeated);
+EXPORT Real input_mean_error(const CouplingInput *, Real h);
+EXPORT Real input_magnitude(const CouplingInput *);
+EXPORT Real input_relative(const CouplingInput *, Real deviation);
+EXPORT void polynomial_shift(const Real c[], Real by, Real shifted[]);
+EXPORT void polynomial_project(Real c[], int32_t degree, Real h);
+EXPORT Real polynomial_mean(const Real c[], Real h);
+EXPORT Real polynomial_value(const Real c[], Real s);
+EXPORT Real polynomial_slope(const Real c[], Real s);
 
 /* scenario.c */
-void scenario_evaluate(Scenario *, double t);
-int scenario_set_inputs(Simulation *, double t);
+void scenario_evaluate(Scenario *, Real t);
+void scenario_set_continuous(Scenario *, Real t, Real *values);
+int scenario_set_inputs(Simulation *, Real t);
 
 /* communication_step.c */
-int communication_step(Simulation *, double h, int *passes);
-int component_set_inputs(Simulation *, Component *, double begin, double length, int last);
-int component_advance(Simulation *, int k, double h, double *clock);
-void set_source_ends(Simulation *, double h, int source_component);
-double step_error(const Simulation *, double h);
-double power_error(const Simulation *, double h);
-enum { EVERY_COMPONENT = -2 };
+int communication_step(Simulation *, Real h, int *passes);
+int component_set_inputs(Simulation *, Component *, Real begin, Real length, int last);
+int component_advance(Simulation *, int k, Real h, double *clock);
+void set_source_ends(Simulation *, Real h);
+Real step_error(const Simulation *, Real h);
+Real power_error(const Simulation *, Real h);
 
 /* threads.c; `threads` includes the caller's */
 Pool *pool_start(Simulation *, int threads);
-int pool_step(Pool *, double h);
+int pool_step(Pool *, Real h);
 void pool_stop(Pool *);
 
 /* plant.c */
@@ -470,7 +516,7 @@ EXPORT double step_size_next(StepSize *, double remaining);
 EXPORT int32_t step_size_accepts(StepSize *, double error, double h);
 
 /* simulation_loop.c; simulation_advance returns CONTINUE also at the end of the run */
-EXPORT int32_t simulation_exchange(Simulation *, double t);
+EXPORT int32_t simulation_exchange(Simulation *, Real t);
 EXPORT int32_t simulation_begin(Simulation *);
 EXPORT int32_t simulation_advance(Simulation *);
 EXPORT int32_t simulation_close(Simulation *);

@@ -109,14 +109,7 @@ int32_t plant_connect(Simulation *sim, Plant *p) {
 }
 
 int32_t plant_settle(Simulation *sim, Plant *p) {
-    const Scenario *driven = sim->scenario;
-    if (driven) {
-        scenario_evaluate(sim->scenario, *p->time);
-        for (int32_t i = 0; i < driven->count; i++) p->external[driven->targets[i]] = driven->at_end[i];
-        const double *slopes = driven->slopes + driven->interval * driven->width;
-        for (int32_t i = 0; i < driven->rate_count; i++)
-            p->external[driven->rates[i]] = slopes[driven->rate_columns[i]] * driven->rate_factor[i];
-    }
+    if (sim->scenario) scenario_set_continuous(sim->scenario, *p->time, p->external);
     int verdict = execute(sim, &p->states);
     if (!verdict) verdict = evaluate_all(sim, p);
     return verdict ? verdict : plant_connect(sim, p);

@@ -13,8 +13,8 @@ static const double LEAST = 1e-9; /* smallest part of a discarded step that is r
 /* ---- communication points */
 
 /* Sets driven inputs to their value at t [s], then exchanges all outputs and inputs. */
-int32_t simulation_exchange(Simulation *sim, double t) {
-    for (int32_t k = 0; k < sim->component_count; k++) sim->components[k].clock[0] = t;
+int32_t simulation_exchange(Simulation *sim, Real t) {
+    set_clocks(sim, t);
     const int verdict = scenario_set_inputs(sim, t);
     return verdict ? verdict : execute(sim, &sim->exchange);
 }
@@ -27,23 +27,11 @@ static int read_slopes(Simulation *sim) {
 }
 
 /* Exchanges values at the end of a step, after all components have stepped. */
-static int exchange_at_end(Simulation *sim, double h) {
+static int exchange_at_end(Simulation *sim, Real h) {
     int verdict = simulation_exchange(sim, sim->t + h);
     if (!verdict) verdict = read_slopes(sim);
-    if (!verdict) set_source_ends(sim, h, EVERY_COMPONENT);
+    if (!verdict) set_source_ends(sim, h);
     return verdict;
-}
-
-static void record(Simulation *sim) {
-    Recorder *r = &sim->recorder;
-    double *reals = r->reals + (size_t)r->filled * (size_t)r->real_count;
-    int32_t *integers = r->integers + (size_t)r->filled * (size_t)r->integer_count;
-    r->time[r->filled] = sim->t;
-    if (r->real_indices)
-        for (int32_t i = 0; i < r->real_count; i++) reals[i] = sim->reals[r->real_indices[i]];
-    else memcpy(reals, sim->reals, (size_t)r->real_count * sizeof *reals);
-    for (int32_t i = 0; i < r->integer_count; i++) integers[i] = sim->integers[r->integer_indices[i]];
-    r->filled++;
 }
 
 /* ---- coupling energy of power bonds, see recorder.py */
@@ -60,109 +48,162 @@ static int store_used_inputs(Simulation *sim) {
     return verdict;
 }
 
-static double residual(const double *truth, const double *used) { return truth[0] * used[1] - used[0] * truth[1]; }
+static Real residual(const Real *truth, const Real *used) { return truth[0] * used[1] - used[0] * truth[1]; }
 
 /* Adds the energies of the step, by the trapezoidal rule. */
-static void add_energy(Simulation *sim, double h) {
+static void add_energy(Simulation *sim, Real h) {
     EnergyMonitor *m = &sim->energy;
     const int32_t bonds = m->count / 2;
     for (int32_t i = 0; i < bonds; i++) {
-        double *start = m->start + 2 * i;
-        const double end[] = {sim->reals[m->indices[2 * i]], sim->reals[m->indices[2 * i + 1]]};
-        const double error = 0.5 * h * (residual(start, m->used_start + 2 * i) + residual(end, m->used_end + 2 * i));
+        Real *start = m->start + 2 * i;
+        const Real end[] = {sim->reals[m->indices[2 * i]], sim->reals[m->indices[2 * i + 1]]};
+        const Real error = 0.5 * h * (residual(start, m->used_start + 2 * i) + residual(end, m->used_end + 2 * i));
         m->sums[i] += error;
         m->sums[bonds + i] += fabs(error);
         m->sums[2 * bonds + i] += 0.5 * h * (fabs(start[0] * start[1]) + fabs(end[0] * end[1]));
-        memcpy(start, end, sizeof end);
+        memcpy((void *)start, end, sizeof end);
     }
 }
 
 /* ---- steps */
 
 static int save_states(Simulation *sim) {
-    memcpy(sim->saved_reals, sim->reals, (size_t)sim->real_count * sizeof *sim->reals);
-    memcpy(sim->saved_integers, sim->integers, (size_t)sim->integer_count * sizeof *sim->integers);
-    int verdict = CONTINUE;
+    int verdict = values_save(sim);
     for (int32_t k = 0; k < sim->component_count && !verdict; k++)
         if (sim->components[k].rollback) verdict = component_save(sim, k);
     return verdict;
 }
 
-/* Goes back to the beginning of the step and withdraws its messages. */
-static int go_back(Simulation *sim) {
-    int verdict = sim->check_status(0, 0, WITHDRAWN);
-    memcpy(sim->reals, sim->saved_reals, (size_t)sim->real_count * sizeof *sim->reals);
-    memcpy(sim->integers, sim->saved_integers, (size_t)sim->integer_count * sizeof *sim->integers);
+/* Machines go back to the beginning of the step. */
+static int go_back(Simulation *sim, Mask machines) {
+    int verdict = values_restore(sim);
     for (int32_t k = 0; k < sim->component_count && !verdict; k++)
-        if (sim->components[k].rollback) verdict = component_restore(sim, k);
-    return verdict ? verdict : simulation_exchange(sim, sim->t); /* inputs may not be part of the state of an FMU */
+        if (sim->components[k].rollback) verdict = component_restore(sim, k, machines);
+    return verdict ? verdict : values_set(sim);
 }
 
+#if WIDTH == 1
 /* Goes back after a step of which an FMU did only the first part; the next one is shorter. */
 static int retry_discarded(Simulation *sim, double h) {
     const double reached = sim->reached - sim->t;
     const double shorter = LEAST * h < smaller(reached, h - reached) ? reached : 0.5 * h; /* neither part is rounding */
     if (!sim->rollback || shorter <= LEAST * sim->step) return STOP;
     sim->shorter = shorter;
-    return go_back(sim);
+    return go_back(sim, EVERY_MACHINE);
+}
+#endif
+
+/* The machines whose error is small enough; proposes the next length of each. With equal steps all go on, also those
+ * that have failed. */
+static Mask accepted(Simulation *sim, Real h) {
+    if (!sim->step_size) return EVERY_MACHINE;
+    const Real error = (sim->by_energy ? power_error(sim, h) : step_error(sim, h)) / sim->error_tolerance;
+    Mask machines = sim->moving;
+    for (int i = 0; i < WIDTH; i++)
+        if (chosen(machines, i) && !step_size_accepts(&sim->step_size[i], machine(error, i), machine(h, i)))
+            remove_machine(&machines, i);
+    sim->diverged = WIDTH == 1 && any(machines && !is_finite(error));
+    return machines;
 }
 
-/* Takes a step of length h; goes back if its error is too large. */
-static int try_step(Simulation *sim, double h, int *accepted) {
+static void accept_input(CouplingInput *s, Real h, Mask machines) {
+    const int others = !all(machines);
+    CouplingInput before;
+    if (others) before = *s;
+    input_accept(s, h);
+    if (others) input_replace(s, &before, !machines);
+}
+
+/* The end of the step is the beginning of the next one. */
+static int accept(Simulation *sim, Real h, Mask machines) {
+    const int verdict = sim->errors ? error_propagate(sim, h) : CONTINUE;
+    if (verdict) return verdict;
+    for (int32_t i = 0; i < sim->input_count; i++) {
+        if (sim->corrected) input_find_deficit(&sim->inputs[i], h);
+        accept_input(&sim->inputs[i], h, machines);
+    }
+    if (sim->prediction) prediction_accept(sim->prediction, h);
+    add_energy(sim, h);
+    sim->length_before = where(machines, sim->length, sim->length_before);
+    sim->length = where(machines, h, sim->length);
+    return CONTINUE;
+}
+
+/* Takes a step of length h. Machines whose error is too large, and those that do not move, go back; `done`: the others. */
+static int try_step(Simulation *sim, Real h, Mask *done) {
     int passes = 0;
-    *accepted = 0;
+    *done = NO_MACHINE;
     int verdict = sim->saves ? save_states(sim) : CONTINUE;
     if (verdict) return verdict;
     verdict = communication_step(sim, h, &passes);
+#if WIDTH == 1
     if (verdict == DISCARDED) return retry_discarded(sim, h);
+#endif
     if (verdict) return verdict;
     sim->all_passes += passes;
     verdict = store_used_inputs(sim);
     if (!verdict) verdict = exchange_at_end(sim, h);
     if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
     if (verdict) return verdict;
-    if (sim->step_size) {
-        const double e = (sim->by_energy ? power_error(sim, h) : step_error(sim, h)) / sim->error_tolerance;
-        if (!step_size_accepts(sim->step_size, e, h)) return go_back(sim);
-        sim->diverged = !isfinite(e);
-    }
-    if (sim->errors) verdict = error_propagate(sim, h);
-    if (verdict) return verdict;
-    for (int32_t i = 0; i < sim->input_count; i++) input_accept(&sim->inputs[i], h, sim->length);
-    if (sim->prediction) prediction_accept(sim->prediction, h);
-    sim->length_before = sim->length;
-    sim->length = h;
-    add_energy(sim, h);
-    *accepted = 1;
-    return CONTINUE;
+    *done = accepted(sim, h);
+    if (any(*done)) verdict = accept(sim, h, *done);
+    if (verdict || all(*done)) return verdict;
+    return any(sim->alive && !*done) ? go_back(sim, sim->alive && !*done) : CONTINUE;
 }
 
-/* Tries the next communication step once, up to the next point or event at most. */
+/* The length of the next step of each machine, up to its next event or the next point at most; `target`: that time. */
+static Real next_length(Simulation *sim, double point, Real *target) {
+    const int count = sim->step_size ? WIDTH : 1;
+    Real h = sim->step; /* any for machines that wait at the point */
+    *target = point;
+    for (int i = 0; i < count; i++) {
+        if (sim->step_size && !chosen(sim->moving, i)) continue;
+        const double t = machine(sim->t, i);
+        int64_t *event = &sim->event[i];
+        while (*event < sim->event_count && sim->events[*event] <= t) ++*event;
+        const double to = *event < sim->event_count ? smaller(point, sim->events[*event]) : point, rest = to - t;
+        set_machine(target, i, count, to);
+        set_machine(&h, i, count, sim->step_size ? step_size_next(&sim->step_size[i], rest) : rest);
+    }
+    return sim->shorter > 0.0 ? smaller(h, sim->shorter) : h;
+}
+
+/* Tries the next step of each machine once. */
 static int next_step(Simulation *sim) {
     const double point = sim->start + (double)(sim->done + 1) * sim->step;
-    while (sim->event < sim->event_count && sim->events[sim->event] <= sim->t) sim->event++;
-    const double target = sim->event < sim->event_count ? smaller(point, sim->events[sim->event]) : point;
-    const double remaining = target - sim->t;
-    double h = sim->step_size ? step_size_next(sim->step_size, remaining) : remaining;
-    int accepted;
-    if (sim->shorter > 0.0) h = smaller(h, sim->shorter);
-    const int verdict = try_step(sim, h, &accepted);
+    Real target;
+    Mask done;
+    machines_move(sim, sim->alive && sim->t < point);
+    const Real h = next_length(sim, point, &target);
+    const int verdict = try_step(sim, h, &done);
     if (verdict) return verdict;
-    if (!accepted) {
+    if (!any(done)) {
         sim->repeated++;
         return CONTINUE;
     }
-    sim->t = h == remaining ? target : sim->t + h;
+    sim->t = where(done, where(h == target - sim->t, target, sim->t + h), sim->t);
     sim->shorter = 0.0;
     sim->steps++;
     sim->shortest = smaller(sim->shortest, h);
     sim->longest = larger(sim->longest, h);
-    if (sim->t == point) sim->done++;
-    if (sim->t == point || sim->free || sim->diverged) record(sim);
+    const int there = !any(sim->alive && sim->t < point);
+    sim->done += there;
+    if (there || sim->free || sim->diverged) record(sim);
     return CONTINUE;
 }
 
 /* ---- the run */
+
+/* Lists the inputs that each component feeds. */
+static void list_fed_inputs(Simulation *sim) {
+    for (int32_t k = 0; k < sim->component_count; k++) sim->components[k].first_fed = -1;
+    for (int32_t i = sim->input_count - 1; i >= 0; i--) {
+        CouplingInput *s = &sim->inputs[i];
+        if (s->source_component == DRIVEN) continue;
+        int32_t *first = &sim->components[s->source_component].first_fed;
+        s->next_fed = *first, *first = i;
+    }
+}
 
 /* Marks inputs fed from algebraic loops; slopes of their sources depend on each other and are not used. */
 static void mark_loops(Simulation *sim) {
@@ -184,23 +225,33 @@ static void begin_input(const Simulation *sim, CouplingInput *s) {
     input_begin(s, sim->reals[s->source] * s->factor + s->offset, source_slope(s));
 }
 
-/* Exchanges values at the start and records them. The slope of an output may depend on slopes of inputs, so slopes are
- * read in several rounds. */
-int32_t simulation_begin(Simulation *sim) {
-    int verdict = simulation_exchange(sim, sim->t);
-    mark_loops(sim);
+/* Begins all inputs. The slope of an output may depend on slopes of inputs, so slopes are read in several rounds. */
+static int begin_inputs(Simulation *sim) {
+    int verdict = CONTINUE;
     for (int32_t n = 0; n < sim->initial_rounds && !verdict; n++) {
         verdict = read_slopes(sim);
         for (int32_t i = 0; i < sim->input_count; i++) begin_input(sim, &sim->inputs[i]);
         for (int32_t k = 0; k < sim->component_count && !verdict; k++)
             verdict = component_set_inputs(sim, &sim->components[k], 0.0, 0.0, 0);
     }
+    return verdict;
+}
+
+/* Exchanges values at the start and records them. */
+int32_t simulation_begin(Simulation *sim) {
+    machines_move(sim, sim->alive = EVERY_MACHINE);
+    int verdict = simulation_exchange(sim, sim->t);
+    list_fed_inputs(sim);
+    mark_loops(sim);
+    if (!verdict) verdict = begin_inputs(sim);
+    if (!verdict) verdict = machines_check(sim);
     if (verdict) return verdict;
     for (int32_t i = 0; i < sim->energy.count; i++) sim->energy.start[i] = sim->reals[sim->energy.indices[i]];
     record(sim);
     return sim->errors ? error_begin(sim) : CONTINUE;
 }
 
+#if WIDTH == 1
 /* Does Python have to collect estimated errors before the next step, which may add two rows of them? */
 static int errors_are_full(const ErrorPropagation *p) { return p && p->filled + 2 > p->capacity; }
 
@@ -224,3 +275,4 @@ int32_t simulation_close(Simulation *sim) {
     sim->pool = NULL;
     return CONTINUE;
 }
+#endif

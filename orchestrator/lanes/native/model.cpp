@@ -10,7 +10,7 @@
 #include <string.h>
 
 #include "lanes.h"
-#include "group.h"
+#include "instance.h"
 
 #include "model.h"
 #include "start.c"
