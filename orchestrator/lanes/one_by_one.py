@@ -102,22 +102,21 @@ def unpacked(
 ) -> tuple[list[System], dict[str, str]]:
     """The systems with FMUs in folders, and folder -> original FMU; extract: unpacks an FMU into a folder.
 
-    Each component gets its own copy of its FMU: two instances in one library may share variables.
+    Components of one FMU share its folder, and thereby its library, as in `run`.
     """
-    copies: dict[tuple[str, Location], Path] = {}
+    copies: dict[Location, Path] = {}
     found = []
     for system in systems:
         components = dict(system.components)
         for name, component in components.items():
             if component.source is None:
                 continue
-            key = name, component.source
-            if key not in copies:
-                copies[key] = folder / f"{len(copies):06}"
-                extract(component.source, copies[key])
-            components[name] = replace(component, source=Location(copies[key]))
+            if component.source not in copies:
+                copies[component.source] = folder / f"{len(copies):06}"
+                extract(component.source, copies[component.source])
+            components[name] = replace(component, source=Location(copies[component.source]))
         found.append(replace(system, components=components))
-    return found, {str(place): str(source) for (_, source), place in copies.items()}
+    return found, {str(place): str(source) for source, place in copies.items()}
 
 
 def with_originals(reason: str, originals: Mapping[str, str]) -> str:

@@ -228,3 +228,17 @@ def test_help_starts_fast():
     assert loaded.returncode == 0
     for heavy in ("'numpy'", "'fmpy'", "'scipy'", "'casadi'", "'pyarrow'", "'matplotlib'"):
         assert heavy not in loaded.stdout
+
+
+def test_a_run_imports_few_modules(fmu_dir, tmp_path):
+    """`harvester run` needs at most 50 modules of the project, packages not counted."""
+    arguments = ["run", str(fmu_dir / "swing.fmu"), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
+    listing = (
+        "[n for n, m in sys.modules.items() if n.startswith('orchestrator.') and not hasattr(m, '__path__')]"
+    )
+    loaded = python(
+        f"import sys; from orchestrator.__main__ import main; main({arguments}); print(*{listing})"
+    )
+    own = loaded.stdout.splitlines()[-1].split()
+    assert "orchestrator.engine.run" in own
+    assert len(own) <= 50, own
