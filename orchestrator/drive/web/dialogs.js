@@ -23,7 +23,7 @@ export class Dialogs {
 
   // fields: label -> [names by value, the chosen value]; act: called with the values
   open(title, text, fields, act) {
-    const window = make("dialog", { className: "hm-window", ariaLabel: title }, make("h2", { textContent: title }));
+    const window = make("dialog", { className: "hm-window", ariaLabel: title }, make("p", { className: "hm-heading", textContent: title }));
     const selects = Object.entries(fields).map(([label, [options, value]]) => {
       const select = make("select", {}, ...Object.entries(options).map(([key, name]) => new Option(name, key)));
       select.value = value;
@@ -60,6 +60,6 @@ export class Dialogs {
       return this.open("Replay a result file", "Replay", fields, ({ File }) => this.source.do("replay", { file: File }));
     }
     const text = `No .csv or .parquet file with signals of this machine in ${folders.join(", ") || "none"}`;
-    this.open("Replay a result file", "", {}).querySelector("h2").after(make("p", { textContent: text }));
+    this.open("Replay a result file", "", {}).querySelector(".hm-heading").after(make("p", { textContent: text }));
   }
 }
