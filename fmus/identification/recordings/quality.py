@@ -144,7 +144,9 @@ class Quality:
         """One line for each signal: fractions of faulty samples, estimated (and stated) step and noise."""
         head = ("signal", "gaps", "clipped", "stuck", "dead zone", "step (stated)", "noise (stated)")
         lines = TextTable(head, [signal.row() for signal in self.signals], left=range(len(head))).lines()
-        return "\n".join([f"{self.source}: {self.rate:.6g} Hz, jitter {round(1e3 * self.jitter, 6):.2g} ms", *lines])
+        return "\n".join(
+            [f"{self.source}: {self.rate:.6g} Hz, jitter {round(1e3 * self.jitter, 6):.2g} ms", *lines]
+        )
 
 
 def examine(recording: Recording) -> Quality:
