@@ -116,7 +116,7 @@ class StripChart {
       }))],
       axes: [
         { ...axis, size: 24, gap: 6, splits: () => [-WINDOW, -WINDOW / 2, 0], values: (_, at) => at.map((t) => (t ? `${minus(t)} s` : "0 s")) },
-        { ...axis, size: 36, gap: 4, splits: () => (both ? [low(), 0, this.high] : [0, this.high / 2, this.high]), values: (_, at) => at.map(minus) },
+        { ...axis, size: 44, gap: 4, splits: () => (both ? [low(), 0, this.high] : [0, this.high / 2, this.high]), values: (_, at) => at.map(minus) },
       ],
     };
   }
