@@ -11,8 +11,7 @@ const TIP = "tip"; // the view that follows the tip
 export class Scene {
   constructor(place, data, ghost = false) {
     [this.data, this.place, this.colours, this.marked] = [data, place, {}, ""];
-    // where the processor draws, edges are not smoothed: that would take twice as long
-    const renderer = new THREE.WebGLRenderer({ antialias: !SOFTWARE.test(graphics()) });
+    const renderer = rendererOf();
     const camera = new THREE.PerspectiveCamera(FIELD, 1, 0.3, 200);
     camera.up.set(0, 0, 1);
     place.replaceChildren(renderer.domElement);
@@ -176,10 +175,12 @@ export function dark(element) {
   return Number(red) > 128;
 }
 
-function graphics() {
-  const probe = document.createElement("canvas").getContext("webgl2");
-  const names = probe?.getExtension("WEBGL_debug_renderer_info");
-  const name = names ? probe.getParameter(names.UNMASKED_RENDERER_WEBGL) : probe?.getParameter(probe.RENDERER);
-  probe?.getExtension("WEBGL_lose_context")?.loseContext();
-  return name ?? "";
+function rendererOf() {
+  const canvas = document.createElement("canvas");
+  const context = canvas.getContext("webgl2", { alpha: true, antialias: false });
+  const names = context?.getExtension("WEBGL_debug_renderer_info");
+  const name = names ? context.getParameter(names.UNMASKED_RENDERER_WEBGL) : context?.getParameter(context.RENDERER);
+  if (SOFTWARE.test(name ?? "")) return new THREE.WebGLRenderer({ canvas, context });
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return new THREE.WebGLRenderer({ antialias: true });
 }
