@@ -73,9 +73,9 @@ def test_a_recorded_temperature_takes_the_place_of_time():
 
 
 def test_angles_that_are_late_are_named():
-    """Angles of a joint that are 2 samples late."""
+    """Angles of a joint that are a sample late."""
     record = lumped_machine.recording("boom", seed=1)
-    late = changed(record, {n: np.roll(record[n], 2) for n in record.signals if n.startswith("manipulator")})
+    late = changed(record, {n: np.roll(record[n], 1) for n in record.signals if n.startswith("manipulator")})
     assert "time shift" in names(damping.identify([late], lumped_machine.KNOWN))
 
 
