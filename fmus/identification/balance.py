@@ -508,7 +508,7 @@ def solve(
         normal = Normal(np.concatenate([p.columns[[n in free for n in x]] for p in parts], axis=1), prior)
         e = np.concatenate([p.e for p in parts])
         if not (np.isfinite(normal.columns).all() and np.isfinite(e).all()):
-            raise Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
+            break
         if np.linalg.cond(normal.scaled) > SINGULAR:
             unknown = ", ".join(fitted)
             raise Problem(f"{label}: the {e.size} points cannot distinguish between {unknown}")

@@ -265,8 +265,8 @@ class OpenPage:
                     await self._socket.send_text(json.dumps(new, separators=(",", ":")))
                 await asyncio.sleep(1 / RATE)
 
-    def _answer(self, text: str, bad: bool = False, **more: Any) -> None:
-        self._answers.append({"text": text, "bad": bad, **more})
+    def _answer(self, text: str, bad: bool = False, href: str = "") -> None:
+        self._answers.append({"text": text, "bad": bad, "href": href})
 
     # ---- from the page
 
