@@ -240,6 +240,40 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
     assert until(looked_at)
 
 
+def test_connection_comes_back(own: Any, server: Server) -> None:
+    """After an interruption the page goes on as before: the view follows the tip, the task counts, and nobody
+    drives."""
+    own.get_by_role("button", name="tip", exact=True).first.click()
+    own.get_by_role("button", name="Training task").click()
+    own.get_by_text("pick: ").wait_for()
+    take(own, server)
+    own.get_by_role("button", name="Release controls").wait_for()
+    before = own.evaluate(CAMERA)
+    for one in [*server._server.server_state.connections]:
+        one.loop.call_soon_threadsafe(one.transport.abort)
+    own.get_by_text("no connection").wait_for()
+    assert until(lambda: server.authority.status().driver == "")
+    own.get_by_text("the connection was lost: take the controls again").wait_for()
+    assert np.allclose(own.evaluate(CAMERA), before, atol=0.05)  # m; the tip creeps
+    first = angle(server, "swing")
+    drive(own, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
+    own.get_by_text("moving, ").wait_for()
+    assert np.linalg.norm(np.subtract(own.evaluate(CAMERA), before)) > MOVED
+    own.get_by_role("button", name="Training task").click()
+
+
+def test_words_move_nothing(page: Any) -> None:
+    """The longest word of the page to its driver leaves the picture where it is, at its size."""
+    before = page.locator(".hm-stage").bounding_box()
+    page.evaluate("""() => new Promise((resolve) => {
+      const machine = document.querySelector('.harvester-machine').machine;
+      machine.describe = () => 'too slow: release Space, then hold it again';
+      setTimeout(resolve, 100); })""")
+    page.get_by_text("too slow").wait_for()
+    assert page.locator(".hm-stage").bounding_box() == before
+    page.evaluate("() => delete document.querySelector('.harvester-machine').machine.describe")
+
+
 def test_less_to_draw(own: Any) -> None:
     """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
     own.evaluate("() => document.querySelector('.harvester-machine').machine.slow()")

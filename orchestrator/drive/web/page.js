@@ -56,9 +56,12 @@ export class Page {
 
   // names: signals of its sources
   fit(data, names) {
+    // after an interruption of the connection it is the same machine: the view stays
+    if (!this.scene || JSON.stringify(data.scene) !== JSON.stringify(this.data.scene)) {
+      this.scene?.close();
+      this.scene = data.scene && new Scene(this.at("stage"), { ...data.scene }, Boolean(this.sources.replay?.ghost));
+    }
     this.data = data;
-    this.scene?.close();
-    this.scene = data.scene && new Scene(this.at("stage"), { ...data.scene }, Boolean(this.sources.replay?.ghost));
     this.root.classList.toggle("hm-flat", !this.scene);
     this.at("looks").replaceChildren(...(this.scene?.views ?? []).map((name) =>
       make("button", { type: "button", textContent: name, onclick: () => this.scene.look(name) })));
@@ -99,6 +102,7 @@ export class Page {
     source.onhello = () => {
       this.fit(source.data, source.names);
       document.title = source.data.title;
+      if (this.task?.open) this.asked("show", true); // a new connection does not know
       this.ready();
     };
     source.onframe = () => this.present();
@@ -321,7 +325,7 @@ export class Page {
     if (status.role === "free" && refused && status.drives) return 'press "Take controls" first';
     if (status.role === "free") return lost ? "the connection was lost: take the controls again" : status.why;
     if (status.mode && elsewhere(document.activeElement)) return "Esc: back to the sticks";
-    if (late) return "this page was too slow: release Space, then hold it again";
+    if (late) return "too slow: release Space, then hold it again";
     return status.live ? "driving" : status.why;
   }
 

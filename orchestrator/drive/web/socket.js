@@ -39,7 +39,7 @@ export class SocketSource {
   connected(open) {
     this.opened = open;
     if (open) return;
-    this.lost ||= this.driving;
+    this.lost ||= this.status.role === "driving";
     this.status = FREE;
     this.onstatus();
   }
