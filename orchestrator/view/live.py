@@ -214,11 +214,17 @@ class Pages:
         """Serve one page, as long as its connection lasts."""
         await socket.accept()
         page = OpenPage(self, socket)
-        sending = asyncio.create_task(page.send())
+        sending, listening = asyncio.create_task(page.send()), asyncio.create_task(page.listen())
         try:
-            await page.listen()
+            await asyncio.wait((sending, listening), return_when=asyncio.FIRST_COMPLETED)
+            if not listening.done():  # a page that is sent nothing has to connect again
+                if sending.exception():
+                    log.error("the pictures of a page ended", exc_info=sending.exception())
+                with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
+                    await socket.close(1011, "the pictures ended")
         finally:
             sending.cancel()
+            listening.cancel()
             page.close()
 
 

@@ -167,6 +167,18 @@ def test_connection_that_ends(server: Server, how: str) -> None:
         assert until(lambda: not server.machine.moving)
 
 
+def test_pictures_that_end(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error in what a page is sent ends its connection, so that it connects again; it does not wait for ever."""
+    with page(server) as (opened, station):
+        drive(server, opened, station)
+        monkeypatch.setattr(server.authority, "status", lambda _: 1 / 0)
+        with pytest.raises(ConnectionClosed, match="the pictures ended"):
+            while True:
+                opened.recv(timeout=LONG)
+        monkeypatch.undo()
+        assert until(lambda: not server.machine.moving)
+
+
 def test_flood(server: Server) -> None:
     """A client that sends without end is cut off."""
     with page(server) as (socket, station):

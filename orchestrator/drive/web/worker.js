@@ -6,20 +6,28 @@ const PERIOD = 30; // ms between two messages
 const FRESH = 250; // ms that a word of the page counts
 const GONE = 1000; // ms after which nothing is sent for the page
 const AGAIN = 1000; // ms until the next attempt
+const DEAD = 10000; // ms of silence of the server, which speaks ten times a second, after which to connect again
 
 const REST = [0, 0, 0, 0];
-let [address, socket, number] = ["", null, 0];
+let [address, socket, number, heard] = ["", null, 0, 0];
 let [sticks, held, said, late, sent] = [REST, false, -Infinity, false, false];
 
 function open() {
   const mine = new WebSocket(address);
-  [socket, number] = [mine, 0];
+  [socket, number, heard] = [mine, 0, performance.now()];
   mine.onopen = () => postMessage({ open: true });
-  mine.onmessage = (event) => postMessage(JSON.parse(event.data));
-  mine.onclose = () => {
-    postMessage({ open: false });
-    setTimeout(open, AGAIN);
+  mine.onmessage = (event) => {
+    if (mine !== socket) return;
+    heard = performance.now();
+    postMessage(JSON.parse(event.data));
   };
+  mine.onclose = () => mine === socket && gone();
+}
+
+function gone() {
+  postMessage({ open: false });
+  socket = null;
+  setTimeout(open, AGAIN);
 }
 
 function slow(now) {
@@ -28,6 +36,10 @@ function slow(now) {
 }
 
 function send() {
+  if (socket && performance.now() - heard > DEAD) {
+    socket.close(); // without waiting for an answer
+    gone();
+  }
   const silence = performance.now() - said;
   if (silence > FRESH && held && !late) slow(true);
   // what the network has not taken yet would arrive late: better the next one
@@ -43,7 +55,7 @@ onmessage = ({ data }) => {
     open();
     setInterval(send, PERIOD);
   } else if (data.do) {
-    if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(data));
+    if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(data));
   } else if (data.quiet) {
     [held, said] = [false, -Infinity];
     if (late) slow(false);
