@@ -4,7 +4,6 @@ docs/recordings.md describes the format. The README contains the experiments, th
 and states that the recordings are simulated.
 """
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +19,7 @@ import numpy as np
 from fmus.rig import instruments
 from fmus.rig.benches import TOLERANCE
 from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiment
-from fmus.rig.instruments import Experiment, Instrument, record
+from fmus.rig.instruments import Experiment, record
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
 from orchestrator.base.processes import mapping
@@ -92,10 +91,10 @@ def readme(machine: str, seed: int) -> str:
     return text.format(heading=HEADING, machine=machine, variants=MACHINES[machine], seed=seed, table=table)
 
 
-def _row(i: Instrument) -> str:
-    span = f"{i.low:g} to {i.high:.6g} {i.unit}" if i.high < float("inf") else "none"
+def _row(i: SignalDescription) -> str:
+    span = f"{i.span[0]:g} to {i.span[1]:.6g} {i.unit}" if i.span else "none"
     dead_zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
-    return f"| {i.text} | {i.noise:g} {i.unit} | {i.resolution:.4g} {i.unit} | {span} | {dead_zone} |"
+    return f"| {i.sensor} | {i.noise:g} {i.unit} | {i.resolution:.4g} {i.unit} | {span} | {dead_zone} |"
 
 
 def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:
@@ -117,7 +116,7 @@ def description(experiment: Experiment, seed: int) -> Description:
         group = _group(name) if is_test else ""
         if is_test:
             limits[group] = Tolerance("nrmse", LIMITS[group]) if group in LIMITS else "none"
-        signals[name] = _signal(experiment.instruments[name], group)
+        signals[name] = replace(experiment.instruments[name], group=group)
         for other in SHARED.get(name, ()):
             signals[other] = replace(signals[name], column=name)
     return Description(
@@ -134,20 +133,6 @@ def description(experiment: Experiment, seed: int) -> Description:
         ),
         experiment={"procedure": experiment.procedure, "use": experiment.use, **experiment.conditions},
         tolerances=limits,
-    )
-
-
-def _signal(instrument: Instrument, group: str) -> SignalDescription:
-    """The description of a signal with this instrument."""
-    span = (instrument.low, instrument.high)
-    return SignalDescription(
-        unit=instrument.unit,
-        group=group,
-        sensor=instrument.text,
-        noise=instrument.noise,
-        resolution=instrument.resolution,
-        span=span if all(map(math.isfinite, span)) else None,
-        dead_zone=instrument.dead_zone,
     )
 
 
