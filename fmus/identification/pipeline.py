@@ -24,7 +24,7 @@ from fmus.identification.recording_names import MACHINE, check_names, check_unit
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.refine import (
     SPREAD,
-    MultistartResult,
+    RandomStart,
     RefinementResult,
     advice,
     compiled,
@@ -64,7 +64,7 @@ class Identified:
     results       of the procedures that had recordings
     skipped       procedure -> reason why it has no result
     refined       the joint refinement, None without recordings of the machine
-    starts        the refinement from other start points, None if not requested
+    starts        the refinement from other start points, if requested
     interrupted   whether an interrupt ended the identification early
     """
 
@@ -73,7 +73,7 @@ class Identified:
     results: list[ProcedureResult] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
     refined: RefinementResult | None = None
-    starts: MultistartResult | None = None
+    starts: list[RandomStart] = field(default_factory=list)
     interrupted: bool = False
 
     def __repr__(self) -> str:
@@ -208,13 +208,15 @@ def _run_joint(
     identified.parameters = updated(identified.parameters, machine.estimates(refined))
     identified.recordings = machine.without_zeros(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
-    if starts and not identified.interrupted:
+    if not starts or identified.interrupted:
+        return
+    try:
         with activity(f"refinement from {starts} random starts"):
-            identified.starts = found = multistart(refined, starts)
-        identified.interrupted = found.interrupted
-        if found.starts:
-            same = f"{sum(start.same for start in found.starts)} of {len(found.starts)}"
+            identified.starts.extend(multistart(refined, starts))
+    finally:
+        if found := identified.starts:
             away = f"up to {100 * SPREAD:.0f} % away or twice the prior standard deviation"
+            same = f"{sum(start.same for start in found)} of {len(found)}"
             report(f"random starts, {away}: {same} lead to the same result, on every fourth sample")
 
 

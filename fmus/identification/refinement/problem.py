@@ -19,7 +19,7 @@ from scipy.signal import savgol_filter
 from fmus.contract import Subsystem, quantities, symbolic
 from fmus.identification.recordings.clock import period
 from fmus.identification.recordings.masks import good
-from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator, zero_of
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, zero_of
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
@@ -130,7 +130,7 @@ class MeasuredRun:
         return np.column_stack([self.inputs[n] for n in names]) if names else np.zeros((len(self.time), 0))
 
     def initial_state(
-        self, simulator: Simulator, p: Array, inputs: Array, corrected: bool = True
+        self, simulator: CompiledModel, p: Array, inputs: Array, corrected: bool = True
     ) -> tuple[Array, Array]:
         """The state at the first sample, shape (nx,), and its derivatives by p, shape (nx, np).
 
@@ -152,7 +152,9 @@ class MeasuredRun:
                 by_p[j, zero] -= 1.0
         return state, by_p
 
-    def segment_states(self, simulator: Simulator, p: Array, inputs: Array, edges: tuple[int, ...]) -> Array:
+    def segment_states(
+        self, simulator: CompiledModel, p: Array, inputs: Array, edges: tuple[int, ...]
+    ) -> Array:
         """Initial states of all segments, shape (segments, nx): measured if possible, else simulated."""
         states = [self.initial_state(simulator, p, inputs, corrected=False)[0]]
         for first, last in pairwise(edges[:-1]):

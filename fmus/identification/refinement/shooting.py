@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.identification.recordings.masks import autocorrelation_time
-from fmus.identification.refinement.compiled_model import Simulator
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.problem import EstimationProblem
 from orchestrator.data.table import Array
 
@@ -205,7 +205,7 @@ class Shooting:
     """
 
     problem: EstimationProblem
-    simulator: Simulator
+    simulator: CompiledModel
     inputs: tuple[Array, ...]
     prior_states: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]

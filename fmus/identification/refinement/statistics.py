@@ -22,7 +22,7 @@ from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
-from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import CondensedRun, Shooting
@@ -227,7 +227,11 @@ class SimulatedRun:
 
 
 def simulate(
-    run: MeasuredRun, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
+    run: MeasuredRun,
+    simulator: CompiledModel,
+    p: Array,
+    start: Array | None = None,
+    inputs: Array | None = None,
 ) -> SimulatedRun:
     """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
     inputs = run.input_matrix(simulator.inputs) if inputs is None else inputs

@@ -17,7 +17,7 @@ from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
-from fmus.identification.refinement.refine import MultistartResult, RefinementResult, advice
+from fmus.identification.refinement.refine import RandomStart, RefinementResult, advice
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import attribute
 from fmus.identification.report.figures import (
@@ -43,6 +43,7 @@ from orchestrator.pages.plotting import embed
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html.j2"
 NAME = "identification"
+START = ("apart", "residual", "iterations", "same", "joined")  # of a `RandomStart`
 MOVES = 0.01  # rad, angular range above which a joint is shown
 
 
@@ -170,7 +171,7 @@ def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str,
     return commands
 
 
-def refinement(refined: RefinementResult, starts: MultistartResult | None = None) -> dict[str, Any]:
+def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) -> dict[str, Any]:
     """Content of the page and the JSON file for a refinement; `starts`: from random start points.
 
     `fits` has for each signal, None if there is no such recording:
@@ -184,10 +185,7 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
     and `starts` for each search from a random start:
 
     away       root mean square distance of the start from the values before, relative changes of parameters
-    apart      largest distance of the end from the result, in standard deviations; infinite if there is none
-    residual   root mean square residual at the end, in standard deviations of the sensors
-    same       whether the search led to the result, within a standard deviation
-    joined     whether the search was ended on the path that leads to the result
+    ...        `START`
     """
     problem = refined.problem
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
@@ -196,13 +194,9 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
         {
             "name": f"random {number}",
             "away": rms(start.z - problem.initial()),
-            "apart": start.apart,
-            "residual": start.residual,
-            "iterations": start.iterations,
-            "same": start.same,
-            "joined": start.joined,
+            **{name: getattr(start, name) for name in START},
         }
-        for number, start in enumerate(starts.starts if starts else (), 1)
+        for number, start in enumerate(starts, 1)
     ]
     return {
         "names": [problem.label(name) for name in problem.names],
