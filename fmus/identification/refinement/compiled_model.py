@@ -132,7 +132,7 @@ class CompiledModel:
         model = reduce_model(sub, outputs, free[: len(free) - len(zeros)])
         self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
         self.free = (*model.estimated, *map(zero_of, zeros))
-        self.nominal = np.array([model.quantities[name].nominal for name in model.states])
+        self.nominal: Array = np.array([model.quantities[name].nominal for name in model.states])
         self._zeros = [self.outputs.index(name) for name in zeros]
         self._p = np.array([values.p[name] for name in model.parameters])
         self._indices = np.array([model.parameters.index(n) for n in model.estimated], dtype=np.intp)

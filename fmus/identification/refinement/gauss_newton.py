@@ -200,14 +200,17 @@ def _next(
         dz = linear.step(current.z, bounds, radius)
         full = max(merit - linear.merit(dz), 0.0)
         predicted = full * fraction * (2 - fraction)
+        z, runs = current.z + fraction * dz, zip(current.starts, linear.runs, strict=True)
         try:
-            new = shooting.evaluate(*_stepped(shooting, current, linear, dz, fraction))
+            if shooting.detached:
+                starts = shooting.measured_starts(z)
+            else:
+                starts = tuple(states + fraction * run.states(dz) for states, run in runs)
+            new = shooting.evaluate(z, starts)
+            decrease = merit - linearise(shooting, current, new, scales).merit() + slack
         except SimulationFailed:
             decrease = -math.inf
-        else:
-            decrease = merit - linearise(shooting, current, new, scales).merit()
-        if decrease > _ACCEPTED * predicted - slack:
-            decrease += slack
+        if decrease > _ACCEPTED * predicted:
             curvature = (2 * full * fraction - decrease) / fraction**2
             best = full / curvature if curvature > 0 else 1.0
             if decrease > _GOOD * predicted:
@@ -215,14 +218,3 @@ def _next(
             return new, (radius, float(np.clip(best, fraction / 2, min(1.0, 2 * fraction))))
         radius, fraction = radius / 4, fraction / 2
     return None, (radius, fraction)
-
-
-def _stepped(
-    shooting: Shooting, current: Evaluation, linear: Linearisation, dz: Array, fraction: float
-) -> tuple[Array, tuple[Array, ...]]:
-    """Parameters and initial states after a fraction of the step dz."""
-    z = current.z + fraction * dz
-    if shooting.detached:
-        return z, shooting.measured_starts(z)
-    pairs = zip(current.starts, linear.runs, strict=True)
-    return z, tuple(states + fraction * run.states(dz) for states, run in pairs)

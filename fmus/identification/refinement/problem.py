@@ -259,7 +259,11 @@ class RecordingMap:
                 continue
             usable = usable_samples(recording, read[name])
             measured[usable, k] = samples = recording[read[name]][usable]
-            weight[:, k] = usable / self._sd(recording, name)
+            sd = self.sd.get(name, recording.sensor(read[name]).sd)
+            if not sd > 0:
+                expected = "expected a sensor with noise or resolution"
+                raise Problem(f"{recording.source}: {read[name]}: {expected}, got none")
+            weight[:, k] = usable / sd
             if samples.size:  # the range; for a constant signal the magnitude
                 scale[k] = float(np.ptp(samples)) or float(np.max(np.abs(samples))) or 1.0
         inputs = {name: self._input(recording, name) for name in quantities(self.sub.inputs)}
@@ -294,13 +298,6 @@ class RecordingMap:
             if recording.units.get(self._signal(name), q.unit) != q.unit:
                 unit = recording.unit_label(self._signal(name))
                 raise Problem(f"{recording.source}: {self._signal(name)} is in {unit}, expected {q.unit}")
-
-    def _sd(self, recording: Recording, name: str) -> float:
-        sd = self.sd.get(name, recording.sensor(self._signal(name)).sd)
-        if not sd > 0:
-            expected = "expected a sensor with noise or resolution"
-            raise Problem(f"{recording.source}: {self._signal(name)}: {expected}, got none")
-        return sd
 
     def _input(self, recording: Recording, name: str) -> tuple[Array, int]:
         """An input and its smoothing window [samples]; 0 for an input without noise."""

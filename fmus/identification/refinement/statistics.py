@@ -26,6 +26,7 @@ from fmus.identification.refinement.compiled_model import CompiledModel, Simulat
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import CondensedRun, Shooting
+from orchestrator.base.text import join_words
 from orchestrator.data.table import Array
 
 VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular
@@ -195,7 +196,7 @@ def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Arr
         if group[0].sd is None:
             return f"{names[0]}: the data {reason}"
         return f"{names[0]}: these recordings alone {reason}; the interval is that of the prior"
-    listed = ", ".join(names[:-1]) + f" and {names[-1]}"
+    listed = join_words(names)
     if len(names) > 2 or dimension > 1 or not all(f.log for f in group):
         return f"{listed}: the data determine {len(names) - dimension} of {len(names)} combinations"
     # along the undetermined direction (a, b) of two logarithms z_1 - a / b z_2 stays the same

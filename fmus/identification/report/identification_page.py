@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 
 from fmus.contract import quantities
-from fmus.identification.machine import (
-    lookup,
-    nominal,
-    zero_sentences,
-)
+from fmus.identification.machine import lookup, nominal, zero_sentences
 from fmus.identification.pipeline import NO_RECORDING, Identified
-from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
+from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.refine import RandomStart, RefinementResult, advice
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import attribute
@@ -191,12 +187,9 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
     rows = [
-        {
-            "name": f"random {number}",
-            "away": rms(start.z - problem.initial()),
-            **{name: getattr(start, name) for name in START},
-        }
-        for number, start in enumerate(starts, 1)
+        {"name": f"random {k}", "away": rms(start.z - problem.initial())}
+        | {name: getattr(start, name) for name in START}
+        for k, start in enumerate(starts, 1)
     ]
     return {
         "names": [problem.label(name) for name in problem.names],
@@ -219,13 +212,13 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
 def _fit(refined: RefinementResult, k: int) -> dict[str, Any]:
     """Goodness of fit of an output."""
     signal = refined.problem.signals[k]
-    tests, errors = refined.whiteness[signal], {}
+    tests, fit = refined.whiteness[signal], dict[str, Any]()
     for use, traces in (("train", refined.training), ("test", refined.held_out)):
-        relative = np.array([float(trace.nrmse()[k]) for trace in traces])
-        errors[use] = rms(relative) if np.isfinite(relative).any() else None
-    fit = errors | {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
-    inputs = max(tests.inputs.values(), default=None)
-    return {"signal": signal, **html_page.json_values(fit), "inputs": inputs}
+        relative = np.array([trace.nrmse()[k] for trace in traces])
+        fit[use] = rms(relative) if np.isfinite(relative).any() else None
+    fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
+    fit["inputs"] = max(tests.inputs.values(), default=None)
+    return {"signal": signal, **html_page.json_values(fit)}
 
 
 def quality(recording: Recording) -> dict[str, Any]:
@@ -235,30 +228,22 @@ def quality(recording: Recording) -> dict[str, Any]:
     channels   by signal: lowest and highest value, noise, fraction of samples in the dead zone of the sensor
                (which are not used), and remarks
     """
-    report = examine(recording)
-    rate, remarks = report.rate, list(report.clock)
+    found = examine(recording)
+    remarks = list(found.clock)
     if resample_uniformly(recording) is not recording:
-        remarks.append(f"The clock: all signals are interpolated at {rate:.6g} Hz; gaps stay gaps.")
-    if rate > 1.01 * MAX_RATE and recording.procedure == MACHINE:
-        remarks.append(f"The clock: {rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together.")
+        remarks.append(f"The clock: all signals are interpolated at {found.rate:.6g} Hz; gaps stay gaps.")
+    if found.rate > 1.01 * MAX_RATE and recording.procedure == MACHINE:
+        remarks.append(f"The clock: {found.rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together.")
     channels: list[dict[str, Any]] = [
-        {
-            "signal": signal.name,
-            "unit": signal.unit,
-            "low": signal.low,
-            "high": signal.high,
-            "noise": signal.noise,
-            "sensor": signal.sensor.text,
-            "remarks": signal.faults(),
-            "dead": signal.unused["dead zone"][0],
-        }
-        for signal in report.signals
+        {"signal": s.name, **{name: getattr(s, name) for name in ("unit", "low", "high", "noise")}}
+        | {"sensor": s.sensor.text, "remarks": s.faults(), "dead": s.unused["dead zone"][0]}
+        for s in found.signals
     ]
     return {
         "name": recording.source.name,
         **{name: getattr(recording, name) for name in ("title", "procedure", "use", "kind")},
         "duration": float(recording.time[-1] - recording.time[0]),
-        "rate": rate,
+        "rate": found.rate,
         "channels": channels,
         "remarks": remarks,
         "faults": len(remarks) + sum(len(c["remarks"]) for c in channels),
