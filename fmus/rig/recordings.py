@@ -87,14 +87,15 @@ def readme(machine: str, seed: int) -> str:
     """The content of README.md."""
     listed = (instruments.PRESSURE, instruments.FLOW, instruments.LEAKAGE, instruments.ANGLE)
     text = (files("fmus.rig") / f"{README.removesuffix('.md')}.template").read_text(encoding="utf-8")
-    table = "\n".join(map(_row, listed))
-    return text.format(heading=HEADING, machine=machine, variants=MACHINES[machine], seed=seed, table=table)
-
-
-def _row(i: SignalDescription) -> str:
-    span = f"{i.span[0]:g} to {i.span[1]:.6g} {i.unit}" if i.span else "none"
-    dead_zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
-    return f"| {i.sensor} | {i.noise:g} {i.unit} | {i.resolution:.4g} {i.unit} | {span} | {dead_zone} |"
+    rows = []
+    for i in listed:
+        span = f"{i.span[0]:g} to {i.span[1]:.6g} {i.unit}" if i.span else "none"
+        dead_zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
+        about = (i.sensor, f"{i.noise:g} {i.unit}", f"{i.resolution:.4g} {i.unit}", span, dead_zone)
+        rows.append(f"| {' | '.join(about)} |")
+    return text.format(
+        heading=HEADING, machine=machine, variants=MACHINES[machine], seed=seed, table="\n".join(rows)
+    )
 
 
 def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:

@@ -206,11 +206,8 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
     """Statistics, and simulations with the estimated parameters."""
     problem, simulator = shooting.problem, shooting.simulator
     z, p = solution.z, problem.values_of(solution.z)
-    initial_states = [starts[0] * simulator.nominal for starts in solution.evaluation.starts]
-    training = parallel(
-        lambda k: simulate(problem.training[k], simulator, p, initial_states[k], shooting.inputs[k]),
-        range(len(initial_states)),
-    )
+    starts = [states[0] * simulator.nominal for states in solution.evaluation.starts]
+    training = parallel(lambda k: simulate(problem.training[k], simulator, p, starts[k]), range(len(starts)))
     by_inputs = np.zeros((len(z), len(z)))
     if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
         by_inputs = input_covariance(shooting, solution)

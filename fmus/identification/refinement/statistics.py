@@ -228,14 +228,10 @@ class SimulatedRun:
 
 
 def simulate(
-    run: MeasuredRun,
-    simulator: CompiledModel,
-    p: Array,
-    start: Array | None = None,
-    inputs: Array | None = None,
+    run: MeasuredRun, simulator: CompiledModel, p: Array, start: Array | None = None
 ) -> SimulatedRun:
     """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
-    inputs = run.input_matrix(simulator.inputs) if inputs is None else inputs
+    inputs = run.input_matrix(simulator.inputs)
     state = run.initial_state(simulator, p, inputs)[0] if start is None else start
     try:
         return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)
