@@ -14,22 +14,8 @@ from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.refine import RandomStart, RefinementResult, advice
-from fmus.identification.report import report_texts
+from fmus.identification.report import figures, prediction, report_texts
 from fmus.identification.report.attribution import attribute
-from fmus.identification.report.figures import (
-    JOINT_FIGURES,
-    draw_correlation,
-    draw_procedure,
-    joint_figure,
-    opening_panel,
-)
-from fmus.identification.report.prediction import (
-    Extrapolation,
-    RecordingComparison,
-    default_values,
-    extrapolated,
-    rms,
-)
 from fmus.identification.results import Estimate, named
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.data.recording import Recording
@@ -60,12 +46,12 @@ def render(page: Mapping[str, Any]) -> str:
     """The HTML file as text."""
     joint, kinds, heatmap = page["refinement"], page["kinds"], None
     if joint and len(joint["names"]) > 1:
-        heatmap = embed(draw_correlation(joint["names"], joint["correlation"]), "c-", "Correlation")
+        heatmap = embed(figures.draw_correlation(joint["names"], joint["correlation"]), "c-", "Correlation")
     results = []
     for k, result in enumerate(page["results"]):
-        if (tables := opening_panel(result.listed)) is not None:
+        if (tables := figures.opening_panel(result.listed)) is not None:
             result = replace(result, panels=(*result.panels, tables))
-        figure = draw_procedure(result, kinds, titled=False) if result.panels else None
+        figure = figures.draw_procedure(result, kinds, titled=False) if result.panels else None
         drawing = figure and embed(figure, f"f{k}-", result.title)
         results.append((result, drawing, report_texts.caption(result, kinds)))
     return html_page.render(
@@ -85,7 +71,7 @@ def page_content(
     folder: Path,
     out: Path,
     identified: Identified,
-    comparison: RecordingComparison | None,
+    comparison: prediction.RecordingComparison | None,
     qualities: Sequence[Mapping[str, Any]] = (),
     processes: int = 1,
 ) -> dict[str, Any]:
@@ -96,11 +82,11 @@ def page_content(
     comparison   result of `prediction`
     processes    number of processes that simulate the effects
     """
-    refined, outside, tests = identified.refined, extrapolated(identified), identified.findings
+    refined, outside, tests = identified.refined, prediction.extrapolated(identified), identified.findings
     shown = named(finding for _, finding in tests)
     explanation = None
     if comparison and refined:
-        explanation = attribute(comparison, default_values(identified), processes)
+        explanation = attribute(comparison, prediction.default_values(identified), processes)
     return {
         "title": f"Identification from {folder.name}",
         "source": str(folder),
@@ -133,18 +119,18 @@ def page_content(
     }
 
 
-def extrapolation_text(outside: tuple[str, Extrapolation]) -> str:
+def extrapolation_text(outside: tuple[str, prediction.Extrapolation]) -> str:
     """A sentence on an input outside its range in training: the prediction is doubtful, not the estimates."""
     file, found = outside
     return f"{file}: {found}: its prediction is an extrapolation, which the bands do not cover."
 
 
-def _joints(comparison: RecordingComparison) -> Iterator[tuple[str, Any, str]]:
+def _joints(comparison: prediction.RecordingComparison) -> Iterator[tuple[str, Any, str]]:
     """Title, figure and caption of each joint that moves."""
-    for joint, number in JOINT_FIGURES.items():
+    for joint, number in figures.JOINT_FIGURES.items():
         if np.ptp(comparison.predicted[f"manipulator.{joint}_angle"]) > MOVES:
             caption = report_texts.joint_caption(comparison.recording, joint, number)
-            yield joint.capitalize(), joint_figure(comparison, joint), caption
+            yield joint.capitalize(), figures.joint_figure(comparison, joint), caption
 
 
 def _parameter(estimate: Estimate, procedure: str) -> dict[str, Any]:
@@ -187,7 +173,7 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
     rows = [
-        {"name": f"random {k}", "away": rms(start.z - problem.initial())}
+        {"name": f"random {k}", "away": prediction.rms(start.z - problem.initial())}
         | {name: getattr(start, name) for name in START}
         for k, start in enumerate(starts, 1)
     ]
@@ -215,7 +201,7 @@ def _fit(refined: RefinementResult, k: int) -> dict[str, Any]:
     tests, fit = refined.whiteness[signal], dict[str, Any]()
     for use, traces in (("train", refined.training), ("test", refined.held_out)):
         relative = np.array([trace.nrmse()[k] for trace in traces])
-        fit[use] = rms(relative) if np.isfinite(relative).any() else None
+        fit[use] = prediction.rms(relative) if np.isfinite(relative).any() else None
     fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
     fit["inputs"] = max(tests.inputs.values(), default=None)
     return {"signal": signal, **html_page.json_values(fit)}
