@@ -23,9 +23,9 @@ from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
-from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
+from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
-from fmus.identification.refinement.shooting import CondensedRun, Shooting
+from fmus.identification.refinement.shooting import CondensedRun, Shooting, linearise
 from orchestrator.base.text import join_words
 from orchestrator.data.table import Array
 
