@@ -1,11 +1,13 @@
 """Simulators without sensitivities of their own, for comparison: finite differences and black boxes."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from fmus.identification.refinement.compiled_model import SegmentSolution, Simulator
+from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution
 from orchestrator.data.table import Array
 
 STEP = 1e-5  # relative step of the difference quotients; suits a simulation with about ten digits
@@ -17,7 +19,7 @@ class FiniteDifferences:
     step   relative to the magnitude of each state and parameter
     """
 
-    def __init__(self, model: Simulator, step: float = STEP) -> None:
+    def __init__(self, model: CompiledModel | BlackBox, step: float = STEP) -> None:
         self.model, self.step = model, step
         self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
         self.free, self.nominal, self.p0, self.start = model.free, model.nominal, model.p0, model.start

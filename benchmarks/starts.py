@@ -30,7 +30,7 @@ from benchmarks.black_box import BlackBox
 from benchmarks.played import Fmu
 from fmus.identification.machine import FREE, nominal, problem
 from fmus.identification.recordings.reading import read, window
-from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import (
     START_ITERATIONS,
@@ -124,12 +124,12 @@ def compare(given: EstimationProblem, count: int) -> None:
         for _ in range(count)
     ]
     between = time.process_time(), time.perf_counter()
-    found = multistart(refined, count)
+    found = list(multistart(refined, count))
     end = time.process_time(), time.perf_counter()
     sd = reference.statistics.sd(reference.robust)
     for name, first, last, apart in (
         ("refinements", begun, between, [np.max(np.abs(w.z - reference.z) / sd) for w in whole]),
-        ("multistart", between, end, [start.apart for start in found.starts]),
+        ("multistart", between, end, [start.apart for start in found]),
     ):
         cpu, wall = (b - a for a, b in zip(first, last, strict=True))
         times = f"processor time {cpu:6.1f} s, wall time {wall:6.1f} s"
@@ -156,8 +156,12 @@ def _sum(ends: list[tuple[RefinementResult | None, float]]) -> str:
     return f"{told}; truth within 1.96 standard deviations in {np.sum(off < 1.96)} of {off.size} parameters"
 
 
-def _search(given: EstimationProblem, simulator: Simulator, z: np.ndarray) -> RefinementResult | None:
+def _search(
+    given: EstimationProblem, simulator: CompiledModel | BlackBox, z: np.ndarray
+) -> RefinementResult | None:
     try:
+        if isinstance(simulator, BlackBox):
+            return refine(given, simulator, segment=np.inf, horizon=np.inf, start=z)
         return refine(given, simulator, start=z)
     except Problem:
         return None  # it cannot be simulated from there

@@ -16,8 +16,7 @@ from benchmarks import openings
 from fmus.identification.machine import lookup, nominal
 from fmus.identification.pipeline import Identified, identify
 from fmus.identification.procedures import valve, weighing
-from fmus.identification.recording_names import MACHINE
-from fmus.identification.recordings.reading import read_folder
+from fmus.identification.recordings.reading import MACHINE, read_folder
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation, attribute
 from fmus.identification.report.figures import draw_procedure, joint_figure

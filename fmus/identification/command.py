@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 
+import numpy as np
+
 from fmus.identification.machine import FREE
 from fmus.identification.pipeline import Identified, identify
-from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import downsample, resample_uniformly
-from fmus.identification.recordings.reading import doubtful, read_folder, unused_files
+from fmus.identification.recordings.reading import MACHINE, doubtful, read_folder, unused_files
 from fmus.identification.report.identification_page import (
     extrapolation_text,
     faults,
@@ -93,17 +94,14 @@ def _warnings(sentences: Sequence[str]) -> list[str]:
     return [f"warning: {sentence}" for sentence in sentences]
 
 
-def _seconds(recordings: Sequence[Recording]) -> float:
-    return sum(float(r.time[-1] - r.time[0]) for r in recordings)
-
-
 def _print_size(folder: Path, recordings: Sequence[Recording], joint: bool) -> None:
     """The size of the task."""
-    print(f"{folder}: {len(recordings)} recordings, {_seconds(recordings):.0f} s")
-    work = [r for r in recordings if r.procedure == MACHINE and r.use == "train"]
-    if joint and work:
-        estimate = f"{_seconds(work):.0f} s, thrice that if the data show effects that the model lacks"
-        print(f"  takes about {estimate}")
+    seconds = np.array([r.time[-1] - r.time[0] for r in recordings])
+    work = np.array([r.procedure == MACHINE and r.use == "train" for r in recordings])
+    print(f"{folder}: {len(recordings)} recordings, {seconds.sum():.0f} s")
+    if joint and work.any():
+        longer = "thrice that if the data show effects that the model lacks"
+        print(f"  takes about {seconds[work].sum():.0f} s, {longer}")
 
 
 def _write_parameters(out: Path, identified: Identified) -> None:

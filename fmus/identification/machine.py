@@ -12,8 +12,7 @@ import numpy as np
 
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
-from fmus.identification.recording_names import MACHINE
-from fmus.identification.recordings.reading import add
+from fmus.identification.recordings.reading import MACHINE, add
 from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.problem import (
     EstimationProblem,
@@ -83,15 +82,11 @@ def updated(parameters: Parameters, estimates: Iterable[Estimate]) -> dict[str, 
         if not targets:
             raise Problem(f"estimates: expected parameters of the machine, got {estimate.name}")
         if estimate.listed and estimate.name == entry_name(estimate.listed, 1):  # a new list replaces all
-            result |= {n: replace(result[n], value=0.0, sd=None) for n in _entries_of(estimate, parameters)}
+            stem = estimate.name.rpartition("_")[0]
+            entries = [n for n in result if n.partition(".")[2].rpartition("_")[0] == stem]
+            result |= {n: replace(result[n], value=0.0, sd=None) for n in entries}
         result |= dict.fromkeys(targets, estimate.number())
     return result
-
-
-def _entries_of(estimate: Estimate, parameters: Parameters) -> list[str]:
-    """All entries `part.name` of the list of an estimate."""
-    stem = estimate.name.rpartition("_")[0]
-    return [n for n in parameters if n.partition(".")[2].rpartition("_")[0] == stem]
 
 
 def _flat_names() -> dict[str, str]:
@@ -112,11 +107,8 @@ def signal_names() -> dict[str, str]:
 
 def parameter_names() -> dict[str, str]:
     """Parameter of `HARVESTER` -> its name in parameters.toml, `part.name` if the parts differ."""
-    flat, names = _flat_names(), {}
-    for variable in declared(SUBSYSTEMS, "parameters"):
-        bare = variable.partition(".")[2]
-        names[flat[variable]] = bare if flat[variable] == bare else variable
-    return names
+    flat, variables = _flat_names(), declared(SUBSYSTEMS, "parameters")
+    return {flat[v]: flat[v] if v.partition(".")[2] == flat[v] else v for v in variables}
 
 
 def check_free(names: Sequence[str]) -> dict[str, str]:

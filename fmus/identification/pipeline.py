@@ -20,11 +20,12 @@ from fmus.identification.procedures import (
     valve,
     weighing,
 )
-from fmus.identification.recording_names import MACHINE, check_names, check_units
+from fmus.identification.recording_names import check_names, check_units
+from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.refine import (
     SPREAD,
-    MultistartResult,
+    RandomStart,
     RefinementResult,
     advice,
     compiled,
@@ -64,7 +65,7 @@ class Identified:
     results       of the procedures that had recordings
     skipped       procedure -> reason why it has no result
     refined       the joint refinement, None without recordings of the machine
-    starts        the refinement from other start points, None if not requested
+    starts        the refinement from other start points, if requested
     interrupted   whether an interrupt ended the identification early
     """
 
@@ -73,7 +74,7 @@ class Identified:
     results: list[ProcedureResult] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
     refined: RefinementResult | None = None
-    starts: MultistartResult | None = None
+    starts: list[RandomStart] = field(default_factory=list)
     interrupted: bool = False
 
     def __repr__(self) -> str:
@@ -194,7 +195,12 @@ def _run_joint(
 ) -> None:
     """The joint refinement, and its repetition from other start points."""
     recordings = [r for r in identified.recordings if r.procedure == MACHINE]
-    if DEAD_BAND in names and _all_tables(identified.parameters):
+    second = [  # points of the openings of all edges, 0 of those without a table
+        number.value
+        for name, number in identified.parameters.items()
+        if name.partition(".")[2].startswith("valve_") and name.endswith("_command_2")
+    ]
+    if DEAD_BAND in names and second and all(value > 0 for value in second):
         report(f"{DEAD_BAND}: not refined, because tables replace it; they stay as they are")
         names = [name for name in names if name != DEAD_BAND]
     try:
@@ -208,20 +214,16 @@ def _run_joint(
     identified.parameters = updated(identified.parameters, machine.estimates(refined))
     identified.recordings = machine.without_zeros(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
-    if starts and not identified.interrupted:
+    if not starts or identified.interrupted:
+        return
+    try:
         with activity(f"refinement from {starts} random starts"):
-            identified.starts = found = multistart(refined, starts)
-        identified.interrupted = found.interrupted
-        if found.starts:
-            same = f"{sum(start.same for start in found.starts)} of {len(found.starts)}"
+            identified.starts.extend(multistart(refined, starts))
+    finally:
+        if found := identified.starts:
             away = f"up to {100 * SPREAD:.0f} % away or twice the prior standard deviation"
+            same = f"{sum(start.same for start in found)} of {len(found)}"
             report(f"random starts, {away}: {same} lead to the same result, on every fourth sample")
-
-
-def _all_tables(parameters: Parameters) -> bool:
-    """Whether every edge of every valve has a table of its opening, so that no dead band counts."""
-    second = [n for n in parameters if n.partition(".")[2].startswith("valve_") and n.endswith("_command_2")]
-    return bool(second) and all(parameters[name].value > 0 for name in second)
 
 
 def refine_together(

@@ -8,26 +8,14 @@ from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 
 from fmus.composition import declared
-from fmus.identification.recordings.reading import require
+from fmus.identification.recordings.reading import CONDITIONS, MACHINE, NOTE, REST, require
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
-MACHINE, REST, NOTE = "machine", "rest", "note"
 TEMPERATURE = "oil_temperature"  # an optional signal of all recordings [K]
 GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorded
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
-# keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
-CONDITIONS: Mapping[str, tuple[str, ...]] = {
-    REST: (),
-    "valve": ("edge", "density"),
-    "hose_resistance": ("length", "diameter", "density"),
-    "hose_dynamics": ("length", "diameter", "density"),
-    "motor_leakage": ("shaft", "tank_pressure"),
-    "damping": ("joint", "tank_pressure"),
-    "weighing": ("payload", "tank_pressure"),
-    MACHINE: ("tank_pressure",),
-}
 UNREAD: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # usual signals that are not needed
 # similarity above which a name is a misspelling of another; names of the machine have much in common
 SIMILAR, SIMILAR_ON_MACHINE = 0.8, 0.85

@@ -44,15 +44,6 @@ from fmus.boom_stick import detailed as boom_stick_detailed
 from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickParameters
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
-from fmus.components.spool_valve import (
-    EdgeFlows,
-    Edges,
-    Spool,
-    SpoolState,
-    Valve,
-    turbulent_drop,
-    turbulent_factor,
-)
 from fmus.contract import Scalar, column
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import values
@@ -88,7 +79,7 @@ def start_flow(leakage: Scalar) -> Scalar:
 def throttle(drop: Scalar, resistance: float, transition_flow: Scalar) -> Scalar:
     """Flow [m3/s] through a throttle C_R [Pa.s2/m6] from the pressure drop, eq. (1)."""
     y = drop / resistance
-    return y * turbulent_factor(y, transition_flow)
+    return y * spool_valve.turbulent_factor(y, transition_flow)
 
 
 def run(
@@ -121,7 +112,7 @@ def run(
     return dict(zip(outputs, results.T, strict=True))
 
 
-Ports: TypeAlias = tuple[EdgeFlows, EdgeFlows]
+Ports: TypeAlias = tuple[spool_valve.EdgeFlows, spool_valve.EdgeFlows]
 
 
 class BenchValve:
@@ -140,17 +131,18 @@ class BenchValve:
             return {}
         p = detailed()
         commanded = spool_valve.commanded_position(command, p.valve_full_command)
-        rate = spool_valve.spool_rates(Spool.of(p, "spool"), SpoolState(x["position"], x["speed"]), commanded)
+        state = spool_valve.SpoolState(x["position"], x["speed"])
+        rate = spool_valve.spool_rates(spool_valve.Spool.of(p, "spool"), state, commanded)
         return {"position": rate.position, "speed": rate.speed}
 
     def ports(self, x: ByName, command: Scalar, flow_a: Scalar, flow_b: Scalar) -> Ports:
         """Both ports, for the flows out of them [m3/s]."""
         if not self._spool:
             p = lumped()
-            given = (Valve.of(p, "valve"), command, flow_a, flow_b, SUPPLY, RETURN, p.density)
+            given = (spool_valve.Valve.of(p, "valve"), command, flow_a, flow_b, SUPPLY, RETURN, p.density)
             return spool_valve.ports_from_flow(*given)
         of = detailed()
-        parts = (Edges.of(of, "valve"), Spool.of(of, "spool"))
+        parts = (spool_valve.Edges.of(of, "valve"), spool_valve.Spool.of(of, "spool"))
         return spool_valve.spool_ports(*parts, x["position"], flow_a, flow_b, SUPPLY, RETURN, of.density)
 
 
@@ -187,7 +179,7 @@ def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, 
     def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         state = names.apply(lambda name: x[name])
         inlet = spool.ports(x, u["command"], state.flows[0], 0.0)[0].pressure
-        outlet = RETURN + turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
+        outlet = RETURN + spool_valve.turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
         along = hose.rates(of, state, inlet, outlet)
         rates = dict(zip(names.all(), along.all(), strict=True)) | spool.rates(x, u["command"])
         outputs = {"pressure_in": inlet, "pressure_out": outlet}

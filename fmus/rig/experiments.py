@@ -18,9 +18,9 @@ from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.monolith import Monolith, join, simulate
 from fmus.rig.benches import EDGES, TOLERANCE, detailed, locked_motor, stick_hose, valve
-from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, RETURN, Experiment, Instrument
+from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, RETURN, Experiment
 from orchestrator.base.errors import Problem
-from orchestrator.data.description import Condition
+from orchestrator.data.description import Condition, SignalDescription
 from orchestrator.data.table import Array
 
 
@@ -148,7 +148,7 @@ Signals: TypeAlias = Mapping[str, Array]
 
 
 def _bench(
-    named: Named, time: Array, signals: Signals, flow: Instrument = FLOW, **conditions: str
+    named: Named, time: Array, signals: Signals, flow: SignalDescription = FLOW, **conditions: str | Condition
 ) -> Experiment:
     """An experiment on a bench, with the instruments that the names of its signals tell; flow: the meter."""
     by_quantity = {"command": COMMAND, "pressure": PRESSURE}
@@ -176,10 +176,10 @@ def _edge(edge: str, machine: str) -> Experiment:
 
 
 def _hose(named: Named, time: Array, signals: Signals) -> Experiment:
-    p, names = detailed(), ("length", "diameter", "density")
-    values = (p.stick_hose_length, "m"), (p.stick_hose_bore, "m"), (p.density, "kg/m3")
-    conditions = {name: Condition(*value) for name, value in zip(names, values, strict=True)}
-    return replace(_bench(named, time, signals), conditions=conditions)
+    p = detailed()
+    length, bore = (Condition(value, "m") for value in (p.stick_hose_length, p.stick_hose_bore))
+    density = Condition(p.density, "kg/m3")
+    return _bench(named, time, signals, length=length, diameter=bore, density=density)
 
 
 def _hose_resistance(machine: str) -> Experiment:
@@ -267,18 +267,25 @@ _RECORDED = (
     (ANGLE, "manipulator.swing_angle manipulator.boom_angle manipulator.stick_angle"),
     (FLOW, "swing.swing_flow_a boom_stick.boom_head_flow boom_stick.stick_head_flow"),
 )
-INSTRUMENTS: Mapping[str, Instrument] = {n: i for i, names in _RECORDED for n in names.split()} | {
+INSTRUMENTS: Mapping[str, SignalDescription] = {n: i for i, names in _RECORDED for n in names.split()} | {
     "swing.tank_pressure": RETURN
 }
 
 
 def _driven(
-    named: Named, machine: str, moves: Sequence[Move], stop: float, pose: Pose, held: float = 0.0
+    named: Named,
+    moves: Sequence[Move],
+    stop: float,
+    pose: Pose,
+    machine: str,
+    held: float = 0.0,
+    use: str = "train",
+    **conditions: str | Condition,
 ) -> Experiment:
     """An experiment on the whole machine; arguments as in `simulate_machine`."""
     time, signals = simulate_machine(machine, moves, stop, pose, held)
-    unrecorded = {n: values for n, values in signals.items() if n not in INSTRUMENTS}
-    return Experiment(*named, time, {n: signals[n] for n in INSTRUMENTS}, INSTRUMENTS, unrecorded=unrecorded)
+    recorded = {n: signals.pop(n) for n in INSTRUMENTS}
+    return Experiment(*named, time, recorded, INSTRUMENTS, conditions, signals, use)
 
 
 def _damping(joint: str, number: int, machine: str) -> Experiment:
@@ -286,24 +293,24 @@ def _damping(joint: str, number: int, machine: str) -> Experiment:
     rows = [(sign * command, hold) for command, hold in _STROKES[joint]]
     moves = _one_by_one(joint, rows, _RISE[joint], _FALL[joint], _PAUSE)
     named = ("damping", f"Only the {joint} moves, pose {number}")
-    return replace(_driven(named, machine, moves, end_of(moves) + 1.0, pose), conditions={"joint": joint})
+    return _driven(named, moves, end_of(moves) + 1.0, pose, machine, joint=joint)
 
 
 def _weighing(held: float, machine: str) -> Experiment:
     moves = _one_by_one("boom", _WEIGHING, 0.5, 0.5, 0.5)
     named = ("weighing", f"Slow strokes of the boom, {f'payload of {held:g} kg' if held else 'empty head'}")
-    done = _driven(named, machine, moves, end_of(moves) + 1.0, WEIGHING_POSE, held)
-    return replace(done, conditions={"payload": Condition(held, "kg")})
+    payload = Condition(held, "kg")
+    return _driven(named, moves, end_of(moves) + 1.0, WEIGHING_POSE, machine, held, payload=payload)
 
 
 def _training(number: int, machine: str) -> Experiment:
     moves, pose = TRAINING[number - 1]
-    return _driven(("machine", f"All axes at work, training {number}"), machine, moves, TRAINING_STOP, pose)
+    return _driven(("machine", f"All axes at work, training {number}"), moves, TRAINING_STOP, pose, machine)
 
 
 def _test(machine: str) -> Experiment:
     named, pose = ("machine", "Work cycle, held out"), POSES[NOMINAL]
-    return replace(_driven(named, machine, WORK_CYCLE, WORK_CYCLE_STOP, pose), use="test")
+    return _driven(named, WORK_CYCLE, WORK_CYCLE_STOP, pose, machine, use="test")
 
 
 MACHINE_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
@@ -318,19 +325,12 @@ MACHINE_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
     "weighing_loaded": partial(_weighing, WEIGHED),
 }
 
-
-def _named(name: str, make: Callable[[str], Experiment], machine: str) -> Experiment:
-    return replace(make(machine), name=name, machine=machine)
-
-
 MACHINES: Mapping[str, str] = {
     "lumped": "lumped drives, rigid head, ideal supply: the set of the paper",
     "detailed": "detailed drives, friction with stiction, swinging head, supply of engine and pumps",
 }
 # name of the files -> the experiment on a machine
-EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
-    name: partial(_named, name, make) for name, make in (BENCH_EXPERIMENTS | MACHINE_EXPERIMENTS).items()
-}
+EXPERIMENTS = BENCH_EXPERIMENTS | MACHINE_EXPERIMENTS
 
 
 @cache
@@ -338,7 +338,7 @@ def experiment(name: str, machine: str) -> Experiment:
     """One experiment by the name of its files; simulated once and then kept in memory."""
     if machine not in MACHINES:
         raise Problem(f"machine is {machine!r}, expected {' or '.join(MACHINES)}")
-    return EXPERIMENTS[name](machine)
+    return replace(EXPERIMENTS[name](machine), name=name, machine=machine)
 
 
 def experiments(machine: str) -> Iterator[Experiment]:

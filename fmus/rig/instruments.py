@@ -16,37 +16,19 @@ from hashlib import sha256
 import numpy as np
 
 from orchestrator.base.units import parse_unit
-from orchestrator.data.description import Condition
+from orchestrator.data.description import Condition, SignalDescription
 from orchestrator.data.table import Array
-
-
-@dataclass(frozen=True)
-class Instrument:
-    """One instrument; all values are in `unit`, the unit of its readings.
-
-    text         description; empty for a signal without an instrument
-    noise        standard deviation of one sample
-    resolution   step of the converter; 0: no quantisation
-    low, high    smallest and largest reading, infinite without a limit
-    dead_zone    true magnitude below which the reading is 0, such as the smallest flow of a turbine meter
-    """
-
-    text: str
-    unit: str
-    noise: float = 0.0
-    resolution: float = 0.0
-    low: float = -math.inf
-    high: float = math.inf
-    dead_zone: float = 0.0
 
 
 def _converter(
     text: str, unit: str, span: tuple[float, float], noise: float, dead_zone: float = 0.0
-) -> Instrument:
-    """An instrument with a 12-bit converter."""
+) -> SignalDescription:
+    """An instrument with a 12-bit converter; its dead zone is where the reading is 0."""
     low, end = span
-    resolution = (end - low) / 2**12
-    return Instrument(text, unit, noise, resolution, low, end - resolution, dead_zone)
+    step = (end - low) / 2**12
+    return SignalDescription(
+        unit, sensor=text, noise=noise, resolution=step, span=(low, end - step), dead_zone=dead_zone
+    )
 
 
 PRESSURE = _converter("pressure transducer 0-400 bar, 12 bit", "bar", (0.0, 400.0), 0.1)
@@ -54,8 +36,8 @@ PRESSURE = _converter("pressure transducer 0-400 bar, 12 bit", "bar", (0.0, 400.
 RETURN = _converter("pressure transducer -1 to 25 bar, 12 bit", "bar", (-1.0, 25.0), 0.0065)
 FLOW = _converter("turbine flow meter +-300 L/min, 12 bit", "L/min", (-300.0, 300.0), 0.3, 10.0)
 LEAKAGE = _converter("gear flow meter +-5 L/min, 12 bit", "L/min", (-5.0, 5.0), 0.005)
-ANGLE = Instrument("encoder, 65536 counts per turn", "deg", resolution=360 / 2**16)
-COMMAND = Instrument("", "V")  # known exactly, because the computer sends it
+ANGLE = SignalDescription("deg", sensor="encoder, 65536 counts per turn", resolution=360 / 2**16)
+COMMAND = SignalDescription("V")  # known exactly, because the computer sends it
 
 
 def generator(seed: int, file: str, signal: str) -> np.random.Generator:
@@ -64,7 +46,7 @@ def generator(seed: int, file: str, signal: str) -> np.random.Generator:
     return np.random.default_rng([seed, int.from_bytes(name[:8], "little")])
 
 
-def read(instrument: Instrument, true: Array, random: np.random.Generator) -> Array:
+def read(instrument: SignalDescription, true: Array, random: np.random.Generator) -> Array:
     """Readings, shape (n,), in the instrument's unit, of a true signal in SI."""
     value = true / parse_unit(instrument.unit).factor
     in_dead_zone = np.abs(value) < instrument.dead_zone
@@ -72,7 +54,7 @@ def read(instrument: Instrument, true: Array, random: np.random.Generator) -> Ar
         value = value + random.normal(0.0, instrument.noise, value.size)
     if instrument.resolution:
         value = instrument.resolution * np.round(value / instrument.resolution)
-    value = np.clip(value, instrument.low, instrument.high)  # both are multiples of the resolution
+    value = np.clip(value, *(instrument.span or (-math.inf, math.inf)))  # multiples of the resolution
     return np.where(in_dead_zone, 0.0, value)
 
 
@@ -97,7 +79,7 @@ class Experiment:
     title: str
     time: Array
     signals: Mapping[str, Array]
-    instruments: Mapping[str, Instrument]
+    instruments: Mapping[str, SignalDescription]
     conditions: Mapping[str, str | Condition] = field(default_factory=dict)
     unrecorded: Mapping[str, Array] = field(default_factory=dict)
     use: str = "train"

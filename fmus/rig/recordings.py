@@ -4,7 +4,6 @@ docs/recordings.md describes the format. The README contains the experiments, th
 and states that the recordings are simulated.
 """
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +19,7 @@ import numpy as np
 from fmus.rig import instruments
 from fmus.rig.benches import TOLERANCE
 from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiment
-from fmus.rig.instruments import Experiment, Instrument, record
+from fmus.rig.instruments import Experiment, record
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
 from orchestrator.base.processes import mapping
@@ -88,14 +87,15 @@ def readme(machine: str, seed: int) -> str:
     """The content of README.md."""
     listed = (instruments.PRESSURE, instruments.FLOW, instruments.LEAKAGE, instruments.ANGLE)
     text = (files("fmus.rig") / f"{README.removesuffix('.md')}.template").read_text(encoding="utf-8")
-    table = "\n".join(map(_row, listed))
-    return text.format(heading=HEADING, machine=machine, variants=MACHINES[machine], seed=seed, table=table)
-
-
-def _row(i: Instrument) -> str:
-    span = f"{i.low:g} to {i.high:.6g} {i.unit}" if i.high < float("inf") else "none"
-    dead_zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
-    return f"| {i.text} | {i.noise:g} {i.unit} | {i.resolution:.4g} {i.unit} | {span} | {dead_zone} |"
+    rows = []
+    for i in listed:
+        span = f"{i.span[0]:g} to {i.span[1]:.6g} {i.unit}" if i.span else "none"
+        dead_zone = f"{i.dead_zone:g} {i.unit}" if i.dead_zone else "-"
+        about = (i.sensor, f"{i.noise:g} {i.unit}", f"{i.resolution:.4g} {i.unit}", span, dead_zone)
+        rows.append(f"| {' | '.join(about)} |")
+    return text.format(
+        heading=HEADING, machine=machine, variants=MACHINES[machine], seed=seed, table="\n".join(rows)
+    )
 
 
 def write(folder: Path, experiment: Experiment, seed: int) -> tuple[Path, Path]:
@@ -117,7 +117,7 @@ def description(experiment: Experiment, seed: int) -> Description:
         group = _group(name) if is_test else ""
         if is_test:
             limits[group] = Tolerance("nrmse", LIMITS[group]) if group in LIMITS else "none"
-        signals[name] = _signal(experiment.instruments[name], group)
+        signals[name] = replace(experiment.instruments[name], group=group)
         for other in SHARED.get(name, ()):
             signals[other] = replace(signals[name], column=name)
     return Description(
@@ -134,20 +134,6 @@ def description(experiment: Experiment, seed: int) -> Description:
         ),
         experiment={"procedure": experiment.procedure, "use": experiment.use, **experiment.conditions},
         tolerances=limits,
-    )
-
-
-def _signal(instrument: Instrument, group: str) -> SignalDescription:
-    """The description of a signal with this instrument."""
-    span = (instrument.low, instrument.high)
-    return SignalDescription(
-        unit=instrument.unit,
-        group=group,
-        sensor=instrument.text,
-        noise=instrument.noise,
-        resolution=instrument.resolution,
-        span=span if all(map(math.isfinite, span)) else None,
-        dead_zone=instrument.dead_zone,
     )
 
 

@@ -34,8 +34,8 @@ def write_few(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         for constant in ("TRAINING_STOP", "WORK_CYCLE_STOP"):
             patch.setattr(RIG, constant, SECONDS)
-        for name in FEW:  # not by `experiment`, which keeps what it has simulated
-            write(folder, RIG.EXPERIMENTS[name]("lumped"), 0)
+        for name in FEW:  # not kept in memory
+            write(folder, RIG.experiment.__wrapped__(name, "lumped"), 0)
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,6 @@ import pytest
 from fmus.identification import command, pipeline
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
-from fmus.identification.refinement.refine import MultistartResult
 from fmus.identification.results import Estimate, ProcedureResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
@@ -82,7 +81,7 @@ def test_interrupted_starts_keep_the_result(quick):
     """The result of the refinement is kept."""
     refined = SimpleNamespace(reason="converged", problem=WITHOUT_ZEROS, estimates=lambda: (AREA,))
     quick.setattr(pipeline, "refine_together", lambda *_: refined)
-    quick.setattr(pipeline, "multistart", lambda *_, **__: MultistartResult((), interrupted=True))
+    quick.setattr(pipeline, "multistart", interrupt)
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.refined is refined

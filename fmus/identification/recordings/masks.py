@@ -56,8 +56,7 @@ def noise(values: Array, sensor: Sensor = EXACT, order: int = ORDER, moving: boo
 
 def in_dead_zone(values: Array, sensor: Sensor) -> Mask:
     """Mask of the samples in the sensor's dead zone, where a meter may be constant."""
-    result: Mask = (np.abs(values) <= sensor.dead_zone) & (sensor.dead_zone > 0)
-    return result
+    return np.asarray((np.abs(values) <= sensor.dead_zone) & (sensor.dead_zone > 0))
 
 
 def step(values: Array) -> float:
@@ -88,8 +87,7 @@ def at_ends(values: Array, sensor: Sensor) -> Mask:
     """Mask of the samples within half a step of an end of the sensor's range."""
     width = sensor.high - sensor.low
     margin = max(sensor.resolution / 2, 1e-9 * width) if math.isfinite(width) else sensor.resolution / 2
-    result: Mask = (values >= sensor.high - margin) | (values <= sensor.low + margin)
-    return result
+    return np.asarray((values >= sensor.high - margin) | (values <= sensor.low + margin))
 
 
 def equal_by_chance(values: Array, sensor: Sensor) -> float:
@@ -145,14 +143,12 @@ def faults(recording: Recording, name: str) -> dict[str, Mask]:
 
 def good(recording: Recording, name: str) -> Mask:
     """Mask of the usable samples, (n,): not missing, clipped, stuck or in the dead zone."""
-    bad: Mask = np.logical_or.reduce(list(faults(recording, name).values()))
-    return ~bad
+    return np.asarray(~np.logical_or.reduce(list(faults(recording, name).values())))
 
 
 def good_all(recording: Recording, names: Collection[str]) -> Mask:
     """Mask of the samples at which all these signals are good."""
-    result: Mask = np.logical_and.reduce([good(recording, name) for name in names])
-    return result
+    return np.asarray(np.logical_and.reduce([good(recording, name) for name in names]))
 
 
 def steady(recording: Recording, command: str, settle: float = 0.0, shortest: float = 0.0) -> list[slice]:

@@ -10,17 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmus.identification.recordings import masks
 from fmus.identification.recordings.clock import GAP, UNIFORM, period
-from fmus.identification.recordings.masks import (
-    MAX_CHANCE,
-    at_ends,
-    equal_by_chance,
-    faults,
-    noise,
-    overstated,
-    step,
-    step_and_noise,
-)
 from orchestrator.base.text import TextTable, display_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
@@ -90,7 +81,7 @@ class SignalQuality:
             f"{stuck} stuck at one value, without the noise of the sensor; not used.": stuck,
             f"{extremes}, expected a largest magnitude of {limits}: is its unit right?": implausible,
             f"noise of {found}, stated {noise}.": self.noise > LOUD * stated > 0,
-            f"stated noise of {noise}, much larger than that of the samples, {weight}.": overstated(
+            f"stated noise of {noise}, much larger than that of the samples, {weight}.": masks.overstated(
                 sensor, self.moving
             ),
             f"{steps}, coarser than {resolution}.": self.step > COARSE * known > 0,
@@ -151,24 +142,17 @@ class Quality:
 
 def examine(recording: Recording) -> Quality:
     """The quality of a recording, from its samples and its description."""
-    signals = [_signal(recording, name) for name in recording.signals]
+    signals = []
+    for name, values in recording.signals.items():
+        sensor, finite = recording.sensor(name), values[np.isfinite(values)]
+        low, high = (finite.min(), finite.max()) if finite.size else (math.nan, math.nan)
+        noises = masks.noise(values, sensor), masks.noise(values, sensor, moving=True)
+        unused = {
+            cause: _unused(mask, recording.time) for cause, mask in masks.faults(recording, name).items()
+        }
+        found = (float(low), float(high), masks.step(values), *noises, unused)
+        signals.append(SignalQuality(name, recording.units[name], sensor, *found))
     return Quality(recording.source.name, *_clock(recording), signals)
-
-
-def _signal(recording: Recording, name: str) -> SignalQuality:
-    values, sensor = recording[name], recording.sensor(name)
-    finite = values[np.isfinite(values)]
-    return SignalQuality(
-        name=name,
-        unit=recording.units[name],
-        sensor=sensor,
-        low=float(finite.min()) if finite.size else math.nan,
-        high=float(finite.max()) if finite.size else math.nan,
-        step=step(values),
-        noise=noise(values, sensor),
-        moving=noise(values, sensor, moving=True),
-        unused={cause: _unused(mask, recording.time) for cause, mask in faults(recording, name).items()},
-    )
 
 
 def _unused(mask: Mask, time: Array) -> tuple[float, str]:
@@ -247,15 +231,15 @@ def _chance(values: Array, sensor: Sensor) -> Array:
     Two samples with noise sd whose true values differ by d are equal with P exp(-d^2 / (4 sd^2)).
     """
     result = np.ones(len(values))
-    at_rest = equal_by_chance(values, sensor)
-    if at_rest > MAX_CHANCE:
+    at_rest = masks.equal_by_chance(values, sensor)
+    if at_rest > masks.MAX_CHANCE:
         return result
-    _, sd = step_and_noise(values, sensor)
+    _, sd = masks.step_and_noise(values, sensor)
     change = np.zeros(len(values))
     span = 2 * NEIGHBOURS + 1
     if len(values) > span:
         late, early = values[span:], values[:-span]
         change[NEIGHBOURS + 1 : -NEIGHBOURS] = np.nan_to_num((late - early) / span)
-    judged = np.isfinite(values) & ~at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
+    judged = np.isfinite(values) & ~masks.at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
     result[judged] = (at_rest * np.exp(-((change / sd) ** 2) / 4))[judged]
     return result

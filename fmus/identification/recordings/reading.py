@@ -21,10 +21,18 @@ from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_un
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
-PROCEDURES = (
-    *("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping"),
-    *("weighing", "machine", "rest"),
-)
+MACHINE, REST, NOTE = "machine", "rest", "note"
+# keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
+CONDITIONS: Mapping[str, tuple[str, ...]] = {
+    "valve": ("edge", "density"),
+    "hose_resistance": ("length", "diameter", "density"),
+    "hose_dynamics": ("length", "diameter", "density"),
+    "motor_leakage": ("shaft", "tank_pressure"),
+    "damping": ("joint", "tank_pressure"),
+    "weighing": ("payload", "tank_pressure"),
+    MACHINE: ("tank_pressure",),
+    REST: (),
+}
 FIRST_LINES = 50  # number of first lines of a text file from which its decimal mark is detected
 DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
 
@@ -32,8 +40,8 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
 def read(path: Path | str) -> Recording:
     """The samples of a recording inside its time window; `path` is its data file or its description."""
     recording = read_recording(path)
-    if recording.procedure not in ("", *PROCEDURES):
-        expected = f"expected one of {', '.join(PROCEDURES)}, got {recording.procedure!r}"
+    if recording.procedure not in ("", *CONDITIONS):
+        expected = f"expected one of {', '.join(CONDITIONS)}, got {recording.procedure!r}"
         raise Problem(f"{recording.source}: experiment: procedure: {expected}")
     inside = (recording.time >= recording.start) & (recording.time <= recording.stop)
     if inside.sum() < 2:

@@ -1,6 +1,5 @@
-"""The interface of a simulator for output-error identification, and a subsystem compiled to C that has it.
-
-The compiled model is that of the FMU, with exact forward sensitivities of the solver's steps.
+"""A subsystem compiled to C for output-error identification: the equations and the solver of its FMU, with
+exact forward sensitivities of the solver's steps.
 """
 
 import ctypes
@@ -11,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -107,40 +105,18 @@ class SegmentSolution:
     steps: int = 0
 
 
-class Simulator(Protocol):
-    """The interface of a model to the refinement.
-
-    states, inputs, outputs, free   names; `free` are the parameters to be estimated
-    nominal                         nominal values of the states, shape (nx,)
-    p0                              initial values of the free parameters, shape (np,)
-    """
-
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    free: tuple[str, ...]
-    nominal: Array
-    p0: Array
-
-    def start(self, p: Array, u0: Array, /) -> tuple[Array, Array]:
-        """Initial states at inputs `u0`, shape (nx,), and their derivatives by p, shape (nx, np)."""
-
-    def segment(
-        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True, /
-    ) -> SegmentSolution:
-        """Simulate from the states `x` over `time` (n,) with `inputs` (n, nu), linear between the samples."""
-
-
 def zero_of(output: str) -> str:
     """Name of the free parameter that is the zero of an output's sensor."""
     return "zero_of_" + output
 
 
 class CompiledModel:
-    """A `Simulator` in C with exact sensitivities of the solver's steps.
+    """A simulator in C with exact sensitivities of the solver's steps.
 
     states, inputs   names of those that the outputs depend on: the others are left out
     free             parameters of the subsystem, then zeros of sensors: a reading is an output plus its zero
+    nominal          nominal values of the states, shape (nx,)
+    p0               initial values of the free parameters, shape (np,)
     """
 
     def __init__(
@@ -156,7 +132,7 @@ class CompiledModel:
         model = reduce_model(sub, outputs, free[: len(free) - len(zeros)])
         self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
         self.free = (*model.estimated, *map(zero_of, zeros))
-        self.nominal = np.array([model.quantities[name].nominal for name in model.states])
+        self.nominal: Array = np.array([model.quantities[name].nominal for name in model.states])
         self._zeros = [self.outputs.index(name) for name in zeros]
         self._p = np.array([values.p[name] for name in model.parameters])
         self._indices = np.array([model.parameters.index(n) for n in model.estimated], dtype=np.intp)

@@ -12,19 +12,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from fmus.identification.refinement.compiled_model import SimulationFailed
-from fmus.identification.refinement.shooting import (
-    CondensedRun,
-    Evaluation,
-    Scales,
-    Segment,
-    Shooting,
-    condense,
-    parallel,
-    triangular,
-)
+from fmus.identification.refinement.shooting import Evaluation, Linearisation, Scales, Shooting, linearise
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -36,57 +26,11 @@ ITERATIONS = 100
 SMALLEST_RADIUS = 1e-5  # change of z; the search gives up if the linearisation does not hold even for that
 SMALLEST_FRACTION = 1e-4  # fraction of a step; the search gives up below
 LARGEST_RADIUS = 10.0  # change of z
-_STIFF = 1e6  # factor of the prior that fixes the initial state of a detached run
 _ACCEPTED = 0.01  # a step is accepted from this fraction of the predicted decrease on
 _GOOD = 0.5  # the trust region grows from this fraction on
 CLOSED = 1e-4  # nominal values; smaller continuity defects are negligible
 DETACHED = 3.0  # standard deviations; tolerance of the search with detached segments
 SETTLED = 0.05  # relative change of the scales that is negligible
-
-
-@dataclass(frozen=True)
-class Linearisation:
-    """The runs condensed around an iterate; rows [parameters | residual] of the runs and the priors."""
-
-    runs: tuple[CondensedRun, ...]
-    rows: Array
-
-    def merit(self, dz: Array | None = None) -> float:
-        """Sum of squared residuals with the defects closed, after a step dz if one is given."""
-        if dz is not None:
-            return float(np.sum((self.rows[:, -1] + self.rows[:, :-1] @ dz) ** 2))
-        starts = sum(float(np.sum(run.top[:, -1] ** 2)) for run in self.runs)
-        return float(np.sum(self.rows[:, -1] ** 2)) + starts
-
-    def step(self, z: Array, bounds: tuple[Array, Array], radius: float) -> Array:
-        """Damped least squares within bounds, dz; `radius` is the change of z that is hardly damped."""
-        damping = np.eye(len(z), len(z) + 1) / radius
-        triangle = triangular(np.vstack([self.rows, damping]))
-        low, high = np.minimum(bounds[0] - z, 0.0), np.maximum(bounds[1] - z, 0.0)
-        dz: Array = lsq_linear(triangle[:, :-1], -triangle[:, -1], (low, high), method="bvls").x
-        return dz
-
-
-def linearise(shooting: Shooting, old: Evaluation, new: Evaluation, scales: Scales) -> Linearisation:
-    """Linearisation of `old`, residuals and defects of `new`; without defects if segments are detached."""
-
-    def rows(pair: tuple[Segment, Segment]) -> Array:
-        segment, other = pair
-        both = np.column_stack([segment.jacobian, other.residual])
-        return triangular(both / scales.sd[segment.column, None])
-
-    pairs = zip(old.segments, new.segments, strict=True)
-    residuals, runs = iter(parallel(rows, list(pairs))), []
-    for k, segments in enumerate(old.runs):
-        defects, start = new.defects(k), shooting.start_prior(k, new.starts[k][0])
-        ends = [np.column_stack([s.end_by, d]) for s, d in zip(segments[:-1], defects, strict=True)]
-        if shooting.detached:
-            ends = [0 * end for end in ends]
-            start[:, : len(start)] *= _STIFF
-        runs.append(condense([next(residuals) for _ in segments], ends, start))
-    sd = shooting.problem.prior_sd()
-    priors = np.column_stack([np.eye(len(new.z)), new.z - shooting.problem.initial()]) / sd[:, None]
-    return Linearisation(tuple(runs), np.vstack([*(run.bottom for run in runs), priors[np.isfinite(sd)]]))
 
 
 @dataclass(frozen=True)
@@ -200,14 +144,17 @@ def _next(
         dz = linear.step(current.z, bounds, radius)
         full = max(merit - linear.merit(dz), 0.0)
         predicted = full * fraction * (2 - fraction)
+        z, runs = current.z + fraction * dz, zip(current.starts, linear.runs, strict=True)
         try:
-            new = shooting.evaluate(*_stepped(shooting, current, linear, dz, fraction))
+            if shooting.detached:
+                starts = shooting.measured_starts(z)
+            else:
+                starts = tuple(states + fraction * run.states(dz) for states, run in runs)
+            new = shooting.evaluate(z, starts)
+            decrease = merit - linearise(shooting, current, new, scales).merit() + slack
         except SimulationFailed:
             decrease = -math.inf
-        else:
-            decrease = merit - linearise(shooting, current, new, scales).merit()
-        if decrease > _ACCEPTED * predicted - slack:
-            decrease += slack
+        if decrease > _ACCEPTED * predicted:
             curvature = (2 * full * fraction - decrease) / fraction**2
             best = full / curvature if curvature > 0 else 1.0
             if decrease > _GOOD * predicted:
@@ -215,14 +162,3 @@ def _next(
             return new, (radius, float(np.clip(best, fraction / 2, min(1.0, 2 * fraction))))
         radius, fraction = radius / 4, fraction / 2
     return None, (radius, fraction)
-
-
-def _stepped(
-    shooting: Shooting, current: Evaluation, linear: Linearisation, dz: Array, fraction: float
-) -> tuple[Array, tuple[Array, ...]]:
-    """Parameters and initial states after a fraction of the step dz."""
-    z = current.z + fraction * dz
-    if shooting.detached:
-        return z, shooting.measured_starts(z)
-    pairs = zip(current.starts, linear.runs, strict=True)
-    return z, tuple(states + fraction * run.states(dz) for states, run in pairs)

@@ -19,7 +19,7 @@ from scipy.signal import savgol_filter
 from fmus.contract import Subsystem, quantities, symbolic
 from fmus.identification.recordings.clock import period
 from fmus.identification.recordings.masks import good
-from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator, zero_of
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, zero_of
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
@@ -130,7 +130,7 @@ class MeasuredRun:
         return np.column_stack([self.inputs[n] for n in names]) if names else np.zeros((len(self.time), 0))
 
     def initial_state(
-        self, simulator: Simulator, p: Array, inputs: Array, corrected: bool = True
+        self, simulator: CompiledModel, p: Array, inputs: Array, corrected: bool = True
     ) -> tuple[Array, Array]:
         """The state at the first sample, shape (nx,), and its derivatives by p, shape (nx, np).
 
@@ -152,7 +152,9 @@ class MeasuredRun:
                 by_p[j, zero] -= 1.0
         return state, by_p
 
-    def segment_states(self, simulator: Simulator, p: Array, inputs: Array, edges: tuple[int, ...]) -> Array:
+    def segment_states(
+        self, simulator: CompiledModel, p: Array, inputs: Array, edges: tuple[int, ...]
+    ) -> Array:
         """Initial states of all segments, shape (segments, nx): measured if possible, else simulated."""
         states = [self.initial_state(simulator, p, inputs, corrected=False)[0]]
         for first, last in pairwise(edges[:-1]):
@@ -257,7 +259,11 @@ class RecordingMap:
                 continue
             usable = usable_samples(recording, read[name])
             measured[usable, k] = samples = recording[read[name]][usable]
-            weight[:, k] = usable / self._sd(recording, name)
+            sd = self.sd.get(name, recording.sensor(read[name]).sd)
+            if not sd > 0:
+                expected = "expected a sensor with noise or resolution"
+                raise Problem(f"{recording.source}: {read[name]}: {expected}, got none")
+            weight[:, k] = usable / sd
             if samples.size:  # the range; for a constant signal the magnitude
                 scale[k] = float(np.ptp(samples)) or float(np.max(np.abs(samples))) or 1.0
         inputs = {name: self._input(recording, name) for name in quantities(self.sub.inputs)}
@@ -292,13 +298,6 @@ class RecordingMap:
             if recording.units.get(self._signal(name), q.unit) != q.unit:
                 unit = recording.unit_label(self._signal(name))
                 raise Problem(f"{recording.source}: {self._signal(name)} is in {unit}, expected {q.unit}")
-
-    def _sd(self, recording: Recording, name: str) -> float:
-        sd = self.sd.get(name, recording.sensor(self._signal(name)).sd)
-        if not sd > 0:
-            expected = "expected a sensor with noise or resolution"
-            raise Problem(f"{recording.source}: {self._signal(name)}: {expected}, got none")
-        return sd
 
     def _input(self, recording: Recording, name: str) -> tuple[Array, int]:
         """An input and its smoothing window [samples]; 0 for an input without noise."""

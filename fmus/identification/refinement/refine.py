@@ -14,12 +14,12 @@ is taken to lead to the reference, and the second search is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmus.identification.refinement.compiled_model import CompiledModel, Simulator
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.gauss_newton import (
     CONVERGED,
     DETACHED,
@@ -85,7 +85,7 @@ class RefinementResult:
     training: tuple[SimulatedRun, ...]
     held_out: tuple[SimulatedRun, ...]
     model_error: Array
-    simulator: Simulator
+    simulator: CompiledModel
 
     @property
     def converged(self) -> bool:
@@ -150,7 +150,7 @@ class RefinementResult:
 
 def refine(
     problem: EstimationProblem,
-    simulator: Simulator | None = None,
+    simulator: CompiledModel | None = None,
     *,
     segment: float = SEGMENT,
     horizon: float = HORIZON,
@@ -176,14 +176,13 @@ def refine(
 
 
 def cut_into_segments(
-    problem: EstimationProblem, simulator: Simulator, z: Array, segment: float = SEGMENT
+    problem: EstimationProblem, simulator: CompiledModel, z: Array, segment: float = SEGMENT
 ) -> Shooting:
     """The recordings of a problem in segments; priors of the initial states are those at z."""
     if not problem.training:
         raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
     inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
-    seconds = segment if simulator.states else math.inf  # initial states of segments cannot be set
-    edges = tuple(cut(run.time, seconds) for run in problem.training)
+    edges = tuple(cut(run.time, segment) for run in problem.training)
     p = problem.values_of(z)
     states = [
         run.initial_state(simulator, p, u, corrected=False)[0] / simulator.nominal
@@ -197,10 +196,8 @@ def fit_predictions(
     z: Array,
     horizon: float = HORIZON,
     progress: Callable[[Iteration], None] | None = None,
-) -> Solution | None:
-    """The first search: predictions over the horizon [s] from measured states; None if they cannot be set."""
-    if not shooting.simulator.states:
-        return None
+) -> Solution:
+    """The first search: predictions over the horizon [s] from measured states."""
     edges = tuple(cut(run.time, horizon) for run in shooting.problem.training)
     return minimise(replace(shooting, edges=edges, detached=True), z, progress=progress)
 
@@ -209,11 +206,8 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
     """Statistics, and simulations with the estimated parameters."""
     problem, simulator = shooting.problem, shooting.simulator
     z, p = solution.z, problem.values_of(solution.z)
-    initial_states = [starts[0] * simulator.nominal for starts in solution.evaluation.starts]
-    training = parallel(
-        lambda k: simulate(problem.training[k], simulator, p, initial_states[k], shooting.inputs[k]),
-        range(len(initial_states)),
-    )
+    starts = [states[0] * simulator.nominal for states in solution.evaluation.starts]
+    training = parallel(lambda k: simulate(problem.training[k], simulator, p, starts[k]), range(len(starts)))
     by_inputs = np.zeros((len(z), len(z)))
     if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
         by_inputs = input_covariance(shooting, solution)
@@ -237,7 +231,7 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
     )
 
 
-def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> Simulator:
+def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledModel:
     """The problem's subsystem with exact sensitivities; the compiled library is cached."""
     return CompiledModel(problem.sub, problem.outputs, problem.names, problem.fixed, tolerance)
 
@@ -301,46 +295,33 @@ class RandomStart:
         return self.apart < SAME
 
 
-@dataclass(frozen=True)
-class MultistartResult:
-    """The searches from all random starts, and whether an interrupt ended them early."""
-
-    starts: tuple[RandomStart, ...]
-    interrupted: bool = False
-
-
-def multistart(refined: RefinementResult, count: int) -> MultistartResult:
-    """Search again from `count` random starts.
+def multistart(refined: RefinementResult, count: int) -> Iterator[RandomStart]:
+    """Search again from `count` random starts; raises KeyboardInterrupt after an interrupt.
 
     Every fourth sample is used; the reference is the result of a search on the same samples from the optimum.
     """
     problem, rng = subsampled(refined.problem), np.random.default_rng(0)
-    starts: list[RandomStart] = []
-    try:
-        shooting = cut_into_segments(problem, refined.simulator, refined.z)
-        path = fit_predictions(shooting, refined.z)
-        best = _whole(shooting, refined.z, path)
-        reference = result(shooting, best)
-        sd = reference.statistics.sd(reference.robust)
-        for _ in range(count):
-            z = random_start(problem, rng)
-            try:
-                shooting = cut_into_segments(problem, refined.simulator, z)
-                predictions = fit_predictions(shooting, z)
-                joined = _same_end(predictions, path)
-                solution = best if joined else _whole(shooting, z, predictions)
-            except Problem:  # the model cannot be simulated from there
-                starts.append(RandomStart(z, math.inf, math.nan, 0))
-                continue
-            apart = float(np.max(np.abs(solution.z - best.z) / sd))
-            iterations = len(predictions.history if joined and predictions else solution.history)
-            starts.append(RandomStart(z, apart, solution.history[-1].residual, iterations, joined))
-    except KeyboardInterrupt:
-        return MultistartResult(tuple(starts), interrupted=True)
-    return MultistartResult(tuple(starts))
+    shooting = cut_into_segments(problem, refined.simulator, refined.z)
+    path = fit_predictions(shooting, refined.z)
+    best = _whole(shooting, refined.z, path)
+    reference = result(shooting, best)
+    sd = reference.statistics.sd(reference.robust)
+    for _ in range(count):
+        z = random_start(problem, rng)
+        try:
+            shooting = cut_into_segments(problem, refined.simulator, z)
+            predictions = fit_predictions(shooting, z)
+            joined = _same_end(predictions, path)
+            solution = best if joined else _whole(shooting, z, predictions)
+        except Problem:  # the model cannot be simulated from there
+            yield RandomStart(z, math.inf, math.nan, 0)
+            continue
+        apart = float(np.max(np.abs(solution.z - best.z) / sd))
+        iterations = len((predictions if joined else solution).history)
+        yield RandomStart(z, apart, solution.history[-1].residual, iterations, joined)
 
 
-def _whole(shooting: Shooting, z: Array, predictions: Solution | None) -> Solution:
+def _whole(shooting: Shooting, z: Array, predictions: Solution) -> Solution:
     """The fit of whole recordings; an interrupt ends all searches."""
     solution = minimise(shooting, z, START_ITERATIONS, previous=predictions)
     if solution.reason == INTERRUPTED:
@@ -348,11 +329,10 @@ def _whole(shooting: Shooting, z: Array, predictions: Solution | None) -> Soluti
     return solution
 
 
-def _same_end(one: Solution | None, other: Solution | None) -> bool:
+def _same_end(one: Solution, other: Solution) -> bool:
     """Have both converged to parameters whose residuals differ by less than the tolerances of both?"""
-    if not (one and other and one.converged and other.converged):
-        return False
-    return float(np.linalg.norm(other.linear.rows[:, :-1] @ (one.z - other.z))) < 2 * DETACHED
+    apart = float(np.linalg.norm(other.linear.rows[:, :-1] @ (one.z - other.z)))
+    return one.converged and other.converged and apart < 2 * DETACHED
 
 
 def random_start(problem: EstimationProblem, rng: np.random.Generator) -> Array:

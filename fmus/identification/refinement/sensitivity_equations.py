@@ -141,6 +141,9 @@ def sensitivity_code(
     for entry, value in product_q.items():
         f_q[entry] = f_q[entry] + value if entry in f_q else value
     y_x, y_q = nonzeros(ca.jacobian(y, x)), nonzeros(ca.jacobian(y, q))
+    # contribution of the state sensitivities to the output sensitivities
+    dx, by_x = ca.SX.sym("dx", x.numel()), ca.SX.sym("y_x", len(y_x))
+    dy = ca.densify(ca.mtimes(_sparse(y_x, [by_x], y.numel(), x.numel()), dx))
     values = {
         "hessian": hessian,
         "jac": system.entries,
@@ -159,7 +162,7 @@ def sensitivity_code(
         Routine("sens_outputs", arguments, {"y": values["y"]}),
         Routine("sens_output_jacobians", arguments, {"y_x": values["y_x"], "y_q": values["y_q"]}),
         _stage_columns(system, nonzeros(jacobian), list(product_x)),
-        _output_columns(y.numel(), x.numel(), list(y_x)),
+        Routine("sens_output_columns", {"y_x": by_x, "dx": dx}, {"dy": dy}, frozenset({"dx", "dy"})),
     ]
     vectors = {"NQ": q, "NOUT": y, "ND": d, "NHESSIAN": hessian}
     entries = {"NPRODUCT": product_x, "NF_Q": f_q, "NY_X": y_x, "NY_Q": y_q}
@@ -199,13 +202,6 @@ def _stage_columns(system: Elimination, jacobian: Entries, product: Sequence[Ent
     inputs = {"jac": system.jac, "product": symbols, "lu": system.lu, "dX": dX, "dx": dx, "r": r}
     dk = ca.substitute(system.k, system.b, b)
     return Routine("sens_stage_columns", inputs, {"dk": dk}, frozenset({"dX", "dx", "r", "dk"}))
-
-
-def _output_columns(outputs: int, states: int, y_x: Sequence[Entry]) -> Routine:
-    """dy = y_x dx: contribution of the state sensitivities to the output sensitivities."""
-    dx, symbols = ca.SX.sym("dx", states), ca.SX.sym("y_x", len(y_x))
-    dy = ca.densify(ca.mtimes(_sparse(y_x, [symbols], outputs, states), dx))
-    return Routine("sens_output_columns", {"y_x": symbols, "dx": dx}, {"dy": dy}, frozenset({"dx", "dy"}))
 
 
 def _sparse(entries: Iterable[Entry], values: Sequence[ca.SX], rows: int, columns: int) -> ca.SX:

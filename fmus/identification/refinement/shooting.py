@@ -22,9 +22,10 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from fmus.identification.recordings.masks import autocorrelation_time
-from fmus.identification.refinement.compiled_model import Simulator
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.problem import EstimationProblem
 from orchestrator.data.table import Array
 
@@ -36,6 +37,7 @@ _HEIGHT = 3  # rows of a block per column: each level of the tree has a third of
 _LONGEST = 0.05  # largest correlation time, as a fraction of the samples; beyond that a residual is a trend
 SD_AT_REST = 1e-3  # prior standard deviation of an initial state that is at rest, in nominal values
 SD_UNKNOWN = 1.0  # the same for any other initial state
+_STIFF = 1e6  # factor of the prior that fixes the initial state of a detached run
 
 
 @dataclass(frozen=True)
@@ -205,7 +207,7 @@ class Shooting:
     """
 
     problem: EstimationProblem
-    simulator: Simulator
+    simulator: CompiledModel
     inputs: tuple[Array, ...]
     prior_states: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]
@@ -258,6 +260,51 @@ class Shooting:
             jacobian = by * w[:, None]
             end_by = np.hstack([solution.x_x * nominal, solution.x_p * p_z]) / nominal[:, None]
         return Segment(residual, column, solution.x / nominal, jacobian, end_by)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The runs condensed around an iterate; rows [parameters | residual] of the runs and the priors."""
+
+    runs: tuple[CondensedRun, ...]
+    rows: Array
+
+    def merit(self, dz: Array | None = None) -> float:
+        """Sum of squared residuals with the defects closed, after a step dz if one is given."""
+        if dz is not None:
+            return float(np.sum((self.rows[:, -1] + self.rows[:, :-1] @ dz) ** 2))
+        starts = sum(float(np.sum(run.top[:, -1] ** 2)) for run in self.runs)
+        return float(np.sum(self.rows[:, -1] ** 2)) + starts
+
+    def step(self, z: Array, bounds: tuple[Array, Array], radius: float) -> Array:
+        """Damped least squares within bounds, dz; `radius` is the change of z that is hardly damped."""
+        damping = np.eye(len(z), len(z) + 1) / radius
+        triangle = triangular(np.vstack([self.rows, damping]))
+        low, high = np.minimum(bounds[0] - z, 0.0), np.maximum(bounds[1] - z, 0.0)
+        dz: Array = lsq_linear(triangle[:, :-1], -triangle[:, -1], (low, high), method="bvls").x
+        return dz
+
+
+def linearise(shooting: Shooting, old: Evaluation, new: Evaluation, scales: Scales) -> Linearisation:
+    """Linearisation of `old`, residuals and defects of `new`; without defects if segments are detached."""
+
+    def rows(pair: tuple[Segment, Segment]) -> Array:
+        segment, other = pair
+        both = np.column_stack([segment.jacobian, other.residual])
+        return triangular(both / scales.sd[segment.column, None])
+
+    pairs = zip(old.segments, new.segments, strict=True)
+    residuals, runs = iter(parallel(rows, list(pairs))), []
+    for k, segments in enumerate(old.runs):
+        defects, start = new.defects(k), shooting.start_prior(k, new.starts[k][0])
+        ends = [np.column_stack([s.end_by, d]) for s, d in zip(segments[:-1], defects, strict=True)]
+        if shooting.detached:
+            ends = [0 * end for end in ends]
+            start[:, : len(start)] *= _STIFF
+        runs.append(condense([next(residuals) for _ in segments], ends, start))
+    sd = shooting.problem.prior_sd()
+    priors = np.column_stack([np.eye(len(new.z)), new.z - shooting.problem.initial()]) / sd[:, None]
+    return Linearisation(tuple(runs), np.vstack([*(run.bottom for run in runs), priors[np.isfinite(sd)]]))
 
 
 def cut(time: Array, seconds: float) -> tuple[int, ...]:

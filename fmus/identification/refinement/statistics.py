@@ -22,10 +22,11 @@ from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
-from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator
-from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
+from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
-from fmus.identification.refinement.shooting import CondensedRun, Shooting
+from fmus.identification.refinement.shooting import CondensedRun, Shooting, linearise
+from orchestrator.base.text import join_words
 from orchestrator.data.table import Array
 
 VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular
@@ -195,7 +196,7 @@ def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Arr
         if group[0].sd is None:
             return f"{names[0]}: the data {reason}"
         return f"{names[0]}: these recordings alone {reason}; the interval is that of the prior"
-    listed = ", ".join(names[:-1]) + f" and {names[-1]}"
+    listed = join_words(names)
     if len(names) > 2 or dimension > 1 or not all(f.log for f in group):
         return f"{listed}: the data determine {len(names) - dimension} of {len(names)} combinations"
     # along the undetermined direction (a, b) of two logarithms z_1 - a / b z_2 stays the same
@@ -227,10 +228,10 @@ class SimulatedRun:
 
 
 def simulate(
-    run: MeasuredRun, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
+    run: MeasuredRun, simulator: CompiledModel, p: Array, start: Array | None = None
 ) -> SimulatedRun:
     """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
-    inputs = run.input_matrix(simulator.inputs) if inputs is None else inputs
+    inputs = run.input_matrix(simulator.inputs)
     state = run.initial_state(simulator, p, inputs)[0] if start is None else start
     try:
         return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)

@@ -24,7 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from fmus.identification.report.prediction import RecordingComparison, nrmse
+from fmus.identification.report.prediction import RecordingComparison
 from fmus.identification.report.report_texts import footer, percentage
 from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
 from orchestrator.base.text import MINUS, display_unit, name_with_unit, typeset
@@ -160,8 +160,16 @@ def _label(text: str, unit: str) -> str:
 
 
 def _draw_panel(axes: Axes, panel: Panel, columns: int) -> None:
-    residual, unit = is_residual(panel), panel.y_unit[0]
-    _draw_curves(axes, panel, residual)
+    residual, unit, count = is_residual(panel), panel.y_unit[0], Counter[str]()
+    measured_line = any(c.kind == "measured" and c.line for c in panel.curves)
+    several = sum(c.kind in ("measured", "masked") for c in panel.curves) > 1
+    for order, curve in enumerate(sorted(panel.curves, key=lambda c: DRAWING_ORDER.index(c.kind))):
+        index = count[curve.kind]
+        style = _style(curve, index, measured_line=measured_line, several=several)
+        if residual:
+            style |= _line(PALETTE.pair(index)[1], 0.8, "-") if curve.line else {"markersize": 3.5}
+        count[curve.kind] += 1
+        _draw_curve(axes, panel, curve, style | {"zorder": 2 + 0.1 * order})
     if panel.log:
         axes.set_yscale("log")
     if residual:  # the unit on a separate line
@@ -178,19 +186,6 @@ def _draw_panel(axes: Axes, panel: Panel, columns: int) -> None:
         axes.margins(y=0.08)
         _draw_legend(axes, panel, columns)
     power_ticks(axes.yaxis)
-
-
-def _draw_curves(axes: Axes, panel: Panel, residual: bool) -> None:
-    count: Counter[str] = Counter()
-    measured_line = any(c.kind == "measured" and c.line for c in panel.curves)
-    several = sum(c.kind in ("measured", "masked") for c in panel.curves) > 1
-    for order, curve in enumerate(sorted(panel.curves, key=lambda c: DRAWING_ORDER.index(c.kind))):
-        index = count[curve.kind]
-        style = _style(curve, index, measured_line=measured_line, several=several)
-        if residual:
-            style |= _line(PALETTE.pair(index)[1], 0.8, "-") if curve.line else {"markersize": 3.5}
-        count[curve.kind] += 1
-        _draw_curve(axes, panel, curve, style | {"zorder": 2 + 0.1 * order})
 
 
 def _style(curve: Curve, index: int, *, measured_line: bool, several: bool) -> dict[str, Any]:
@@ -247,10 +242,10 @@ def _draw_legend(axes: Axes, panel: Panel, columns: int) -> None:
     lines = _legend_lines(panel, columns) or [[]]
     # matplotlib fills column by column
     order = [line[k] for k in range(len(lines[0])) for line in lines if k < len(line)]
-    handles = {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    handles, labels = axes.get_legend_handles_labels()
     shown = legend(
         axes,
-        handles=[handles[label] for label in order],
+        handles=[handles[labels.index(label)] for label in order],
         labels=order,
         ncols=max(1, len(lines[0])),
         title=panel.title or None,
@@ -308,23 +303,23 @@ def joint_figure(comparison: RecordingComparison, joint: str) -> TraceFigure:
 def _trace_panel(label: str, curves: Mapping[str, str], comparison: RecordingComparison) -> TracePanel:
     """Signals of one quantity with their residuals and NRMSE; a command is an input and has none."""
     time, unit = comparison.recording.time, display_unit(comparison.units[next(iter(curves))])
-    lines, residuals, remarks = list[TraceLine](), list[TraceLine](), list[tuple[str, str]]()
-    areas = list[TraceArea]()
+    lines, residuals, areas = list[TraceLine](), list[TraceLine](), list[TraceArea]()
+    remarks, errors = list[tuple[str, str]](), comparison.nrmse()
     for index, (signal, curve) in enumerate(curves.items()):
         light, dark = PALETTE.pair(index)
-        measured = comparison.measured[signal]
+        measured = unit.factor * comparison.measured[signal]
         if signal not in comparison.predicted:
-            lines.append(TraceLine(time, unit.factor * measured, {"color": dark, "linewidth": 1.2}))
+            lines.append(TraceLine(time, measured, {"color": dark, "linewidth": 1.2}))
             continue
-        predicted = comparison.predicted[signal]
+        predicted = unit.factor * comparison.predicted[signal]
         broad, dotted = {"color": light, "linewidth": 2.6}, {**SIMULATION, "color": dark}
-        lines.append(TraceLine(time, unit.factor * measured, broad, curve, "measured"))
-        lines.append(TraceLine(time, unit.factor * predicted, dotted, curve, "predicted"))
+        lines.append(TraceLine(time, measured, broad, curve, "measured"))
+        lines.append(TraceLine(time, predicted, dotted, curve, "predicted"))
         if signal in comparison.sd:
             low, high = (unit.factor * end for end in comparison.band(signal))
             areas.append(TraceArea(time, low, high, light, "95 % band"))
-        residuals.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}, curve))
-        if (error := nrmse(measured, predicted)) is not None:
+        residuals.append(TraceLine(time, measured - predicted, {"color": dark}, curve))
+        if (error := errors.get(signal)) is not None:
             remarks.append((f"{curve}\nNRMSE {percentage(error)}".strip(), dark))
     return TracePanel(
         unit.display,

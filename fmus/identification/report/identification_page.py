@@ -8,32 +8,14 @@ from typing import Any
 import numpy as np
 
 from fmus.contract import quantities
-from fmus.identification.machine import (
-    lookup,
-    nominal,
-    zero_sentences,
-)
+from fmus.identification.machine import lookup, nominal, zero_sentences
 from fmus.identification.pipeline import NO_RECORDING, Identified
-from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
-from fmus.identification.refinement.refine import MultistartResult, RefinementResult, advice
-from fmus.identification.report import report_texts
+from fmus.identification.recordings.reading import MACHINE
+from fmus.identification.refinement.refine import RandomStart, RefinementResult, advice
+from fmus.identification.report import figures, prediction, report_texts
 from fmus.identification.report.attribution import attribute
-from fmus.identification.report.figures import (
-    JOINT_FIGURES,
-    draw_correlation,
-    draw_procedure,
-    joint_figure,
-    opening_panel,
-)
-from fmus.identification.report.prediction import (
-    Extrapolation,
-    RecordingComparison,
-    default_values,
-    extrapolated,
-    rms,
-)
 from fmus.identification.results import Estimate, named
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.data.recording import Recording
@@ -43,6 +25,7 @@ from orchestrator.pages.plotting import embed
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html.j2"
 NAME = "identification"
+START = ("apart", "residual", "iterations", "same", "joined")  # of a `RandomStart`
 MOVES = 0.01  # rad, angular range above which a joint is shown
 
 
@@ -63,12 +46,12 @@ def render(page: Mapping[str, Any]) -> str:
     """The HTML file as text."""
     joint, kinds, heatmap = page["refinement"], page["kinds"], None
     if joint and len(joint["names"]) > 1:
-        heatmap = embed(draw_correlation(joint["names"], joint["correlation"]), "c-", "Correlation")
+        heatmap = embed(figures.draw_correlation(joint["names"], joint["correlation"]), "c-", "Correlation")
     results = []
     for k, result in enumerate(page["results"]):
-        if (tables := opening_panel(result.listed)) is not None:
+        if (tables := figures.opening_panel(result.listed)) is not None:
             result = replace(result, panels=(*result.panels, tables))
-        figure = draw_procedure(result, kinds, titled=False) if result.panels else None
+        figure = figures.draw_procedure(result, kinds, titled=False) if result.panels else None
         drawing = figure and embed(figure, f"f{k}-", result.title)
         results.append((result, drawing, report_texts.caption(result, kinds)))
     return html_page.render(
@@ -88,7 +71,7 @@ def page_content(
     folder: Path,
     out: Path,
     identified: Identified,
-    comparison: RecordingComparison | None,
+    comparison: prediction.RecordingComparison | None,
     qualities: Sequence[Mapping[str, Any]] = (),
     processes: int = 1,
 ) -> dict[str, Any]:
@@ -99,11 +82,11 @@ def page_content(
     comparison   result of `prediction`
     processes    number of processes that simulate the effects
     """
-    refined, outside, tests = identified.refined, extrapolated(identified), identified.findings
+    refined, outside, tests = identified.refined, prediction.extrapolated(identified), identified.findings
     shown = named(finding for _, finding in tests)
     explanation = None
     if comparison and refined:
-        explanation = attribute(comparison, default_values(identified), processes)
+        explanation = attribute(comparison, prediction.default_values(identified), processes)
     return {
         "title": f"Identification from {folder.name}",
         "source": str(folder),
@@ -136,18 +119,18 @@ def page_content(
     }
 
 
-def extrapolation_text(outside: tuple[str, Extrapolation]) -> str:
+def extrapolation_text(outside: tuple[str, prediction.Extrapolation]) -> str:
     """A sentence on an input outside its range in training: the prediction is doubtful, not the estimates."""
     file, found = outside
     return f"{file}: {found}: its prediction is an extrapolation, which the bands do not cover."
 
 
-def _joints(comparison: RecordingComparison) -> Iterator[tuple[str, Any, str]]:
+def _joints(comparison: prediction.RecordingComparison) -> Iterator[tuple[str, Any, str]]:
     """Title, figure and caption of each joint that moves."""
-    for joint, number in JOINT_FIGURES.items():
+    for joint, number in figures.JOINT_FIGURES.items():
         if np.ptp(comparison.predicted[f"manipulator.{joint}_angle"]) > MOVES:
             caption = report_texts.joint_caption(comparison.recording, joint, number)
-            yield joint.capitalize(), joint_figure(comparison, joint), caption
+            yield joint.capitalize(), figures.joint_figure(comparison, joint), caption
 
 
 def _parameter(estimate: Estimate, procedure: str) -> dict[str, Any]:
@@ -170,7 +153,7 @@ def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str,
     return commands
 
 
-def refinement(refined: RefinementResult, starts: MultistartResult | None = None) -> dict[str, Any]:
+def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) -> dict[str, Any]:
     """Content of the page and the JSON file for a refinement; `starts`: from random start points.
 
     `fits` has for each signal, None if there is no such recording:
@@ -184,25 +167,15 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
     and `starts` for each search from a random start:
 
     away       root mean square distance of the start from the values before, relative changes of parameters
-    apart      largest distance of the end from the result, in standard deviations; infinite if there is none
-    residual   root mean square residual at the end, in standard deviations of the sensors
-    same       whether the search led to the result, within a standard deviation
-    joined     whether the search was ended on the path that leads to the result
+    ...        `START`
     """
     problem = refined.problem
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
     rows = [
-        {
-            "name": f"random {number}",
-            "away": rms(start.z - problem.initial()),
-            "apart": start.apart,
-            "residual": start.residual,
-            "iterations": start.iterations,
-            "same": start.same,
-            "joined": start.joined,
-        }
-        for number, start in enumerate(starts.starts if starts else (), 1)
+        {"name": f"random {k}", "away": prediction.rms(start.z - problem.initial())}
+        | {name: getattr(start, name) for name in START}
+        for k, start in enumerate(starts, 1)
     ]
     return {
         "names": [problem.label(name) for name in problem.names],
@@ -225,13 +198,13 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
 def _fit(refined: RefinementResult, k: int) -> dict[str, Any]:
     """Goodness of fit of an output."""
     signal = refined.problem.signals[k]
-    tests, errors = refined.whiteness[signal], {}
+    tests, fit = refined.whiteness[signal], dict[str, Any]()
     for use, traces in (("train", refined.training), ("test", refined.held_out)):
-        relative = np.array([float(trace.nrmse()[k]) for trace in traces])
-        errors[use] = rms(relative) if np.isfinite(relative).any() else None
-    fit = errors | {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
-    inputs = max(tests.inputs.values(), default=None)
-    return {"signal": signal, **html_page.json_values(fit), "inputs": inputs}
+        relative = np.array([trace.nrmse()[k] for trace in traces])
+        fit[use] = prediction.rms(relative) if np.isfinite(relative).any() else None
+    fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
+    fit["inputs"] = max(tests.inputs.values(), default=None)
+    return {"signal": signal, **html_page.json_values(fit)}
 
 
 def quality(recording: Recording) -> dict[str, Any]:
@@ -241,30 +214,22 @@ def quality(recording: Recording) -> dict[str, Any]:
     channels   by signal: lowest and highest value, noise, fraction of samples in the dead zone of the sensor
                (which are not used), and remarks
     """
-    report = examine(recording)
-    rate, remarks = report.rate, list(report.clock)
+    found = examine(recording)
+    remarks = list(found.clock)
     if resample_uniformly(recording) is not recording:
-        remarks.append(f"The clock: all signals are interpolated at {rate:.6g} Hz; gaps stay gaps.")
-    if rate > 1.01 * MAX_RATE and recording.procedure == MACHINE:
-        remarks.append(f"The clock: {rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together.")
+        remarks.append(f"The clock: all signals are interpolated at {found.rate:.6g} Hz; gaps stay gaps.")
+    if found.rate > 1.01 * MAX_RATE and recording.procedure == MACHINE:
+        remarks.append(f"The clock: {found.rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together.")
     channels: list[dict[str, Any]] = [
-        {
-            "signal": signal.name,
-            "unit": signal.unit,
-            "low": signal.low,
-            "high": signal.high,
-            "noise": signal.noise,
-            "sensor": signal.sensor.text,
-            "remarks": signal.faults(),
-            "dead": signal.unused["dead zone"][0],
-        }
-        for signal in report.signals
+        {"signal": s.name, **{name: getattr(s, name) for name in ("unit", "low", "high", "noise")}}
+        | {"sensor": s.sensor.text, "remarks": s.faults(), "dead": s.unused["dead zone"][0]}
+        for s in found.signals
     ]
     return {
         "name": recording.source.name,
         **{name: getattr(recording, name) for name in ("title", "procedure", "use", "kind")},
         "duration": float(recording.time[-1] - recording.time[0]),
-        "rate": rate,
+        "rate": found.rate,
         "channels": channels,
         "remarks": remarks,
         "faults": len(remarks) + sum(len(c["remarks"]) for c in channels),

@@ -16,7 +16,7 @@ from fmus.identification.recordings.clock import filter_for
 from fmus.identification.recordings.masks import good
 from fmus.identification.results import coverage_factor
 from fmus.machine.parts import INPUTS, SUBSYSTEMS, parts, wiring
-from fmus.monolith import join, simulate
+from fmus.monolith import breakpoints, join, simulate
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import display_unit
@@ -61,36 +61,21 @@ def excitation(recording: Recording) -> Excitation:
         pose[joint] = float(np.nanmean(first))
     samples = np.column_stack([fill_gaps(recording, signal) for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, simplify(recording.time, samples).T, strict=True))
-    lines = {name: signal for name in LINES if (signal := f"swing.{name}") in recording.signals}
-    return Excitation(recording.time, commands, pose, {n: _smooth(recording, s) for n, s in lines.items()})
-
-
-def _smooth(recording: Recording, signal: str) -> Array:
-    """The measured pressure of a line, smoothed."""
-    time = recording.time
-    smooth = filter_for(recording, SMOOTHING).apply(fill_gaps(recording, signal))
-    valid = np.isfinite(smooth)
-    smooth = np.interp(time, time[valid], smooth[valid])
-    return simplify(time, smooth[:, None], LINE_TOLERANCE)[:, 0]
+    lines = {}
+    for name in (n for n in LINES if f"swing.{n}" in recording.signals):
+        smooth = filter_for(recording, SMOOTHING).apply(fill_gaps(recording, f"swing.{name}"))
+        at = np.isfinite(smooth)  # not at the ends
+        smooth = np.interp(recording.time, recording.time[at], smooth[at])
+        lines[name] = simplify(recording.time, smooth[:, None], LINE_TOLERANCE)[:, 0]
+    return Excitation(recording.time, commands, pose, lines)
 
 
 def simplify(time: Array, samples: Array, tolerance: float = COMMAND_TOLERANCE) -> Array:
-    """Samples (n, m) on straight lines between as few of them as possible [Douglas, Peucker 1973].
+    """Samples (n, m) on straight lines between few of them.
 
     The solver restarts at every corner of an input, and rounding in a file makes every sample a corner.
     """
-    kept, pending = {0, len(time) - 1}, [(0, len(time) - 1)]
-    while pending:
-        first, last = pending.pop()
-        part = slice(first, last + 1)
-        fraction = ((time[part] - time[first]) / (time[last] - time[first]))[:, None]
-        line = samples[first] + fraction * (samples[last] - samples[first])
-        error = np.abs(samples[part] - line).max(axis=1)
-        worst = first + int(np.argmax(error))
-        if error.max() > tolerance:
-            kept.add(worst)
-            pending += [(a, b) for a, b in ((first, worst), (worst, last)) if b - a > 1]
-    corners = sorted(kept)
+    corners = breakpoints(time, samples, max(tolerance, 1e-12))
     return np.column_stack([np.interp(time, time[corners], column[corners]) for column in samples.T])
 
 
@@ -103,14 +88,10 @@ def predict(
     variants     part -> its variant, for parts that are not the default ones
     """
     machine = parts(**(variants or {}))
-    known = {
-        **parameters,
-        **{f"manipulator.initial_{joint}_angle": q for joint, q in excitation.pose.items()},
-    }
-    chosen = {}
-    for part, sub in machine.items():
-        of_part = values(sub)
-        chosen[part] = replace(of_part, p={n: known.get(f"{part}.{n}", p) for n, p in of_part.p.items()})
+    pose = {f"manipulator.initial_{joint}_angle": angle for joint, angle in excitation.pose.items()}
+    known, chosen = {**parameters, **pose}, {part: values(sub) for part, sub in machine.items()}
+    for part, of in chosen.items():
+        chosen[part] = replace(of, p={n: known.get(f"{part}.{n}", p) for n, p in of.p.items()})
     model = join(machine, *wiring(machine), chosen)
     u = np.tile(model.u, (excitation.time.size, 1))
     for name, samples in {**excitation.commands, **excitation.lines}.items():

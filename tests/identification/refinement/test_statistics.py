@@ -213,7 +213,7 @@ def test_sensitivities_are_those_of_a_repeated_simulation(refined: RefinementRes
 def test_random_starts_lead_to_the_same_optimum(refined: RefinementResult) -> None:
     """From any start within 25 %, with a quarter of the samples, and also if it is not ended at the path
     of the reference."""
-    starts = multistart(refined, count=4).starts
+    starts = list(multistart(refined, count=4))
     assert all(start.same for start in starts)
     away = np.array([start.z for start in starts]) - refined.problem.initial()
     # of 12 uniform numbers the largest is below half of the range once in 4000 times

@@ -9,7 +9,7 @@ from identification.report.samples import channel
 
 from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
-from fmus.identification.refinement.refine import MultistartResult, RandomStart, RefinementResult, advice
+from fmus.identification.refinement.refine import RandomStart, RefinementResult, advice
 from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
 from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.identification.report.prediction import compare
@@ -80,7 +80,7 @@ def test_a_refinement_has_the_names_of_the_report():
 def test_random_starts_are_compared():
     """Distance of each start from the values before; whether the search led to the same result."""
     z = np.log([2.0 * np.e, 2.0 * np.e])
-    ran = MultistartResult((RandomStart(z, 0.2, 1.0, 9), RandomStart(z, np.inf, np.nan, 0)))
+    ran = (RandomStart(z, 0.2, 1.0, 9), RandomStart(z, np.inf, np.nan, 0))
     one, other = refinement(refined(), ran)["starts"]
     # exact identity: both parameters are e times as large
     assert one["away"] == pytest.approx(1.0)
