@@ -397,6 +397,11 @@ class Regression:
         i = self.names.index(name)
         return math.sqrt(self.covariance[i, i])
 
+    def combination(self, weights: Mapping[str, float]) -> tuple[float, float]:
+        """A weighted sum of parameters and its standard deviation."""
+        w = np.array([weights.get(n, 0.0) for n in self.names])
+        return float(w @ self.values), math.sqrt(w @ self.covariance @ w)
+
     def estimate(self, name: str, unit: str, note: str, parameter: str = "", factor: float = 1.0) -> Estimate:
         """The estimate `name`: the fitted parameter (by default of that name) times an exact factor."""
         parameter = parameter or name

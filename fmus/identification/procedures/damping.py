@@ -64,10 +64,8 @@ class FrictionContact:
     joint: str
     parameter: str
     unit: str
-    speed: str
-    speed_unit: str
-    resistance: str
-    resistance_unit: str
+    speed: tuple[str, str]
+    resistance: tuple[str, str]
 
     @property
     def theta(self) -> str:
@@ -75,17 +73,11 @@ class FrictionContact:
         return f"manipulator.{self.parameter}"
 
 
-CONTACTS = {
-    "swing": FrictionContact(
-        "swing", "swing_damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"
-    ),
-    **{
-        j: FrictionContact(
-            j, f"{j}_piston_damping", "N.s/m", f"speed of the {j} piston", "m/s", "force of its friction", "N"
-        )
-        for j in ("boom", "stick")
-    },
-}
+_GEAR = ("swing speed", "rad/s"), ("torque of the gear's friction", "N.m")
+CONTACTS = {"swing": FrictionContact("swing", "swing_damping", "N.m.s/rad", *_GEAR)}
+for _joint in ("boom", "stick"):
+    _piston = (f"speed of the {_joint} piston", "m/s"), ("force of its friction", "N")
+    CONTACTS[_joint] = FrictionContact(_joint, f"{_joint}_piston_damping", "N.s/m", *_piston)
 
 
 @dataclass(frozen=True)
@@ -211,7 +203,7 @@ def _findings(joint: JointDamping) -> Iterator[Finding]:
         "dry friction",
         balance.probability(joint.dry, joint.dry_sd, sides=1),
         f"{label}: the residual has the sign of the speed, a dry friction of {joint.dry:.3g} +- "
-        f"{joint.dry_sd:.2g} {joint.contact.resistance_unit}",
+        f"{joint.dry_sd:.2g} {joint.contact.resistance[1]}",
     )
     yield balance.drift_finding(solution, joint.contact.theta, data.courses(recordings, solution), label)
     yield balance.shift_finding(solution, pressures, label, given=(DRY, OFFSET))
@@ -238,12 +230,11 @@ def _sums(recording: Recording, joint: str, p: Array, length: int) -> Array:
     """Sums of x' a and of x'^2, and in the second column the mean contribution of the noise to each."""
     row, rate = JOINTS.index(joint), uniform_rate(recording)
     kernel = SavitzkyGolay(rate, (length - 1) / rate, ORDER)
-    f = momentum_balance.filtered(recording, (joint,), kernel)
-    q, w, pressures = np.split(f.z[:, f.good], [3, 6])
+    raw, _, z, good = momentum_balance.filtered(recording, (joint,), kernel)
+    q, w, pressures = np.split(z[:, good], [3, 6])
+    acceleration = np.array([np.correlate(angle, kernel.weights[2], "valid") for angle in raw[:3]])[:, good]
     equation, tank = momentum_balance.equation_of_motion()[1], data.tank_pressure(recording)
-    a, by_speed, ratio = (
-        x.full()[row] for x in equation(q, w, f.acceleration[:, f.good], pressures, tank, p)
-    )
+    a, by_speed, ratio = (x.full()[row] for x in equation(q, w, acceleration, pressures, tank, p))
     variance = (kernel.gain(1) * data.noise_sd(recording, ANGLES[row])) ** 2
     products = (w[row] @ a, variance * by_speed.sum())
     squares = (np.sum((ratio * w[row]) ** 2), variance * np.sum(ratio**2))
@@ -254,14 +245,11 @@ def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
     """Resistance over speed with the line, its residual, and B over the length of the filter."""
     contact, step = joint.contact, max(1, len(joint.speed) // MAX_POINTS)
     measured = Curve("a, measured", joint.speed[::step], joint.resistance[::step])
-    line, residual = Panel(
-        x_label=contact.speed,
-        y_label=contact.resistance,
-        curves=(measured,),
-        title=contact.joint,
-        x_unit=(contact.speed_unit, 1.0),
-        y_unit=(contact.resistance_unit, 1.0),
-    ).with_line(joint.value, "B x'")
+    (speed, speed_unit), (resistance, unit) = contact.speed, contact.resistance
+    units = (speed_unit, 1.0), (unit, 1.0)
+    line, residual = Panel(speed, resistance, (measured,), contact.joint, *units).with_line(
+        joint.value, "B x'"
+    )
     windows, printed, corrected = joint.printed.T
     half = np.full(2, coverage_factor() * joint.sd)
     curves = (
@@ -269,24 +257,18 @@ def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
         Curve("(13), corrected for noise", windows, corrected, "corrected", line=True),
         Curve("this estimate", windows[[0, -1]], np.full(2, joint.value), "fit", line=True, error=half),
     )
-    filters = Panel(
-        x_label=f"length of the {contact.joint}'s derivative filter",
-        y_label="B",
-        curves=curves,
-        x_unit=("s", 1.0),
-        y_unit=(contact.unit, 1.0),
-    )
-    return line, residual, filters
+    length, units = f"length of the {contact.joint}'s derivative filter", (("s", 1.0), (contact.unit, 1.0))
+    return line, residual, Panel(length, "B", curves, "", *units)
 
 
 def _others(joint: JointDamping) -> Iterator[Estimate]:
     """B by the recordings alone if its interval differs, and a dry friction."""
-    name, unit = joint.contact.parameter, joint.contact.unit
+    name, unit, (_, force) = joint.contact.parameter, joint.contact.unit, joint.contact.resistance
     if joint.known_effect.significant:
         label = f"{name}, other parameters known exactly"
         yield Estimate.normal(label, joint.value, unit, joint.sd, "by the recordings alone")
     if joint.dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
-        force, note = joint.contact.resistance_unit, "as a further unknown of (13)"
+        note = "as a further unknown of (13)"
         yield Estimate.normal(f"dry friction next to {name}", joint.dry, force, joint.dry_sd, note)
 
 
@@ -326,7 +308,7 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     elif joint.dry > CLEAR * joint.dry_sd:
         yield (
             f"there is a dry friction of {joint.dry:.3g} +- {joint.dry_sd:.2g} "
-            f"{joint.contact.resistance_unit}. It is estimated together with B, which does not include it."
+            f"{joint.contact.resistance[1]}. It is estimated together with B, which does not include it."
         )
 
 

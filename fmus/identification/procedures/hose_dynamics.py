@@ -116,7 +116,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         ),
         remarks=(
             *_remarks(both),
-            data.constants_remark(parameters, ["density", "bulk_modulus"], data.tested_density(tests)),
+            data.constants_remark(tests, parameters, "density", "bulk_modulus"),
         ),
         others=tuple(_others(both, defined)),
         findings=(

@@ -107,7 +107,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     steps, along, word = steady_steps(tests)
     limits = data.zero_limits(tests, ("pressure_in", "pressure_out")) | data.declared_limits(tests, ["flow"])
     fits = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limits)
-    square, good = fits["square"], steps.measured()
+    square, good = fits["square"], steps[steps.good]
     zero = zero_of(fits)
     weights = square.column("resistance") ** 2
     reference_flow = float(np.sqrt(weights @ good.flow**2 / weights.sum()))  # weighted rms
@@ -130,7 +130,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(steps.without_zero(zero.value), fits),
         remarks=(
             *_remarks(steps, fits, zero, flow),
-            data.constants_remark(parameters, ["density"], data.tested_density(tests)),
+            data.constants_remark(tests, parameters, "density"),
         ),
         others=tuple(_others(fits, zero, flow)),
         findings=(
@@ -156,7 +156,7 @@ def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array, str
 
 def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> Fits:
     """All laws, fitted to the measured steps; `limits` are the largest errors of the zeros."""
-    good = steps.measured()
+    good = steps[steps.good]
     if good.flow.size < MIN_STEPS:
         raise Problem(
             f"hose_resistance: expected at least {MIN_STEPS} steady steps, got {good.flow.size}; "
@@ -224,7 +224,7 @@ def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterat
 
 def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
     """Drop over flow with the laws, residual, C_R over flow."""
-    good, dead = steps.measured(), data.select(steps, steps.dead)
+    good, dead = steps[steps.good], steps[steps.dead]
     flows = np.linspace(0.0, float(np.abs(good.flow).max()), 200)
     drop = [
         Curve("measured", good.flow, good.drop, error=good.drop_error),

@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -68,21 +69,9 @@ _PARTS = (SWING, BOOM_STICK, MANIPULATOR)
 PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
 
 
-@dataclass(frozen=True)
-class _Symbols:
-    q: ca.SX
-    w: ca.SX
-    pressures: ca.SX
-    tank: ca.SX
-    p: ca.SX
-    momentum: ca.SX
-    force: ca.SX
-    position: ca.SX
-    moment_arm: ca.SX
-
-
 @lru_cache(maxsize=1)
-def _symbolic_equations() -> _Symbols:
+def _symbolic_equations() -> SimpleNamespace:
+    """Momenta h, forces f, positions and moment arms of the pistons, and what they depend on."""
     q, w = ca.SX.sym("q", 3), ca.SX.sym("w", 3)
     pressures, tank = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("tank")
     p = ca.SX.sym("p", len(PARAMETERS))
@@ -100,8 +89,12 @@ def _symbolic_equations() -> _Symbols:
     new = ca.vertcat(q, w, 0, 0, *hydraulics, *_parameters_of(MANIPULATOR, p))
     mass, coriolis, gravity, tau, position, moment_arm = ca.substitute(terms, [old], [new])
     momentum = mass @ w
-    force = tau + ca.jtimes(momentum, q, w) - coriolis - gravity
-    return _Symbols(q, w, pressures, tank, p, momentum, force, position, moment_arm)
+    return SimpleNamespace(
+        **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
+        force=tau + ca.jtimes(momentum, q, w) - coriolis - gravity,
+        position=position,
+        moment_arm=moment_arm,
+    )
 
 
 def _parameters_of(sub: Subsystem, p: ca.SX) -> list[ca.SX]:
@@ -171,41 +164,27 @@ def speed_ratio(joint: str, q: Array, p: Array) -> Array:
     return np.array(moment_arms[JOINTS.index(joint) - 1])
 
 
-@dataclass(frozen=True)
-class Filtered:
-    """Angles and pressures through one Savitzky-Golay filter; n filtered samples.
+def needed_signals(joints: Sequence[str]) -> tuple[str, ...]:
+    """The angles and the pressures of these joints."""
+    return (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
 
-    needed, raw    pressures that are needed; samples without gaps, zero of other pressures, shape (9, N)
-    channels       sensor and filter of each row of z
-    z              angles, speeds, pressures, shape (12, n)
-    acceleration   of the joints, shape (3, n)
-    good           whether all samples under the filter are good, shape (n,)
+
+def filtered(
+    recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay
+) -> tuple[Array, list[tuple[int, Array]], Array, Mask]:
+    """Angles and pressures through one filter; N samples, n filtered ones.
+
+    Samples without gaps, zero of pressures that are not needed, shape (9, N); sensor and filter of each row
+    of z; z, that is angles, speeds, pressures, shape (12, n); whether all samples under the filter are good.
     """
-
-    needed: Sequence[str]
-    raw: Array
-    channels: Sequence[tuple[int, Array]]
-    z: Array
-    acceleration: Array
-    good: Mask
-
-
-def filtered(recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay) -> Filtered:
-    """The angles and these joints' pressures in a recording that is longer than the filter."""
-    names = (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
-    none = np.zeros(recording.time.size)
+    names, none = needed_signals(joints), np.zeros(recording.time.size)
     raw = np.array([recording.interpolated(n) if n in names else none for n in SIGNALS])
-    value, derivative, second = kernel.weights
+    value, derivative, _ = kernel.weights
     channels = [(k, weights) for weights in (value, derivative) for k in range(3)]
     channels += [(k, value) for k in range(3, len(raw))]
-    return Filtered(
-        needed=names[3:],
-        raw=raw,
-        channels=channels,
-        z=np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels]),
-        acceleration=np.array([np.correlate(angle, second, "valid") for angle in raw[:3]]),
-        good=np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1)),
-    )
+    z = np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels])
+    good: Mask = np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1))
+    return raw, channels, z, good
 
 
 @dataclass(frozen=True)
@@ -250,13 +229,13 @@ def joint_recording(
         raise Problem(
             f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
         )
-    f = filtered(recording, joints, kernel)
-    used, model = (*ANGLES, *f.needed), momentum_law(joints, theta)
+    raw, channels, z, good = filtered(recording, joints, kernel)
+    used, model = needed_signals(joints), momentum_law(joints, theta)
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    position: Array = np.array(equation_of_motion()[0](f.z[:3], p)[0].full())
+    position: Array = np.array(equation_of_motion()[0](z[:3], p)[0].full())
     at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
-    good = f.good & ~at_end
-    speed = speed_ratio(joints[0], f.z[:3], p) * f.z[3 + JOINTS.index(joints[0])]
+    good &= ~at_end
+    speed = speed_ratio(joints[0], z[:3], p) * z[3 + JOINTS.index(joints[0])]
     rms = float(np.sqrt(np.mean(speed**2)))
     if not window_starts(good, bump.size).size:
         raise Problem(
@@ -267,9 +246,9 @@ def joint_recording(
         law=model,
         names=model.unknowns,
         sensors=tuple(SIGNALS),
-        raw=f.raw,
-        sd=noise_of(f.raw, np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])),
-        channels=f.channels,
+        raw=raw,
+        sd=noise_of(raw, np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])),
+        channels=channels,
         known=np.array([*p, tank_pressure(recording), max(rounding * rms, 1e-9)]),
         rate=rate,
         bump=bump,
@@ -277,7 +256,7 @@ def joint_recording(
         starts=window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
     )
     possible = window_starts(np.ones_like(good), bump.size).size
-    return JointRecording(recording, samples, f.z, int(at_end.sum()), possible)
+    return JointRecording(recording, samples, z, int(at_end.sum()), possible)
 
 
 def torque_panels(
