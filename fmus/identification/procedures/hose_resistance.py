@@ -54,12 +54,11 @@ TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
 MIN_STEPS = 4  # fewer steps cannot distinguish between the laws
 LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
 ONE_WAY = 0.9  # rank correlation of flow and time from which on a change in time cannot be told
-DropLaw = tuple[balance.Law, ca.Function]  # and its drop as a function of (flow, unknowns, transition flow)
 Fits = Mapping[str, Solution]  # by each law; "mixed" only if the others are misfits and it is significant
 
 
 @lru_cache(maxsize=1)
-def laws() -> Mapping[str, DropLaw]:
+def laws() -> Mapping[str, balance.Law]:
     """The drop by eq. (1) as the machine simulates it, by eq. (10), and with a laminar part.
 
     square   C_R Q sqrt(Q^2 + Q_t^2)
@@ -79,18 +78,15 @@ def laws() -> Mapping[str, DropLaw]:
         ),
     }
     return {
-        name: (
-            balance.law(z, unknowns, transition, z[0] - z[1] - drop),
-            ca.Function(name, [q, ca.vertcat(*unknowns.values()), transition], [drop]),
-        )
+        name: balance.law(z, unknowns, transition, z[0] - z[1] - drop)
         for name, (unknowns, drop) in forms.items()
     }
 
 
 def drop_by(fits: Fits, name: str, flow: Array) -> Array:
     """Drop [Pa] by one of the laws at flows [m3/s]."""
-    known = fits[name].samples[0].known
-    return np.asarray(laws()[name][1](flow[None], fits[name].fit.values, known).full()[0])
+    readings, known = np.outer([0.0, 0.0, 1.0], flow), fits[name].samples[0].known
+    return np.asarray(-laws()[name].terms(readings, fits[name].fit.values, known)[0].full()[0])
 
 
 def scaled(resistance: float, length: float, diameter: float, to_length: float, to_diameter: float) -> float:
@@ -174,7 +170,7 @@ def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, floa
     means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
 
     def fitted(name: str, **initial: float) -> Solution:
-        samples = balance.steady(laws()[name][0], tuple(SIGNALS), means, errors, (transition_flow,))
+        samples = balance.steady(laws()[name], SIGNALS, means, errors, (transition_flow,))
         return balance.solve([samples], initial, "hose_resistance", limits)
 
     fits = {
@@ -194,13 +190,13 @@ def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, floa
 def zero_of(fits: Fits) -> Estimate:
     """Pressure difference without flow by the best law."""
     best = fits.get("mixed") or min(fits.values(), key=_aic)
-    zero, sd = best.sum_of_zeros({"pressure_in": 1.0, "pressure_out": -1.0})
+    zero, sd = best.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
     return Estimate.normal("pressures without flow", zero, "Pa", sd, "pressure_in - pressure_out")
 
 
 def _aic(solution: Solution) -> float:
     """Akaike's criterion for residuals of known standard deviation, in which a zero counts with its prior."""
-    zeros = sum((2 * value / solution.limits[n]) ** 2 for n, (value, _) in solution.zeros.items())
+    zeros = sum((2 * solution.every[n] / limit) ** 2 for n, limit in solution.limits.items())
     return solution.fit.chi_square + 2 * len(solution.fit.names) + zeros
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import Subsystem, quantities, symbolic, symbols
+from fmus.contract import Subsystem, quantities, symbols, unstack
 from fmus.identification.balance import (
     NEGLIGIBLE,
     Law,
@@ -31,7 +31,7 @@ from fmus.identification.balance import (
     Solution,
     law,
     modulating_function,
-    noise_of,
+    steady,
     window_starts,
 )
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
@@ -70,50 +70,42 @@ PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.p
 
 
 @lru_cache(maxsize=1)
-def _symbolic_equations() -> SimpleNamespace:
+def symbolic_equations() -> SimpleNamespace:
     """Momenta h, forces f, positions and moment arms of the pistons, and what they depend on."""
-    q, w = ca.SX.sym("q", 3), ca.SX.sym("w", 3)
-    pressures, tank = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("tank")
-    p = ca.SX.sym("p", len(PARAMETERS))
-    x, own_p, u = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters), symbols(ManipulatorInputs)
-    measured = dict(zip(ALL_PRESSURES, ca.vertsplit(pressures), strict=True)) | {"swing.swing_speed": w[0]}
-    outputs = ((SWING, "swing_torque"), (BOOM_STICK, "boom_force"), (BOOM_STICK, "stick_force"))
-    hydraulics = [_output_at(sub, name, measured, tank, p) for sub, name in outputs]
+    q, w, tank = ca.SX.sym("q", 3), ca.SX.sym("w", 3), ca.SX.sym("tank")
+    pressures, p = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("p", len(PARAMETERS))
+    measured = {name.partition(".")[2]: pressures[k] for k, name in enumerate(ALL_PRESSURES)}
+    measured |= {f"{j}_angle": q[k] for k, j in enumerate(JOINTS)}
+    measured |= {f"{j}_speed": w[k] for k, j in enumerate(JOINTS)}
+    # the head's own mass includes what it holds
+    measured |= {"tank_pressure": tank, "held_mass": ca.SX(0), "payload_flow": ca.SX(0)}
+    swing, cylinders = (
+        sub.observe(_at(sub.states, measured), _at(sub.inputs, measured), _parameters_of(sub, p))
+        for sub in (SWING, BOOM_STICK)
+    )
+    applied = {"swing_torque": swing.swing_torque}
+    applied |= {n: getattr(cylinders, n) for n in ("boom_force", "stick_force")}
+    x, own_p = _at(MANIPULATOR.states, measured), _parameters_of(MANIPULATOR, p)
     mechanics, rods = arm.mechanics(x, own_p, POINT_MASS), arm.pistons(x, own_p)
-    terms = [mechanics.mass, mechanics.coriolis, mechanics.gravity, forces(_LUMPED, x, u, own_p)]
-    terms += [ca.vertcat(*(r.position for r in rods)), ca.vertcat(*(r.triangle.arm for r in rods))]
-    coordinates = [getattr(x, f"{j}_{order}") for order in ("angle", "speed") for j in JOINTS]
-    applied = [u.swing_torque, u.boom_force, u.stick_force]
-    empty = [x.held_mass, x.payload_flow]  # the head's own mass includes what it holds
-    old = ca.vertcat(*coordinates, *empty, *applied, *vars(own_p).values())
-    new = ca.vertcat(q, w, 0, 0, *hydraulics, *_parameters_of(MANIPULATOR, p))
-    mass, coriolis, gravity, tau, position, moment_arm = ca.substitute(terms, [old], [new])
-    momentum = mass @ w
+    momentum = mechanics.mass @ w
+    tau = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
     return SimpleNamespace(
         **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
-        force=tau + ca.jtimes(momentum, q, w) - coriolis - gravity,
-        position=position,
-        moment_arm=moment_arm,
+        force=tau + ca.jtimes(momentum, q, w) - mechanics.coriolis - mechanics.gravity,
+        position=ca.vertcat(*(r.position for r in rods)),
+        moment_arm=ca.vertcat(*(r.triangle.arm for r in rods)),
     )
 
 
-def _parameters_of(sub: Subsystem, p: ca.SX) -> list[ca.SX]:
+def _at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
+    """A group at these values, and symbols for its other fields, on which nothing here depends."""
+    return replace(symbols(group), **{n: x for n, x in values.items() if n in quantities(group)})
+
+
+def _parameters_of(sub: Subsystem, p: ca.SX) -> Any:
     """The parameters of a subsystem among those of the machine."""
-    return [p[PARAMETERS.index(f"{sub.name}.{n}")] for n in quantities(sub.parameters)]
-
-
-def _output_at(sub: Subsystem, name: str, measured: dict[str, Any], tank: ca.SX, p: ca.SX) -> ca.SX:
-    """An output of a drive at measured pressures; it must not depend on other states and inputs."""
-    model, values = symbolic(sub), measured | {f"{sub.name}.tank_pressure": tank}
-    declared = [
-        (f"{sub.name}.{n}", s)
-        for group, column in ((sub.states, model.x), (sub.inputs, model.u))
-        for n, s in zip(quantities(group), ca.vertsplit(column), strict=True)
-    ]
-    old = [s for n, s in declared if n in values]
-    new = [values[n] for n, _ in declared if n in values]
-    output = model.y[list(quantities(sub.outputs)).index(name)]
-    return ca.substitute(output, ca.vertcat(*old, model.p), ca.vertcat(*new, *_parameters_of(sub, p)))
+    own = [p[PARAMETERS.index(f"{sub.name}.{n}")] for n in quantities(sub.parameters)]
+    return unstack(sub.parameters, own)
 
 
 @lru_cache(maxsize=16)
@@ -123,7 +115,7 @@ def momentum_law(joints: tuple[str, ...], theta: tuple[str, ...]) -> Law:
     Of one joint it also has a dry friction and a constant force, which act on the speed of the swing or of
     the piston: tau - J (F_c tanh(x' / rounding) + F_0).
     """
-    e = _symbolic_equations()
+    e = symbolic_equations()
     rows = [JOINTS.index(j) for j in joints]
     unknowns = {n: ca.SX.sym(n) for n in theta}
     momentum, force, moment_arm = e.momentum[rows], e.force[rows], e.moment_arm
@@ -146,7 +138,7 @@ def equation_of_motion() -> tuple[ca.Function, ca.Function]:
     pistons   (q, p) -> positions and moment arms of boom and stick, each (2, n)
     printed   (q, q', q'', pressures, tank, p) -> f - dh/dt as in (13), df_i/dq_i', x_i'/q_i', each (3, n)
     """
-    e, a = _symbolic_equations(), ca.SX.sym("a", 3)
+    e, a = symbolic_equations(), ca.SX.sym("a", 3)
     damping, ratio = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.moment_arm)
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, a)
     arguments = [e.q, e.w, a, e.pressures, e.tank, e.p]
@@ -230,7 +222,7 @@ def joint_recording(
             f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
         )
     raw, channels, z, good = filtered(recording, joints, kernel)
-    used, model = needed_signals(joints), momentum_law(joints, theta)
+    used = needed_signals(joints)
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
     position: Array = np.array(equation_of_motion()[0](z[:3], p)[0].full())
     at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
@@ -242,14 +234,11 @@ def joint_recording(
             f"{recording.source}: expected {shortest / rate:.2g} s without a gap or "
             f"clipped sample in {', '.join(used)}, got no such stretch"
         )
-    samples = Samples(
-        law=model,
-        names=model.unknowns,
-        sensors=tuple(SIGNALS),
-        raw=raw,
-        sd=noise_of(raw, np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])),
+    noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])
+    known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
+    samples = replace(
+        steady(momentum_law(joints, theta), SIGNALS, raw, noise, known),
         channels=channels,
-        known=np.array([*p, tank_pressure(recording), max(rounding * rms, 1e-9)]),
         rate=rate,
         bump=bump,
         slope=slope,
@@ -283,70 +272,60 @@ def parameter_vector(parameters: Mapping[str, Number]) -> Array:
 class KnownParameterEffect:
     """Effect of errors of the known parameters on an estimated parameter.
 
-    recording_sd   standard deviation by the recordings
-    by_sd          change by one standard deviation of each known parameter that has one
-    by_percent     change by 1 % of each known parameter without a standard deviation
+    total         standard deviation by the recordings and by the known parameters, which are independent
+    significant   whether the known parameters widen the interval noticeably
+    note          addition to the note in parameters.toml; empty unless the effect is significant
+    remarks       sentences that follow the parameter's name and a colon
     """
 
-    recording_sd: float
-    by_sd: Mapping[str, float]
-    by_percent: Mapping[str, float]
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation by those of the known parameters, which are assumed independent."""
-        return math.sqrt(sum(x**2 for x in self.by_sd.values()))
-
-    @property
-    def total(self) -> float:
-        """Standard deviation by the recordings and by the known parameters."""
-        return math.hypot(self.recording_sd, self.sd)
-
-    @property
-    def significant(self) -> bool:
-        """Whether the known parameters widen the interval noticeably."""
-        return self.sd > NEGLIGIBLE * self.recording_sd
-
-    def remarks(self, value: float, unit: str) -> list[str]:
-        """Sentences that follow the parameter's name and a colon."""
-        sentences = []
-        if self.significant:
-            names = _largest({n: x for n, x in self.by_sd.items() if x**2 > NEGLIGIBLE * self.sd**2})
-            sentences.append(
-                f"the uncertainty of the known parameters adds a standard deviation of {self.sd:.2g} "
-                f"{unit} to the {self.recording_sd:.2g} {unit} from the recordings; most of it comes "
-                f"from {', '.join(names)}."
-            )
-        large = {n: x for n, x in self.by_percent.items() if abs(x) > self.total}
-        if large:
-            changes = ", ".join(f"{n} {100 * large[n] / value:+.2g} %" for n in _largest(large))
-            sentences.append(
-                "the interval assumes exact geometry and masses. An error of 1 % would change the "
-                f"value: {changes}."
-            )
-        return sentences
-
-    def note(self) -> str:
-        """Addition to the note in parameters.toml; empty unless the effect is significant."""
-        if not self.significant:
-            return ""
-        return f"; sd {self.recording_sd:.2g} by the recordings, {self.sd:.2g} by the known parameters"
+    total: float
+    significant: bool
+    note: str
+    remarks: tuple[str, ...]
 
 
 def known_parameter_effects(
     solution: Solution, parameters: Mapping[str, Number]
 ) -> dict[str, KnownParameterEffect]:
-    """Effect of the known parameters on each estimate of a momentum balance."""
+    """Effect of the known parameters on each estimated parameter of a momentum balance."""
     known = {n: parameters[n] for n in PARAMETERS if n not in solution.fit.names and n != EXACT}
     effects = {}
     for name, row in zip(solution.fit.names, solution.by_known(), strict=True):
-        sensitivity = dict(zip(PARAMETERS, map(float, row), strict=False))
-        effects[name] = KnownParameterEffect(
-            solution.fit.sd(name),
-            {n: sensitivity[n] * x.sd for n, x in known.items() if x.sd is not None},
-            {n: sensitivity[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None},
-        )
+        if name in parameters:
+            by_known = dict(zip(PARAMETERS, map(float, row), strict=False))
+            by_sd = {n: by_known[n] * x.sd for n, x in known.items() if x.sd is not None}
+            by_percent = {n: by_known[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None}
+            value, sd = solution.fit[name], solution.fit.sd(name)
+            effects[name] = _effect(value, sd, parameters[name].unit, by_sd, by_percent)
     return effects
+
+
+def _effect(
+    value: float, recording_sd: float, unit: str, by_sd: Mapping[str, float], by_percent: Mapping[str, float]
+) -> KnownParameterEffect:
+    """Effect on one estimate.
+
+    recording_sd   standard deviation by the recordings
+    by_sd          change by one standard deviation of each known parameter that has one
+    by_percent     change by 1 % of each known parameter without a standard deviation
+    """
+    sd, note, remarks = math.sqrt(sum(x**2 for x in by_sd.values())), "", list[str]()
+    if significant := sd > NEGLIGIBLE * recording_sd:
+        note = f"; sd {recording_sd:.2g} by the recordings, {sd:.2g} by the known parameters"
+        names = _largest({n: x for n, x in by_sd.items() if x**2 > NEGLIGIBLE * sd**2})
+        remarks.append(
+            f"the uncertainty of the known parameters adds a standard deviation of {sd:.2g} "
+            f"{unit} to the {recording_sd:.2g} {unit} from the recordings; most of it comes "
+            f"from {', '.join(names)}."
+        )
+    total = math.hypot(recording_sd, sd)
+    if large := {n: x for n, x in by_percent.items() if abs(x) > total}:
+        changes = ", ".join(f"{n} {100 * large[n] / value:+.2g} %" for n in _largest(large))
+        remarks.append(
+            "the interval assumes exact geometry and masses. An error of 1 % would change the "
+            f"value: {changes}."
+        )
+    return KnownParameterEffect(total, significant, note, tuple(remarks))
 
 
 def _largest(changes: Mapping[str, float]) -> list[str]:
