@@ -103,9 +103,11 @@ def _at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
 
 
 def _parameters_of(sub: Subsystem, p: ca.SX) -> Any:
-    """The parameters of a subsystem among those of the machine."""
-    own = [p[PARAMETERS.index(f"{sub.name}.{n}")] for n in quantities(sub.parameters)]
-    return unstack(sub.parameters, own)
+    """The parameters of a subsystem among those of the machine; one that is 0 is derived from the others."""
+    rows = [PARAMETERS.index(f"{sub.name}.{n}") for n in quantities(sub.parameters)]
+    own = unstack(sub.parameters, p[rows])
+    derived = {n: ca.if_else(getattr(own, n) > 0, getattr(own, n), v) for n, v in sub.derive(own).items()}
+    return replace(own, **derived)
 
 
 @lru_cache(maxsize=16)
