@@ -22,7 +22,7 @@ noise and that by the residuals (Newey and West 1987), so that it covers errors 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -183,28 +183,27 @@ def window_starts(good: Mask, size: int) -> Indices:
     return np.flatnonzero(whole & (np.arange(whole.size) % _hop(size) == 0))
 
 
-def noise_of(raw: Array, sd: Array) -> Array:
-    """Standard deviations, (k, 1) or (k, n), of samples (k, n); above zero also for a perfect sensor."""
-    largest = np.max(np.abs(raw), axis=1, keepdims=True)
-    return np.maximum(sd.reshape(len(raw), -1), SMALLEST * np.where(largest > 0, largest, 1.0))
-
-
 def steady(
-    model: Law, sensors: Sequence[str], means: Array, errors: Array, known: Sequence[float] = (0.0,)
+    model: Law, sensors: Iterable[str], raw: Array, noise: Array, known: Sequence[float] = (0.0,)
 ) -> Samples:
-    """Means of sensors over n steady stretches, shape (k, n), with their standard errors, as `Samples`."""
+    """`Samples` of which each is a balance of its own, such as the means of sensors over steady stretches.
+
+    raw     shape (k, n)
+    noise   standard deviations, shape (k, n) or (k,); a perfect sensor gets one above zero
+    """
+    largest = np.max(np.abs(raw), axis=1, keepdims=True)
     return Samples(
         law=model,
         names=model.unknowns,
         sensors=tuple(sensors),
-        raw=means,
-        sd=noise_of(means, errors),
-        channels=[(k, np.ones(1)) for k in range(len(sensors))],
+        raw=raw,
+        sd=np.maximum(noise.reshape(len(raw), -1), SMALLEST * np.where(largest > 0, largest, 1.0)),
+        channels=[(k, np.ones(1)) for k in range(len(raw))],
         known=np.array(known),
         rate=1.0,
         bump=np.ones(1),
         slope=np.zeros(1),
-        starts=np.arange(means.shape[1]),
+        starts=np.arange(raw.shape[1]),
     )
 
 
@@ -397,6 +396,11 @@ class Regression:
         i = self.names.index(name)
         return math.sqrt(self.covariance[i, i])
 
+    def combination(self, weights: Mapping[str, float]) -> tuple[float, float]:
+        """A weighted sum of parameters and its standard deviation."""
+        w = np.array([weights.get(n, 0.0) for n in self.names])
+        return float(w @ self.values), math.sqrt(max(float(w @ self.covariance @ w), 0.0))
+
     def estimate(self, name: str, unit: str, note: str, parameter: str = "", factor: float = 1.0) -> Estimate:
         """The estimate `name`: the fitted parameter (by default of that name) times an exact factor."""
         parameter = parameter or name
@@ -418,31 +422,31 @@ class Regression:
 class Solution:
     """Fit of a law to recordings.
 
-    fit          the estimates; their covariance is widened if there is a misfit
-    zeros        sensor -> estimated zero and its standard deviation
-    covariance   of the estimates and the zeros
-    limits       largest zero of each sensor by its data sheet
-    names        all unknowns, also those that are not fitted and whose effect can be tested
-    normal       the whitened columns of the estimates and the zeros, with their priors
-    parts        the balance of each recording at the solution
-    residual     whitened residual of all recordings
+    every     the estimates, then the zeros of the sensors in `limits`
+    limits    largest zero of each sensor by its data sheet
+    names     all unknowns, also those that are not fitted and whose effect can be tested
+    normal    the whitened columns of the estimates and the zeros, with their priors
+    parts     the balance of each recording at the solution
     """
 
-    fit: Regression
-    zeros: Mapping[str, tuple[float, float]]
-    covariance: Array
+    every: Regression
     limits: Mapping[str, float]
     names: tuple[str, ...]
     normal: Normal
-    samples: tuple[Samples, ...]
-    parts: tuple[Whitened, ...]
-    residual: Array
+    samples: Sequence[Samples]
+    parts: Sequence[Whitened]
 
-    def sum_of_zeros(self, weights: Mapping[str, float]) -> tuple[float, float]:
-        """Weighted sum of the zeros of some sensors, and its standard deviation."""
-        n, weight = len(self.fit.names), np.array([weights.get(sensor, 0.0) for sensor in self.zeros])
-        value = float(weight @ [zero for zero, _ in self.zeros.values()])
-        return value, math.sqrt(max(float(weight @ self.covariance[n:, n:] @ weight), 0.0))
+    @cached_property
+    def fit(self) -> Regression:
+        """The estimates without the zeros."""
+        own = slice(len(self.every.names) - len(self.limits))
+        names, values, covariance = self.every.names[own], self.every.values[own], self.every.covariance
+        return replace(self.every, names=names, values=values, covariance=covariance[own, own])
+
+    @cached_property
+    def residual(self) -> Array:
+        """Whitened residual of all recordings."""
+        return np.concatenate([part.e for part in self.parts])
 
     def column(self, name: str) -> Array:
         """Whitened column of an unknown, fitted or tested."""
@@ -519,38 +523,17 @@ def solve(
         k_square = max(1.0, float(e @ e) / max(e.size - len(fitted), 1))
         parts = [replace(p, e=own) for p, own in zip(parts, np.split(e, _ends(samples)), strict=True)]
         if iteration > 1 and np.all(np.abs(step) < CONVERGED * np.sqrt(k_square * np.diag(normal.inverse))):
-            return _solution(samples, parts, normal, x, free, limits)
+            values = np.array([x[n] for n in free])
+            found = Regression(free, values, normal.inverse, float(e @ e), max(e.size - len(fitted), 0))
+            if found.misfit:
+                wider = normal.covariance(e, samples, max(1.0, found.times_noise**2))
+                found = replace(found, covariance=wider)
+            return Solution(found, limits, tuple(x), normal, samples, parts)
         measured = [s.raw - np.array([[x[n] if n in limits else 0.0] for n in s.sensors]) for s in samples]
         every = zip(samples, parts, measured, true, strict=True)
         share = 0.5 if iteration > ALTERNATING else 1.0
         true = [t + share * (p.most_probable(y, s.sd**2 / k_square) - t) for s, p, y, t in every]
     raise Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
-
-
-def _solution(
-    samples: Sequence[Samples],
-    parts: Sequence[Whitened],
-    normal: Normal,
-    x: Mapping[str, float],
-    free: tuple[str, ...],
-    limits: Mapping[str, float],
-) -> Solution:
-    """The result at the end of the search, whose covariance is widened if there is a misfit."""
-    n, e = len(free) - len(limits), np.concatenate([p.e for p in parts])
-    values = np.array([x[name] for name in free])
-    fit = Regression(free[:n], values[:n], normal.inverse[:n, :n], float(e @ e), max(e.size - n, 0))
-    covariance = normal.covariance(e, samples, max(1.0, fit.times_noise**2)) if fit.misfit else normal.inverse
-    return Solution(
-        fit=replace(fit, covariance=covariance[:n, :n]),
-        zeros=dict(zip(limits, zip(values[n:], np.sqrt(np.diag(covariance))[n:], strict=True), strict=True)),
-        covariance=covariance,
-        limits=limits,
-        names=tuple(x),
-        normal=normal,
-        samples=tuple(samples),
-        parts=tuple(parts),
-        residual=e,
-    )
 
 
 def probability(value: float, sd: float, tolerance: float = 0.0, *, sides: int = 2) -> float:
@@ -579,8 +562,7 @@ def zero_findings(solution: Solution, label: str) -> Iterator[Finding]:
 
     The zero is estimated without its own prior; the zeros of the other sensors keep theirs.
     """
-    normal, e = solution.normal, solution.residual
-    x = np.array([*solution.fit.values, *(value for value, _ in solution.zeros.values())])
+    normal, e, x = solution.normal, solution.residual, solution.every.values
     for k, (sensor, limit) in enumerate(solution.limits.items(), len(solution.fit.names)):
         kind = next((word for word in METERS if word in sensor), None)
         if kind is None or not np.any(normal.columns[k]):

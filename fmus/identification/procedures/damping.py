@@ -27,19 +27,7 @@ import numpy as np
 from fmus.identification import balance
 from fmus.identification.balance import Solution
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.momentum_balance import (
-    ANGLES,
-    DRY,
-    JOINTS,
-    OFFSET,
-    ORDER,
-    PARAMETERS,
-    PRESSURES,
-    JointRecording,
-    KnownParameterEffect,
-    parameter_vector,
-)
+from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.reading import require
 from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult, coverage_factor
@@ -48,8 +36,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
-SIGNALS: Mapping[str, str] = momentum_balance.SIGNALS  # of the pressures only those of the joint are needed
-FILTER_LENGTHS = (ORDER + 1, 9, 21)  # samples in the derivative filters of the paper's estimator
+SIGNALS: Mapping[str, str] = momentum.SIGNALS  # of the pressures only those of the joint are needed
+FILTER_LENGTHS = (momentum.ORDER + 1, 9, 21)  # samples in the derivative filters of the paper's estimator
 SIGN_ROUNDING = 0.003  # rms speeds over which the sign of a dry friction is rounded; 0.03 biases B by 4 %
 MOVING = 3.0  # standard deviations of its noise above which a root mean square speed is a motion
 SLOWEST = 1e-6  # rad/s: a smaller speed is a rounding error
@@ -64,10 +52,8 @@ class FrictionContact:
     joint: str
     parameter: str
     unit: str
-    speed: str
-    speed_unit: str
-    resistance: str
-    resistance_unit: str
+    speed: tuple[str, str]
+    resistance: tuple[str, str]
 
     @property
     def theta(self) -> str:
@@ -75,17 +61,11 @@ class FrictionContact:
         return f"manipulator.{self.parameter}"
 
 
-CONTACTS = {
-    "swing": FrictionContact(
-        "swing", "swing_damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"
-    ),
-    **{
-        j: FrictionContact(
-            j, f"{j}_piston_damping", "N.s/m", f"speed of the {j} piston", "m/s", "force of its friction", "N"
-        )
-        for j in ("boom", "stick")
-    },
-}
+_GEAR = ("swing speed", "rad/s"), ("torque of the gear's friction", "N.m")
+CONTACTS = {"swing": FrictionContact("swing", "swing_damping", "N.m.s/rad", *_GEAR)}
+for _joint in ("boom", "stick"):
+    _piston = (f"speed of the {_joint} piston", "m/s"), ("force of its friction", "N")
+    CONTACTS[_joint] = FrictionContact(_joint, f"{_joint}_piston_damping", "N.s/m", *_piston)
 
 
 @dataclass(frozen=True)
@@ -100,12 +80,12 @@ class JointDamping:
     """
 
     contact: FrictionContact
-    records: tuple[JointRecording, ...]
+    records: tuple[momentum.JointRecording, ...]
     solution: Solution
     speed: Array
     resistance: Array
     printed: Array
-    known_effect: KnownParameterEffect
+    known_effect: momentum.KnownParameterEffect
     dry: float
     dry_sd: float
     at_rest: tuple[str, ...]
@@ -120,31 +100,26 @@ class JointDamping:
         """Standard deviation by the recordings."""
         return self.solution.fit.sd(self.contact.theta)
 
+    def estimate(self) -> Estimate:
+        """B with its interval."""
+        c, sd = self.contact, self.known_effect.total
+        note = "eq. (13) by impulses and momenta" + self.known_effect.note
+        return Estimate.normal(c.parameter, self.value, c.unit, sd, note, minimum=0.0)
+
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """B of each joint that has recordings."""
     by_joint: dict[str, list[Recording]] = {joint: [] for joint in CONTACTS}
-    for recording in data.training_recordings(recordings, "damping", dict.fromkeys(ANGLES, "rad")):
+    for recording in data.training_recordings(recordings, "damping", dict.fromkeys(momentum.ANGLES, "rad")):
         joint = data.condition(recording, "joint", CONTACTS)
-        require(recording, dict.fromkeys(PRESSURES[joint], "Pa"))
+        require(recording, dict.fromkeys(momentum.PRESSURES[joint], "Pa"))
         by_joint[joint].append(recording)
     joints = [joint_damping(CONTACTS[j], r, parameters) for j, r in by_joint.items() if r]
     return ProcedureResult(
         procedure="damping",
         title="Viscous damping of the joints: resistance over speed",
         figure=9,
-        estimates=tuple(
-            Estimate.normal(
-                joint.contact.parameter,
-                joint.value,
-                joint.contact.unit,
-                joint.known_effect.total,
-                "eq. (13) by impulses and momenta" + joint.known_effect.note(),
-                minimum=0.0,
-            )
-            for joint in joints
-            if joint.value > 0
-        ),
+        estimates=tuple(joint.estimate() for joint in joints if joint.value > 0),
         panels=tuple(panel for joint in joints for panel in panels(joint)),
         remarks=tuple(f"{joint.contact.parameter}: {text}" for joint in joints for text in _remarks(joint)),
         others=tuple(estimate for joint in joints for estimate in _others(joint)),
@@ -156,30 +131,27 @@ def joint_damping(
     contact: FrictionContact, recordings: Sequence[Recording], parameters: Mapping[str, Number]
 ) -> JointDamping:
     """B of one contact."""
-    joint, theta, p = contact.joint, contact.theta, parameter_vector(parameters)
+    joint, theta, p = contact.joint, contact.theta, momentum.parameter_vector(parameters)
     smoothed = [
-        momentum_balance.joint_recording(r, (joint,), (theta,), p, rounding=SIGN_ROUNDING) for r in recordings
+        momentum.joint_recording(r, (joint,), (theta,), p, rounding=SIGN_ROUNDING) for r in recordings
     ]
-    records = tuple(r for r in smoothed if _moves(r, JOINTS.index(joint)))
+    index = momentum.JOINTS.index(joint)
+    records = tuple(r for r in smoothed if _moves(r, index))
     if not records:
-        files, angle = ", ".join(str(r.source) for r in recordings), ANGLES[JOINTS.index(joint)]
-        raise Problem(f"{files}: {angle}: expected a joint in motion, got one at rest")
-
-    def fitted(*tested: str) -> Solution:
-        start = {theta: parameters[theta].value, DRY: 0.0, OFFSET: 0.0}
-        limits = data.declared_limits(recordings, PRESSURES[joint])
-        samples = [r.samples for r in records]
-        return balance.solve(samples, start, f"damping of the {joint}", limits, tested)
-
-    solution = fitted(DRY, OFFSET)
-    dry, dry_sd = solution.effect(solution.column(DRY), [solution.column(OFFSET)])
+        files = ", ".join(str(r.source) for r in recordings)
+        raise Problem(f"{files}: {momentum.ANGLES[index]}: expected a joint in motion, got one at rest")
+    start = {theta: parameters[theta].value, momentum.DRY: 0.0, momentum.OFFSET: 0.0}
+    limits = data.declared_limits(recordings, momentum.PRESSURES[joint])
+    problem = [r.samples for r in records], start, f"damping of the {joint}", limits
+    solution = balance.solve(*problem, tested=(momentum.DRY, momentum.OFFSET))
+    dry, dry_sd = solution.effect(solution.column(momentum.DRY), [solution.column(momentum.OFFSET)])
     if dry > CLEAR * dry_sd:  # else it would raise B
-        solution = fitted(OFFSET)
-        dry, dry_sd = solution.fit[DRY], solution.fit.sd(DRY)
+        solution = balance.solve(*problem, tested=[momentum.OFFSET])
+        dry, dry_sd = solution.fit[momentum.DRY], solution.fit.sd(momentum.DRY)
     # the resistance is all friction plus the residual
     speed, resistance = [], []
     for r, part in zip(records, solution.parts, strict=True):
-        ratio = momentum_balance.speed_ratio(joint, r.z[:3], p)[r.samples.centres]
+        ratio = momentum.speed_ratio(joint, r.z[:3], p)[r.samples.centres]
         by_theta = part.linear.by_theta[: len(solution.fit.values), 0]
         speed.append(-by_theta[0] / ratio)
         resistance.append((part.linear.e[0] - solution.fit.values @ by_theta) / ratio)
@@ -190,33 +162,37 @@ def joint_damping(
         speed=np.concatenate(speed),
         resistance=np.concatenate(resistance),
         printed=as_printed([r.source for r in records], joint, theta, p),
-        known_effect=momentum_balance.known_parameter_effects(solution, parameters)[theta],
+        known_effect=momentum.known_parameter_effects(solution, parameters)[theta],
         dry=dry,
         dry_sd=dry_sd,
         at_rest=tuple(r.source.source.name for r in smoothed if not any(r is own for own in records)),
     )
 
 
-def _moves(r: JointRecording, joint: int) -> bool:
+def _moves(r: momentum.JointRecording, joint: int) -> bool:
     """Whether the speed of a joint is above its noise."""
-    noise = float(np.linalg.norm(r.samples.channels[3][1]) * data.noise_sd(r.source, ANGLES[joint]))
+    noise = float(np.linalg.norm(r.samples.channels[3][1]) * data.noise_sd(r.source, momentum.ANGLES[joint]))
     return bool(np.sqrt(np.mean(r.z[3 + joint] ** 2)) > max(MOVING * noise, SLOWEST))
 
 
 def _findings(joint: JointDamping) -> Iterator[Finding]:
     """Tests of the residual: dry friction, a change in time, delays between sensors, zeros, the model."""
-    label, solution, pressures = joint.contact.parameter, joint.solution, PRESSURES[joint.contact.joint]
+    label, solution, pressures = (
+        joint.contact.parameter,
+        joint.solution,
+        momentum.PRESSURES[joint.contact.joint],
+    )
     recordings = [r.source for r in joint.records]
     yield Finding(
         "dry friction",
         balance.probability(joint.dry, joint.dry_sd, sides=1),
         f"{label}: the residual has the sign of the speed, a dry friction of {joint.dry:.3g} +- "
-        f"{joint.dry_sd:.2g} {joint.contact.resistance_unit}",
+        f"{joint.dry_sd:.2g} {joint.contact.resistance[1]}",
     )
     yield balance.drift_finding(solution, joint.contact.theta, data.courses(recordings, solution), label)
-    yield balance.shift_finding(solution, pressures, label, given=(DRY, OFFSET))
+    yield balance.shift_finding(solution, pressures, label, given=(momentum.DRY, momentum.OFFSET))
     yield from balance.zero_findings(solution, label)
-    yield from data.signal_findings(recordings, (*ANGLES, *pressures), label)
+    yield from data.signal_findings(recordings, (*momentum.ANGLES, *pressures), label)
     yield balance.model_finding(solution, label)
 
 
@@ -226,7 +202,7 @@ def as_printed(recordings: Sequence[Recording], joint: str, theta: str, p: Array
     A row for each of the filters: its length [s], B as printed, and B corrected for the noise of the speed.
     """
     undamped, step = p.copy(), 1 / uniform_rate(recordings[0])
-    undamped[PARAMETERS.index(theta)] = 0.0
+    undamped[momentum.PARAMETERS.index(theta)] = 0.0
     rows = []
     for length in FILTER_LENGTHS:
         sums = np.sum([_sums(r, joint, undamped, length) for r in recordings], axis=0)
@@ -236,15 +212,14 @@ def as_printed(recordings: Sequence[Recording], joint: str, theta: str, p: Array
 
 def _sums(recording: Recording, joint: str, p: Array, length: int) -> Array:
     """Sums of x' a and of x'^2, and in the second column the mean contribution of the noise to each."""
-    row, rate = JOINTS.index(joint), uniform_rate(recording)
-    kernel = SavitzkyGolay(rate, (length - 1) / rate, ORDER)
-    f = momentum_balance.filtered(recording, (joint,), kernel)
-    q, w, pressures = np.split(f.z[:, f.good], [3, 6])
-    equation, tank = momentum_balance.equation_of_motion()[1], data.tank_pressure(recording)
-    a, by_speed, ratio = (
-        x.full()[row] for x in equation(q, w, f.acceleration[:, f.good], pressures, tank, p)
-    )
-    variance = (kernel.gain(1) * data.noise_sd(recording, ANGLES[row])) ** 2
+    row, rate = momentum.JOINTS.index(joint), uniform_rate(recording)
+    kernel = SavitzkyGolay(rate, (length - 1) / rate, momentum.ORDER)
+    raw, _, z, good = momentum.filtered(recording, (joint,), kernel)
+    q, w, pressures = np.split(z[:, good], [3, 6])
+    acceleration = np.array([np.correlate(angle, kernel.weights[2], "valid") for angle in raw[:3]])[:, good]
+    equation, tank = momentum.equation_of_motion()[1], data.tank_pressure(recording)
+    a, by_speed, ratio = (x.full()[row] for x in equation(q, w, acceleration, pressures, tank, p))
+    variance = (kernel.gain(1) * data.noise_sd(recording, momentum.ANGLES[row])) ** 2
     products = (w[row] @ a, variance * by_speed.sum())
     squares = (np.sum((ratio * w[row]) ** 2), variance * np.sum(ratio**2))
     return np.array([products, squares])
@@ -254,14 +229,11 @@ def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
     """Resistance over speed with the line, its residual, and B over the length of the filter."""
     contact, step = joint.contact, max(1, len(joint.speed) // MAX_POINTS)
     measured = Curve("a, measured", joint.speed[::step], joint.resistance[::step])
-    line, residual = Panel(
-        x_label=contact.speed,
-        y_label=contact.resistance,
-        curves=(measured,),
-        title=contact.joint,
-        x_unit=(contact.speed_unit, 1.0),
-        y_unit=(contact.resistance_unit, 1.0),
-    ).with_line(joint.value, "B x'")
+    (speed, speed_unit), (resistance, unit) = contact.speed, contact.resistance
+    units = (speed_unit, 1.0), (unit, 1.0)
+    line, residual = Panel(speed, resistance, (measured,), contact.joint, *units).with_line(
+        joint.value, "B x'"
+    )
     windows, printed, corrected = joint.printed.T
     half = np.full(2, coverage_factor() * joint.sd)
     curves = (
@@ -269,24 +241,18 @@ def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
         Curve("(13), corrected for noise", windows, corrected, "corrected", line=True),
         Curve("this estimate", windows[[0, -1]], np.full(2, joint.value), "fit", line=True, error=half),
     )
-    filters = Panel(
-        x_label=f"length of the {contact.joint}'s derivative filter",
-        y_label="B",
-        curves=curves,
-        x_unit=("s", 1.0),
-        y_unit=(contact.unit, 1.0),
-    )
-    return line, residual, filters
+    length, units = f"length of the {contact.joint}'s derivative filter", (("s", 1.0), (contact.unit, 1.0))
+    return line, residual, Panel(length, "B", curves, "", *units)
 
 
 def _others(joint: JointDamping) -> Iterator[Estimate]:
     """B by the recordings alone if its interval differs, and a dry friction."""
-    name, unit = joint.contact.parameter, joint.contact.unit
+    name, unit, (_, force) = joint.contact.parameter, joint.contact.unit, joint.contact.resistance
     if joint.known_effect.significant:
         label = f"{name}, other parameters known exactly"
         yield Estimate.normal(label, joint.value, unit, joint.sd, "by the recordings alone")
     if joint.dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
-        force, note = joint.contact.resistance_unit, "as a further unknown of (13)"
+        note = "as a further unknown of (13)"
         yield Estimate.normal(f"dry friction next to {name}", joint.dry, force, joint.dry_sd, note)
 
 
@@ -317,7 +283,7 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
         f"{printed:.4g} {unit}; {corrected:.4g} without the bias by the encoders' noise, "
         f"{100 * (printed / corrected - 1):+.2g} %."
     )
-    yield from joint.known_effect.remarks(joint.value, unit)
+    yield from joint.known_effect.remarks
     if joint.dry < -CLEAR * joint.dry_sd:
         yield (
             "the resistance grows more than in proportion to the speed. The dry friction would have "
@@ -326,7 +292,7 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     elif joint.dry > CLEAR * joint.dry_sd:
         yield (
             f"there is a dry friction of {joint.dry:.3g} +- {joint.dry_sd:.2g} "
-            f"{joint.contact.resistance_unit}. It is estimated together with B, which does not include it."
+            f"{joint.contact.resistance[1]}. It is estimated together with B, which does not include it."
         )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from fmus.identification.balance import SIGNIFICANT, Solution
@@ -27,7 +28,6 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
-Table = TypeVar("Table")
 Steps = TypeVar("Steps", bound="StepMeans")
 
 # largest error of a zero over the range, if no data sheet is given: the usual class of pressure transducers
@@ -91,7 +91,7 @@ def stated(recording: Recording, name: str) -> float | None:
 
 def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> float:
     """Density of the machine's oil over that of the tested oil; 1 if the latter is not recorded."""
-    tested = tested_density(recordings)
+    tested = stated(recordings[0], "density")
     return 1.0 if tested is None else parameter_value(parameters, "boom_stick.density") / tested
 
 
@@ -107,17 +107,13 @@ def parameter_value(parameters: Mapping[str, Number], name: str) -> float:
     return parameter(parameters, name).value
 
 
-def constants_remark(parameters: Mapping[str, Number], names: Iterable[str], tested: float | None) -> str:
+def constants_remark(recordings: Sequence[Recording], parameters: Mapping[str, Number], *names: str) -> str:
     """A sentence on known parameters `boom_stick.name` that a result depends on."""
+    tested = stated(recordings[0], "density")
     values = ((name, parameter(parameters, f"boom_stick.{name}")) for name in names)
     listed = ", ".join(f"{name.replace('_', ' ')} {n.value:.4g} {n.unit}" for name, n in values)
     oil = "the same in the tests" if tested is None else f"{tested:.4g} kg/m3 in the tests"
     return f"Constants that were used: {listed} (density: {oil})."
-
-
-def tested_density(recordings: Sequence[Recording]) -> float | None:
-    """Density of the tested oil [kg/m3], None if the recordings do not state it."""
-    return stated(recordings[0], "density")
 
 
 def tank_pressure(recording: Recording) -> float:
@@ -247,13 +243,8 @@ def courses(recordings: Sequence[Recording], solution: Solution) -> list[tuple[A
     return [course(r, s.times) for r, s in zip(recordings, solution.samples, strict=True)]
 
 
-def select(table: Table, mask: Mask) -> Table:
-    """The rows of a dataclass of arrays for which a mask is true."""
-    return type(table)(**{name: array[mask] for name, array in vars(table).items()})
-
-
-def concatenate(tables: Sequence[Table]) -> Table:
-    """The rows of several dataclasses of arrays, one table after the other."""
+def concatenate(tables: Sequence[Steps]) -> Steps:
+    """The steps of several recordings, one table after the other."""
     columns: dict[str, Any] = {n: np.concatenate([vars(t)[n] for t in tables]) for n in vars(tables[0])}
     return type(tables[0])(**columns)
 
@@ -294,9 +285,9 @@ class StepMeans:
     clipped: Mask
     good: Mask
 
-    def measured(self: Steps) -> Steps:
-        """The good steps."""
-        return select(self, self.good)
+    def __getitem__(self: Steps, rows: Mask | NDArray[np.intp]) -> Steps:
+        """Some of the steps."""
+        return type(self)(**{name: column[rows] for name, column in vars(self).items()})
 
     def without_zero(self: Steps, zero: float) -> Steps:
         """The steps with drops that are `zero` [Pa] less."""

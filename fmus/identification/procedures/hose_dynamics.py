@@ -114,15 +114,9 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *map(_groups_panel, both, defined),
             *(p for fits, labels in zip(both, sides, strict=True) for p in _equation_panels(fits, *labels)),
         ),
-        remarks=(
-            *_remarks(both),
-            data.constants_remark(parameters, ["density", "bulk_modulus"], data.tested_density(tests)),
-        ),
+        remarks=(*_remarks(both), data.constants_remark(tests, parameters, "density", "bulk_modulus")),
         others=tuple(_others(both, defined)),
-        findings=(
-            *_findings(both, aligned),
-            *data.signal_findings(tests, SIGNALS, "hose_dynamics"),
-        ),
+        findings=(*_findings(both, aligned), *data.signal_findings(tests, SIGNALS, "hose_dynamics")),
     )
 
 
@@ -204,19 +198,10 @@ def prepared(recording: Recording, equation: Equation) -> Samples:
     rate = uniform_rate(recording)
     bump, slope = balance.modulating_function(max(round(equation.half_width * rate), 3), rate)
     raw = np.array([recording.interpolated(n) for n in SIGNALS])
-    return Samples(
-        law=equation.law,
-        names=equation.law.unknowns,
-        sensors=tuple(SIGNALS),
-        raw=raw,
-        sd=balance.noise_of(raw, np.array([data.noise_sd(recording, n) for n in SIGNALS])),
-        channels=[(k, np.ones(1)) for k in range(4)],
-        known=np.array([equation.transition_flow]),
-        rate=rate,
-        bump=bump,
-        slope=slope,
-        starts=balance.window_starts(good_all(recording, SIGNALS), bump.size),
-    )
+    noise = np.array([data.noise_sd(recording, n) for n in SIGNALS])
+    samples = balance.steady(equation.law, SIGNALS, raw, noise, [equation.transition_flow])
+    starts = balance.window_starts(good_all(recording, SIGNALS), bump.size)
+    return replace(samples, rate=rate, bump=bump, slope=slope, starts=starts)
 
 
 def solved(equation: Equation, groups: Sequence[Recording]) -> Solution:

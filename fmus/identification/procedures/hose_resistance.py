@@ -54,12 +54,11 @@ TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
 MIN_STEPS = 4  # fewer steps cannot distinguish between the laws
 LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
 ONE_WAY = 0.9  # rank correlation of flow and time from which on a change in time cannot be told
-DropLaw = tuple[balance.Law, ca.Function]  # and its drop as a function of (flow, unknowns, transition flow)
 Fits = Mapping[str, Solution]  # by each law; "mixed" only if the others are misfits and it is significant
 
 
 @lru_cache(maxsize=1)
-def laws() -> Mapping[str, DropLaw]:
+def laws() -> Mapping[str, balance.Law]:
     """The drop by eq. (1) as the machine simulates it, by eq. (10), and with a laminar part.
 
     square   C_R Q sqrt(Q^2 + Q_t^2)
@@ -79,18 +78,15 @@ def laws() -> Mapping[str, DropLaw]:
         ),
     }
     return {
-        name: (
-            balance.law(z, unknowns, transition, z[0] - z[1] - drop),
-            ca.Function(name, [q, ca.vertcat(*unknowns.values()), transition], [drop]),
-        )
+        name: balance.law(z, unknowns, transition, z[0] - z[1] - drop)
         for name, (unknowns, drop) in forms.items()
     }
 
 
 def drop_by(fits: Fits, name: str, flow: Array) -> Array:
     """Drop [Pa] by one of the laws at flows [m3/s]."""
-    known = fits[name].samples[0].known
-    return np.asarray(laws()[name][1](flow[None], fits[name].fit.values, known).full()[0])
+    readings, known = np.outer([0.0, 0.0, 1.0], flow), fits[name].samples[0].known
+    return np.asarray(-laws()[name].terms(readings, fits[name].fit.values, known)[0].full()[0])
 
 
 def scaled(resistance: float, length: float, diameter: float, to_length: float, to_diameter: float) -> float:
@@ -107,7 +103,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     steps, along, word = steady_steps(tests)
     limits = data.zero_limits(tests, ("pressure_in", "pressure_out")) | data.declared_limits(tests, ["flow"])
     fits = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limits)
-    square, good = fits["square"], steps.measured()
+    square, good = fits["square"], steps[steps.good]
     zero = zero_of(fits)
     weights = square.column("resistance") ** 2
     reference_flow = float(np.sqrt(weights @ good.flow**2 / weights.sum()))  # weighted rms
@@ -130,7 +126,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(steps.without_zero(zero.value), fits),
         remarks=(
             *_remarks(steps, fits, zero, flow),
-            data.constants_remark(parameters, ["density"], data.tested_density(tests)),
+            data.constants_remark(tests, parameters, "density"),
         ),
         others=tuple(_others(fits, zero, flow)),
         findings=(
@@ -156,7 +152,7 @@ def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array, str
 
 def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> Fits:
     """All laws, fitted to the measured steps; `limits` are the largest errors of the zeros."""
-    good = steps.measured()
+    good = steps[steps.good]
     if good.flow.size < MIN_STEPS:
         raise Problem(
             f"hose_resistance: expected at least {MIN_STEPS} steady steps, got {good.flow.size}; "
@@ -174,7 +170,7 @@ def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, floa
     means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
 
     def fitted(name: str, **initial: float) -> Solution:
-        samples = balance.steady(laws()[name][0], tuple(SIGNALS), means, errors, (transition_flow,))
+        samples = balance.steady(laws()[name], SIGNALS, means, errors, (transition_flow,))
         return balance.solve([samples], initial, "hose_resistance", limits)
 
     fits = {
@@ -194,13 +190,13 @@ def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, floa
 def zero_of(fits: Fits) -> Estimate:
     """Pressure difference without flow by the best law."""
     best = fits.get("mixed") or min(fits.values(), key=_aic)
-    zero, sd = best.sum_of_zeros({"pressure_in": 1.0, "pressure_out": -1.0})
+    zero, sd = best.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
     return Estimate.normal("pressures without flow", zero, "Pa", sd, "pressure_in - pressure_out")
 
 
 def _aic(solution: Solution) -> float:
     """Akaike's criterion for residuals of known standard deviation, in which a zero counts with its prior."""
-    zeros = sum((2 * value / solution.limits[n]) ** 2 for n, (value, _) in solution.zeros.items())
+    zeros = sum((2 * solution.every[n] / limit) ** 2 for n, limit in solution.limits.items())
     return solution.fit.chi_square + 2 * len(solution.fit.names) + zeros
 
 
@@ -224,7 +220,7 @@ def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterat
 
 def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
     """Drop over flow with the laws, residual, C_R over flow."""
-    good, dead = steps.measured(), data.select(steps, steps.dead)
+    good, dead = steps[steps.good], steps[steps.dead]
     flows = np.linspace(0.0, float(np.abs(good.flow).max()), 200)
     drop = [
         Curve("measured", good.flow, good.drop, error=good.drop_error),

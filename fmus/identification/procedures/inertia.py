@@ -27,30 +27,19 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from fmus.contract import quantities, symbols
+from fmus.contract import quantities
 from fmus.identification import balance
 from fmus.identification.balance import Normal, Solution, flat
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.momentum_balance import (
-    ALL_PRESSURES,
-    JOINTS,
-    PARAMETERS,
-    JointRecording,
-    joint_recording,
-    known_parameter_effects,
-    parameter_vector,
-    torque_panels,
-)
+from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
-from fmus.manipulator import MANIPULATOR, arm
-from fmus.manipulator.design import POINT_MASS
+from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
-SIGNALS: Mapping[str, str] = momentum_balance.SIGNALS
+SIGNALS: Mapping[str, str] = momentum.SIGNALS
 FREE = ("head_mass", "stick_inertia", "boom_inertia", "column_inertia")
 DAMPINGS = ("swing_damping", "boom_piston_damping", "stick_piston_damping")
 WINDOW = 0.4  # s: longer than by default, because small inertias are only visible in fast motion
@@ -75,11 +64,11 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         raise Problem(
             f'inertia: expected a recording of the machine or of a joint with use = "train", got {present}'
         )
-    training, p = data.training_recordings(recordings, source, SIGNALS), parameter_vector(parameters)
-    names, dropped, limits = list(FREE), list[str](), data.declared_limits(training, ALL_PRESSURES)
+    training, p = data.training_recordings(recordings, source, SIGNALS), momentum.parameter_vector(parameters)
+    names, dropped, limits = list(FREE), list[str](), data.declared_limits(training, momentum.ALL_PRESSURES)
     while True:
         theta = tuple(f"manipulator.{n}" for n in (*names, *DAMPINGS))
-        records = [joint_recording(r, JOINTS, theta, p, window=WINDOW) for r in training]
+        records = [momentum.joint_recording(r, momentum.JOINTS, theta, p, window=WINDOW) for r in training]
         solution = balance.solve(
             [r.samples for r in records], {n: parameters[n].value for n in theta}, "inertia", limits
         )
@@ -88,7 +77,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         if max(relative, default=0.0) <= balance.DETERMINED:
             break
         dropped.append(names.pop(relative.index(max(relative))))
-    all_effects = known_parameter_effects(solution, parameters)
+    all_effects = momentum.known_parameter_effects(solution, parameters)
     effects = {n: all_effects[f"manipulator.{n}"] for n in names}
     values = {n: solution.fit[f"manipulator.{n}"] for n in (*names, *DAMPINGS)}
     units = {n: quantities(MANIPULATOR.parameters)[n].unit for n in values}
@@ -98,12 +87,12 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         title="Inertial parameters from the torques of the joints",
         figure=0,
         estimates=tuple(
-            Estimate.normal(n, values[n], units[n], e.total, note + e.note()) for n, e in effects.items()
+            Estimate.normal(n, values[n], units[n], e.total, note + e.note) for n, e in effects.items()
         ),
         panels=panels(records[0], solution),
         remarks=(
             *_remarks(training, solution, dropped),
-            *(f"{n}: {text}" for n, e in effects.items() for text in e.remarks(values[n], units[n])),
+            *(f"{n}: {text}" for n, e in effects.items() for text in e.remarks),
         ),
         others=(
             *(
@@ -113,7 +102,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *base_estimates(records, solution, p),
         ),
         findings=(
-            balance.shift_finding(solution, ALL_PRESSURES, "inertia"),
+            balance.shift_finding(solution, momentum.ALL_PRESSURES, "inertia"),
             *balance.zero_findings(solution, "inertia"),
             *data.signal_findings(training, SIGNALS, "inertia"),
             balance.model_finding(solution, "inertia"),
@@ -136,28 +125,20 @@ def _remarks(training: Sequence[Recording], solution: Solution, dropped: Sequenc
 @lru_cache(maxsize=1)
 def regressor() -> ca.Function:
     """(q, q', q'', p) -> derivatives of h, f and torques with respect to pi, each (3, 13) side by side."""
-    x, p = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters)
-    mechanics = arm.mechanics(x, p, POINT_MASS)
-    q, w = (ca.vertcat(*(getattr(x, f"{j}_{order}") for j in JOINTS)) for order in ("angle", "speed"))
-    momentum = mechanics.mass @ w
-    force = ca.jtimes(momentum, q, w) - mechanics.coriolis - mechanics.gravity
-    by_momentum, by_force = _by_standard_parameters(momentum, p), _by_standard_parameters(force, p)
-    a = ca.SX.sym("a", 3)
-    rate = ca.horzcat(*(ca.jtimes(h, q, w) + ca.jtimes(h, w, a) for h in ca.horzsplit(by_momentum)))
-    machine = ca.SX.sym("p", len(PARAMETERS))
-    old = ca.vertcat(x.held_mass, *vars(p).values())
-    new = ca.vertcat(0, *(machine[PARAMETERS.index(f"manipulator.{n}")] for n in vars(p)))
-    terms = ca.substitute([by_momentum, by_force, rate - by_force], [old], [new])
-    return ca.Function("regressor", [q, w, a, machine], [ca.densify(t) for t in terms])
+    e, a = momentum.symbolic_equations(), ca.SX.sym("a", 3)
+    by_momentum, by_force = (_by_standard_parameters(term, e.p) for term in (e.momentum, e.force))
+    rate = [ca.jtimes(h, e.q, e.w) + ca.jtimes(h, e.w, a) for h in ca.horzsplit(by_momentum)]
+    terms = [by_momentum, by_force, ca.horzcat(*rate) - by_force]
+    return ca.Function("regressor", [e.q, e.w, a, e.p], [ca.densify(t) for t in terms])
 
 
-def _by_standard_parameters(term: ca.SX, p: object) -> ca.SX:
+def _by_standard_parameters(term: ca.SX, p: ca.SX) -> ca.SX:
     """Derivatives of momenta or forces with respect to the standard parameters, shape (3, 13)."""
-    columns = [ca.jacobian(term, p.column_inertia)]  # type: ignore[attr-defined]
+    own = {n: p[k] for k, n in enumerate(momentum.PARAMETERS)}
+    columns = [ca.jacobian(term, own["manipulator.column_inertia"])]
     for link in ("boom", "stick"):
-        mass, inertia, cx, cz = (
-            getattr(p, f"{link}_{n}") for n in ("mass", "inertia", "centre_x", "centre_z")
-        )
+        names = ("mass", "inertia", "centre_x", "centre_z")
+        mass, inertia, cx, cz = (own[f"manipulator.{link}_{n}"] for n in names)
         by_mass = ca.jacobian(term, mass)
         by_x, by_z = ca.jacobian(by_mass, cx), ca.jacobian(by_mass, cz)
         at_pivot = [by_mass, by_x, by_z, ca.jacobian(by_x, cz), ca.jacobian(by_z, cz) / 2]
@@ -168,7 +149,11 @@ def _by_standard_parameters(term: ca.SX, p: object) -> ca.SX:
 
 def standard(p: Array) -> Array:
     """The standard parameters, shape (13,), from those of the machine."""
-    v = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, p, strict=True) if n.startswith("manipulator.")}
+    v = {
+        n.partition(".")[2]: x
+        for n, x in zip(momentum.PARAMETERS, p, strict=True)
+        if n.startswith("manipulator.")
+    }
     pi = [v["column_inertia"]]
     for link in ("boom", "stick"):
         m, x, z = v[f"{link}_mass"], v[f"{link}_centre_x"], v[f"{link}_centre_z"]
@@ -218,10 +203,12 @@ def grouping(p: Array) -> Grouping:
     return Grouping(tuple(map(int, kept)), tuple(map(int, others)), weights)
 
 
-def base_estimates(records: Sequence[JointRecording], solution: Solution, p: Array) -> list[Estimate]:
+def base_estimates(
+    records: Sequence[momentum.JointRecording], solution: Solution, p: Array
+) -> list[Estimate]:
     """All base parameters, estimated together with the dampings and zeros, in one step from the solution."""
     estimated = p.copy()
-    estimated[[PARAMETERS.index(n) for n in solution.fit.names]] = solution.fit.values
+    estimated[[momentum.PARAMETERS.index(n) for n in solution.fit.names]] = solution.fit.values
     group, fit = grouping(estimated), solution.fit
     own = [k for k, n in enumerate(fit.names) if not n.endswith("damping")]
     parts = []
@@ -247,14 +234,14 @@ def base_estimates(records: Sequence[JointRecording], solution: Solution, p: Arr
     ]
 
 
-def panels(record: JointRecording, solution: Solution) -> tuple[Panel, ...]:
+def panels(record: momentum.JointRecording, solution: Solution) -> tuple[Panel, ...]:
     """Torque and residual of each joint over the time of one recording."""
     linear = solution.parts[0].linear
     by_estimates = -np.einsum("mrt,m->rt", linear.by_theta, solution.fit.values)
     result: list[Panel] = []
-    for joint, model, residual in zip(JOINTS, by_estimates, linear.e, strict=True):
+    for joint, model, residual in zip(momentum.JOINTS, by_estimates, linear.e, strict=True):
         measured = Curve("measured, filtered, minus known terms", model, model + residual, line=True)
         fit = Curve("by the estimates", model, model, "fit", line=True)
         label = (f"time, {joint}", "torque")
-        result += torque_panels(label, joint, record, measured, fit, "measured - model")
+        result += momentum.torque_panels(label, joint, record, measured, fit, "measured - model")
     return tuple(result)

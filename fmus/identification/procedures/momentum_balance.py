@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import Subsystem, quantities, symbolic, symbols
+from fmus.contract import Subsystem, quantities, symbols, unstack
 from fmus.identification.balance import (
     NEGLIGIBLE,
     Law,
@@ -30,7 +31,7 @@ from fmus.identification.balance import (
     Solution,
     law,
     modulating_function,
-    noise_of,
+    steady,
     window_starts,
 )
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
@@ -68,59 +69,45 @@ _PARTS = (SWING, BOOM_STICK, MANIPULATOR)
 PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
 
 
-@dataclass(frozen=True)
-class _Symbols:
-    q: ca.SX
-    w: ca.SX
-    pressures: ca.SX
-    tank: ca.SX
-    p: ca.SX
-    momentum: ca.SX
-    force: ca.SX
-    position: ca.SX
-    moment_arm: ca.SX
-
-
 @lru_cache(maxsize=1)
-def _symbolic_equations() -> _Symbols:
-    q, w = ca.SX.sym("q", 3), ca.SX.sym("w", 3)
-    pressures, tank = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("tank")
-    p = ca.SX.sym("p", len(PARAMETERS))
-    x, own_p, u = symbols(MANIPULATOR.states), symbols(MANIPULATOR.parameters), symbols(ManipulatorInputs)
-    measured = dict(zip(ALL_PRESSURES, ca.vertsplit(pressures), strict=True)) | {"swing.swing_speed": w[0]}
-    outputs = ((SWING, "swing_torque"), (BOOM_STICK, "boom_force"), (BOOM_STICK, "stick_force"))
-    hydraulics = [_output_at(sub, name, measured, tank, p) for sub, name in outputs]
+def symbolic_equations() -> SimpleNamespace:
+    """Momenta h, forces f, positions and moment arms of the pistons, and what they depend on."""
+    q, w, tank = ca.SX.sym("q", 3), ca.SX.sym("w", 3), ca.SX.sym("tank")
+    pressures, p = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("p", len(PARAMETERS))
+    measured = {name.partition(".")[2]: pressures[k] for k, name in enumerate(ALL_PRESSURES)}
+    measured |= {f"{j}_angle": q[k] for k, j in enumerate(JOINTS)}
+    measured |= {f"{j}_speed": w[k] for k, j in enumerate(JOINTS)}
+    # the head's own mass includes what it holds
+    measured |= {"tank_pressure": tank, "held_mass": ca.SX(0), "payload_flow": ca.SX(0)}
+    swing, cylinders = (
+        sub.observe(_at(sub.states, measured), _at(sub.inputs, measured), _parameters_of(sub, p))
+        for sub in (SWING, BOOM_STICK)
+    )
+    applied = {"swing_torque": swing.swing_torque}
+    applied |= {n: getattr(cylinders, n) for n in ("boom_force", "stick_force")}
+    x, own_p = _at(MANIPULATOR.states, measured), _parameters_of(MANIPULATOR, p)
     mechanics, rods = arm.mechanics(x, own_p, POINT_MASS), arm.pistons(x, own_p)
-    terms = [mechanics.mass, mechanics.coriolis, mechanics.gravity, forces(_LUMPED, x, u, own_p)]
-    terms += [ca.vertcat(*(r.position for r in rods)), ca.vertcat(*(r.triangle.arm for r in rods))]
-    coordinates = [getattr(x, f"{j}_{order}") for order in ("angle", "speed") for j in JOINTS]
-    applied = [u.swing_torque, u.boom_force, u.stick_force]
-    empty = [x.held_mass, x.payload_flow]  # the head's own mass includes what it holds
-    old = ca.vertcat(*coordinates, *empty, *applied, *vars(own_p).values())
-    new = ca.vertcat(q, w, 0, 0, *hydraulics, *_parameters_of(MANIPULATOR, p))
-    mass, coriolis, gravity, tau, position, moment_arm = ca.substitute(terms, [old], [new])
-    momentum = mass @ w
-    force = tau + ca.jtimes(momentum, q, w) - coriolis - gravity
-    return _Symbols(q, w, pressures, tank, p, momentum, force, position, moment_arm)
+    momentum = mechanics.mass @ w
+    tau = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
+    return SimpleNamespace(
+        **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
+        force=tau + ca.jtimes(momentum, q, w) - mechanics.coriolis - mechanics.gravity,
+        position=ca.vertcat(*(r.position for r in rods)),
+        moment_arm=ca.vertcat(*(r.triangle.arm for r in rods)),
+    )
 
 
-def _parameters_of(sub: Subsystem, p: ca.SX) -> list[ca.SX]:
-    """The parameters of a subsystem among those of the machine."""
-    return [p[PARAMETERS.index(f"{sub.name}.{n}")] for n in quantities(sub.parameters)]
+def _at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
+    """A group at these values, and symbols for its other fields, on which nothing here depends."""
+    return replace(symbols(group), **{n: x for n, x in values.items() if n in quantities(group)})
 
 
-def _output_at(sub: Subsystem, name: str, measured: dict[str, Any], tank: ca.SX, p: ca.SX) -> ca.SX:
-    """An output of a drive at measured pressures; it must not depend on other states and inputs."""
-    model, values = symbolic(sub), measured | {f"{sub.name}.tank_pressure": tank}
-    declared = [
-        (f"{sub.name}.{n}", s)
-        for group, column in ((sub.states, model.x), (sub.inputs, model.u))
-        for n, s in zip(quantities(group), ca.vertsplit(column), strict=True)
-    ]
-    old = [s for n, s in declared if n in values]
-    new = [values[n] for n, _ in declared if n in values]
-    output = model.y[list(quantities(sub.outputs)).index(name)]
-    return ca.substitute(output, ca.vertcat(*old, model.p), ca.vertcat(*new, *_parameters_of(sub, p)))
+def _parameters_of(sub: Subsystem, p: ca.SX) -> Any:
+    """The parameters of a subsystem among those of the machine; one that is 0 is derived from the others."""
+    rows = [PARAMETERS.index(f"{sub.name}.{n}") for n in quantities(sub.parameters)]
+    own = unstack(sub.parameters, p[rows])
+    derived = {n: ca.if_else(getattr(own, n) > 0, getattr(own, n), v) for n, v in sub.derive(own).items()}
+    return replace(own, **derived)
 
 
 @lru_cache(maxsize=16)
@@ -130,7 +117,7 @@ def momentum_law(joints: tuple[str, ...], theta: tuple[str, ...]) -> Law:
     Of one joint it also has a dry friction and a constant force, which act on the speed of the swing or of
     the piston: tau - J (F_c tanh(x' / rounding) + F_0).
     """
-    e = _symbolic_equations()
+    e = symbolic_equations()
     rows = [JOINTS.index(j) for j in joints]
     unknowns = {n: ca.SX.sym(n) for n in theta}
     momentum, force, moment_arm = e.momentum[rows], e.force[rows], e.moment_arm
@@ -153,7 +140,7 @@ def equation_of_motion() -> tuple[ca.Function, ca.Function]:
     pistons   (q, p) -> positions and moment arms of boom and stick, each (2, n)
     printed   (q, q', q'', pressures, tank, p) -> f - dh/dt as in (13), df_i/dq_i', x_i'/q_i', each (3, n)
     """
-    e, a = _symbolic_equations(), ca.SX.sym("a", 3)
+    e, a = symbolic_equations(), ca.SX.sym("a", 3)
     damping, ratio = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.moment_arm)
     rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, a)
     arguments = [e.q, e.w, a, e.pressures, e.tank, e.p]
@@ -171,41 +158,27 @@ def speed_ratio(joint: str, q: Array, p: Array) -> Array:
     return np.array(moment_arms[JOINTS.index(joint) - 1])
 
 
-@dataclass(frozen=True)
-class Filtered:
-    """Angles and pressures through one Savitzky-Golay filter; n filtered samples.
+def needed_signals(joints: Sequence[str]) -> tuple[str, ...]:
+    """The angles and the pressures of these joints."""
+    return (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
 
-    needed, raw    pressures that are needed; samples without gaps, zero of other pressures, shape (9, N)
-    channels       sensor and filter of each row of z
-    z              angles, speeds, pressures, shape (12, n)
-    acceleration   of the joints, shape (3, n)
-    good           whether all samples under the filter are good, shape (n,)
+
+def filtered(
+    recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay
+) -> tuple[Array, list[tuple[int, Array]], Array, Mask]:
+    """Angles and pressures through one filter; N samples, n filtered ones.
+
+    Samples without gaps, zero of pressures that are not needed, shape (9, N); sensor and filter of each row
+    of z; z, that is angles, speeds, pressures, shape (12, n); whether all samples under the filter are good.
     """
-
-    needed: Sequence[str]
-    raw: Array
-    channels: Sequence[tuple[int, Array]]
-    z: Array
-    acceleration: Array
-    good: Mask
-
-
-def filtered(recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay) -> Filtered:
-    """The angles and these joints' pressures in a recording that is longer than the filter."""
-    names = (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
-    none = np.zeros(recording.time.size)
+    names, none = needed_signals(joints), np.zeros(recording.time.size)
     raw = np.array([recording.interpolated(n) if n in names else none for n in SIGNALS])
-    value, derivative, second = kernel.weights
+    value, derivative, _ = kernel.weights
     channels = [(k, weights) for weights in (value, derivative) for k in range(3)]
     channels += [(k, value) for k in range(3, len(raw))]
-    return Filtered(
-        needed=names[3:],
-        raw=raw,
-        channels=channels,
-        z=np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels]),
-        acceleration=np.array([np.correlate(angle, second, "valid") for angle in raw[:3]]),
-        good=np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1)),
-    )
+    z = np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels])
+    good: Mask = np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1))
+    return raw, channels, z, good
 
 
 @dataclass(frozen=True)
@@ -250,34 +223,31 @@ def joint_recording(
         raise Problem(
             f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
         )
-    f = filtered(recording, joints, kernel)
-    used, model = (*ANGLES, *f.needed), momentum_law(joints, theta)
+    raw, channels, z, good = filtered(recording, joints, kernel)
+    used = needed_signals(joints)
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    position: Array = np.array(equation_of_motion()[0](f.z[:3], p)[0].full())
+    position: Array = np.array(equation_of_motion()[0](z[:3], p)[0].full())
     at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
-    good = f.good & ~at_end
-    speed = speed_ratio(joints[0], f.z[:3], p) * f.z[3 + JOINTS.index(joints[0])]
+    good &= ~at_end
+    speed = speed_ratio(joints[0], z[:3], p) * z[3 + JOINTS.index(joints[0])]
     rms = float(np.sqrt(np.mean(speed**2)))
     if not window_starts(good, bump.size).size:
         raise Problem(
             f"{recording.source}: expected {shortest / rate:.2g} s without a gap or "
             f"clipped sample in {', '.join(used)}, got no such stretch"
         )
-    samples = Samples(
-        law=model,
-        names=model.unknowns,
-        sensors=tuple(SIGNALS),
-        raw=f.raw,
-        sd=noise_of(f.raw, np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])),
-        channels=f.channels,
-        known=np.array([*p, tank_pressure(recording), max(rounding * rms, 1e-9)]),
+    noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])
+    known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
+    samples = replace(
+        steady(momentum_law(joints, theta), SIGNALS, raw, noise, known),
+        channels=channels,
         rate=rate,
         bump=bump,
         slope=slope,
         starts=window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
     )
     possible = window_starts(np.ones_like(good), bump.size).size
-    return JointRecording(recording, samples, f.z, int(at_end.sum()), possible)
+    return JointRecording(recording, samples, z, int(at_end.sum()), possible)
 
 
 def torque_panels(
@@ -304,70 +274,60 @@ def parameter_vector(parameters: Mapping[str, Number]) -> Array:
 class KnownParameterEffect:
     """Effect of errors of the known parameters on an estimated parameter.
 
-    recording_sd   standard deviation by the recordings
-    by_sd          change by one standard deviation of each known parameter that has one
-    by_percent     change by 1 % of each known parameter without a standard deviation
+    total         standard deviation by the recordings and by the known parameters, which are independent
+    significant   whether the known parameters widen the interval noticeably
+    note          addition to the note in parameters.toml; empty unless the effect is significant
+    remarks       sentences that follow the parameter's name and a colon
     """
 
-    recording_sd: float
-    by_sd: Mapping[str, float]
-    by_percent: Mapping[str, float]
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation by those of the known parameters, which are assumed independent."""
-        return math.sqrt(sum(x**2 for x in self.by_sd.values()))
-
-    @property
-    def total(self) -> float:
-        """Standard deviation by the recordings and by the known parameters."""
-        return math.hypot(self.recording_sd, self.sd)
-
-    @property
-    def significant(self) -> bool:
-        """Whether the known parameters widen the interval noticeably."""
-        return self.sd > NEGLIGIBLE * self.recording_sd
-
-    def remarks(self, value: float, unit: str) -> list[str]:
-        """Sentences that follow the parameter's name and a colon."""
-        sentences = []
-        if self.significant:
-            names = _largest({n: x for n, x in self.by_sd.items() if x**2 > NEGLIGIBLE * self.sd**2})
-            sentences.append(
-                f"the uncertainty of the known parameters adds a standard deviation of {self.sd:.2g} "
-                f"{unit} to the {self.recording_sd:.2g} {unit} from the recordings; most of it comes "
-                f"from {', '.join(names)}."
-            )
-        large = {n: x for n, x in self.by_percent.items() if abs(x) > self.total}
-        if large:
-            changes = ", ".join(f"{n} {100 * large[n] / value:+.2g} %" for n in _largest(large))
-            sentences.append(
-                "the interval assumes exact geometry and masses. An error of 1 % would change the "
-                f"value: {changes}."
-            )
-        return sentences
-
-    def note(self) -> str:
-        """Addition to the note in parameters.toml; empty unless the effect is significant."""
-        if not self.significant:
-            return ""
-        return f"; sd {self.recording_sd:.2g} by the recordings, {self.sd:.2g} by the known parameters"
+    total: float
+    significant: bool
+    note: str
+    remarks: tuple[str, ...]
 
 
 def known_parameter_effects(
     solution: Solution, parameters: Mapping[str, Number]
 ) -> dict[str, KnownParameterEffect]:
-    """Effect of the known parameters on each estimate of a momentum balance."""
+    """Effect of the known parameters on each estimated parameter of a momentum balance."""
     known = {n: parameters[n] for n in PARAMETERS if n not in solution.fit.names and n != EXACT}
     effects = {}
     for name, row in zip(solution.fit.names, solution.by_known(), strict=True):
-        sensitivity = dict(zip(PARAMETERS, map(float, row), strict=False))
-        effects[name] = KnownParameterEffect(
-            solution.fit.sd(name),
-            {n: sensitivity[n] * x.sd for n, x in known.items() if x.sd is not None},
-            {n: sensitivity[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None},
-        )
+        if name in parameters:
+            by_known = dict(zip(PARAMETERS, map(float, row), strict=False))
+            by_sd = {n: by_known[n] * x.sd for n, x in known.items() if x.sd is not None}
+            by_percent = {n: by_known[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None}
+            value, sd = solution.fit[name], solution.fit.sd(name)
+            effects[name] = _effect(value, sd, parameters[name].unit, by_sd, by_percent)
     return effects
+
+
+def _effect(
+    value: float, recording_sd: float, unit: str, by_sd: Mapping[str, float], by_percent: Mapping[str, float]
+) -> KnownParameterEffect:
+    """Effect on one estimate.
+
+    recording_sd   standard deviation by the recordings
+    by_sd          change by one standard deviation of each known parameter that has one
+    by_percent     change by 1 % of each known parameter without a standard deviation
+    """
+    sd, note, remarks = math.sqrt(sum(x**2 for x in by_sd.values())), "", list[str]()
+    if significant := sd > NEGLIGIBLE * recording_sd:
+        note = f"; sd {recording_sd:.2g} by the recordings, {sd:.2g} by the known parameters"
+        names = _largest({n: x for n, x in by_sd.items() if x**2 > NEGLIGIBLE * sd**2})
+        remarks.append(
+            f"the uncertainty of the known parameters adds a standard deviation of {sd:.2g} "
+            f"{unit} to the {recording_sd:.2g} {unit} from the recordings; most of it comes "
+            f"from {', '.join(names)}."
+        )
+    total = math.hypot(recording_sd, sd)
+    if large := {n: x for n, x in by_percent.items() if abs(x) > total}:
+        changes = ", ".join(f"{n} {100 * large[n] / value:+.2g} %" for n in _largest(large))
+        remarks.append(
+            "the interval assumes exact geometry and masses. An error of 1 % would change the "
+            f"value: {changes}."
+        )
+    return KnownParameterEffect(total, significant, note, tuple(remarks))
 
 
 def _largest(changes: Mapping[str, float]) -> list[str]:

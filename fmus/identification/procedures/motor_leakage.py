@@ -82,7 +82,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     tests = data.training_recordings(recordings, "motor_leakage", SIGNALS)
     points = steady_points(tests)
     solution = balance.solve(
-        [balance.steady(leakage_law(), tuple(SIGNALS), points.means, points.errors)],
+        [balance.steady(leakage_law(), SIGNALS, points.means, points.errors)],
         dict.fromkeys(EQUATIONS, GUESS) | dict.fromkeys(QUADRATIC_TERMS, 0.0),
         "motor_leakage",
         data.zero_limits(tests, SIGNALS),
@@ -201,7 +201,7 @@ def _remarks(
     fit = solution.fit
     by_zero = solution.parts[0].linear.g[:, :, 0, 0]  # the law is linear: the same at all points
     for row, (meter, location) in zip(by_zero.T, METERS.items(), strict=True):
-        value, sd = solution.sum_of_zeros(dict(zip(SIGNALS, row, strict=True)))
+        value, sd = solution.every.combination(dict(zip(SIGNALS, row, strict=True)))
         if abs(value) > SIGNIFICANT * sd:
             yield (
                 f"Without pressure a flow {location} of {value / LITRE:.2g} +- "

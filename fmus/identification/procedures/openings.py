@@ -38,13 +38,13 @@ from scipy import optimize, stats
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
-from fmus.identification.procedures.experiment_data import StepMeans, parameter_value, select
+from fmus.identification.balance import UNLIKELY, Regression
+from fmus.identification.procedures.experiment_data import StepMeans, parameter_value
 from fmus.identification.results import CONFIDENCE, Estimate
 from fmus.parameters import Number
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
 
-UNLIKELY = 1e-3  # probability of data below which an assumption is given up
 SAME = 2e-3  # of the full command: steps that are closer have one command
 DRAWS = 2000  # curves: the 2.5 % quantile of one has an error of a tenth of a standard deviation
 POINTS, GRID = 10, 96  # of a table; commands at which curves are drawn, besides the measured ones
@@ -53,7 +53,6 @@ FOOT = (0.8, 3.5)  # exponents of a curve below its lowest node: a notch begins 
 SHORT_FOOT = (0.9, 2.1)
 CURVED = 1.3  # times the change of slope to the lowest node by which a parabola through three is bent
 UNDERLAP = 1.2  # largest exponent of an edge that is open at zero command
-DETERMINED = 0.25  # largest relative standard deviation of a rounding that the data determine
 ROUNDING = (1e-3, 2.0)  # V, of the fitted rounding
 CERTAIN = 4.0  # standard errors above which a flow is certain
 ZEROS = 21  # zeros with which a falling opening is tested
@@ -116,15 +115,12 @@ class ValveSteps(StepMeans):
 
     def of(self, edge: str) -> ValveSteps:
         """The steps of one edge."""
-        return select(self, self.edge == edge)
+        return self[self.edge == edge]
 
-    def shut(self) -> ValveSteps:
-        """Steps with a flow that the meter does not tell from zero."""
-        return select(self, ~self.good & np.isfinite(self.idle_flow) & (self.drop > 0))
-
-    def idle_area(self, c: ValveConstants) -> Array:
-        """Commands and largest areas at which the meter may read what it reads, shape (n, 2)."""
-        return np.column_stack([self.command, replace(self, flow=self.idle_flow).effective(c)[0]])
+    def idle(self, c: ValveConstants) -> tuple[Array, Array]:
+        """Commands of steps whose flow is not told from zero, and the largest areas that read so."""
+        shut = self[~self.good & np.isfinite(self.idle_flow) & (self.drop > 0)]
+        return shut.command, replace(shut, flow=shut.idle_flow).effective(c)[0]
 
     def effective(
         self, c: ValveConstants, zero: float = 0.0, flow_zero: float = 0.0
@@ -168,7 +164,7 @@ class Nodes:
     levels, slope   areas of the steps [m2], and [m2/V] there
     by_drop         derivatives of the areas by drop and flow
     by_flow
-    noise           standard errors of the areas by the noise; `error` is `scatter` times as large
+    error           standard errors of the areas
     """
 
     steps: ValveSteps
@@ -177,30 +173,28 @@ class Nodes:
     slope: Array
     by_drop: Array
     by_flow: Array
-    noise: Array
-    scatter: float = 1.0
+    error: Array
 
     @classmethod
-    def of(cls, steps: ValveSteps, c: ValveConstants) -> Nodes:
-        """The nodes of the measured steps."""
-        s = steps.measured()
-        order = np.argsort(s.command, kind="stable")
-        s = type(s)(**{name: column[order] for name, column in vars(s).items()})
+    def of(cls, steps: ValveSteps, c: ValveConstants, scatter: float = 1.0) -> Nodes:
+        """The nodes of the measured steps, whose errors are `scatter` times their noise."""
+        s = steps[steps.good]
+        s = s[np.argsort(s.command, kind="stable")]
         area, by_drop, by_flow = s.effective(c)
         index = np.concatenate([[0], np.cumsum(np.diff(s.command) > SAME * c.full_command)])
         middle, voltage = (np.bincount(index, x) / np.bincount(index) for x in (area, s.command))
         slope = np.gradient(middle, voltage)[index] if voltage.size > 1 else np.zeros_like(area)
         noise = np.hypot(np.hypot(by_flow * s.flow_error, by_drop * s.drop_error), slope * s.command_error)
-        return cls(s, index, area, np.asarray(slope), by_drop, by_flow, np.asarray(noise))
+        return cls(s, index, area, np.asarray(slope), by_drop, by_flow, np.asarray(scatter * noise))
 
     def mean(self, x: Array) -> Array:
-        """Means (m,) of values of the steps (n,), weighted by the noise of their areas."""
-        weight = self.noise**-2.0
+        """Means (m,) of values of the steps (n,), weighted by the errors of their areas."""
+        weight = self.error**-2.0
         return np.asarray(np.bincount(self.index, weight * x) / np.bincount(self.index, weight))
 
     def within(self, x: Array) -> Array:
-        """Deviations of values of the steps from the means of their nodes, over the noise, shape (n,)."""
-        return np.asarray((x - self.mean(x)[self.index]) / self.noise)
+        """Deviations of values of the steps from the means of their nodes, over the errors, shape (n,)."""
+        return np.asarray((x - self.mean(x)[self.index]) / self.error)
 
     @cached_property
     def command(self) -> Array:
@@ -216,11 +210,6 @@ class Nodes:
     def area(self) -> Array:
         """Of the nodes [m2]."""
         return self.mean(self.at_node)
-
-    @property
-    def error(self) -> Array:
-        """Standard errors of the steps' areas [m2]."""
-        return self.scatter * self.noise
 
     @cached_property
     def sd(self) -> Array:
@@ -263,32 +252,27 @@ class Nodes:
 
 
 def _tail(chi_square: float, freedom: int) -> float:
-    return float(stats.chi2.sf(chi_square, freedom)) if freedom else 1.0
+    return float(stats.chi2.sf(chi_square, freedom)) if freedom > 0 else 1.0
 
 
 @dataclass(frozen=True)
-class Repeated:
-    """What steps with one command tell: effects that are common to all nodes, and the scatter that is left.
+class Repeated(Regression):
+    """Effects that are common to all nodes, by steps with one command, and the scatter that is left.
 
-    effects      name -> value and standard deviation, of those that the steps tell apart: "lag" of the
-                 opening, "drift" of the area [1], "zero" of the pressure drop [Pa]
+    names        of those that the steps tell apart: "lag" of the opening, "drift" of the area [1], and last
+                 "zero" of the pressure drop [Pa]
     warm         whether the drift is one with the temperature, not with time, over `span` [degrees] or [s]
     by_command   whether the lag is one of the command [V], not a part of the flow
-    chi_square   of the steps without the effects, with its degrees of freedom
     """
 
-    effects: Mapping[str, tuple[float, float]]
     warm: bool
     span: float
     by_command: bool
-    chi_square: float
-    freedom: int
 
     def probability(self, name: str) -> float:
         """That of an effect as large, by the scatter of the steps; the lag has two forms to choose from."""
-        value, sd = self.effects[name]
-        forms = 2 if "lag" in self.effects else 1
-        return min(1.0, forms * 2 * float(stats.t.sf(abs(value) / sd, self.freedom)))
+        forms = 2 if "lag" in self.names else 1
+        return min(1.0, forms * 2 * float(stats.t.sf(abs(self[name]) / self.sd(name), self.freedom)))
 
 
 def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | None:
@@ -296,12 +280,11 @@ def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | 
     zero, largest = 0.0, 0.4 * float(steps.drop[steps.good].min())
     for _ in range(8):  # Gauss-Newton
         found = _effects(Nodes.of(steps.without_zero(zero), c), known)
-        if not found or "zero" not in found.effects:
+        if not found or "zero" not in found.names:
             break
-        step, sd = found.effects["zero"]
-        zero = float(np.clip(zero + step, -largest, largest))
-        found = replace(found, effects={**found.effects, "zero": (zero, sd)})
-        if abs(step) < 0.01 * sd:
+        step, zero = found["zero"], float(np.clip(zero + found["zero"], -largest, largest))
+        found = replace(found, values=np.array([*found.values[:-1], zero]))
+        if abs(step) < 0.01 * found.sd("zero"):
             break
     return found
 
@@ -327,11 +310,11 @@ def _effects(nodes: Nodes, known: Priors) -> Repeated | None:
             inverse = np.linalg.inv(x @ x.T)
             values = inverse @ x @ deviation
             left = float(np.sum((deviation - values @ x) ** 2))
-            sd = np.sqrt(np.diag(inverse) * max(1.0, left / freedom))
-            if names[-1] == "zero" and sd[-1] > UNTOLD * known.zero:
+            covariance = inverse * max(1.0, left / freedom)
+            fit = Repeated(names, values, covariance, left, freedom, warm, span, by_command)
+            if names[-1] == "zero" and fit.sd("zero") > UNTOLD * known.zero:
                 continue
-            effects = dict(zip(names, zip(values.tolist(), sd.tolist(), strict=True), strict=True))
-            fits.append(Repeated(effects, warm, span, by_command, left, freedom))
+            fits.append(fit)
             break
     return min(fits, key=lambda fit: fit.chi_square, default=None)
 
@@ -343,7 +326,7 @@ def without_drift(steps: ValveSteps, drifting: Mapping[str, Repeated]) -> ValveS
         own = steps.edge == edge
         cause = steps.temperature if found.warm else steps.time
         away = np.nan_to_num(cause[own] - cause[own & steps.good].mean()) / found.span
-        flow[own] *= 1 - found.effects["drift"][0] * away
+        flow[own] *= 1 - found["drift"] * away
     return replace(steps, flow=flow)
 
 
@@ -352,9 +335,9 @@ def zero_by_pressures(each: Collection[Repeated], known: Priors) -> tuple[float,
 
     A zero beyond its limit is that of the data alone.
     """
-    seen = [r.effects["zero"] for r in each if "zero" in r.effects]
-    weight = np.array([sd**-2.0 for _, sd in seen])
-    by_data, precision = float(weight @ [z for z, _ in seen]), max(weight.sum(), 1e-300)
+    seen = [r for r in each if "zero" in r.names]
+    weight = np.array([r.sd("zero") ** -2.0 for r in seen])
+    by_data, precision = float(weight @ [r["zero"] for r in seen]), max(weight.sum(), 1e-300)
     if stats.norm.sf((abs(by_data / precision) - known.zero) * precision**0.5) >= UNLIKELY:
         precision = weight.sum() + known.zero_sd**-2.0
     return by_data / precision, precision**-0.5
@@ -364,31 +347,18 @@ def zero_by_pressures(each: Collection[Repeated], known: Priors) -> tuple[float,
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(Regression):
     """Straight openings with one zero, fitted to `nodes.steps`; one group of steps or several.
 
-    values, covariance   slope [m2/V] and zero V_t [V] of each group, then zero [Pa], if free flow zero [m3/s]
-                         and rounding [V]
-    p                    probability of residuals as large, also along a parabola or cubic
-    as_known             that of the known rounding against another one
+    values     slope [m2/V] and zero V_t [V] of each group, then zero [Pa], if free flow zero [m3/s]
+               and rounding [V]
+    p          probability of residuals as large, also along a parabola or cubic
+    as_known   that of the known rounding against another one
     """
 
-    names: tuple[str, ...]
-    values: Array
-    covariance: Array
-    chi_square: float
-    freedom: int
     p: float
     rounding: float
     as_known: float = 1.0
-
-    def __getitem__(self, name: str) -> float:
-        return float(self.values[self.names.index(name)])
-
-    def sd(self, name: str) -> float:
-        """Standard deviation of one parameter."""
-        i = self.names.index(name)
-        return math.sqrt(self.covariance[i, i])
 
     def is_zero(self, known: Priors) -> bool:
         """Whether a zero that was fitted without its prior may be one."""
@@ -399,11 +369,6 @@ class Line:
         start = self["start0"]
         rounding = self["rounding"] if "rounding" in self.names else min(self.rounding, 2 * start)
         return self["slope0"], start, max(rounding, ROUNDING[0])
-
-    def combination(self, weights: Mapping[str, float]) -> tuple[float, float]:
-        """A weighted sum of parameters and its standard deviation."""
-        w = np.array([weights.get(n, 0.0) for n in self.names])
-        return float(w @ self.values), math.sqrt(w @ self.covariance @ w)
 
     def area(self, command: float) -> tuple[float, float]:
         """Area [m2] of the first opening at a command [V] behind the foot, and its standard deviation."""
@@ -453,20 +418,18 @@ def fit_line(
     count = int(group.max()) + 1
     area = s.effective(c)[0]
     slope, level = np.polyfit(v, area, 1, w=1 / nodes.error)
-    scales = {f"slope{g}": float(slope) for g in range(count)} | {f"start{g}": 1.0 for g in range(count)}
-    start = dict.fromkeys(scales, 1.0) | {f"start{g}": float(-level / slope) for g in range(count)}
-    priors: dict[str, tuple[float, float]] = {}
-    scales["zero"], start["zero"] = known.zero, 0.0
-    if not any_zero:
-        priors["zero"] = (0.0, known.zero_sd)
+    # name -> scale, start over the scale, mean and standard deviation of the prior
+    unknowns = {f"slope{g}": (float(slope), 1.0, 0.0, math.inf) for g in range(count)}
+    unknowns |= {f"start{g}": (1.0, float(-level / slope), 0.0, math.inf) for g in range(count)}
+    unknowns["zero"] = known.zero, 0.0, 0.0, math.inf if any_zero else known.zero_sd
     if known.flow_zero:
-        scales["flow_zero"], start["flow_zero"] = known.flow_zero, 0.0
-        priors["flow_zero"] = (0.0, known.flow_zero)
+        unknowns["flow_zero"] = known.flow_zero, 0.0, 0.0, known.flow_zero
     if foot or known.rounding.sd:
-        scales["rounding"], start["rounding"] = 1.0, float(np.clip(known.rounding.value, 0.01, 1.9))
-        if not foot:
-            priors["rounding"] = (known.rounding.value, known.rounding.sd or 0.0)
-    names, scale = tuple(scales), np.array(list(scales.values()))
+        width, sd = known.rounding.value, math.inf if foot else known.rounding.sd or 0.0
+        unknowns["rounding"] = 1.0, float(np.clip(width, 0.01, 1.9)), width, sd
+    names = tuple(unknowns)
+    scale, start, mean, prior = np.array(list(unknowns.values())).T
+    told = np.isfinite(prior)
 
     def residual(x: Array) -> Array:
         p = dict(zip(names, x * scale, strict=True))
@@ -474,16 +437,16 @@ def fit_line(
         w = max(p.get("rounding", known.rounding.value), ROUNDING[0])
         measured = s.effective(c, p["zero"], p.get("flow_zero", 0.0))[0]
         left = (measured - _law((slopes, starts, w), v)) / nodes.error
-        return np.append(left, [(p[n] - m) / sd for n, (m, sd) in priors.items()])
+        return np.append(left, ((x * scale - mean) / prior)[told])
 
     largest = 0.4 * float(s.drop.min()) / known.zero
     limits = {"rounding": ROUNDING, "zero": (-largest, largest)}
     bounds = np.array([limits.get(n, (-np.inf, np.inf)) for n in names]).T
-    fit = optimize.least_squares(residual, [start[n] for n in names], "3-point", bounds, **SEARCH)
+    fit = optimize.least_squares(residual, start, "3-point", bounds, **SEARCH)
     found, r, jacobian = fit.x, fit.fun, fit.jac
     chi_square, freedom = float(r @ r), r.size - len(names)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * np.outer(scale, scale)
-    p = float(stats.chi2.sf(chi_square, freedom)) if freedom > 0 else 1.0
+    p = _tail(chi_square, freedom)
     if nodes.command.size > 4 and count == 1:  # a smooth deviation is tested apart from single steps
         x = v / v.max()
         smooth = np.zeros((r.size, 2))
@@ -509,7 +472,7 @@ def line(nodes: Nodes, c: ValveConstants, known: Priors, *, any_zero: bool = Fal
     free, sharp = fit_line(nodes, c, known, any_zero=any_zero, foot=True), with_rounding(ROUNDING[0])
     better = fixed.chi_square - min(free.chi_square, sharp.chi_square)
     as_known = _tail(better, 1)
-    certain = free.sd("rounding") < DETERMINED * free["rounding"] and free["rounding"] < 0.99 * ROUNDING[1]
+    certain = free.determined("rounding") and free["rounding"] < 0.99 * ROUNDING[1]
     if certain and sharp.chi_square - free.chi_square > CERTAIN**2:
         return replace(free, as_known=as_known)
     if better < CERTAIN**2:
@@ -590,8 +553,8 @@ def curve(
     """
     random = np.random.default_rng(0)
     v = nodes.command[nodes.command < c.full_command * (1 + SAME)]
-    shut = steps.shut()
-    inside = [*v, *shut.command[shut.command < c.full_command], 0.02]
+    bounds = np.column_stack(steps.idle(c))
+    inside = [*v, *bounds[bounds[:, 0] < c.full_command, 0], 0.02]
     grid = np.unique(np.round([*np.linspace(0.0, c.full_command, GRID), *inside], 6))
     between = (grid >= v[0] - 1e-6) & (grid <= v[-1] + 1e-6)
     if fitted:
@@ -611,15 +574,16 @@ def curve(
     slope = np.maximum(first - bend, 0.3 * first)
     below, above = grid < v[0] - 1e-6, grid > v[-1] + 1e-6
     if not fitted or "rounding" not in fitted.names:
-        bounds = shut.idle_area(c)
-        area = np.maximum(values[:, 0], 1e-6 * nodes.area.max())  # noise may leave none
-        foot = _Foot(v[0], area, np.maximum(slope, 1e-3 * area / v[0]), exponents, bounds)
-        draws[:, below], starts = foot.draws(grid[below], random)
+        least = 1e-6 * nodes.area.max()  # noise may leave none
+        area = np.maximum(values[:, 0], least)
+        slope = np.maximum(slope, 1e-3 * area / v[0])
+        starts = _starts(v[0], area, slope, exponents, bounds[bounds[:, 0] < v[0]], random)
+        largest = [np.min(bounds[bounds[:, 0] >= x, 1], initial=np.inf) for x in grid[below]]
+        draws[:, below] = np.minimum(_powers(v[0], area, slope, starts, grid[below]), largest)
         if not fitted:
             start = float(np.median(starts))
-            area = np.maximum(middle[between][:1], 1e-6 * nodes.area.max())
-            one = replace(foot, area=area, slope=np.atleast_1d(np.median(foot.slope)))
-            middle[below] = one.at(grid[below], np.array([start]))[0]
+            one = np.maximum(middle[between][:1], least), np.median(slope, keepdims=True), np.array([start])
+            middle[below] = np.minimum(_powers(v[0], *one, grid[below])[0], largest)
     last = np.diff(values[:, -2:], axis=1) / (v[-1] - v[-2])
     way = grid[above] - v[-1]
     draws[:, above] = values[:, -1:] + random.uniform(0.0, 2.0, (DRAWS, 1)) * last * way
@@ -647,47 +611,37 @@ def _kinked(v: Array, values: Array, grid: Array, random: np.random.Generator) -
     return np.asarray(low + random.uniform(size=(len(values), v.size - 1))[:, j] * (high - low))
 
 
-@dataclass(frozen=True)
-class _Foot:
-    """Openings below the lowest node: powers with their area and slope there.
+def _powers(first: float, area: Array, slope: Array, start: Array, grid: Array) -> Array:
+    """Openings (n, k) that begin at `start` and have area and slope, (n,) each, at the lowest node."""
+    length = first - start[:, None]
+    exponent = length * (slope / area)[:, None]
+    share = np.clip((grid - start[:, None]) / length, 0.0, None)
+    return np.asarray(area[:, None] * np.where(share > 0, share**exponent, 0.0))
 
-    first          command of the node
-    area, slope    there, shape (n,)
-    exponents      least and largest exponent
-    bounds         commands and largest areas of steps without a flow, shape (m, 2)
+
+def _starts(
+    first: float,
+    area: Array,
+    slope: Array,
+    exponents: tuple[float, float],
+    bounds: Array,
+    random: np.random.Generator,
+) -> Array:
+    """Starts of `_powers` that the bounds below the lowest node allow; without any the latest.
+
+    exponents   least and largest exponent
+    bounds      commands and largest areas of steps without a flow, shape (m, 2)
     """
-
-    first: float
-    area: Array
-    slope: Array
-    exponents: tuple[float, float]
-    bounds: Array
-
-    def at(self, grid: Array, start: Array) -> Array:
-        """Areas of powers that begin at `start`, not above the bounds."""
-        length = self.first - start[:, None]
-        exponent = length * (self.slope / self.area)[:, None]
-        share = np.clip((grid - start[:, None]) / length, 0.0, None)
-        powers = self.area[:, None] * np.where(share > 0, share**exponent, 0.0)
-        largest = [np.min(self.bounds[self.bounds[:, 0] >= x, 1], initial=np.inf) for x in grid]
-        return np.asarray(np.minimum(powers, largest))
-
-    def draws(self, grid: Array, random: np.random.Generator) -> tuple[Array, Array]:
-        """Areas of powers that the bounds allow, and their starts; without any the nearest."""
-        tangent = self.area / self.slope
-        longest = self.first / tangent  # the exponent that begins at zero command
-        low, high = self.exponents
-        high_of = np.where(longest < UNDERLAP, UNDERLAP, np.minimum(high, longest))
-        start = self.first - low * tangent
-        free: Mask = np.ones(start.size, dtype=bool)
-        rows = self.bounds[self.bounds[:, 0] < self.first]
-        unbound = replace(self, bounds=np.empty((0, 2)))
-        for _ in range(8):
-            exponent = low + (high_of - low) * random.uniform(size=start.size)
-            start = np.where(free, self.first - exponent * tangent, start)
-            free = np.asarray((unbound.at(rows[:, 0], start) > rows[:, 1]).any(axis=1))
-        latest = self.first - low * tangent
-        return self.at(grid, np.where(free, latest, start)), np.where(free, latest, start)
+    tangent, (low, high) = area / slope, exponents
+    longest = first / tangent  # the exponent that begins at zero command
+    high_of = np.where(longest < UNDERLAP, UNDERLAP, np.minimum(high, longest))
+    latest = start = first - low * tangent
+    free: Mask = np.ones(start.size, dtype=bool)
+    for _ in range(8):
+        exponent = low + (high_of - low) * random.uniform(size=start.size)
+        start = np.where(free, first - exponent * tangent, start)
+        free = np.asarray((_powers(first, area, slope, start, bounds[:, 0]) > bounds[:, 1]).any(axis=1))
+    return np.where(free, latest, start)
 
 
 def simultaneous_band(draws: Array) -> tuple[Array, Array]:
@@ -800,17 +754,14 @@ def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Opening
     edges = steps.edges
     found_again = {e: r for e in edges if (r := repeated(steps.of(e), c, known))}
     drifting = {
-        e: r for e, r in found_again.items() if "drift" in r.effects and r.probability("drift") < UNLIKELY
+        e: r for e, r in found_again.items() if "drift" in r.names and r.probability("drift") < UNLIKELY
     }
-    largest = max((abs(r.effects["drift"][0]) for r in drifting.values()), default=0.0)
+    largest = max((abs(r["drift"]) for r in drifting.values()), default=0.0)
     steps, known = without_drift(steps, drifting), replace(known, drift=largest)
     zero, zero_sd = zero_by_pressures(found_again.values(), known)
     corrected = steps.without_zero(zero)
-    measured, nodes = ({e: Nodes.of(some.of(e), c) for e in edges} for some in (steps, corrected))
-    scatter = max(n.scattered() for n in nodes.values())
-    measured, nodes = (
-        {e: replace(n, scatter=scatter) for e, n in each.items()} for each in (measured, nodes)
-    )
+    scatter = max(Nodes.of(corrected.of(e), c).scattered() for e in edges)
+    measured, nodes = ({e: Nodes.of(some.of(e), c, scatter) for e in edges} for some in (steps, corrected))
     any_zero = {e: line(n, c, known, any_zero=True) for e, n in measured.items()}
     lines = {e: line(n, c, known) for e, n in measured.items()}
     for e, free in any_zero.items():  # a zero outside its declaration is named, and used
@@ -823,7 +774,7 @@ def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Opening
     )
     if found.straight:
         return _straight(replace(found, nodes=measured), scatter)
-    pooled = replace(Nodes.of(corrected, c), scatter=scatter)
+    pooled = Nodes.of(corrected, c, scatter)
     equal = _tail(*_difference(nodes.values(), pooled))
     rises = {e: p >= UNLIKELY for e, (p, _) in falling.items()}
     if equal > UNLIKELY:
@@ -836,7 +787,7 @@ def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Opening
 def _straight(found: Openings, scatter: float) -> Openings:
     """The straight line of all edges together, unless they differ or are open at zero command."""
     steps, c, known, edges = found.steps, found.constants, found.known, found.steps.edges
-    pooled = replace(Nodes.of(steps, c), scatter=scatter)
+    pooled = Nodes.of(steps, c, scatter)
     group = np.array([edges.index(str(e)) for e in pooled.steps.edge])
     any_common = any(found.lines[e] is found.any_zero[e] for e in edges)
     common = line(pooled, c, known, any_zero=any_common)

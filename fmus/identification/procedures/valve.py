@@ -18,13 +18,12 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from fmus.identification.balance import probability
+from fmus.identification.balance import UNLIKELY, probability
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.experiment_data import STEP_SIGNALS, select
+from fmus.identification.procedures.experiment_data import STEP_SIGNALS
 from fmus.identification.procedures.openings import (
     CERTAIN,
     SAME,
-    UNLIKELY,
     Line,
     Nodes,
     OpeningCurve,
@@ -88,7 +87,7 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
     if readings:
         weight = [error**-2.0 for _, error in readings]
         flow_zero, sd = float(np.average([q for q, _ in readings], weights=weight)), sum(weight) ** -0.5
-    steps = select(steps, steps.command > SAME * c.full_command)
+    steps = steps[steps.command > SAME * c.full_command]
     steps = _opened(replace(steps, flow=steps.flow - flow_zero), c)
     for edge in steps.edges:
         own = steps.of(edge)
@@ -203,20 +202,18 @@ def closed_reading(steps: ValveSteps, c: ValveConstants) -> tuple[float, float] 
 
     None if less than two commands have it, or a meter in its dead zone shows nothing.
     """
-    s = select(
-        steps, (steps.good | steps.dead) & np.isfinite(steps.flow + steps.drop) & (steps.flow_error > 0)
-    )
-    order = np.argsort(s.command)
-    flow = (s.flow - c.leakage * (2 * s.drop - s.supply_drop))[order]
-    raw, error, command = s.flow[order], s.flow_error[order], s.command[order]
-    last = np.flatnonzero(np.diff(command) > SAME * c.full_command)  # of each command but the highest
+    told = np.isfinite(steps.flow + steps.drop) & (steps.flow_error > 0)
+    s = steps[(steps.good | steps.dead) & told]
+    s = s[np.argsort(s.command)]
+    flow = s.flow - c.leakage * (2 * s.drop - s.supply_drop)
+    last = np.flatnonzero(np.diff(s.command) > SAME * c.full_command)  # of each command but the highest
     found = None
     for k in last + 1:
-        weight = error[:k] ** -2.0
+        weight = s.flow_error[:k] ** -2.0
         mean = float(np.average(flow[:k], weights=weight))
         if stats.chi2.sf(float(weight @ (flow[:k] - mean) ** 2), k - 1) < UNLIKELY:
             break
-        if k > last[0] + 1 and raw[:k].any():
+        if k > last[0] + 1 and s.flow[:k].any():
             found = mean, float(weight.sum() ** -0.5)
     return found
 
@@ -307,7 +304,7 @@ def _underlap(edge: str, nodes: Nodes, line: Line | None) -> Test:
 def _idle(edge: str, found: Openings) -> Iterator[Test]:
     """Steps at which the meter reads nothing, from the highest command on, although the opening is open."""
     curve, nodes = found.curves[edge], found.nodes[edge]
-    command, bound = found.steps.of(edge).shut().idle_area(found.constants).T
+    command, bound = found.steps.of(edge).idle(found.constants)
     # below the lowest node the least area is that of the steepest start
     lowest, latest = nodes.command[0], float(curve.start.max())
     steep = np.clip((command - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
@@ -350,22 +347,21 @@ def _noise(recording: Recording, c: ValveConstants) -> Iterator[Test]:
 
 def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, Test]]:
     """Tests of steps with one command: after a rising against a falling one, against time, and the rest."""
-    effects = {name: value for name, (value, _) in found.effects.items()}
-    if "lag" in effects:
+    if "lag" in found.names:
         size, unit = (1, "V of the command") if found.by_command else (100, "% of the flow")
-        lag = f"valve {edge}: after a rising command the opening lags by {size * effects['lag']:.2g} {unit}"
+        lag = f"valve {edge}: after a rising command the opening lags by {size * found['lag']:.2g} {unit}"
         yield "hysteresis", (found.probability("lag"), f"{lag}, against a falling one.")
         way = f"{found.span:.2g} degrees of temperature" if found.warm else f"{found.span:.2g} s"
-        drift = f"the area at the same command changes by {100 * effects['drift']:.2g} % over {way}."
+        drift = f"the area at the same command changes by {100 * found['drift']:.2g} % over {way}."
         yield "oil temperature", (found.probability("drift"), f"valve {edge}: {drift}")
-    if "zero" in effects:
-        (zero, sd), bar = found.effects["zero"], BAR[1]
+    if "zero" in found.names:
+        zero, bar = found["zero"], BAR[1]
         sentence = (
             f"valve {edge}: the area does not depend on the pressures if their zeros differ by "
             f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
         )
-        yield "zero of a pressure sensor", (probability(zero, sd, limit), sentence)
-    times = (found.chi_square / found.freedom) ** 0.5
+        yield "zero of a pressure sensor", (probability(zero, found.sd("zero"), limit), sentence)
+    times = found.times_noise
     uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
     yield "model", (float(stats.chi2.sf(found.chi_square / UNEVEN**2, found.freedom)), uneven)
 

@@ -1,14 +1,15 @@
 """Remarks and panels of the valve procedure (Fig. 5): C_R, opening with its band, the paper's polynomials."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 import statsmodels.api as sm
 from numpy.polynomial import Polynomial
 
-from fmus.identification.procedures.experiment_data import pressure_offset_remark, select
-from fmus.identification.procedures.openings import SAME, UNLIKELY, OpeningCurve, Openings, ValveSteps
+from fmus.identification.balance import UNLIKELY
+from fmus.identification.procedures.experiment_data import pressure_offset_remark
+from fmus.identification.procedures.openings import SAME, OpeningCurve, Openings, ValveSteps
 from fmus.identification.results import BAR, LITRES_PER_MINUTE, Curve, Estimate, Panel
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
@@ -22,14 +23,14 @@ def remarks(steps: ValveSteps, found: Openings, zero: Estimate, declared: bool) 
 
     declared   whether the zero of the flow meter is declared
     """
-    good, dead, c = steps.measured(), select(steps, steps.dead), found.constants
+    good, dead, c = steps[steps.good], steps[steps.dead], found.constants
     if dead.command.size:
         yield (
             f"{dead.command.size} of {steps.command.size} steps, up to {dead.command.max():.3g} V, are "
             "masked: the flow is in the dead zone of the meter, the flat region of Fig. 5. The curve in this "
             "region is extrapolated."
         )
-    if omissions := select(steps, ~steps.dead).omissions():
+    if omissions := steps[~steps.dead].omissions():
         yield f"Other steps are left out: {omissions}."
     yield from _line_or_curve(found)
     for edge, nodes in found.nodes.items():
@@ -39,10 +40,10 @@ def remarks(steps: ValveSteps, found: Openings, zero: Estimate, declared: bool) 
                 "is extrapolated. Hold the full command twice in such an experiment."
             )
     yield _edges_remark(found)
-    for edge, steps_of in _by_curve(good, found.curves).items():
-        label = f"{edge}: " if edge else ""
-        yield label + _polynomial_remark(steps_of, c.full_command)
-        yield label + _logarithm_remark(steps_of)
+    for label, steps_of, _ in _by_curve(good, found):
+        prefix = f"{label}: " if label else ""
+        yield prefix + _polynomial_remark(steps_of, c.full_command)
+        yield prefix + _logarithm_remark(steps_of)
     yield from pressure_offset_remark(zero)
     density = ", ".join(f"{x:.4g}" for x in np.unique(steps.density))
     yield f"Known: C_d = {c.discharge_coefficient:.4g}, density {density} kg/m3."
@@ -155,57 +156,45 @@ def impossible(curve: Polynomial, x: Array) -> Mask:
 
 def panels(steps: ValveSteps, found: Openings) -> tuple[Panel, ...]:
     """C_R with the fit, K = Q/sqrt(dp) with masked steps, C_R with the paper's polynomials, residual."""
-    good, c = steps.measured(), found.constants
-    groups = _by_curve(good, found.curves)
-    own = list(found.distinct().values())
-    lines: list[Curve] = []
-    polynomials: list[Curve] = []
-    for (edge, group), curve in zip(groups.items(), own, strict=True):
-        opened = np.linspace(group.command.min(), c.full_command, 400)
-        label = f"fit, eq. (2): {edge}" if edge else "fit, eq. (2)"
+    good, dead, c = steps[steps.good], steps[steps.dead & (steps.drop > 0)], found.constants
+    lines, polynomials = list[Curve](), list[Curve]()
+    # K is straight above the foot of a straight opening, so it also shows the dead band
+    root, gain = np.sqrt(good.drop), c.discharge_coefficient * math.sqrt(2 / c.density)
+    gains = [
+        Curve("measured", good.command, good.flow / root, error=good.flow_error / root),
+        Curve("masked: dead zone of the meter", dead.command, dead.flow / np.sqrt(dead.drop), "masked"),
+    ]
+    for name, group, curve in _by_curve(good, found):
+        opened, label = np.linspace(group.command.min(), c.full_command, 400), f": {name}" if name else ""
         area = np.interp(opened, curve.command, curve.area)
-        lines.append(Curve(label, opened, c.resistance(area), "fit", line=True))
+        lines.append(Curve(f"fit, eq. (2){label}", opened, c.resistance(area), "fit", line=True))
         polynomials += _polynomials(group)
+        band = "95 % band" if len(gains) == 2 else ""
+        gains.append(Curve(f"fit{label}", curve.command, gain * curve.area, "fit", line=True))
+        for end, text in ((curve.low, band), (curve.high, "")):
+            gains.append(Curve(text, curve.command, gain * end, "corrected", line=True))
     measured = Curve("measured", good.command, good.resistance)
-    by_edge = [(e, s.of(e)) for s in (good,) for e in found.curves]
-    points = [Curve(e, s.command, s.resistance, error=s.resistance_error) for e, s in by_edge]
-    residuals = []
-    for edge, s in by_edge:
+    points, residuals = list[Curve](), list[Curve]()
+    for edge, curve in found.curves.items():
+        s = good.of(edge)
+        points.append(Curve(edge, s.command, s.resistance, error=s.resistance_error))
         area, by_drop, by_flow = s.effective(c)
         error = np.hypot(s.flow_error, by_drop / by_flow * s.drop_error)
-        left = (area - np.interp(s.command, found.curves[edge].command, found.curves[edge].area)) / by_flow
+        left = (area - np.interp(s.command, curve.command, curve.area)) / by_flow
         residuals.append(Curve(edge, s.command, left, error=error))
     return (
         Panel(COMMAND, RESISTANCE, (*points, *lines), "Resistance of each edge", log=True),
-        _gain_panel(good, select(steps, steps.dead & (steps.drop > 0)), found, own, list(groups)),
+        Panel(COMMAND, "K = Q / sqrt(dp) [m3/(s.Pa^0.5)]", tuple(gains), "Opening, as it was fitted"),
         Panel(COMMAND, RESISTANCE, (measured, *lines, *polynomials), "The paper's polynomial for comparison"),
         Panel(COMMAND, "flow, measured - fitted", tuple(residuals), "Residual", y_unit=LITRES_PER_MINUTE),
     )
 
 
-def _gain_panel(
-    good: ValveSteps, dead: ValveSteps, found: Openings, own: list[OpeningCurve], names: list[str]
-) -> Panel:
-    """K = Q/sqrt(dp), straight above the foot of a straight opening, so it also shows the dead band."""
-    root, c = np.sqrt(good.drop), found.constants
-    gain = c.discharge_coefficient * math.sqrt(2 / c.density)
-    curves = [
-        Curve("measured", good.command, good.flow / root, error=good.flow_error / root),
-        Curve("masked: dead zone of the meter", dead.command, dead.flow / np.sqrt(dead.drop), "masked"),
-    ]
-    for k, (name, curve) in enumerate(zip(names, own, strict=True)):
-        label = f"fit: {name}" if name else "fit"
-        curves.append(Curve(label, curve.command, gain * curve.area, "fit", line=True))
-        for end, text in ((curve.low, "95 % band" if not k else ""), (curve.high, "")):
-            curves.append(Curve(text, curve.command, gain * end, "corrected", line=True))
-    return Panel(COMMAND, "K = Q / sqrt(dp) [m3/(s.Pa^0.5)]", tuple(curves), "Opening, as it was fitted")
-
-
-def _by_curve(good: ValveSteps, curves: Mapping[str, OpeningCurve]) -> dict[str, ValveSteps]:
-    """Steps of the edges that have one curve together; the name is "" if all have."""
-    if len({id(curve) for curve in curves.values()}) == 1:
-        return {"": good}
-    return {edge: good.of(edge) for edge in curves}
+def _by_curve(good: ValveSteps, found: Openings) -> list[tuple[str, ValveSteps, OpeningCurve]]:
+    """Edges that have one curve together, with their steps and the curve; the name is "" if all have."""
+    if len(distinct := found.distinct()) == 1:
+        return [("", good, found.common)]
+    return [(edge, good.of(edge), curve) for edge, curve in distinct.items()]
 
 
 def _polynomials(good: ValveSteps) -> tuple[Curve, ...]:

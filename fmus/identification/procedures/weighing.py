@@ -25,18 +25,7 @@ import numpy as np
 from fmus.identification import balance
 from fmus.identification.balance import Solution
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.momentum_balance import (
-    ANGLES,
-    DRY,
-    JOINTS,
-    OFFSET,
-    PARAMETERS,
-    PRESSURES,
-    JointRecording,
-    joint_recording,
-    parameter_vector,
-    torque_panels,
-)
+from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -44,7 +33,9 @@ from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
 JOINT = "boom"
-SIGNALS: Mapping[str, str] = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(PRESSURES[JOINT], "Pa")
+SIGNALS: Mapping[str, str] = dict.fromkeys(momentum.ANGLES, "rad") | dict.fromkeys(
+    momentum.PRESSURES[JOINT], "Pa"
+)
 HEAD, DAMPING = "manipulator.head_mass", f"manipulator.{JOINT}_piston_damping"
 CONDITION = "payload"
 WINDOW = 0.6  # s: longer than by default, because the motion is slow
@@ -61,7 +52,7 @@ class Weighed:
     `plain`, the fit without zeros, and the zeros that the data sheets allow are in their intervals.
     """
 
-    records: tuple[JointRecording, ...]
+    records: tuple[momentum.JointRecording, ...]
     solution: Solution
     plain: Solution
     head: float
@@ -94,7 +85,9 @@ class Weighed:
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """The payload of each recording that is not one of the empty head."""
-    weighed = weigh(data.training_recordings(recordings, "weighing", SIGNALS), parameter_vector(parameters))
+    weighed = weigh(
+        data.training_recordings(recordings, "weighing", SIGNALS), momentum.parameter_vector(parameters)
+    )
     fit, tares = weighed.solution.fit, len(weighed.tares)
     how = "moments of the boom's cylinder, " + (
         f"less the tare of {tares} recording{'s' * (tares > 1)}"
@@ -117,7 +110,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
                 for value, sd in [weighed.payload(k)]
             ),
             fit.estimate("viscous friction, further unknown", "N.s/m", how, DAMPING),
-            fit.estimate("dry friction, further unknown", "N", how, DRY),
+            fit.estimate("dry friction, further unknown", "N", how, momentum.DRY),
         ),
         findings=(
             balance.drift_finding(weighed.solution, DAMPING, courses, "weighing: friction"),
@@ -131,25 +124,31 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
 def weigh(recordings: Sequence[Recording], p: Array) -> Weighed:
     """Masses and friction of all recordings together; Problem if the boom does not move up and down."""
     records = [
-        joint_recording(r, (JOINT,), (HEAD, DAMPING), p, window=WINDOW, slow=SLOW, rounding=SIGN_ROUNDING)
+        momentum.joint_recording(
+            r, (JOINT,), (HEAD, DAMPING), p, window=WINDOW, slow=SLOW, rounding=SIGN_ROUNDING
+        )
         for r in recordings
     ]
     for record in records:
         _check_motion(record)
     names = [f"payload[{r.source.stem}]" for r in recordings]
-    head = float(p[PARAMETERS.index(HEAD)])
+    head = float(p[momentum.PARAMETERS.index(HEAD)])
     samples = [
         replace(r.samples, names=(n, *r.samples.names[1:])) for r, n in zip(records, names, strict=True)
     ]
-    start = dict.fromkeys(names, head) | {DAMPING: 0.0, DRY: 0.0, OFFSET: 0.0}
-    limits = {n: max(data.zero_limit(r, n) for r in recordings) for n in PRESSURES[JOINT]}
-    solution = balance.solve(samples, start, "weighing", limits, tested=(OFFSET,))
-    plain = balance.solve(samples, start, "weighing", tested=(OFFSET,)) if solution.fit.misfit else solution
+    start = dict.fromkeys(names, head) | {DAMPING: 0.0, momentum.DRY: 0.0, momentum.OFFSET: 0.0}
+    limits = {n: max(data.zero_limit(r, n) for r in recordings) for n in momentum.PRESSURES[JOINT]}
+    solution = balance.solve(samples, start, "weighing", limits, tested=(momentum.OFFSET,))
+    plain = (
+        balance.solve(samples, start, "weighing", tested=(momentum.OFFSET,))
+        if solution.fit.misfit
+        else solution
+    )
     return Weighed(tuple(records), solution, plain, head)
 
 
-def _check_motion(record: JointRecording) -> None:
-    speed = record.z[3 + JOINTS.index(JOINT)][record.samples.centres]
+def _check_motion(record: momentum.JointRecording) -> None:
+    speed = record.z[3 + momentum.JOINTS.index(JOINT)][record.samples.centres]
     up, down = float(np.sum(np.maximum(speed, 0.0))), float(np.sum(np.maximum(-speed, 0.0)))
     if min(up, down) < BOTH_WAYS * (up + down) or not up + down:
         raise Problem(
@@ -159,7 +158,7 @@ def _check_motion(record: JointRecording) -> None:
 
 
 def _remarks(weighed: Weighed, loaded: Sequence[int]) -> Iterator[str]:
-    fit, zeros = weighed.solution.fit, weighed.solution.zeros
+    fit, limits = weighed.solution.fit, weighed.solution.limits
     if not loaded:
         yield f"All recordings are of the empty head ({CONDITION} = 0): there is no payload to weigh."
     for k in loaded:
@@ -170,7 +169,7 @@ def _remarks(weighed: Weighed, loaded: Sequence[int]) -> Iterator[str]:
         if not weighed.tares:
             yield (
                 f"{fit.names[k]}: there is no recording of the empty head, so errors of the arm's masses are "
-                f"not compensated; zeros of {', '.join(zeros)} are part of the interval, {sd:.2g} kg."
+                f"not compensated; zeros of {', '.join(limits)} are part of the interval, {sd:.2g} kg."
             )
     for k in weighed.tares:
         yield (
@@ -185,4 +184,6 @@ def _panels(weighed: Weighed, k: int) -> tuple[Panel, Panel]:
     by_mass = -linear.by_theta[0, 0] * (weighed.solution.fit.values[k] - weighed.head)
     measured = Curve("measured, filtered, without friction", by_mass, by_mass + linear.e[0])
     fit, title = Curve("by the mass", by_mass, by_mass, "fit"), record.source.source.stem
-    return torque_panels(("time", "moment of the mass"), title, record, measured, fit, "measured - fit")
+    return momentum.torque_panels(
+        ("time", "moment of the mass"), title, record, measured, fit, "measured - fit"
+    )
