@@ -1,10 +1,9 @@
 """The lumped machine moved joint by joint, integrated tightly, and what instruments make of it."""
 
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
-from identification.procedures.bench import measured
+from identification.procedures.bench import recorded
 
 from fmus.identification.procedures.momentum_balance import (
     ALL_PRESSURES,
@@ -15,7 +14,7 @@ from fmus.identification.procedures.momentum_balance import (
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
 from fmus.parameters import complete
-from orchestrator.data.recording import Recording, Sensor
+from orchestrator.data.recording import Sensor
 
 STEP, REST = 0.005, 1.0  # 200 Hz as the paper's, at rest at first
 KNOWN = {f"{s.name}.{n}": v for s in SUBSYSTEMS.values() for n, v in complete(s)["parameters"].items()}
@@ -68,16 +67,7 @@ def motion_of(*joints, length=16.0):
 def recording(*joints, seed=None, encoder=ENCODER, pressure=PRESSURE, length=16.0):
     """A recording of the machine; without a seed the instruments are perfect."""
     time, signals = motion_of(*joints, length=length)
-    sensors = {n: encoder if n in ANGLES else pressure for n in signals}
-    if seed is not None:
-        rng = np.random.default_rng(seed)
-        signals = {n: measured(sensors[n], x, rng) for n, x in signals.items()}
-    return Recording(
-        Path(f"damping_{joints[0]}.csv"),
-        time,
-        signals,
-        UNITS,
-        procedure="damping" if len(joints) == 1 else "machine",
-        conditions={"joint": joints[0]},
-        sensors=sensors if seed is not None else {},
-    )
+    sensors = {} if seed is None else {n: encoder if n in ANGLES else pressure for n in signals}
+    procedure = "damping" if len(joints) == 1 else "machine"
+    conditions = {"joint": joints[0]}
+    return recorded(f"damping_{joints[0]}", time, signals, UNITS, sensors, seed, procedure, conditions)

@@ -2,20 +2,18 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from identification.procedures.bench import assert_coverage, changed, measured, named
-from identification.procedures.lumped_machine import KNOWN
+from identification.procedures.bench import assert_coverage, changed, named, recorded
+from identification.procedures.lumped_machine import KNOWN, PRESSURE
 from kit.mistakes import problem, table
 
 from fmus.identification.procedures.motor_leakage import identify
-from orchestrator.data.recording import Recording, Sensor
+from orchestrator.data.recording import Sensor
 
 R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3
 TRUTH = {"internal_leakage_resistance": R_IN, "external_leakage_resistance": R_EX}
-PRESSURE = Sensor("transducer", 1e4, 4e7 / 4096, 0.0, 4e7)
 METER = Sensor("gear meter", 5e-6 / 60, 1e-2 / 60 / 4096, -5e-3 / 60, 5e-3 / 60)
 SENSORS = {"pressure_a": PRESSURE, "pressure_b": PRESSURE, "flow_a": METER, "drain_flow": METER}
 UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"}
@@ -44,10 +42,9 @@ def recordings(seed=None, low=1e6, square=0.0, zero=0.0, tank=0.0):
         flow = d / R_IN + square * d * np.abs(d) + a / R_EX + CAPACITANCE * np.gradient(a, time)
         signals = {"pressure_a": a + tank, "pressure_b": b + tank, "flow_a": flow}
         signals["drain_flow"] = (a + b) / R_EX + zero
-        signals = {n: measured(sensors[n], x, random) for n, x in signals.items()}
-        about = {"procedure": "motor_leakage", "sensors": sensors}
-        about["conditions"] = {"shaft": "locked"} | ({"tank_pressure": tank} if tank else {})
-        found.append(Recording(Path(f"motor_leakage_{k + 1}.csv"), time, signals, UNITS, **about))
+        conditions = {"shaft": "locked"} | ({"tank_pressure": tank} if tank else {})
+        about = (UNITS, sensors, random, "motor_leakage", conditions)
+        found.append(recorded(f"motor_leakage_{k + 1}", time, signals, *about))
     return found
 
 

@@ -50,10 +50,8 @@ def gaps(r):
     """One sample in a hundred is missing, independently for each sensor."""
     random = np.random.default_rng(1)
 
-    def with_gaps(name, x):
-        return x if name == "command" else np.where(random.random(x.size) < 0.01, np.nan, x)
-
-    return with_signals(r, with_gaps)
+    lost = {n: random.random(r.time.size) < 0.01 for n in r.signals if n != "command"}
+    return bench.changed(r, {n: np.where(where, np.nan, r[n]) for n, where in lost.items()})
 
 
 def slower(r):
@@ -61,23 +59,16 @@ def slower(r):
     return rows(r, slice(None, None, 4))
 
 
-def offset(r):
-    """The transducer at the outlet reads 0.5 bar too much."""
-    return with_signals(r, lambda n, x: x + 5e4 if n == "pressure_out" else x)
-
-
-def turned(r):
-    """All flow meters count the other way."""
-    return with_signals(r, lambda n, x: -x if n.startswith("flow") else x)
+def offset(r, zero=0.5 * bench.BAR):
+    """The transducer at the outlet reads so much too much."""
+    return bench.changed(r, {"pressure_out": r["pressure_out"] + zero})
 
 
 CHANGES = {
     "gaps": gaps,
     "lost rows": lambda r: rows(r, np.random.default_rng(2).random(r.time.size) > 0.01),  # one in a hundred
     "undescribed sensors": lambda r: replace(r, sensors={}),
-    "undescribed dead zone": lambda r: replace(
-        r, sensors={n: replace(s, dead_zone=0.0) for n, s in r.sensors.items()}
-    ),
+    "undescribed dead zone": lambda r: bench.with_sensors(r, dead_zone=0.0),
     "offset": offset,
     "50 Hz": slower,
 }
@@ -130,9 +121,7 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
     """5 bar between two transducers of the class 0.05 bar: the zero ends there; a hose warns."""
 
     def far_off(r):
-        moved = with_signals(r, lambda n, x: x + 5e5 if n == "pressure_out" else x)
-        sensors = {n: replace(s, zero_error=declared * bench.BAR) for n, s in moved.sensors.items()}
-        return replace(moved, sensors=sensors)
+        return bench.with_sensors(offset(r, 5 * bench.BAR), zero_error=declared * bench.BAR)
 
     result = result_of(name, far_off)
     zero = next(e for e in result.others if e.name == "pressures without flow")
@@ -151,8 +140,8 @@ def test_residuals_far_above_the_noise_are_a_warning():
 
 
 IMPOSSIBLE = {
-    "meters turned": turned,
-    "one meter turned": lambda r: with_signals(r, lambda n, x: -x if n == "flow_out" else x),
+    "meters turned": lambda r: with_signals(r, lambda n, x: -x if n.startswith("flow") else x),
+    "one meter turned": lambda r: bench.changed(r, {"flow_out": -r["flow_out"]}),
     "50 Hz": slower,
     "at rest": lambda r: with_signals(r, lambda _, x: np.full_like(x, x[0])),
     "edge P-X": lambda r: replace(r, conditions={"edge": "P-X"}),

@@ -1,10 +1,8 @@
 """Payload from pressures: recordings by equations of the test, and those of both rigs."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from identification.procedures.bench import measured
+from identification.procedures.bench import BAR, recorded
 from identification.procedures.lumped_machine import ENCODER, KNOWN, PRESSURE, V, gravity
 from kit import shards
 
@@ -15,12 +13,10 @@ from fmus.identification.results import named
 from fmus.rig.experiments import WEIGHED, experiment
 from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording
 
 STICK = -1.2  # rad
 HEAD, ROD = "boom_stick.boom_head_pressure", "boom_stick.boom_rod_pressure"
 AREAS = np.pi / 4 * V["boom_bore"] ** 2, np.pi / 4 * (V["boom_bore"] ** 2 - V["boom_rod"] ** 2)  # m2
-BAR = 1e5
 
 
 def cylinder(boom):
@@ -42,7 +38,7 @@ def inertia(held):
 
 def recording(held, seed, name="loaded", zero=0.0, up_only=False, dry=2500.0, viscous=4e4):
     """The boom moves slowly to and fro: F J = G + I q'' + friction."""
-    rng, time = np.random.default_rng(seed), np.arange(6001) / 200
+    time = np.arange(6001) / 200
     phase = 2 * np.pi * time / 10
     boom = 0.2 + (0.002 * time if up_only else 0.08 * np.sin(phase))
     rate = np.gradient(boom, time, edge_order=2)
@@ -59,15 +55,8 @@ def recording(held, seed, name="loaded", zero=0.0, up_only=False, dry=2500.0, vi
         ROD: rod,
     }
     sensors = {n: PRESSURE if "pressure" in n else ENCODER for n in signals}
-    return Recording(
-        Path(f"{name}.csv"),
-        time,
-        {n: measured(sensors[n], x, rng) for n, x in signals.items()},
-        SIGNALS,
-        procedure="weighing",
-        conditions={"payload": 0.0} if "empty" in name else {},
-        sensors=sensors,
-    )
+    conditions = {"payload": 0.0} if "empty" in name else {}
+    return recorded(name, time, signals, SIGNALS, sensors, seed, "weighing", conditions)
 
 
 def payloads(*recordings):
