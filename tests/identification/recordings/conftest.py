@@ -54,9 +54,3 @@ def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **si
         conditions={"edge": "P-A"},
         sensors=sensors or {},
     )
-
-
-@pytest.fixture(name="recording", scope="session")
-def made():
-    """The function that returns a recording in memory."""
-    return recording

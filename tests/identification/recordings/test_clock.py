@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from identification.recordings.conftest import recording
 from kit.properties import examples
 
 from fmus.identification.recordings import clock
@@ -14,8 +15,11 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor, fill_gaps
 
 
-def test_short_gaps_are_bridged_by_straight_lines(recording):
-    """A ramp with gaps of up to 0.1 s is the ramp again; before its first sample a signal is constant."""
+def test_short_gaps_are_bridged_by_straight_lines_and_long_ones_refused():
+    """A ramp with gaps of up to 0.1 s is the ramp again; before its first sample a signal is constant.
+
+    The motion of a lever over half a second is not interpolated: its time is told.
+    """
     ramp = np.arange(200.0)
     holes = ramp.copy()
     holes[[50, *range(100, 119)]] = np.nan
@@ -24,9 +28,6 @@ def test_short_gaps_are_bridged_by_straight_lines(recording):
     holes[:3] = np.nan
     assert list(fill_gaps(recording(u=holes), "u")[:4]) == [3.0, 3.0, 3.0, 3.0]
 
-
-def test_a_long_gap_is_refused_with_its_time(recording):
-    """The motion of a lever over half a second is not interpolated."""
     holes = np.ones(400)
     holes[100:200] = np.nan
     with pytest.raises(Problem, match=r"u: expected gaps of at most 0\.1 s, got one from 0\.5 s to 0\.995 s"):
@@ -35,7 +36,7 @@ def test_a_long_gap_is_refused_with_its_time(recording):
         fill_gaps(recording(u=np.full(10, np.nan)), "u")
 
 
-def test_lost_rows_become_gaps(recording):
+def test_lost_rows_become_gaps():
     """Half a second of lost rows: a uniform clock with gaps, and the other samples unchanged."""
     made = recording(u=np.arange(400.0))
     assert clock.resample_uniformly(made) is made  # its clock is uniform
@@ -47,7 +48,7 @@ def test_lost_rows_become_gaps(recording):
     np.testing.assert_allclose(found["u"][~missing], made["u"][rows], atol=1e-6)  # rounding of stamps
 
 
-def test_a_fast_recording_is_thinned(recording):
+def test_a_fast_recording_is_thinned():
     """From 5 kHz to 500 Hz: commands are held, other signals filtered, the noise of the sensor is reduced."""
     rng = np.random.default_rng(4)
     t = np.arange(80_000) / 5000
@@ -65,7 +66,7 @@ def test_a_fast_recording_is_thinned(recording):
     assert clock.resample(made, 5000.0).sensor("x") == made.sensor("x")
 
 
-def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
+def test_a_slow_encoder_does_not_gain_by_the_filter():
     """A step of 1 and a turn of 20 steps in 4 s: the reported error is the remaining error."""
     t = np.arange(20_000) / 5000
     true = 5.0 * t
@@ -80,7 +81,7 @@ def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
 
 
 @given(rate=st.floats(20, 2000), slope=st.floats(-5, 5), jitter=st.floats(0, 0.2), seed=st.integers(0, 1000))
-def test_a_ramp_stays_a_ramp(recording, rate, slope, jitter, seed):
+def test_a_ramp_stays_a_ramp(rate, slope, jitter, seed):
     """Interpolation and filter are exact for a ramp, for any jitter of the old clock, which they remove."""
     made = recording(x=np.zeros(400))
     late = np.random.default_rng(seed).uniform(-jitter, jitter, 400) / 200
@@ -96,7 +97,7 @@ def test_a_ramp_stays_a_ramp(recording, rate, slope, jitter, seed):
     np.testing.assert_allclose(same["x"], 1 + slope * same.time, atol=1e-12 * (1 + abs(slope)))
 
 
-def test_what_is_above_half_the_new_rate_does_not_fold_back(recording):
+def test_what_is_above_half_the_new_rate_does_not_fold_back():
     """From 200 Hz to 50 Hz: 2 Hz passes, 40 Hz, with an alias at 10 Hz, is removed, 24 Hz is reduced."""
     t = np.arange(2000) / 200
     slow, fast = np.sin(2 * np.pi * 2 * t), np.sin(2 * np.pi * 40 * t)
@@ -115,7 +116,7 @@ def test_what_is_above_half_the_new_rate_does_not_fold_back(recording):
 
 
 @pytest.mark.parametrize("rate", [50.0, 200.0, 900.0])
-def test_gaps_stay_gaps(recording, rate):
+def test_gaps_stay_gaps(rate):
     """A missing value and a missing sample are gaps of the same length in the new clock."""
     values = np.arange(400.0)
     values[100:110] = np.nan
@@ -132,7 +133,7 @@ def test_gaps_stay_gaps(recording, rate):
     assert np.array_equal(np.isnan(found["y"])[sure], lost[sure])
 
 
-def test_going_down_uses_good_samples_only(recording):
+def test_going_down_uses_good_samples_only():
     """A clipped interval becomes a gap at a lower rate and is kept at a higher one."""
     values = 10 * np.sin(np.arange(800) / 50)
     made = recording(x=np.minimum(values, 8.0), sensors={"x": Sensor(high=8.0)})
@@ -142,14 +143,14 @@ def test_going_down_uses_good_samples_only(recording):
 
 
 @pytest.mark.parametrize("rate", [50.0, 200.0, 730.0])
-def test_commands_are_held(recording, rate):
+def test_commands_are_held(rate):
     """A step of a command stays a step, at the first new sample that is not earlier."""
     made = recording(u=np.repeat([0.0, 3.0], 100), x=np.zeros(200))
     found = clock.resample(made, rate, hold=["u"])
     assert np.array_equal(found["u"], np.where(found.time > 0.5 - 1e-7, 3.0, 0.0))
 
 
-def test_uniform_rate_refuses_a_clock_that_is_not_uniform(recording):
+def test_uniform_rate_refuses_a_clock_that_is_not_uniform():
     """Jitter beyond a twentieth of a period, or a missing sample, is refused with its time."""
     made = recording(x=np.zeros(100))
     assert clock.uniform_rate(made) == pytest.approx(200.0, rel=1e-12)
@@ -201,8 +202,11 @@ def test_gain_is_the_noise_of_a_simulation(window, degree, seed):
         assert found.std() == pytest.approx(used.gain(order), rel=0.18)
 
 
-def test_window_with_a_gap_gives_a_gap(recording):
-    """The result is missing for each window with a missing sample and at both ends, and nowhere else."""
+def test_window_with_a_gap_gives_a_gap():
+    """The result is missing for each window with a missing sample and at both ends, and nowhere else.
+
+    A cubic needs more than three samples: a shorter window is refused.
+    """
     values = np.sin(np.arange(200) / 20)
     values[100] = np.nan
     used = clock.filter_for(recording(x=values), 0.05)
@@ -211,28 +215,5 @@ def test_window_with_a_gap_gives_a_gap(recording):
     assert missing.tolist() == [*range(5), *range(95, 106), *range(195, 200)]
     assert np.isnan(used.apply(values[:10])).all()
 
-
-def test_window_that_is_too_short_is_refused(recording):
-    """A cubic needs more than three samples."""
     with pytest.raises(Problem, match=r"window of 0\.01 s at 200 Hz is 3 samples; expected 2 <= degree"):
         clock.filter_for(recording(x=np.zeros(50)), 0.01)
-
-
-def test_jitter_is_taken_off(recording):
-    """With time stamps up to a fifth of a period late, a line over true time is a line over the new clock."""
-    made = recording(u=np.zeros(400))
-    late = np.random.default_rng(2).uniform(0, 0.2, 400) / 200
-    time = made.time + late
-    found = clock.resample_uniformly(replace(made, time=time, signals={"u": 3 * time}))
-    assert clock.uniform_rate(found) > 0
-    np.testing.assert_allclose(found["u"], 3 * found.time, atol=1e-12)  # interpolation of a line: rounding
-
-
-def test_sensor_behind_the_filter_has_the_noise_that_is_left(recording):
-    """The noise of the new sensor is the standard deviation after the filter."""
-    rng = np.random.default_rng(1)
-    made = recording(x=rng.normal(0, 2.0, 80_000), sensors={"x": Sensor(noise=2.0)})
-    found = clock.resample(made, 20.0)
-    # 8000 samples: 1 / sqrt(16 000) = 0.8 %, four times that
-    assert found["x"].std() == pytest.approx(found.sensor("x").sd, rel=0.032)
-    assert clock.resample(made, 200.0).sensor("x") == made.sensor("x")

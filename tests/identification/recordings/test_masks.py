@@ -136,7 +136,10 @@ def test_stuck_samples_are_not_used(stop):
     usable = usable_samples(read, "pressure")
     assert not usable[990 : stop + 10].any()
     assert usable[:980].all()
-    assert "stuck at one value" in remarks(read)
+    told = remarks(read)
+    assert told.count("pressure: ") == 1
+    assert "stuck at one value" in told
+    assert "first at 5 s" in told
 
 
 @pytest.mark.parametrize(("size", "longest"), [(900, 3), (1050, 4)])

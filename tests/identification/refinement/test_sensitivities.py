@@ -8,7 +8,7 @@ import pytest
 from kit.mistakes import table
 from kit.toy import toy
 
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
+from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution, SimulationFailed
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 
@@ -44,6 +44,13 @@ def model(outputs: Sequence[str] = ("lag", "square"), tolerance: float = TOLERAN
     return CompiledModel(TOY, outputs, FREE, NUMBERS, tolerance)
 
 
+@pytest.fixture
+def whole() -> tuple[CompiledModel, np.ndarray, SegmentSolution]:
+    """The toy, a state, and the solution from there over the whole time."""
+    toy, x0 = model(), np.array([0.1, 0.8])
+    return toy, x0, toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
+
+
 def _lag(x0: complex, delay: complex, gain: complex) -> np.ndarray:
     """Response of the lag to a ramp from x0."""
     line = gain * (U0 + SLOPE * (TIME - delay))
@@ -68,10 +75,9 @@ def slope(x: np.ndarray, p: np.ndarray, direction: int) -> np.ndarray:
     return solution(both[:2], both[2:]).imag / 1e-30
 
 
-def test_outputs_and_all_their_derivatives_are_those_of_the_closed_form() -> None:
+def test_outputs_and_all_their_derivatives_are_those_of_the_closed_form(whole) -> None:
     """A lag and bilinear growth with a ramp, from any state: every sensitivity is right."""
-    toy, x0 = model(), np.array([0.1, 0.8])
-    piece = toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
+    toy, x0, piece = whole
     found = np.concatenate([piece.y_x, piece.y_p], axis=2)
     # error of the solver at a tolerance of 1e-9; it adds up over 2 s, in which the square grows tenfold
     assert piece.y == pytest.approx(solution(x0, toy.p0), rel=1e-7, abs=1e-7)
@@ -94,21 +100,20 @@ def test_the_start_is_that_of_the_subsystem() -> None:
     assert slopes == pytest.approx(expected, rel=1e-15)
 
 
-def test_what_the_outputs_do_not_depend_on_is_left_out() -> None:
+def test_what_the_outputs_do_not_depend_on_is_left_out(whole) -> None:
     """Only states and inputs with an effect remain; parameters of the initial state have zero columns."""
-    toy = model()
+    toy, _, piece = whole
     assert toy.states == ("lag", "size")
     assert toy.inputs == ("drive",)
-    piece = toy.segment(np.array([0.1, 0.8]), toy.p0, TIME, DRIVE[:, None])
     assert not piece.y_p[:, :, FREE.index("seed")].any()
     assert model(("total",)).states == ("lag", "total")
     assert model(("total",)).inputs == ("idle", "drive")
 
 
-def test_without_derivatives_the_outputs_are_the_same() -> None:
+def test_without_derivatives_the_outputs_are_the_same(whole) -> None:
     """Sensitivities do not change the steps."""
-    toy, x0 = model(), np.array([0.1, 0.8])
-    full, bare = (toy.segment(x0, toy.p0, TIME, DRIVE[:, None], with_) for with_ in (True, False))
+    toy, x0, full = whole
+    bare = toy.segment(x0, toy.p0, TIME, DRIVE[:, None], False)
     assert np.array_equal(full.y, bare.y)
     assert np.array_equal(full.x, bare.x)
     assert (full.steps, bare.y_p.size) == (bare.steps, 0)
