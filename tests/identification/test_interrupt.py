@@ -4,7 +4,6 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -23,21 +22,6 @@ AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
 WITHOUT_ZEROS = SimpleNamespace(outputs=())
 
 
-class Procedure:
-    """Estimates one parameter, or is interrupted."""
-
-    SIGNALS: ClassVar[dict[str, str]] = {}
-
-    def __init__(self, interrupted: bool) -> None:
-        self.interrupted = interrupted
-
-    def identify(self, *_: object) -> ProcedureResult:
-        """The valve."""
-        if self.interrupted:
-            raise KeyboardInterrupt
-        return ProcedureResult("valve", "Valve", 5, (AREA,), ())
-
-
 def interrupt(*_: object, **__: object) -> None:
     """Any function, interrupted."""
     raise KeyboardInterrupt
@@ -46,7 +30,9 @@ def interrupt(*_: object, **__: object) -> None:
 @pytest.fixture
 def quick(monkeypatch):
     """Only the valve, estimated without computation."""
-    monkeypatch.setattr(pipeline, "PROCEDURES", {"valve": Procedure(False)})
+    found = ProcedureResult("valve", "Valve", 5, (AREA,), ())
+    procedure = SimpleNamespace(SIGNALS={}, identify=lambda *_: found)
+    monkeypatch.setattr(pipeline, "PROCEDURES", {"valve": procedure})
     return monkeypatch
 
 
@@ -78,7 +64,7 @@ def test_an_interrupt_keeps_what_is_finished(quick, refine, restart, area):
 
 def test_an_interrupt_without_estimates_is_raised(quick):
     """Nothing is written, and an earlier file does not change."""
-    quick.setattr(pipeline, "PROCEDURES", {"valve": Procedure(True)})
+    quick.setattr(pipeline.PROCEDURES["valve"], "identify", interrupt)
     with pytest.raises(KeyboardInterrupt):
         identify([VALVE])
 

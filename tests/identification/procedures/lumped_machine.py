@@ -17,7 +17,7 @@ from fmus.machine.work_cycle import Move
 from fmus.parameters import complete
 from orchestrator.data.recording import Sensor
 
-STEP, REST = 0.005, 1.0  # 200 Hz as the paper's, at rest at first
+STEP = 0.005  # 200 Hz as the paper's
 KNOWN = {f"{s.name}.{n}": v for s in SUBSYSTEMS.values() for n, v in complete(s)["parameters"].items()}
 P = parameter_vector(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}  # what two parts have is equal

@@ -39,11 +39,10 @@ def test_a_fit_of_chance_is_no_misfit_and_no_significant_term():
 def test_noise_known_to_a_factor_of_two_is_no_error_of_the_model():
     """Residuals of 2 and of 3.5 times the noise; the former is what the declaration leaves open."""
     samples = SimpleNamespace(sd=np.ones((1, 1)), raw=np.ones((1, 9)))
-    p = [
-        model_finding(SimpleNamespace(fit=regression(40 * k**2), samples=[samples]), "").p for k in (2.0, 3.5)
-    ]
-    assert p[0] > 0.5
-    assert p[1] < 1e-3
+    fits = (SimpleNamespace(fit=regression(40 * k**2), samples=[samples]) for k in (2.0, 3.5))
+    twice, more = (model_finding(fit, "").p for fit in fits)
+    assert twice > 0.5
+    assert more < 1e-3
 
 
 def test_zero_of_a_sensor_without_range_is_ten_times_its_noise_at_least():
@@ -60,9 +59,9 @@ def test_lengths_of_one_hose_differ_by_less_than_a_thousandth():
     """0.8 mm in a metre are the tape's, 2 mm are another hose."""
 
     def sizes(factor):
-        records = [r for _ in range(2) for r in bench.moving_hose(1, groups=1, length=1.0)]
+        (record,) = bench.moving_hose(1, groups=1, length=1.0)
         own = {**bench.HOSE, "length": bench.LENGTH * factor}
-        return experiment_data.hose_size([records[0], replace(records[1], conditions=own)])
+        return experiment_data.hose_size([record, replace(record, conditions=own)])
 
     assert sizes(1.0008) == (bench.LENGTH, bench.BORE)
     assert "identify one hose at a time" in problem(lambda: sizes(1.002))
@@ -124,9 +123,8 @@ def test_a_joint_moves_if_its_speed_is_above_its_noise(speed, moves):
     """A root mean square speed of 2 and of 5 standard deviations of its noise."""
     record = lumped_machine.recording("boom", seed=1, length=4.0)
     r = momentum_balance.joint_recording(record, ("boom",), (DAMPING,), lumped_machine.P)
-    noise = np.linalg.norm(r.samples.channels[3][1]) * experiment_data.noise_sd(
-        record, momentum_balance.ANGLES[1]
-    )
+    sd = experiment_data.noise_sd(record, momentum_balance.ANGLES[1])
+    noise = np.linalg.norm(r.samples.channels[3][1]) * sd
     z = r.z.copy()
     z[4] = speed * noise
     assert damping._moves(replace(r, z=z), 1) == moves
@@ -135,9 +133,8 @@ def test_a_joint_moves_if_its_speed_is_above_its_noise(speed, moves):
 def test_an_end_stop_acts_within_two_millimetres():
     """Samples of a piston 1 mm from its end are left out, those at 3 mm are used."""
     record, p = lumped_machine.recording("boom", length=4.0), lumped_machine.P.copy()
-    position = np.array(
-        momentum_balance.equation_of_motion()[0](np.array([record[n] for n in momentum_balance.ANGLES]), p)[0]
-    )[0]
+    angles = np.array([record[n] for n in momentum_balance.ANGLES])
+    position = np.array(momentum_balance.equation_of_motion()[0](angles, p)[0])[0]
     stroke = momentum_balance.PARAMETERS.index("manipulator.boom_stroke")
     used = []
     for gap in (0.1, 3e-3, 1e-3):

@@ -7,9 +7,9 @@ import pytest
 from equations.test_rigid_body import arm
 from identification.procedures.lumped_machine import KNOWN, PRESSURE, P, V, gravity, recording
 from kit.equations import JOINTS
+from kit.mistakes import problem
 
 from fmus.identification.procedures.inertia import FREE, STANDARD, grouping, identify, regressor, standard
-from orchestrator.base.errors import Problem
 
 
 def states(count=30):
@@ -108,5 +108,4 @@ def test_undetermined_parameters_keep_their_value():
 def test_without_a_motion_it_is_refused():
     """One line with the procedures of the recordings."""
     bench = replace(recording("boom"), procedure="valve")
-    with pytest.raises(Problem, match='with use = "train", got valve'):
-        identify([bench], KNOWN)
+    problem(lambda: identify([bench], KNOWN), 'with use = "train", got valve')

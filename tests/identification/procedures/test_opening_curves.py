@@ -172,8 +172,11 @@ def test_a_wrong_noise_is_named_with_the_right_one(factor):
     assert result.estimates[0].low <= bench.AREA <= result.estimates[0].high
 
 
-def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges():
-    """Readings that no command changes are subtracted, and named if they are not declared."""
+def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges(monkeypatch):
+    """Readings that no command changes are subtracted, and named if they are not declared.
+
+    An opening from 0.3 V has one closed command of 0.25 V only: the steps at 0 V tell the zero, too.
+    """
     recording = bench.edge("P-A", bench.power(1.0), np.zeros(2), [8])
     shifted = changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})
     assert faults(valve.identify([recording], bench.KNOWN)) == []
@@ -181,10 +184,6 @@ def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges():
     assert faults(result) == ["zero of a flow meter"]
     start = named(result)["dead_band + rounding/2"]
     assert start.low <= bench.DEAD_BAND <= start.high
-
-
-def test_a_zero_is_seen_at_zero_command(monkeypatch):
-    """An opening from 0.3 V has one closed command of 0.25 V only: the steps at 0 V tell the zero, too."""
     monkeypatch.setattr(bench, "STEPS", (0.0, *bench.STEPS))
     recording = bench.edge("P-A", bench.power(1.0, 0.3), np.zeros(2), [10])
     shifted = changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})

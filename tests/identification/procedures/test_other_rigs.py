@@ -14,7 +14,6 @@ from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
-HOSE = ("hose_resistance", "hose_dynamics")
 TRUTH = {
     "valve_area": bench.AREA,
     "valve_dead_band": bench.DEAD_BAND,
@@ -54,11 +53,6 @@ def gaps(r):
     return bench.changed(r, {n: np.where(where, np.nan, r[n]) for n, where in lost.items()})
 
 
-def slower(r):
-    """Every fourth row: 50 Hz."""
-    return rows(r, slice(None, None, 4))
-
-
 def offset(r, zero=0.5 * bench.BAR):
     """The transducer at the outlet reads so much too much."""
     return bench.changed(r, {"pressure_out": r["pressure_out"] + zero})
@@ -70,7 +64,7 @@ CHANGES = {
     "undescribed sensors": lambda r: replace(r, sensors={}),
     "undescribed dead zone": lambda r: bench.with_sensors(r, dead_zone=0.0),
     "offset": offset,
-    "50 Hz": slower,
+    "50 Hz": lambda r: rows(r, slice(None, None, 4)),
 }
 
 
@@ -142,7 +136,7 @@ def test_residuals_far_above_the_noise_are_a_warning():
 IMPOSSIBLE = {
     "meters turned": lambda r: with_signals(r, lambda n, x: -x if n.startswith("flow") else x),
     "one meter turned": lambda r: bench.changed(r, {"flow_out": -r["flow_out"]}),
-    "50 Hz": slower,
+    "50 Hz": CHANGES["50 Hz"],
     "at rest": lambda r: with_signals(r, lambda _, x: np.full_like(x, x[0])),
     "edge P-X": lambda r: replace(r, conditions={"edge": "P-X"}),
     "one sign": lambda r: with_signals(r, lambda n, x: np.abs(x) if n == "command" else x),
@@ -159,7 +153,7 @@ def test_impossible_data_are_refused_in_one_line(name, change, message):
     assert re.search(message, problem(lambda: result_of(name, IMPOSSIBLE[change])))
 
 
-@pytest.mark.parametrize("name", HOSE)
+@pytest.mark.parametrize("name", ["hose_resistance", "hose_dynamics"])
 def test_two_hoses_are_refused(name):
     """Recordings of hoses of different lengths are refused, not averaged."""
     procedure, recordings = BENCHES[name]
@@ -189,16 +183,12 @@ def test_commands_that_close_the_edge_are_left_out():
     assert together.estimates[0].value == pytest.approx(alone.estimates[0].value, rel=1e-9)
 
 
-def constant(name, x):
-    """Pressures with samples replaced by the mean of their step of 1.5 s."""
-    return np.repeat(x.reshape(-1, 300).mean(axis=1), 300) if name.startswith("pressure") else x
-
-
 def test_a_signal_without_noise_gives_no_infinite_weights():
-    """Constant steps, as in a simulation: the estimate is right, and its interval is not zero."""
+    """Pressures constant in each step of 1.5 s, as in a simulation: the estimate is right, sd is not zero."""
     quiet = Sensor("perfect", 0.0, 1e-12, -np.inf, np.inf, bench.FLOW.dead_zone)
     one = bench.edge("P-A", 0, flow=quiet)
-    clean = with_signals(one, constant)
+    steps = {n: one[n].reshape(-1, 300).mean(axis=1) for n in ("pressure_in", "pressure_out")}
+    clean = bench.changed(one, {n: np.repeat(x, 300) for n, x in steps.items()})
     area = valve.identify([replace(clean, sensors={})], bench.KNOWN).estimates[0]
     assert area.value == pytest.approx(bench.AREA, rel=1e-3)  # the means keep the noise of 300 samples
     assert area.sd > 0

@@ -107,5 +107,4 @@ def test_files_that_are_not_there(csv):
     refused(csv, "a.toml", "describes the columns", "no such file")
     with pytest.raises(Problem, match=r"\.toml files with a table \[experiment\], got none, only a\.csv"):
         read_folder(csv.parent)
-    with pytest.raises(Problem, match="expected a folder of recordings, got a file"):
-        read_folder(csv)
+    problem(lambda: read_folder(csv), "expected a folder of recordings, got a file")

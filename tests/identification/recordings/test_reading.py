@@ -16,27 +16,20 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 
-def parquet(path, columns):
-    """A Parquet file written by pandas: NaN becomes null."""
-    pd.DataFrame(columns).to_parquet(path)
-
-
-def mat_5(path, columns):
-    """A MATLAB file up to version 7.2: vectors are matrices with one column."""
-    scipy.io.savemat(path, {name: values[:, None] for name, values in columns.items()})
-
-
-def mat_4(path, columns):
-    """A file of MATLAB 4."""
-    scipy.io.savemat(path, columns, format="4")
-
-
 def mat_73(path, columns):
     """A MATLAB file of version 7.3: HDF5 after a header of 512 bytes, dimensions reversed."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in columns.items():
             file[name] = values[None, :]
             file[name].attrs["MATLAB_class"] = np.bytes_("double")
+
+
+WRITERS = {
+    ".parquet": lambda path, columns: pd.DataFrame(columns).to_parquet(path),  # NaN becomes null
+    "5.mat": lambda path, columns: scipy.io.savemat(path, {n: v[:, None] for n, v in columns.items()}),
+    "4.mat": lambda path, columns: scipy.io.savemat(path, columns, format="4"),
+    "7.3.mat": mat_73,
+}
 
 
 def same(one, other):
@@ -66,12 +59,12 @@ def test_values_are_si_and_the_description_is_complete(csv, columns):
     assert "command" not in found.sensors
 
 
-@pytest.mark.parametrize("write", [parquet, mat_5, mat_4, mat_73])
-def test_every_kind_of_file_gives_the_same_recording(csv, columns, write):
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_kind_of_file_gives_the_same_recording(csv, columns, kind):
     """CSV, Parquet and MATLAB files with the same columns give bit-identical recordings."""
     expected = reading.read(csv)
-    other = csv.with_suffix(".parquet" if write is parquet else ".mat")
-    write(other, columns)
+    other = csv.with_suffix(Path(kind).suffix or kind)
+    WRITERS[kind](other, columns)
     same(reading.read(other), expected)
     csv.unlink()
     same(reading.read(csv.with_suffix(".toml")), expected)
@@ -128,7 +121,7 @@ def test_only_the_part_between_start_and_stop(csv):
 
 
 def test_folder_has_its_experiments_only(csv):
-    """A trace without [experiment] in the folder is ignored; the order is that of the file names."""
+    """In the order of their names; other data are reported with the reason, and are no experiment."""
     text = csv.with_suffix(".toml").read_text(encoding="utf-8")
     plain = text[text.index("[time]") :]
     for name, meta in {"b": text.replace('"valve"', '"machine"'), "trace": plain}.items():
@@ -137,6 +130,11 @@ def test_folder_has_its_experiments_only(csv):
     found = reading.read_folder(csv.parent)
     assert [(one.source.name, one.procedure) for one in found] == [("a.csv", "valve"), ("b.csv", "machine")]
     assert reading.read(csv.with_name("trace.csv")).procedure == ""
+    csv.with_name("c.mat").write_bytes(b"")
+    assert reading.unused_files(csv.parent, found) == [
+        "c.mat: left out, c.toml is missing.",
+        "trace.csv: left out, trace.toml has no table [experiment].",
+    ]
 
 
 def test_required_signals_have_their_dimension(csv):
@@ -164,19 +162,6 @@ def test_signals_far_from_usual_are_doubted(unit, low, high):
     usual = replace(made, signals={"x": high * np.ones(3)})
     assert reading.doubtful([usual]) == []
     assert reading.doubtful([replace(usual, time=1.2 * time)]) == ["a.csv: 10800 s; did you mean ms?"]
-
-
-def test_data_without_a_description_are_reported(csv):
-    """A data file that is not read is reported with its name and the reason."""
-    recordings = reading.read_folder(csv.parent)
-    assert reading.unused_files(csv.parent, recordings) == []
-    (csv.parent / "b.csv").write_bytes(csv.read_bytes())
-    (csv.parent / "c.mat").write_bytes(b"")
-    (csv.parent / "c.toml").write_text('[signals.x]\nunit = "V"\n', encoding="utf-8")
-    assert reading.unused_files(csv.parent, recordings) == [
-        "b.csv: left out, b.toml is missing.",
-        "c.mat: left out, c.toml has no table [experiment].",
-    ]
 
 
 # ---- files of numbers without a description

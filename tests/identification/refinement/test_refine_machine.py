@@ -1,7 +1,6 @@
 """Joint refinement of the harvester: its lumped model against its own simulation with the paper's sensors."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,12 +100,10 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 
 def still(*outputs: str, use: str = "train") -> Recording:
     """One second without motion, measured by sensors of some outputs."""
-    names, noise = signal_names(), np.random.default_rng(0)
-    read = {names[n]: np.zeros(200) for n in COMMANDS}
-    read |= {names[n]: 1e6 + 1e4 * noise.standard_normal(200) for n in outputs}
+    names = signal_names()
+    true = {names[n]: np.zeros(200) for n in COMMANDS} | {names[n]: np.full(200, 1e6) for n in outputs}
     sensors = {names[n]: Sensor("transducer", 1e4) for n in outputs}
-    time = np.arange(200) / 200
-    return Recording(Path(f"{use}.csv"), time, read, {}, procedure="machine", use=use, sensors=sensors)
+    return replace(recorded(use, np.arange(200) / 200, true, {}, sensors, 0, "machine"), use=use)
 
 
 def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:

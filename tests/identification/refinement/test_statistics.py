@@ -192,12 +192,9 @@ def test_sensitivities_are_those_of_a_repeated_simulation(refined: RefinementRes
     one, step = refined.problem.training[0], 1e-4
     by_z, _ = refined.uncertainty(one)
     for j in range(len(refined.z)):
-        ends = [
-            statistics.simulate(
-                one, refined.simulator, refined.problem.values_of(refined.z + sign * step * np.eye(3)[j])
-            ).y
-            for sign in (1, -1)
-        ]
+        moved = (refined.z + sign * step * np.eye(3)[j] for sign in (1, -1))
+        values = (refined.problem.values_of(z) for z in moved)
+        ends = [statistics.simulate(one, refined.simulator, v).y for v in values]
         # the solver's tolerance over the step
         np.testing.assert_allclose(by_z[:, :, j], (ends[0] - ends[1]) / (2 * step), atol=1e-2)
 
