@@ -156,21 +156,17 @@ def test_only_accelerations_and_joint_torques_follow_the_forces_at_once(name):
 # ---- the head
 
 
-def small_period():
-    """2 pi sqrt((J + m L^2) / (m g L)) [s]."""
-    m, length = P["head_mass"], P["head_length"]
-    return 2 * math.pi * math.sqrt((P["head_inertia"] + m * length**2) / (m * P["gravity"] * length))
-
-
 @heads
 def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
-    """Linearised with the arm held, both axes have the frequency above and a tenth of critical damping."""
+    """With the arm held, both axes have sqrt(m g L / (J + m L^2)) [rad/s] and a tenth of critical damping."""
     v = variant(name, **HELD)
     own = [i for i, n in enumerate(v.states) if n.startswith("head")]
     (matrix,) = v.of(ca.jacobian(v.model.dx, v.model.x))(v.start())
     roots = np.linalg.eigvals(matrix[np.ix_(own, own)])
+    m, length = P["head_mass"], P["head_length"]
+    omega = math.sqrt(m * P["gravity"] * length / (P["head_inertia"] + m * length**2))
     # exact but for the arm's 1e-7
-    np.testing.assert_allclose(np.abs(roots), 2 * math.pi / small_period(), rtol=1e-6)
+    np.testing.assert_allclose(np.abs(roots), omega, rtol=1e-6)
     # the number is rounded to 240
     np.testing.assert_allclose(-roots.real / np.abs(roots), 0.1, rtol=0.03)
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import equations
+from kit.work_cycle import PRESSURES
 
 from fmus.components import spool_valve
 from fmus.contract import symbolic
@@ -126,10 +127,6 @@ def test_steady_swing_torque_is_that_of_the_lumped_drive(command, speed):
 # ---- the limit of short hoses
 
 MOTION = {"swing_command": 4.0, "boom_command": 5.0, "stick_command": 4.0}  # V
-PRESSURES = (
-    *("swing.swing_pressure_a", "swing.swing_pressure_b"),
-    *(f"boom_stick.{a}_{side}_pressure" for a in ("boom", "stick") for side in ("head", "rod")),
-)
 SIGNALS = (*PRESSURES, *(f"manipulator.{joint}_speed" for joint in equations.JOINTS))
 
 
