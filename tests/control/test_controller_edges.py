@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
 from kit.properties import examples
-from kit.steering import INPUTS, STATES, V, measured, rates, start
+from kit.steering import INPUTS, PART, STATES, V, measured, rates
 
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES
@@ -49,7 +49,7 @@ def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_val
     rng = np.random.default_rng(seed)
     u = measured(rng.uniform(-0.4, 0.95), rng.uniform(-2.1, -0.6))
     u |= {n: rng.normal() * 10.0**size for n in rng.choice(INPUTS, 6) if not n.endswith("_angle")}
-    x = start(u)
+    x = PART.start(u)
     for sign in (-1, 1):
         for axis in AXES:
             x[STATES.index(f"{axis}_command")] = sign * FULL * (1 + 1e-6)

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from kit.steering import INPUTS, OUTPUTS, STATES, V, at, measured, model, outputs, rates, start
+from kit.steering import INPUTS, PART, STATES, V, at, measured, rates
 
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE
@@ -18,20 +18,18 @@ COMMANDS = [f"{axis}_command" for axis in AXES]
 
 def test_at_rest_everything_stays():
     """Default: not engaged, levers and commands zero, the reference at the machine."""
-    x = start(V.u)
-    np.testing.assert_allclose(rates(x, V.u), 0, atol=1e-12)
-    shown = outputs(x, V.u)
+    moved, shown = PART(PART.start())
+    np.testing.assert_allclose(moved, 0, atol=1e-12)
     assert [shown[n] for n in COMMANDS] == [0, 0, 0]
     assert shown["tip_error"] == pytest.approx(0, abs=1e-12)
 
 
 def test_commands_depend_on_states_alone_and_carry_their_exact_rates():
     """No command depends directly on an input, so no algebraic loop; rate outputs are derivatives."""
-    whole = model()[0]
-    x = start(V.u) + 0.01 * np.random.default_rng(1).normal(size=len(STATES))
+    moved, shown = PART(PART.start() + 0.01 * np.random.default_rng(1).normal(size=len(STATES)))
     for name in COMMANDS:
-        assert not ca.depends_on(whole.y[OUTPUTS.index(name)], whole.u)
-        assert outputs(x, V.u)[f"{name}_rate"] == pytest.approx(at(rates(x, V.u), name), abs=1e-9)
+        assert not ca.depends_on(PART.expressions["y"][name], PART.model.u)
+        assert shown[f"{name}_rate"] == pytest.approx(at(moved, name), abs=1e-9)
 
 
 def test_feedforward_alone_uses_no_measurement():
@@ -39,9 +37,9 @@ def test_feedforward_alone_uses_no_measurement():
     rows = [STATES.index(n) for n in STATES if n.endswith("_command") or n.startswith("reference_")]
     columns = [INPUTS.index(n) for n in FEEDBACK]
     u = measured(0.2, -1.4, radial_velocity=0.3, swing_velocity=0.1, follow=0.5)
-    x = start(u) + 0.01 * np.random.default_rng(2).normal(size=len(STATES))
+    x = PART.start(u) + 0.01 * np.random.default_rng(2).normal(size=len(STATES))
 
-    whole = model()[0]
+    whole = PART.model
     jacobian = ca.Function("j", [whole.x, whole.u, whole.p], [ca.jacobian(whole.dx[rows], whole.u[columns])])
     without, with_feedback = (
         jacobian(x, list(u.values()), list((V.p | {"feedback": f}).values())).full() for f in (0.0, 1.0)
@@ -83,7 +81,7 @@ def test_engaging_a_moving_machine_is_bumpless():
 def test_the_correction_is_bounded_and_lets_go():
     """With saturated valves and a constant error the correction ends near its limit and decays afterwards."""
     u = measured(0.2, -1.4, follow=0.0, vertical_velocity=2.0)
-    x = start(u)
+    x = PART.start(u)
     behind = u | {"boom_angle": 0.15, "supply_pressure": 2e6}
     for _ in range(3000):
         x = x + 0.002 * rates(x, behind)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from kit.properties import examples
-from kit.steering import STATES, V, at, measured, rates, start
+from kit.steering import PART, STATES, V, at, measured, rates
 
 from fmus.components.smooth import s_curve
 from fmus.controller import geometry, reference
@@ -59,7 +59,7 @@ def test_integrated_rates_end_where_the_closed_form_is():
     """1.2 m outwards in 2.4 s by RK4, without position feedback: angles of the closed form, to 1e-6 rad."""
     radius, height = tip(0.3, -1.7)
     u = measured(0.3, -1.7, follow=1.0, radial_velocity=0.5)
-    x, h = start(u), 0.02
+    x, h = PART.start(u), 0.02
 
     def slope(y: np.ndarray, time: float) -> np.ndarray:
         return rates(y, moved(u, radius, height, time), follow_gain=0.0)
@@ -119,7 +119,7 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
     """
     velocity = speed * math.cos(heading), speed * math.sin(heading)
     u = measured(*angles, radial_velocity=velocity[0], vertical_velocity=velocity[1])
-    x, first = start(u), pistons(*angles)
+    x, first = PART.start(u), pistons(*angles)
     x[STATES.index("radial_lever")], x[STATES.index("vertical_lever")] = velocity
     for _ in range(200):
         boom, stick = at(x, "reference_boom"), at(x, "reference_stick")
@@ -138,7 +138,7 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
 def test_the_reference_waits_for_a_machine_at_rest():
     """A blocked arm with an outward command for 20 s: the reference stays within 1.5 error limits."""
     u = measured(0.2, -1.4, radial_velocity=0.5)
-    x = start(u)
+    x = PART.start(u)
     for _ in range(2000):
         x = x + 0.01 * rates(x, u)
     ahead = math.dist(pistons(at(x, "reference_boom"), at(x, "reference_stick")), pistons(0.2, -1.4))

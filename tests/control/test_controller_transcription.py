@@ -8,7 +8,7 @@ from equations.controller_transcription import AXES, Arm, written
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.properties import examples
-from kit.steering import OUTPUTS, STATES, V, model
+from kit.steering import OUTPUTS, PART, STATES, V
 
 
 def drawn(rng: np.random.Generator, wide: float) -> tuple[dict, dict, dict]:
@@ -41,7 +41,7 @@ def test_the_document_gives_the_controller(seed, wide):
     project's inverse of the valve's curve, good to 1e-9.
     """
     x, u, p = drawn(np.random.default_rng(seed), wide)
-    found = model()[1](list(x.values()), list(u.values()), list(p.values()))
+    found = PART.function(list(x.values()), list(u.values()), list(p.values()))
     document = written(Group(**x), Group(**u), Group(**p))
     for names, got, expected in zip((STATES, OUTPUTS), found, document, strict=False):
         for name, value in zip(names, got.full()[:, 0], strict=True):

@@ -6,20 +6,14 @@ import casadi as ca
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import VALVE
+from kit.equations import VALVE, number
 
-from fmus.components import chamber, hose, motor, smooth, spool_valve
+from fmus.components import chamber, hose, smooth, spool_valve
 
 PS = 20.684e6  # Pa
 RHO = 970.0  # kg/m3
 
-pressures = st.floats(-2e5, 4e7)
 flows = st.floats(-5e-3, 5e-3)
-commands = st.floats(-12.0, 12.0)
-
-
-def number(value: object) -> float:
-    return float(ca.DM(value))
 
 
 @given(st.floats(-10.0, 10.0), st.floats(1e-3, 2.0))
@@ -117,37 +111,3 @@ def test_cavitation_does_not_touch_the_paper_s_capacitance_at_working_pressures(
     """At tank pressure the cavity adds less than 3 % of a hose, from 0.1 MPa up less than 1e-10."""
     assert number(chamber.cavity_capacitance(0.0)) / 7e-13 < 0.03
     assert number(chamber.cavity_capacitance(1e5)) / 7e-13 < 1e-10
-
-
-@given(pressures, pressures, st.floats(-2.0, 2.0))
-def test_motor_nodes_obey_line_and_leakage_resistances(p_a: float, p_b: float, speed: float) -> None:
-    """Line flow = (P_c - P) / R_line = displaced flow + leakage at each node, eqs. (11), (12)."""
-    d, r_in, r_ex, r_line, tank = 1.5e-3, 2e12, 1.1e12, 6.2e6, 0.0
-    n = motor.nodes(p_a, p_b, tank, d * speed, r_line, r_line, r_in, r_ex)
-    # exact identity; the difference of pressures of 4e7 Pa rounds by 1e-8 Pa, over 6e6
-    assert n.flow_1 == pytest.approx((p_a - n.pressure_1) / r_line, abs=1e-13)
-    assert n.flow_2 == pytest.approx((p_b - n.pressure_2) / r_line, abs=1e-13)
-    assert n.drain == pytest.approx((n.pressure_1 + n.pressure_2) / r_ex, rel=1e-9, abs=1e-12)
-    cross = (n.pressure_1 - n.pressure_2) / r_in
-    assert n.flow_1 - d * speed - n.pressure_1 / r_ex == pytest.approx(cross, rel=1e-9, abs=1e-15)
-
-
-def test_leakage_of_a_motor_by_hand() -> None:
-    """10 and 4 MPa over a tank at 1 MPa, R_in 2e12, R_ex 1e12 Pa.s/m3: eqs. (11), (12), heat."""
-    nodes = motor.nodes_at_port_pressures(10e6, 4e6, 1e6, 0.0, 2e12, 1e12)
-    # exact identities: rounding only; flow_2 is a difference of 3e-6 and 3e-6 m3/s
-    assert nodes.flow_1 == pytest.approx(6e6 / 2e12 + 9e6 / 1e12, rel=1e-12, abs=0)
-    assert nodes.flow_2 == pytest.approx(-6e6 / 2e12 + 3e6 / 1e12, rel=1e-12, abs=1e-20)
-    assert nodes.drain == pytest.approx(12e6 / 1e12, rel=1e-12, abs=0)
-    loss = 6e6**2 / 2e12 + (9e6**2 + 3e6**2) / 1e12
-    assert motor.leakage_loss(nodes, 1e6, 2e12, 1e12) == pytest.approx(loss, rel=1e-12)
-
-
-@pytest.mark.parametrize("command", [0.0, 0.6, -0.6])
-def test_leakage_of_a_closed_valve_by_hand(command: float) -> None:
-    """Both edges closed, up to the dead band: G_leak of each edge, at a given flow."""
-    leak = VALVE.leakage
-    # exact identities but for differences of pressures, which lose three digits to rounding
-    port = spool_valve.ports_from_flow(VALVE, command, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
-    assert number(port.supply) == pytest.approx(leak * (20e6 - number(port.pressure)), rel=1e-9, abs=0)
-    assert number(port.pressure) == pytest.approx(10.5e6 - 1e-7 / (2 * leak), rel=1e-9)

@@ -13,19 +13,7 @@ from kit.equations import VALVE
 from kit.fmu import driving
 from scipy.interpolate import PchipInterpolator
 
-from fmus.components import spool_valve
-from fmus.components.opening_curve import (
-    COEFFICIENTS,
-    CURVE,
-    EDGES,
-    POINTS,
-    SMALLEST_GAP,
-    OpeningCurves,
-    OpeningTable,
-    StraightOpening,
-    pieces,
-    requirements,
-)
+from fmus.components import opening_curve, spool_valve
 from fmus.contract import quantities
 from fmus.export.build import build
 from fmus.export.c_code import native_sources
@@ -39,28 +27,32 @@ MEASURED = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10
 
 def table(points):
     """The group of a table with these points."""
-    rows = [*points, *[(0.0, 0.0)] * (POINTS - len(points))]
+    rows = [*points, *[(0.0, 0.0)] * (opening_curve.POINTS - len(points))]
     commands = {f"command_{i}": float(v) for i, (v, _) in enumerate(rows, 1)}
-    return OpeningTable(**commands, **{f"opening_{i}": float(a) for i, (_, a) in enumerate(rows, 1)})
+    return opening_curve.OpeningTable(
+        **commands, **{f"opening_{i}": float(a) for i, (_, a) in enumerate(rows, 1)}
+    )
 
 
 def curves(**points):
     """The groups of all edges; an edge that is not given has no table."""
-    groups = {edge: vars(table(points.get(edge, ()))) for edge in EDGES}
-    return OpeningCurves(**{f"{edge}_{n}": x for edge, group in groups.items() for n, x in group.items()})
+    groups = {edge: vars(table(points.get(edge, ()))) for edge in opening_curve.EDGES}
+    return opening_curve.OpeningCurves(
+        **{f"{edge}_{n}": x for edge, group in groups.items() for n, x in group.items()}
+    )
 
 
 def evaluated(points, volts):
     """Openings at commands."""
-    curve = pieces(table(points))
-    return np.array(CURVE.map(len(volts))(np.atleast_2d(volts), curve.coefficients)).ravel()
+    curve = opening_curve.pieces(table(points))
+    return np.array(opening_curve.CURVE.map(len(volts))(np.atleast_2d(volts), curve.coefficients)).ravel()
 
 
 @st.composite
 def tables(draw):
     """Points of a table that fulfils the requirements, also with steep steps and flat intervals."""
-    count = draw(st.integers(2, POINTS))
-    gaps = draw(st.lists(st.floats(2 * SMALLEST_GAP, 1.0), min_size=count, max_size=count))
+    count = draw(st.integers(2, opening_curve.POINTS))
+    gaps = draw(st.lists(st.floats(2 * opening_curve.SMALLEST_GAP, 1.0), min_size=count, max_size=count))
     rises = draw(st.lists(st.sampled_from((0.0, 1e-6, 0.01, 0.3, 1.0)), min_size=count, max_size=count))
     commands, openings = np.cumsum(gaps), np.cumsum([0.0, *rises[1:]])
     return list(zip(commands, openings / max(openings[-1], 1.0), strict=True))
@@ -101,7 +93,7 @@ def test_the_curve_is_monotone_and_smooth(points):
     volts = np.sort(np.concatenate([np.linspace(0.0, 12.0, 100), *inside]))
     # rounding of openings of 1
     assert np.diff(evaluated(points, volts)).min() >= -1e-12
-    curve = pieces(table(points))
+    curve = opening_curve.pieces(table(points))
     x = ca.SX.sym("x")
     slope = ca.Function("slope", [x], [ca.jacobian(curve.opening(x), x)])
     largest = max(1e-3, slope.map(volts.size)(volts[None, :]).full().max())
@@ -123,7 +115,7 @@ def test_a_straight_table_is_the_line_away_from_its_start():
     np.testing.assert_allclose(evaluated(points, between), line, rtol=1e-13)
 
 
-@pytest.mark.parametrize("edge", EDGES)
+@pytest.mark.parametrize("edge", opening_curve.EDGES)
 def test_each_edge_has_its_own_curve(edge):
     """A table changes its edge in its direction, and no other."""
     for command in (5.0, -5.0):
@@ -139,8 +131,8 @@ def test_each_edge_has_its_own_curve(edge):
 @pytest.fixture(scope="module")
 def compiled():
     """(value, slope) of the curve as the FMUs compute them, and their derivatives by all coefficients."""
-    v, c = ca.SX.sym("v"), ca.SX.sym("c", COEFFICIENTS)
-    value = CURVE(v, c)
+    v, c = ca.SX.sym("v"), ca.SX.sym("c", opening_curve.COEFFICIENTS)
+    value = opening_curve.CURVE(v, c)
     by_table = ca.densify(ca.jacobian(value, c).T)
     results = {
         "first": ca.densify(ca.vertcat(value, ca.jacobian(value, v))),
@@ -172,13 +164,13 @@ def compiled():
 def test_the_c_code_is_the_expression(compiled, points, volts):
     """The branch in C evaluates one piece, the expression all: they agree, with their derivatives."""
     of_c, exact = compiled
-    coefficients = pieces(table(points)).coefficients
+    coefficients = opening_curve.pieces(table(points)).coefficients
     for at in (volts, *(v for v, _ in points)):
         first, second = (np.array(y).ravel() for y in exact(at, coefficients))
         # the same sums in another order: rounding, of cubics with terms up to 1e9
         scale = max(1.0, np.abs(np.array(coefficients)).max())
         np.testing.assert_allclose(of_c("first", at, coefficients, 2), first, rtol=1e-12, atol=1e-15 * scale)
-        found = of_c("second", at, coefficients, 2 * COEFFICIENTS)
+        found = of_c("second", at, coefficients, 2 * opening_curve.COEFFICIENTS)
         np.testing.assert_allclose(found, second, rtol=1e-12, atol=1e-15 * scale)
 
 
@@ -186,7 +178,9 @@ def test_the_c_code_is_the_expression(compiled, points, volts):
 def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, volts):
     """In C: value and slope of the ramp with dead band, also if the rounding reaches beyond full command."""
     of_c, _ = compiled
-    coefficients = pieces(table(()), StraightOpening(dead_band, 10.0, rounding)).coefficients
+    coefficients = opening_curve.pieces(
+        table(()), opening_curve.StraightOpening(dead_band, 10.0, rounding)
+    ).coefficients
     v = ca.SX.sym("v")
     line = spool_valve.opening(v, dead_band, 10.0, rounding)
     expected = ca.Function("line", [v], [ca.vertcat(line, ca.jacobian(line, v))])(volts)
@@ -212,7 +206,7 @@ def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, vo
 )
 def test_points_in_disorder_are_refused(points, wrong):
     """Exactly one requirement is violated, that of the list with the mistake."""
-    margins = requirements(curves(pa=points), 10.0)
+    margins = opening_curve.requirements(curves(pa=points), 10.0)
     violated = [text for text, margin in margins.items() if not float(ca.DM(margin)) > 0]
     assert len(violated) == bool(wrong)
     assert all(text.startswith(f"valve_pa_{wrong}") for text in violated)
@@ -220,8 +214,8 @@ def test_points_in_disorder_are_refused(points, wrong):
 
 def test_every_entry_is_declared_in_a_list():
     """Names and descriptions of the parameters: each entry says that it belongs to a list."""
-    declared = quantities(OpeningCurves)
-    assert len(declared) == 2 * POINTS * len(EDGES)
+    declared = quantities(opening_curve.OpeningCurves)
+    assert len(declared) == 2 * opening_curve.POINTS * len(opening_curve.EDGES)
     assert all(q.listed and "{}" not in q.text + q.listed for q in declared.values())
     assert "P-A" in declared["pa_command_1"].text
 

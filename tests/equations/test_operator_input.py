@@ -12,19 +12,9 @@ from kit.fmu import Fmu, driving
 
 from fmus.composition import compose
 from fmus.contract import symbolic
+from fmus.machine import work_cycle
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.work_cycle import (
-    DEFAULT,
-    PROGRAMS,
-    WORK_CYCLE,
-    WORK_CYCLE_STOP,
-    Move,
-    Stem,
-    payload,
-    program,
-    program_numbers,
-)
 from fmus.machine.work_cycle import sample as sampled
 from fmus.operator_input.model import AHEAD, AXES, OPERATOR, PAYLOADS, STROKES, Stroke, sample
 from fmus.parameters import numbers, values
@@ -40,10 +30,10 @@ duration = st.integers(0, 3000).map(lambda ms: ms / 1000)
 def moves(draw):
     """A stroke with corners on a grid of 1 ms; ramps and top may have zero duration."""
     times = [draw(duration) for _ in range(4)]
-    return Move("boom", times[0], draw(st.floats(-10, 10)), *times[1:])
+    return work_cycle.Move("boom", times[0], draw(st.floats(-10, 10)), *times[1:])
 
 
-def at(move: Move, time: float) -> tuple[float, float]:
+def at(move: work_cycle.Move, time: float) -> tuple[float, float]:
     """Command and rate of a stroke."""
     value, rate = _SAMPLE(time, *(getattr(move, n) for n in _NAMES))
     return float(value), float(rate)
@@ -77,14 +67,14 @@ def test_a_clock_of_an_hour_still_meets_the_corners():
     clock = float(np.cumsum(np.full(3_600_000, 1e-3))[-1])
     assert clock != 3600.0
     for time in (clock, 7200.0 - clock):
-        assert at(Move("boom", 3600.0, 5.0, 0.5, 1.0, 0.5), time)[1] == 10.0
+        assert at(work_cycle.Move("boom", 3600.0, 5.0, 0.5, 1.0, 0.5), time)[1] == 10.0
 
 
 def test_the_rates_are_the_derivatives_of_the_commands():
     """Of the model's own expressions, at random instants of the work cycle."""
     s, v = symbolic(OPERATOR), values(OPERATOR)
     rate = ca.Function("r", [s.x, s.p], [s.y[:3], ca.jtimes(s.y[:3], s.x, s.dx), s.y[3:6]])
-    clock = np.random.default_rng(1).uniform(0, WORK_CYCLE_STOP, 500)
+    clock = np.random.default_rng(1).uniform(0, work_cycle.WORK_CYCLE_STOP, 500)
     for t in clock:
         _, derivative, told = rate(t, list(v.p.values()))
         np.testing.assert_array_equal(derivative, told)  # the same factors
@@ -92,7 +82,7 @@ def test_the_rates_are_the_derivatives_of_the_commands():
 
 def test_the_fmu_plays_the_work_cycle(fmu_dir):
     """At every fifth millisecond the commands and rates of the scenario."""
-    time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
+    time, commands = sampled(work_cycle.WORK_CYCLE, work_cycle.WORK_CYCLE_STOP)
     names = [f"{lever}_command" for lever in AXES]
     rates = np.diff(commands, axis=0) * 200  # V/s: 200 samples per second, corners on them
     names += [f"{name}_rate" for name in names]
@@ -109,7 +99,7 @@ def test_any_master_gets_the_same_commands(fmu_dir, kind):
     span = {"start_time": 5.0, "stop_time": 12.0, "output_interval": 0.01}
     path = str(fmu_dir / "operator_input.fmu")
     rows = simulate_fmu(path, fmi_type=kind, output=["boom_command"], **span)
-    time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
+    time, commands = sampled(work_cycle.WORK_CYCLE, work_cycle.WORK_CYCLE_STOP)
     expected = np.interp(rows["time"] - 5.0, time, commands[:, AXES.index("boom")])
     # CVode integrates dclock/dt = 1 to its tolerance of 1e-6 or better; at no more than 11 V/s
     np.testing.assert_allclose(rows["boom_command"], expected, rtol=0, atol=1e-4)
@@ -117,7 +107,9 @@ def test_any_master_gets_the_same_commands(fmu_dir, kind):
 
 def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):
     """In model exchange the FMU announces each corner as a time event, and none after the last one."""
-    corners = {round(5.0 + c, 9) for m in WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])}
+    corners = {
+        round(5.0 + c, 9) for m in work_cycle.WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])
+    }
     for folder in (fmu_dir, fmi3_dir):
         fmu = Fmu(folder / "operator_input.fmu", "me").initialise(5.0)
         times = list(events(fmu, 5.0))
@@ -144,7 +136,7 @@ def test_no_event_is_lost_in_a_whole():
 
 def test_the_shipped_program_is_the_work_cycle():
     """parameters.toml is what `python -m fmus.machine.reference` writes."""
-    assert numbers(OPERATOR)["parameters"] == program_numbers()["parameters"]
+    assert numbers(OPERATOR)["parameters"] == work_cycle.program_numbers()["parameters"]
 
 
 def test_programs_are_the_shipped_scenarios():
@@ -153,7 +145,7 @@ def test_programs_are_the_shipped_scenarios():
         path = data(f"scenarios/{name}.csv")
         header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
         table = np.loadtxt(path, delimiter=",", skiprows=1)
-        time, commands = sampled(PROGRAMS[name], table[-1, 0])
+        time, commands = sampled(work_cycle.PROGRAMS[name], table[-1, 0])
         for axis, column in zip(AXES, commands.T, strict=True):
             lever, known = f"{axis}_command", 0 * table[:, 0]
             if lever in header:
@@ -161,23 +153,25 @@ def test_programs_are_the_shipped_scenarios():
             # ten digits of the file
             np.testing.assert_allclose(np.interp(time, table[:, 0], known), column, rtol=0, atol=1e-9)
         held = table[:, header.index("payload_mass")] if "payload_mass" in header else 0 * table[:, 0]
-        np.testing.assert_array_equal(np.interp(time, table[:, 0], held), payload(PROGRAMS[name], time))
+        np.testing.assert_array_equal(
+            np.interp(time, table[:, 0], held), work_cycle.payload(work_cycle.PROGRAMS[name], time)
+        )
 
 
 def test_a_program_that_is_too_long_is_refused():
     """The message contains the lever and both numbers."""
-    many = [Move("stick", float(n), 1.0, 0.1, 0.1, 0.1) for n in range(11)]
+    many = [work_cycle.Move("stick", float(n), 1.0, 0.1, 0.1, 0.1) for n in range(11)]
     with pytest.raises(Problem, match="stick lever: 11 strokes, expected at most 10"):
-        program(many)
-    assert program(many[:10])["stick_10_start"] == 9.0
-    assert len(program(())) == len(AXES) * len(STROKES) * 5 + len(PAYLOADS) * 3
+        work_cycle.program(many)
+    assert work_cycle.program(many[:10])["stick_10_start"] == 9.0
+    assert len(work_cycle.program(())) == len(AXES) * len(STROKES) * 5 + len(PAYLOADS) * 3
     with pytest.raises(Problem, match="5 stems, expected at most 4"):
-        program([Stem(float(n), 100.0, 0.5) for n in range(5)])
+        work_cycle.program([work_cycle.Stem(float(n), 100.0, 0.5) for n in range(5)])
 
 
 def test_the_default_sets_are_the_start_values():
     """Default pose and program of the system are the values in the FMUs."""
-    assert program(PROGRAMS[DEFAULT]) == values(OPERATOR).p
+    assert work_cycle.program(work_cycle.PROGRAMS[work_cycle.DEFAULT]) == values(OPERATOR).p
     from fmus.machine.parts import SUBSYSTEMS
 
     for port, value in pose_set(POSES[NOMINAL]).items():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from kit.equations import Part
 from kit.fmu import driving
-from kit.mistakes import table
+from kit.mistakes import problem, table
 
 from fmus import boom_stick, swing
 from fmus.contract import quantities, symbolic
@@ -159,8 +159,7 @@ def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, name, c
     if change:
         found["parameters"][name] = Number(*change, "assumed", "a test")
     write(tmp_path / "p.toml", found)
-    with pytest.raises(Problem, match=message):
-        numbers(SWING, tmp_path / "p.toml")
+    problem(lambda: numbers(SWING, tmp_path / "p.toml"), message)
 
 
 @table(__file__, "broken", "text, message")
@@ -201,8 +200,7 @@ def test_a_list_replaces_all_entries(tmp_path):
 def test_mistakes_in_lists_are_told(tmp_path, value, message):
     """Too many entries, text and values out of bounds are refused with the name."""
     (tmp_path / "p.toml").write_text(TABLE.format(name="valve_pa_commands", value=value).replace("'", '"'))
-    with pytest.raises(Problem, match=message):
-        read_parameter_set(tmp_path / "p.toml", [SWING])
+    problem(lambda: read_parameter_set(tmp_path / "p.toml", [SWING]), message)
 
 
 def test_an_entry_of_another_source_has_a_row_of_its_own():

@@ -53,10 +53,15 @@ def told(folder):
     return printed(folder, str(CRANE))
 
 
-def error_of(text: str, half: str) -> float:
-    found = re.search(rf"^{half}: RMSE ([\d.]+)", text, re.MULTILINE)
+def shown(text: str, pattern: str) -> list[float]:
+    """The numbers in a line of the output."""
+    found = re.search(f"^{pattern}", text, re.MULTILINE)
     assert found is not None, text
-    return float(found.group(1))
+    return [float(number) for number in found.groups()]
+
+
+def error_of(text: str, half: str) -> float:
+    return shown(text, rf"{half}: RMSE ([\d.]+)")[0]
 
 
 def linear_error(command: np.ndarray, pressure: np.ndarray) -> float:
@@ -96,9 +101,7 @@ def test_parameters_are_those_of_the_series(told):
     number = r"([\d.]+)"
     # an opening may be biased by what the model lacks (measured 12 % at most), more than its interval says
     for name, volts, share in (("dead_band", 0.8, 0.1), ("full_up", 4.5, 0.2), ("full_down", 4.5, 0.2)):
-        found = re.search(rf"^{name} +{number}, 95 %: {number} to {number}", told, re.MULTILINE)
-        assert found is not None, told
-        value, low, high = map(float, found.groups())
+        value, low, high = shown(told, f"{name} +{number}, 95 %: {number} to {number}")
         assert value == pytest.approx(volts / peak, rel=share)
         assert low < value < high
 
@@ -106,12 +109,11 @@ def test_parameters_are_those_of_the_series(told):
 def test_bad_samples_are_masked(told):
     """The 8 missing samples and those at the transducer's end have no weight."""
     pressure = np.loadtxt(CRANE)[:, 1]
-    found = re.search(r"^(\d+) samples masked", told, re.MULTILINE)
-    assert found is not None
+    (masked,) = shown(told, r"(\d+) samples masked")
     ends = np.abs(pressure) == np.nanmax(np.abs(pressure))
     assert np.isnan(pressure).sum() == 8
     # a single sample at the end may be a true peak
-    assert 8 < int(found.group(1)) <= 8 + ends.sum()
+    assert 8 < masked <= 8 + ends.sum()
 
 
 def test_other_files_give_the_same(folder, told):

@@ -4,7 +4,6 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -22,21 +21,6 @@ AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
 WITHOUT_ZEROS = SimpleNamespace(outputs=())
 
 
-class Procedure:
-    """Estimates one parameter, or is interrupted."""
-
-    SIGNALS: ClassVar[dict[str, str]] = {}
-
-    def __init__(self, interrupted: bool) -> None:
-        self.interrupted = interrupted
-
-    def identify(self, *_: object) -> ProcedureResult:
-        """The valve."""
-        if self.interrupted:
-            raise KeyboardInterrupt
-        return ProcedureResult("valve", "Valve", 5, (AREA,), ())
-
-
 def interrupt(*_: object, **__: object) -> None:
     """Any function, interrupted."""
     raise KeyboardInterrupt
@@ -45,46 +29,43 @@ def interrupt(*_: object, **__: object) -> None:
 @pytest.fixture
 def quick(monkeypatch):
     """Only the valve, estimated without computation."""
-    monkeypatch.setattr(pipeline, "PROCEDURES", {"valve": Procedure(False)})
+    found = ProcedureResult("valve", "Valve", 5, (AREA,), ())
+    procedure = SimpleNamespace(SIGNALS={}, identify=lambda *_: found)
+    monkeypatch.setattr(pipeline, "PROCEDURES", {"valve": procedure})
     return monkeypatch
 
 
-def test_a_finished_procedure_is_kept(quick):
-    """An interrupt in the joint refinement, before its first iteration, leaves the valve."""
-    quick.setattr(pipeline, "refine_together", interrupt)
-    found = identify([VALVE, MACHINE])
+def searched(reason):
+    """A joint refinement that ended for a reason, with another area."""
+    better = (replace(AREA, value=3e-5),)
+    return lambda *_: SimpleNamespace(reason=reason, problem=WITHOUT_ZEROS, estimates=lambda: better)
+
+
+@pytest.mark.parametrize(
+    ("refine", "restart", "area"),
+    [
+        (interrupt, None, AREA.value),  # before its first iteration: the valve is left
+        (searched("interrupted"), lambda *_, **__: pytest.fail("restarted"), 3e-5),
+        (searched("converged"), interrupt, 3e-5),  # at the first start
+    ],
+)
+def test_an_interrupt_keeps_what_is_finished(quick, refine, restart, area):
+    """In the search its best point so far, and the random starts are skipped; in these its result."""
+    quick.setattr(pipeline, "refine_together", refine)
+    quick.setattr(pipeline, "multistart", restart)
+    found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert list(found.estimates) == ["valve_area"]
-    assert found.parameters["swing.valve_area"].value == AREA.value
+    assert found.parameters["swing.valve_area"].value == area
+    assert (found.refined is None) == (refine is interrupt)
     assert identify([VALVE]).interrupted is False
 
 
 def test_an_interrupt_without_estimates_is_raised(quick):
     """Nothing is written, and an earlier file does not change."""
-    quick.setattr(pipeline, "PROCEDURES", {"valve": Procedure(True)})
+    quick.setattr(pipeline.PROCEDURES["valve"], "identify", interrupt)
     with pytest.raises(KeyboardInterrupt):
         identify([VALVE])
-
-
-def test_an_interrupted_search_is_not_restarted(quick):
-    """The best point so far is kept, and the random starts are skipped."""
-    better = (replace(AREA, value=3e-5),)
-    best = SimpleNamespace(reason="interrupted", problem=WITHOUT_ZEROS, estimates=lambda: better)
-    quick.setattr(pipeline, "refine_together", lambda *_: best)
-    quick.setattr(pipeline, "multistart", lambda *_: pytest.fail("restarted"))
-    found = identify([VALVE, MACHINE], starts=4)
-    assert found.interrupted
-    assert found.parameters["swing.valve_area"].value == 3e-5
-
-
-def test_interrupted_starts_keep_the_result(quick):
-    """The result of the refinement is kept."""
-    refined = SimpleNamespace(reason="converged", problem=WITHOUT_ZEROS, estimates=lambda: (AREA,))
-    quick.setattr(pipeline, "refine_together", lambda *_: refined)
-    quick.setattr(pipeline, "multistart", interrupt)
-    found = identify([VALVE, MACHINE], starts=4)
-    assert found.interrupted
-    assert found.refined is refined
 
 
 def test_the_command_writes_what_it_has(quick, tmp_path, capsys):

@@ -16,8 +16,10 @@ from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
+from orchestrator import Trace, write_trace
 from orchestrator.__main__ import main
 from orchestrator.base.errors import Problem
+from orchestrator.data.description import Description, SignalDescription, write_description
 
 VALVE = "asymmetric 1"
 UNITS = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
@@ -36,22 +38,21 @@ def identified(tmp_path_factory):
 
 def _write(path: Path, recording) -> None:
     """A recording with the description of its instruments."""
-    rows = np.column_stack([recording.time, *(recording[name] for name in UNITS)])
-    np.savetxt(path, rows, delimiter=",", header=",".join(["time", *UNITS]), comments="", fmt="%.12g")
-    lines = ["[experiment]", 'procedure = "valve"', f'edge = "{recording.conditions["edge"]}"']
-    for name, unit in UNITS.items():
-        lines += [f"[signals.{name}]", f'unit = "{unit}"']
-        if sensor := recording.sensors.get(name):
-            lines += [f"{key} = {getattr(sensor, key)!r}" for key in ("noise", "resolution", "dead_zone")]
-            lines += [
-                f"span = [{sensor.low!r}, {sensor.high!r}]",
-                f"zero_error = {sensor.zero_error or 0.0!r}",
-            ]
-    path.with_suffix(".toml").write_text("\n".join(lines), encoding="utf-8")
+    write_trace(Trace(recording.time, recording.signals), path)
+    signals = {name: SignalDescription(unit) for name, unit in UNITS.items()}
+    for name, s in recording.sensors.items():
+        known = {key: getattr(s, key) for key in ("noise", "resolution", "dead_zone")}
+        span = (s.low, s.high)
+        signals[name] = SignalDescription(UNITS[name], span=span, zero_error=s.zero_error or 0.0, **known)
+    described = Description(signals, experiment={"procedure": "valve", **recording.conditions})
+    write_description(path.with_suffix(".toml"), described)
 
 
-def test_the_file_has_lists(identified):
-    """Commands and openings of all four edges; exit status 0, because nothing is doubtful."""
+def test_file_and_report_have_lists_with_their_bands(identified):
+    """Commands and openings of all four edges; exit status 0, because nothing is doubtful.
+
+    Each point has both ends of its interval in the JSON file, and the page draws them.
+    """
     status, out = identified
     assert status == 0
     tables = tomllib.loads(out.read_text(encoding="utf-8"))["parameters"]
@@ -63,10 +64,6 @@ def test_the_file_has_lists(identified):
     assert tables["valve_bt_openings"]["value"] == tables["valve_pa_openings"]["value"]
     assert tables["valve_at_openings"]["value"] != tables["valve_pa_openings"]["value"]
 
-
-def test_the_report_has_the_bands(identified):
-    """Each point of a table has both ends of its interval in the JSON file, and the page draws them."""
-    _, out = identified
     told = json.loads((out.parent / "identification.json").read_text(encoding="utf-8"))
     openings = [e for e in told["results"][0]["listed"] if e["unit"] == "1" and e["sd"]]
     assert len(openings) >= 12

@@ -29,6 +29,11 @@ EDGES = ("pa", "at", "pb", "bt")
 JOINTS = ("swing", "boom", "stick")
 
 
+def number(value: object) -> float:
+    """What CasADi made of numbers."""
+    return float(ca.DM(value))
+
+
 def random_curve(rng: np.random.Generator, prefix: str) -> dict[str, float]:
     """Parameters of an opening curve with three to ten points in every second case, else none: all zero."""
     count = rng.integers(3, 11) if rng.random() < 0.5 else 0

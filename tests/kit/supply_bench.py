@@ -46,10 +46,6 @@ class Bench(Part):
         """The state at the start."""
         return self.model.initial()([0.0] * len(self.states), self.row(), p).full()[:, 0]
 
-    def state(self, x: np.ndarray, name: str) -> float:
-        """One of the states."""
-        return float(x[self.states.index(name)])
-
     def rates(self, x: Sequence[float], u: list[float], p: list[float]) -> dict[str, float]:
         """Time derivatives of the states by name."""
         return dict(zip(self.states, self.function(x, u, p)[0].full()[:, 0], strict=True))
@@ -89,7 +85,7 @@ class Bench(Part):
         self, loads: Sequence[Load], p: list[float], hold: float, samples: int = 40, start=None
     ) -> tuple[np.ndarray, dict]:
         """Time (n,) and outputs (n,) from rest through a row of loads, each of them for `hold` seconds."""
-        n, at = len(self.states), self.states.index("supply_pressure")
+        n, at = len(self.states), self.at("supply_pressure")
         z, load = ca.SX.sym("z", n), ca.SX.sym("load", 2)
         flow = orifice(load[0], z[at] * self.nominal[at] - load[1])
         u = ca.vertcat(

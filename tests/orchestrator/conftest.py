@@ -38,8 +38,7 @@ def each(request: pytest.FixtureRequest) -> Workshop:
 @pytest.fixture(scope="session")
 def oscillator(fmus: Workshop) -> System:
     """Two masses and three springs, undamped: a sends a force with feed-through, b its position."""
-    files = {"a": fmus["mass_a"], "b": fmus["mass_b"]}
-    return assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+    return oscillator_of(fmus["mass_a"], fmus["mass_b"])
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.any_fmu.models import Workshop
-from kit.any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, OPENERS, circle
+from kit.any_fmu.outcome import CIRCLE, HERMITE, MASTERS, NO_ROLLBACK, OPENERS, TURNS, circle
 from kit.mistakes import problem
 from kit.shards import thinned
 
@@ -21,7 +21,6 @@ STRAIGHT = "inputs linear over a step, because the FMUs accept first derivatives
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
 WHERE = {"DoStep": 0, "Get": 1, "Set": 2, "GetState": 3, "SetState": 4, "GetSlope": 5, "SetSlope": 6}
 PROPERLY = "terminated and freed, states left: 0"
-CIRCLE, TURNS = ["p.y -> q.u", "q.y -> p.u"], {"q.push": 1.0, "q.gain": -1.0}  # p' = q and q' = 1 - p
 
 
 # ---- what FMUs lack

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 from kit.any_fmu.models import WIDTHS
-from kit.any_fmu.outcome import HERMITE, MASTERS, circle
+from kit.any_fmu.outcome import CIRCLE, HERMITE, MASTERS, TURNS, circle
 from kit.mistakes import problem
 
 from orchestrator import Trace, assemble, run
-
-CIRCLE, TURNS = ["p.y -> q.u", "q.y -> p.u"], {"q.push": 1.0, "q.gain": -1.0}  # p' = q and q' = 1 - p
 
 
 @pytest.mark.parametrize("master", MASTERS)

@@ -153,13 +153,6 @@ def test_a_single_fmu_runs(each, capsys):
     assert "  source.amplitude  m" in capsys.readouterr().out
 
 
-def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
-    """With the command that makes it."""
-    monkeypatch.chdir(tmp_path)
-    assert harvester("run") == 2
-    assert "build/harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
-
-
 @pytest.mark.usefixtures("folder")
 @table(__file__, "mistakes", "arguments, message")
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):

@@ -73,13 +73,6 @@ def test_what_is_not_numbers_is_named_when_it_is_asked_for(tmp_path, version):
         assert told == f"{path}: column {name!r}: expected numbers, got {what}"
 
 
-def test_version_4_is_read_too(tmp_path):
-    """By SciPy."""
-    path = tmp_path / "a.mat"
-    scipy.io.savemat(path, {"x": np.arange(3.0)}, format="4")
-    assert np.squeeze(read_variables(Location(path))["x"]).tolist() == [0, 1, 2]
-
-
 def test_bytes_in_the_order_of_other_computers(tmp_path):
     """Files of old workstations are big-endian."""
 

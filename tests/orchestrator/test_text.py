@@ -43,8 +43,10 @@ def test_print_has_other_signs_than_a_terminal() -> None:
     """Powers of ten, minus signs and dashes; dates and names stay; words become lists and sentences."""
     assert typeset("-1e-07 at 2026-11-21, a-1") == "\N{MINUS SIGN}1·10⁻⁷ at 2026-11-21, a-1"
     assert typeset("-") == "\N{EN DASH}"
-    assert typeset("R is 2.5e-13 +- 1e+03 Pa, eq. (1)") == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1)"
-    assert [pretty(u) for u in ("Pa.s2/m6", "m3/(s.Pa^0.5)", "s-1")] == ["Pa·s²/m⁶", "m³/(s·Pa^0.5)", "s⁻¹"]
+    text = "R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end"
+    assert typeset(text) == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1), stage1end"
+    units = {"Pa.s2/m6": "Pa·s²/m⁶", "m3/(s.Pa^0.5)": "m³/(s·Pa^0.5)", "L/min": "L/min", "s-1": "s⁻¹"}
+    assert {unit: pretty(unit) for unit in units} == units
     assert error_display_unit("m").ascii(1e-3) == "1 mm"
     assert error_display_unit("N.m").text(-2e-4) == "\N{MINUS SIGN}2·10⁻⁷ kN·m"
     joined = [join_words(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])]

@@ -96,12 +96,3 @@ def test_unknown_formats_and_missing_files_are_told(tmp_path, trace):
     problem(lambda: read_trace(tmp_path / "none.csv"), r"none.csv: no such file")
     (tmp_path / "fake.parquet").write_text("time,u")
     problem(lambda: read_trace(tmp_path / "fake.parquet"), r"fake.parquet: expected a Parquet file")
-
-
-def test_parquet_columns_must_be_numbers(tmp_path):
-    """Text in a Parquet column is named."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.table({"time": [0.0, 1.0], "u": ["a", "b"]}), tmp_path / "text.parquet")
-    problem(lambda: read_trace(tmp_path / "text.parquet"), r"row 1: column 'u': expected a number, got 'a'")

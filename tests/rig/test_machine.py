@@ -1,19 +1,15 @@
 """The experiments on the whole machine: what moves, and that nothing happens that the lumped model lacks."""
 
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
 from kit import shards
+from kit.work_cycle import JOINTS, REFERENCE
 
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP
 from fmus.rig.experiments import INSTRUMENTS, MACHINE_EXPERIMENTS, TRAINING, experiment, simulate_machine
 
-TRACE = Path(__file__).parents[2] / "data/reference/work_cycle.csv"
 LITRES = 60e3  # L/min in 1 m3/s
-JOINTS = ("swing", "boom", "stick")
 QUICK = ("damping_swing_1", "damping_stick_2")  # those of the lumped machine are alike, and nothing is shared
 EACH = [
     pytest.param(name, machine, marks=() if machine == "lumped" and name in QUICK else shards.machine)
@@ -93,9 +89,8 @@ def test_the_held_out_cycle_is_not_trained():
 def test_the_lumped_test_is_the_reference_trace(stop):
     """The rig's true signals are those of data/reference, which an independent program confirms."""
     _, signals = simulate_machine("lumped", WORK_CYCLE, stop, POSES[NOMINAL])
-    trace = pd.read_csv(TRACE)
-    for name in trace.columns.intersection(list(INSTRUMENTS)):
-        wanted = trace[name].to_numpy()
+    for name in REFERENCE.keys() & set(INSTRUMENTS):
+        wanted = REFERENCE[name]
         # two solutions by CVODES with 1e-10 and 1e-11; nine digits in the file
         found = signals[name][::4]
         assert np.abs(found - wanted[: found.size]).max() < 1e-6 * np.ptp(wanted), name

@@ -31,15 +31,10 @@ variants = pytest.mark.parametrize("name", VARIANTS)
 heads = pytest.mark.parametrize("name", HEADS)
 
 
-def changed(name, **numbers):
-    """A variant with other numbers, as far as it has them."""
-    return Part(VARIANTS[name], **numbers)
-
-
 @cache
-def variant(name):
-    """A variant with its own numbers."""
-    return Part(VARIANTS[name])
+def variant(name, **numbers):
+    """A variant, with other numbers as far as it has them."""
+    return Part(VARIANTS[name], **numbers)
 
 
 def random_state(v, rng):
@@ -66,7 +61,7 @@ def random_forces(rng):
 @variants
 def test_power_in_is_power_stored_and_heat(name):
     """Power of hydraulics and payload = d/dt of kinetic, potential and elastic energy + heat >= 0."""
-    v, rng = changed(name, swing_stop_angle=1.0, swing_stop_stiffness=1e5), np.random.default_rng(1)
+    v, rng = variant(name, swing_stop_angle=1.0, swing_stop_stiffness=1e5), np.random.default_rng(1)
     y = v.expressions["y"]
     energies = ("kinetic_energy", "potential_energy", "stored_energy", "stop_energy")
     rate = v.of(v.along(sum(y[n] for n in energies if n in y)))
@@ -93,7 +88,7 @@ def test_a_column_rebounds_from_its_stop_as_hunt_and_crossley_say():
     The energy in the stop is that of a spring, k/2 of the square of the angle beyond its start, less half the
     rounding of 1 mrad.
     """
-    v = changed("rigid", swing_stop_angle=1.0, swing_damping=0.0, column_inertia=1e6)
+    v = variant("rigid", swing_stop_angle=1.0, swing_damping=0.0, column_inertia=1e6)
     c, k = v.p["swing_stop_damping"], v.p["swing_stop_stiffness"]
     x0 = v.start(swing_angle=0.999, swing_speed=1.0)
     hold = {f"{a}_force": v(x0)[1][f"{a}_holding_force"] for a in ("boom", "stick")}
@@ -161,21 +156,17 @@ def test_only_accelerations_and_joint_torques_follow_the_forces_at_once(name):
 # ---- the head
 
 
-def small_period():
-    """2 pi sqrt((J + m L^2) / (m g L)) [s]."""
-    m, length = P["head_mass"], P["head_length"]
-    return 2 * math.pi * math.sqrt((P["head_inertia"] + m * length**2) / (m * P["gravity"] * length))
-
-
 @heads
 def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
-    """Linearised with the arm held, both axes have the frequency above and a tenth of critical damping."""
-    v = changed(name, **HELD)
+    """With the arm held, both axes have sqrt(m g L / (J + m L^2)) [rad/s] and a tenth of critical damping."""
+    v = variant(name, **HELD)
     own = [i for i, n in enumerate(v.states) if n.startswith("head")]
     (matrix,) = v.of(ca.jacobian(v.model.dx, v.model.x))(v.start())
     roots = np.linalg.eigvals(matrix[np.ix_(own, own)])
+    m, length = P["head_mass"], P["head_length"]
+    omega = math.sqrt(m * P["gravity"] * length / (P["head_inertia"] + m * length**2))
     # exact but for the arm's 1e-7
-    np.testing.assert_allclose(np.abs(roots), 2 * math.pi / small_period(), rtol=1e-6)
+    np.testing.assert_allclose(np.abs(roots), omega, rtol=1e-6)
     # the number is rounded to 240
     np.testing.assert_allclose(-roots.real / np.abs(roots), 0.1, rtol=0.03)
 
@@ -183,7 +174,7 @@ def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
 @pytest.mark.parametrize("speed", [1.0, -15.0])
 def test_thrown_head_comes_back_from_its_stop_as_the_law_of_contact_says(speed):
     """v dv = -k r(d)/I (1 + c v) dd, so v/c - ln(1 + c v)/c^2 is equal at the first and the last touch."""
-    v = changed("pendulum", gravity=0.0, head_joint_damping=0.0, **HELD)
+    v = variant("pendulum", gravity=0.0, head_joint_damping=0.0, **HELD)
     i, c, stop = v.at("head_side_angle"), v.p["head_stop_damping"], v.p["head_stop_angle"]
     start = v.start(head_side_angle=math.copysign(stop, speed), head_side_speed=speed)
 
@@ -383,7 +374,7 @@ def test_variant_without_coulomb_friction_is_the_one_without_bristles(name):
     """All Coulomb numbers zero: rates and outputs are those of rigid or pendulum, at any state."""
     plain = variant({"friction": "rigid", "pendulum_friction": "pendulum"}[name])
     rng = np.random.default_rng(3)
-    bare = changed(name, **{n: 0.0 for n in P if n.endswith("_coulomb")})
+    bare = variant(name, **{n: 0.0 for n in P if n.endswith("_coulomb")})
     for _ in range(20):
         x, forces = random_state(bare, rng), random_forces(rng)
         same = x[[bare.states.index(n) for n in plain.states]]

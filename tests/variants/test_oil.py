@@ -6,6 +6,7 @@ import casadi as ca
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import number
 
 from fmus.components import chamber, oil
 from fmus.components.chamber import ATMOSPHERE, FLOOR, Fluid
@@ -18,10 +19,6 @@ pressures = st.floats(-1.5e5, 4e7)
 
 def fluid(air: float = 0.01, exponent: float = 1.4) -> Fluid:
     return Fluid(density=970.0, viscosity=0.02, bulk_modulus=BETA, air_share=air, air_exponent=exponent)
-
-
-def number(value: object) -> float:
-    return float(ca.DM(value))
 
 
 def mixture(air: float, exponent: float, absolute: float) -> float:

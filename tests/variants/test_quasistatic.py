@@ -9,18 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import (
-    JOINTS,
-    SUPPLY,
-    VALVE,
-    Part,
-    corners,
-    machine,
-    piston_areas,
-    played,
-    steady_velocity,
-    work_cycle,
-)
+from kit import equations
+from kit.work_cycle import PRESSURES
 
 from fmus.components import spool_valve
 from fmus.contract import symbolic
@@ -37,7 +27,7 @@ commands = st.floats(-12.0, 12.0)
 drops = st.floats(-4e7, 4e7)
 
 
-def ports(command, a, b, supply=SUPPLY, tank=0.0, valve=VALVE, hose=HOSE):
+def ports(command, a, b, supply=equations.SUPPLY, tank=0.0, valve=equations.VALVE, hose=HOSE):
     """Both ports as numbers."""
     found = spool_valve.ports_from_pressure(valve, command, a, b, supply, tank, RHO, hose)
     return [{n: float(ca.DM(v)) for n, v in vars(port).items()} for port in found]
@@ -57,25 +47,27 @@ def square_gain(command: float) -> float:
 def test_a_closed_valve_passes_exactly_the_stated_leakage(command, a, b, tank):
     """Up to the dead band each of the four edges passes G_leak dp, to the last bit."""
     for pressure, port in zip((a, b), ports(command, a, b, tank=tank), strict=True):
-        assert port["supply"] == VALVE.leakage * (SUPPLY - pressure)
-        assert port["tank"] == VALVE.leakage * (pressure - tank)
+        assert port["supply"] == equations.VALVE.leakage * (equations.SUPPLY - pressure)
+        assert port["tank"] == equations.VALVE.leakage * (pressure - tank)
 
 
 @pytest.mark.parametrize("command", [1.0, 10.0])
 def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
     """dQ/ddp = K^2 / Q_t + G_leak there, by the derivative of the equations."""
     pressure = ca.SX.sym("pressure")
-    supplied, _ = spool_valve.ports_from_pressure(VALVE, command, pressure, 0.0, SUPPLY, 0.0, RHO, HOSE)
+    supplied, _ = spool_valve.ports_from_pressure(
+        equations.VALVE, command, pressure, 0.0, equations.SUPPLY, 0.0, RHO, HOSE
+    )
     slope = ca.Function("slope", [pressure], [-ca.jacobian(supplied.supply, pressure)])
-    expected = square_gain(command) / VALVE.transition_flow + VALVE.leakage
+    expected = square_gain(command) / equations.VALVE.transition_flow + equations.VALVE.leakage
     # exact identity, rounding only
-    assert float(slope(SUPPLY)) == pytest.approx(expected, rel=1e-12)
+    assert float(slope(equations.SUPPLY)) == pytest.approx(expected, rel=1e-12)
 
 
 @given(st.floats(-1e-2, 1e-2), st.sampled_from([0.8, 3.0, 10.0]))
 def test_flow_over_an_edge_is_the_inverse_of_the_lumped_drop(flow, command):
     """The drop of the lumped edge and hose at a flow Q, put over the quasistatic edge, gives Q back."""
-    tight = replace(VALVE, leakage=0.0)
+    tight = replace(equations.VALVE, leakage=0.0)
     drop = float(spool_valve.turbulent_drop(flow, 1 / square_gain(command), 1e-5))
     port, _ = ports(command, -drop, 0.0, supply=0.0, tank=0.0, valve=tight)
     # exact identity: some rounding errors of numbers that are never subtracted
@@ -98,7 +90,7 @@ def test_trial_states_of_a_solver_give_finite_rates(part, pressure):
 
 def settled(part, variant, **inputs):
     """Outputs of a drive moved at a constant speed in place, once its states have settled."""
-    drive = Part(FAMILIES[part][variant])
+    drive = equations.Part(FAMILIES[part][variant])
     drive.u |= inputs
     return {name: y[-1] for name, y in drive.follow(np.array([0.0, 20.0])).items()}
 
@@ -108,10 +100,13 @@ def settled(part, variant, **inputs):
 def test_steady_cylinder_speed_has_the_closed_form_of_the_lumped_drive(name, command, load):
     """At the velocity of a load F by the closed form the force is F (verification case V07)."""
     p = values(QUASISTATIC["boom_stick"]).p
-    moved = {f"{name}_command": command, f"{name}_velocity": steady_velocity(p, name, command, load)}
+    moved = {
+        f"{name}_command": command,
+        f"{name}_velocity": equations.steady_velocity(p, name, command, load),
+    }
     force = settled("boom_stick", "quasistatic", **moved)[f"{name}_force"]
     # Q_t/Q to the square and the leakage of the closed edges over the flow: below 1e-3 of P_s A
-    assert force == pytest.approx(load, abs=1e-3 * SUPPLY * piston_areas(p, name)[0])
+    assert force == pytest.approx(load, abs=1e-3 * equations.SUPPLY * equations.piston_areas(p, name)[0])
 
 
 @pytest.mark.parametrize(("command", "speed"), [(5.0, 0.5), (-5.0, -0.3), (2.0, 0.1)])
@@ -124,7 +119,7 @@ def test_steady_swing_torque_is_that_of_the_lumped_drive(command, speed):
     lost = 2 * d * p["line_resistance"] * d * abs(speed)  # N.m
     difference = found["quasistatic"]["swing_torque"] - found["lumped"]["swing_torque"]
     # the leakage of the closed edges in the turbulent term: 1e-3 of P_s D
-    assert difference * math.copysign(1, speed) == pytest.approx(lost, abs=1e-3 * SUPPLY * d)
+    assert difference * math.copysign(1, speed) == pytest.approx(lost, abs=1e-3 * equations.SUPPLY * d)
     # the same leakage; 0.1 %
     assert found["quasistatic"]["supply_flow"] == pytest.approx(found["lumped"]["supply_flow"], rel=1e-3)
 
@@ -132,11 +127,7 @@ def test_steady_swing_torque_is_that_of_the_lumped_drive(command, speed):
 # ---- the limit of short hoses
 
 MOTION = {"swing_command": 4.0, "boom_command": 5.0, "stick_command": 4.0}  # V
-PRESSURES = (
-    *("swing.swing_pressure_a", "swing.swing_pressure_b"),
-    *(f"boom_stick.{a}_{side}_pressure" for a in ("boom", "stick") for side in ("head", "rod")),
-)
-SIGNALS = (*PRESSURES, *(f"manipulator.{joint}_speed" for joint in JOINTS))
+SIGNALS = (*PRESSURES, *(f"manipulator.{joint}_speed" for joint in equations.JOINTS))
 
 
 def scaled(length: float, variant: str) -> dict[str, Values]:
@@ -162,7 +153,7 @@ def moved(length: float, variant: str) -> np.ndarray:
     chosen = parts(swing=variant, boom_stick=variant)
     model = join(chosen, *wiring(chosen), scaled(length, variant))
     levers = {n: ([0, 0.4, 0.8, 1.2], [1.5, v, v, 1.5]) for n, v in MOTION.items()}
-    y = played(model, *corners(1.2, levers, 100), tolerance=1e-10)
+    y = equations.played(model, *equations.corners(1.2, levers, 100), tolerance=1e-10)
     return np.array([y[name] for name in SIGNALS])
 
 
@@ -193,10 +184,10 @@ def test_lumped_drives_tend_to_quasistatic_ones_with_the_length_of_their_hoses()
 def test_the_work_cycle_is_near_that_of_the_lumped_drives():
     """Over 8 s, root mean square over range: angles to 0.05 %, speeds and pressures to 0.1 %."""
     lumped, found = (
-        played(machine(swing=v, boom_stick=v), *work_cycle(8.0), tolerance=1e-8)
+        equations.played(equations.machine(swing=v, boom_stick=v), *equations.work_cycle(8.0), tolerance=1e-8)
         for v in ("lumped", "quasistatic")
     )
-    for name in (*SIGNALS, *(f"manipulator.{joint}_angle" for joint in JOINTS)):
+    for name in (*SIGNALS, *(f"manipulator.{joint}_angle" for joint in equations.JOINTS)):
         share = np.sqrt(np.mean((found[name] - lumped[name]) ** 2)) / np.ptp(lumped[name])
         # the figures of the READMEs; measured 2.4e-4 and 7e-4: oil in hoses weighs little in a work cycle
         assert share < (5e-4 if name.endswith("_angle") else 1e-3), name

@@ -124,7 +124,7 @@ def test_staggered_settings_let_one_pump_do_the_small_flows():
 def test_the_return_line_has_its_preload_and_the_drop_to_the_tank(bench):
     """P_b = P_t + p_b + R_b Q + w/2 above the foot of the check valve, p_b without flow."""
     p = bench.constants(reservoir_pressure=2e4)
-    assert bench.state(bench.rest(p), "tank_pressure") == pytest.approx(2e4 + 4e5, rel=1e-12)
+    assert bench.rest(p)[bench.at("tank_pressure")] == pytest.approx(2e4 + 4e5, rel=1e-12)
     y = bench.settled(Load(100 * L_MIN / 1e3, 5e6), reservoir_pressure=2e4)
     expected = 2e4 + 4e5 + 4e7 * y["return_flow"] + 5e4 / 2
     assert y["return_flow"] > 5e4 / 4e7  # above the foot
@@ -171,7 +171,7 @@ def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
     steps, p = [orifice(q * L_MIN) for q in (80, 200, 500, 0)], ENGINE_PUMP.constants()
     time, y = ENGINE_PUMP.through(steps, p, 3.0)
     one, two, three, none = (y["supply_pressure"][time <= 3.0 * (k + 1) + 1e-9][-1] for k in range(4))
-    start, speed = (ENGINE_PUMP.state(ENGINE_PUMP.rest(p), n) for n in ("supply_pressure", "engine_speed"))
+    start, speed = (ENGINE_PUMP.rest(p)[ENGINE_PUMP.at(n)] for n in ("supply_pressure", "engine_speed"))
     assert start > one > two > three
     assert start - two < P["compensator_band"]
     assert three < start - 2 * P["compensator_band"]
@@ -269,7 +269,7 @@ def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
     gained = rate["reservoir_volume"]
     for name in ("supply", "tank", *PUMPS[bench.sub.variant]):
         c = {"supply": p["rail_capacitance"], "tank": p["return_capacitance"]}.get(name, own)
-        gained += (c + cavity(bench.state(x, f"{name}_pressure"))) * rate[f"{name}_pressure"]
+        gained += (c + cavity(x[bench.at(f"{name}_pressure")])) * rate[f"{name}_pressure"]
     taken_1, back_1, taken_2, back_2 = flows
     # rounding of 0.1 m3/s
     assert gained == pytest.approx(back_1 + back_2 - taken_1 - taken_2, abs=1e-14)
@@ -299,7 +299,7 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
     assert abs(dx["engine_speed"]) < 1e-9
     assert abs(dx["engine_torque"]) < 1e-6
     # the stroke that covers the leakage is 0.1 to 20 %, and its foot is rounded
-    assert ENGINE_PUMP.state(x, "supply_pressure") == pytest.approx(
+    assert x[ENGINE_PUMP.at("supply_pressure")] == pytest.approx(
         max(setting, setting + apart), abs=0.25 * band
     )
 

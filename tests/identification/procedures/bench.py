@@ -52,20 +52,31 @@ def measured(sensor, true, random):
     return np.where(np.abs(true) < sensor.dead_zone, 0.0, np.clip(read, sensor.low, sensor.high))
 
 
-def recording(procedure, conditions, signals, seed, flow=FLOW):
-    """A recording of true signals by instruments; the command has no noise."""
+def recorded(name, time, true, units, sensors, seed, procedure, conditions=None):
+    """A recording of true signals by instruments; a signal without an instrument is exact."""
     random = np.random.default_rng(seed)
+    read = {n: measured(sensors[n], x, random) if n in sensors else x for n, x in true.items()}
+    about = {"procedure": procedure, "conditions": conditions or {}, "sensors": sensors}
+    return Recording(Path(f"{name}.csv"), time, read, units, **about)
+
+
+def recording(procedure, conditions, signals, seed, flow=FLOW):
+    """A recording at a bench; the command has no noise."""
     sensors = {n: PRESSURE if n.startswith("pressure") else flow for n in signals if n != "command"}
-    read = {n: measured(sensors[n], x, random) if n in sensors else x for n, x in signals.items()}
     time = np.arange(len(next(iter(signals.values())))) / RATE
     units = {name: {"c": "V", "p": "Pa", "f": "m3/s"}[name[0]] for name in signals}
-    about = {"procedure": procedure, "conditions": conditions, "sensors": sensors}
-    return Recording(Path(f"{procedure}.csv"), time, read, units, **about)
+    return recorded(procedure, time, signals, units, sensors, seed, procedure, conditions)
 
 
 def changed(record, signals):
     """The recording with other samples of some signals."""
     return replace(record, signals={**record.signals, **signals})
+
+
+def with_sensors(record, first="", **changes):
+    """The recording with other properties of the sensors whose signals begin so."""
+    own = {n: replace(s, **changes) for n, s in record.sensors.items() if n.startswith(first)}
+    return replace(record, sensors={**record.sensors, **own})
 
 
 def opening(command, dead_band=DEAD_BAND, rounding=ROUNDING):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from equations import transcription
 from hypothesis import given
 from hypothesis import strategies as st
 from identification.procedures.bench import changed
@@ -22,21 +23,17 @@ from fmus.identification.procedures.momentum_balance import (
 from fmus.manipulator import MANIPULATOR
 from orchestrator.data.recording import Sensor
 
+MACHINE = transcription.Machine(transcription.numbers())
+
 
 def hydraulics(pressures, speed):
-    """Swing torque and cylinder forces by hand: the 2x2 node system of the motor, areas times pressures."""
-    g, g_in, g_ex = (
-        1 / V[n] for n in ("line_resistance", "internal_leakage_resistance", "external_leakage_resistance")
-    )
-    d = V["motor_displacement"] * V["gear_ratio"]
-    a, b, *cylinders = pressures
-    nodes = [[g + g_in + g_ex, -g_in], [-g_in, g + g_in + g_ex]]
-    p1, p2 = np.linalg.solve(nodes, [g * a - d * speed, g * b + d * speed])
+    """Swing torque and cylinder forces by the second writing of the equations: areas times pressures."""
+    p1, p2 = transcription.motor(MACHINE.swing, *pressures[:2], 0.0, speed)
     forces = []
-    for name, head, rod in (("boom", *cylinders[:2]), ("stick", *cylinders[2:])):
-        area = np.pi / 4 * V[f"{name}_bore"] ** 2
-        forces.append(area * head - (area - np.pi / 4 * V[f"{name}_rod"] ** 2) * rod)
-    return d * (p1 - p2), *forces
+    for p, head, rod in zip(MACHINE.hydraulic, pressures[2::2], pressures[3::2], strict=True):
+        on_head, on_rod = transcription.areas(p)
+        forces.append(on_head * head - on_rod * rod)
+    return V["motor_displacement"] * V["gear_ratio"] * (p1 - p2), *forces
 
 
 def test_the_balance_is_the_machine_s_equation_of_motion():

@@ -72,12 +72,12 @@ def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected()
     for _ in range(8):
         noise = sd * random.standard_normal(told.time.size)
         for sign in (1, -1):
-            x = told["manipulator.stick_angle"] + sign * noise
-            one = as_printed(
-                [changed(told, {"manipulator.stick_angle": x})], joint, CONTACTS[joint].theta, P
-            )[size]
-            plain.append(one[1])
-            corrected.append(one[2])
+            shaken = changed(
+                told, {"manipulator.stick_angle": told["manipulator.stick_angle"] + sign * noise}
+            )
+            _, *one = as_printed([shaken], joint, CONTACTS[joint].theta, P)[size]
+            plain.append(one[0])
+            corrected.append(one[1])
     lost, left = (np.mean(x) / truth(joint) - 1 for x in (plain, corrected))
     assert lost < -0.02
     # what is even in the noise beyond attenuation: a tenth of it

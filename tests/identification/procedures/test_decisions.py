@@ -1,12 +1,13 @@
 """The limits of decisions: just below nothing is said, just above it is."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from identification.procedures import bench, lumped_machine
-from identification.procedures.bench import BAR, changed
+from identification.procedures.bench import BAR, changed, with_sensors
 from identification.procedures.test_findings import UP_AND_DOWN, at_rest, hose, names, warmer
 from kit.mistakes import problem
 
@@ -19,6 +20,7 @@ from fmus.identification.procedures import (
     rest,
     valve,
 )
+from orchestrator.data.recording import Recording
 
 DAMPING = "manipulator.boom_piston_damping"
 
@@ -37,25 +39,19 @@ def test_a_fit_of_chance_is_no_misfit_and_no_significant_term():
 def test_noise_known_to_a_factor_of_two_is_no_error_of_the_model():
     """Residuals of 2 and of 3.5 times the noise; the former is what the declaration leaves open."""
     samples = SimpleNamespace(sd=np.ones((1, 1)), raw=np.ones((1, 9)))
-    p = [
-        model_finding(SimpleNamespace(fit=regression(40 * k**2), samples=[samples]), "").p for k in (2.0, 3.5)
-    ]
-    assert p[0] > 0.5
-    assert p[1] < 1e-3
+    fits = (SimpleNamespace(fit=regression(40 * k**2), samples=[samples]) for k in (2.0, 3.5))
+    twice, more = (model_finding(fit, "").p for fit in fits)
+    assert twice > 0.5
+    assert more < 1e-3
 
 
 def test_zero_of_a_sensor_without_range_is_ten_times_its_noise_at_least():
     """Readings of 1 bar with a noise of 0.1 bar: 1 bar; of 800 bar: 0.25 % of them, 2 bar."""
-    sensor = replace(bench.PRESSURE, high=np.inf, low=-np.inf)
-    limits = []
-    for size in (1.0, 800.0):
-        record = at_rest(pressure_in=0.0)
-        signals = {"pressure_in": np.full(2001, size * BAR)}
-        limits.append(
-            experiment_data.zero_limit(
-                replace(record, signals=signals, sensors={"pressure_in": sensor}), "pressure_in"
-            )
-        )
+    record = with_sensors(at_rest(pressure_in=0.0), high=np.inf, low=-np.inf)
+    limits = [
+        experiment_data.zero_limit(changed(record, {"pressure_in": np.full(2001, size)}), "pressure_in")
+        for size in (1.0 * BAR, 800.0 * BAR)
+    ]
     assert limits == pytest.approx([1.0 * BAR, 2.0 * BAR])
 
 
@@ -63,9 +59,9 @@ def test_lengths_of_one_hose_differ_by_less_than_a_thousandth():
     """0.8 mm in a metre are the tape's, 2 mm are another hose."""
 
     def sizes(factor):
-        records = [r for _ in range(2) for r in bench.moving_hose(1, groups=1, length=1.0)]
+        (record,) = bench.moving_hose(1, groups=1, length=1.0)
         own = {**bench.HOSE, "length": bench.LENGTH * factor}
-        return experiment_data.hose_size([records[0], replace(records[1], conditions=own)])
+        return experiment_data.hose_size([record, replace(record, conditions=own)])
 
     assert sizes(1.0008) == (bench.LENGTH, bench.BORE)
     assert "identify one hose at a time" in problem(lambda: sizes(1.002))
@@ -78,43 +74,29 @@ def test_a_signal_is_steady_below_four_standard_deviations_of_its_rate(rates, st
     derivative = experiment_data.filter_for(at_rest(pressure_in=0.0), experiment_data.RATE_WINDOW, 2)
     rate = rates * derivative.gain(1) * noise
     values = rate * np.clip(time - 7.5, 0.0, 5.0) + noise * np.random.default_rng(1).standard_normal(4001)
-    record = replace(
-        at_rest(pressure_in=0.0),
-        time=time,
-        signals={"x": values},
-        units={"x": "Pa"},
-        sensors={"x": bench.Sensor("x", noise)},
-    )
+    sensors = {"x": bench.Sensor("x", noise)}
+    record = Recording(Path("ramp.csv"), time, {"x": values}, {"x": "Pa"}, sensors=sensors)
     stretches = experiment_data.steady_stretches(record, ["x"])
     assert any(s.start < 2000 < s.stop for s in stretches) == steady
+
+
+def noise_finding(factor, count=2001):
+    """What the first samples of a pressure at rest say, if its sensor declares so much less noise."""
+    record = with_sensors(at_rest(pressure_in=BAR), noise=0.1 * BAR / factor, resolution=0.0)
+    some = replace(changed(record, {"pressure_in": record["pressure_in"][:count]}), time=record.time[:count])
+    return next(experiment_data.signal_findings([some], ["pressure_in"], ""), None)
 
 
 @pytest.mark.parametrize(("factor", "named"), [(1.8, False), (3.5, True)])
 def test_a_noise_is_wrong_if_it_is_off_by_more_than_a_factor_of_two(factor, named):
     """Ten seconds of a sensor that declares its noise too small."""
-    record = at_rest(pressure_in=BAR)
-    told = replace(record.sensor("pressure_in"), noise=0.1 * BAR / factor, resolution=0.0)
-    record = replace(record, sensors={"pressure_in": told})
-    finding = next(experiment_data.signal_findings([record], ["pressure_in"], ""))
-    assert (finding.p < 1e-3) == named
+    assert (noise_finding(factor).p < 1e-3) == named
 
 
 def test_few_samples_tell_no_noise():
     """A hundred samples are not tested. A factor of three in 150 samples is two standard errors, chance."""
-    record = at_rest(pressure_in=BAR)
-    told = replace(record.sensor("pressure_in"), noise=0.1 * BAR / 3, resolution=0.0)
-
-    def finding(count):
-        some = replace(
-            record,
-            time=record.time[:count],
-            signals={"pressure_in": record["pressure_in"][:count]},
-            sensors={"pressure_in": told},
-        )
-        return next(experiment_data.signal_findings([some], ["pressure_in"], ""), None)
-
-    assert finding(100) is None
-    assert 1e-3 < finding(150).p < 0.5
+    assert noise_finding(3, 100) is None
+    assert 1e-3 < noise_finding(3, 150).p < 0.5
 
 
 @pytest.mark.parametrize(("change", "named"), [(0.015, False), (0.035, True)])
@@ -141,9 +123,8 @@ def test_a_joint_moves_if_its_speed_is_above_its_noise(speed, moves):
     """A root mean square speed of 2 and of 5 standard deviations of its noise."""
     record = lumped_machine.recording("boom", seed=1, length=4.0)
     r = momentum_balance.joint_recording(record, ("boom",), (DAMPING,), lumped_machine.P)
-    noise = np.linalg.norm(r.samples.channels[3][1]) * experiment_data.noise_sd(
-        record, momentum_balance.ANGLES[1]
-    )
+    sd = experiment_data.noise_sd(record, momentum_balance.ANGLES[1])
+    noise = np.linalg.norm(r.samples.channels[3][1]) * sd
     z = r.z.copy()
     z[4] = speed * noise
     assert damping._moves(replace(r, z=z), 1) == moves
@@ -152,9 +133,8 @@ def test_a_joint_moves_if_its_speed_is_above_its_noise(speed, moves):
 def test_an_end_stop_acts_within_two_millimetres():
     """Samples of a piston 1 mm from its end are left out, those at 3 mm are used."""
     record, p = lumped_machine.recording("boom", length=4.0), lumped_machine.P.copy()
-    position = np.array(
-        momentum_balance.equation_of_motion()[0](np.array([record[n] for n in momentum_balance.ANGLES]), p)[0]
-    )[0]
+    angles = np.array([record[n] for n in momentum_balance.ANGLES])
+    position = np.array(momentum_balance.equation_of_motion()[0](angles, p)[0])[0]
     stroke = momentum_balance.PARAMETERS.index("manipulator.boom_stroke")
     used = []
     for gap in (0.1, 3e-3, 1e-3):
@@ -167,12 +147,9 @@ def test_an_end_stop_acts_within_two_millimetres():
 def test_steps_within_two_thousandths_have_one_command():
     """Steps of 3 and 3.01 V are one command, of 3 and 3.04 V two."""
     for second, voltages in ((3.01, 5), (3.04, 6)):
-        found = valve_fit((1.5, 2.0, 3.0, second, 6.0, 10.0))
+        edge = bench.edge("P-A", 1, steps=(1.5, 2.0, 3.0, second, 6.0, 10.0))
+        found = valve.identify_openings([edge], bench.KNOWN)
         assert next(iter(found.nodes.values())).command.size == voltages
-
-
-def valve_fit(steps):
-    return valve.identify_openings([bench.edge("P-A", 1, steps=steps)], bench.KNOWN)
 
 
 @pytest.mark.parametrize(("factor", "refused"), [(0.008, True), (0.02, False), (1.2, False), (2.0, True)])
@@ -202,6 +179,9 @@ def test_a_reading_of_twenty_limits_is_no_zero(limits, refused):
         return rest.identify([at_rest(pressure_in=limits * BAR)], {})
 
     if refused:
-        assert "expected a reading near zero" in problem(result)
+        assert problem(result) == (
+            "rest.csv: pressure_in: expected a reading near zero, with the pump off and all pressures "
+            "relieved, got 30 bar"
+        )
     else:
         assert names(result()) == {"zero of a pressure sensor"}

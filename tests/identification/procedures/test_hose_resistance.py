@@ -29,12 +29,18 @@ def results():
 
 
 def test_resistance_comes_back_and_is_scaled(results):
-    """The stick's C_R within 2 %, the boom's 3/4 of it, eq. (10); over noise seeds intervals hold it."""
+    """The stick's C_R within 2 %, the boom's 3/4 of it, eq. (10); over noise seeds intervals hold it.
+
+    The only step below 10 L/min is masked and not fitted, and a remark says so.
+    """
     found = bench.named(results[0])
     assert found["boom_stick.stick_hose_resistance"].value == pytest.approx(bench.RESISTANCE, rel=0.02)
     ratio = found["boom_stick.boom_hose_resistance"].value / found["boom_stick.stick_hose_resistance"].value
     assert ratio == pytest.approx(0.75, rel=1e-12)  # exact: 3 m of 4 m, the same bore
     bench.assert_coverage(bench.RESISTANCE, [bench.named(result)["C_R"] for result in results])
+    masked = next(c for c in results[0].panels[0].curves if c.kind == "masked")
+    assert masked.x.size == 1
+    assert results[0].remarks[0].startswith("Left out of 24 steps: 1 in the dead zone")
 
 
 def test_law_of_the_data_fits_better(results):
@@ -69,13 +75,6 @@ def test_laminar_part_is_estimated():
     for name, truth in (("R, laminar part", laminar), ("C_R with laminar part", bench.RESISTANCE)):
         assert abs(found[name].value - truth) < 4 * found[name].sd
     assert any("laminar part" in remark for remark in result.remarks)
-
-
-def test_dead_zone_is_masked(results):
-    """The only step below 10 L/min is masked and not fitted, and a remark says so."""
-    masked = next(c for c in results[0].panels[0].curves if c.kind == "masked")
-    assert masked.x.size == 1
-    assert results[0].remarks[0].startswith("Left out of 24 steps: 1 in the dead zone")
 
 
 def test_too_few_steps_are_refused():

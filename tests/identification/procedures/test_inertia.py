@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from equations.test_rigid_body import arm
 from identification.procedures.lumped_machine import KNOWN, PRESSURE, P, V, gravity, recording
+from kit.equations import JOINTS
+from kit.mistakes import problem
 
 from fmus.identification.procedures.inertia import FREE, STANDARD, grouping, identify, regressor, standard
-from orchestrator.base.errors import Problem
-
-JOINTS = ("swing", "boom", "stick")
 
 
 def states(count=30):
@@ -21,15 +21,8 @@ def states(count=30):
 
 def by_pinocchio(pin, q, w, a):
     """Torques by our standard parameters from Pinocchio's regressor of a tree with the same joints."""
-    model, up = pin.Model(), np.array([0.0, -1.0, 0.0])
-    model.gravity.linear = np.array([0.0, 0.0, -V["gravity"]])
-    parent = 0
-    pivots = [(V[f"{n}_pivot_x"], V[f"{n}_pivot_z"]) for n in JOINTS[1:]]
-    joints = [(pin.JointModelRZ(), (0.0, 0.0)), *((pin.JointModelRevoluteUnaligned(up), p) for p in pivots)]
-    for k, (joint, (x, z)) in enumerate(joints):
-        parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, 0.0, z])), f"joint {k}")
-        model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())
-    y = pin.computeJointTorqueRegressor(model, model.createData(), q, w, a)
+    tree, data = arm(pin, V)
+    y = pin.computeJointTorqueRegressor(tree, data, q, w, a)
     column, boom, stick = (y[:, 10 * k : 10 * k + 10] for k in range(3))
     # theirs: m, m x, m y, m z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz about the joint
     found = [column[:, 9]]
@@ -115,5 +108,4 @@ def test_undetermined_parameters_keep_their_value():
 def test_without_a_motion_it_is_refused():
     """One line with the procedures of the recordings."""
     bench = replace(recording("boom"), procedure="valve")
-    with pytest.raises(Problem, match='with use = "train", got valve'):
-        identify([bench], KNOWN)
+    problem(lambda: identify([bench], KNOWN), 'with use = "train", got valve')

@@ -2,31 +2,28 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from identification.procedures.bench import assert_coverage, changed, measured, named
-from identification.procedures.lumped_machine import KNOWN
+from identification.procedures.bench import assert_coverage, changed, named, recorded
+from identification.procedures.lumped_machine import KNOWN, PRESSURE
 from kit.mistakes import problem, table
 
 from fmus.identification.procedures.motor_leakage import identify
-from orchestrator.data.recording import Recording, Sensor
+from orchestrator.data.recording import Sensor
 
 R_IN, R_EX = 2.0e12, 1.1e12  # Pa.s/m3
 TRUTH = {"internal_leakage_resistance": R_IN, "external_leakage_resistance": R_EX}
-PRESSURE = Sensor("transducer", 1e4, 4e7 / 4096, 0.0, 4e7)
 METER = Sensor("gear meter", 5e-6 / 60, 1e-2 / 60 / 4096, -5e-3 / 60, 5e-3 / 60)
 SENSORS = {"pressure_a": PRESSURE, "pressure_b": PRESSURE, "flow_a": METER, "drain_flow": METER}
 UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "flow_a": "m3/s", "drain_flow": "m3/s"}
 CAPACITANCE = 1e-12  # m3/Pa, of line A: flow that is no leakage while the pressure rises
 
 
-def pressures(high, low=1e6, hold=1.5, ramp=0.2):
-    """Time, stepped pressure and constant pressure at the other port [Pa]."""
-    time = np.arange(round(len(high) * hold * 200)) / 200
-    corners = np.concatenate([[k * hold + (ramp if k else 0.0), (k + 1) * hold] for k in range(len(high))])
-    return time, np.interp(time, corners, np.repeat(high, 2)), np.full_like(time, low)
+HIGH = 1e6 * np.array([2, 5, 9, 13, 17, 11, 7])  # Pa, each for 1.5 s with ramps of 0.2 s between them
+TIME = np.arange(300 * HIGH.size) / 200
+CORNERS = np.add.outer(1.5 * np.arange(HIGH.size), [0.2, 1.5]).ravel()
+STEPPED = np.interp(TIME, CORNERS, np.repeat(HIGH, 2))
 
 
 def recordings(seed=None, low=1e6, square=0.0, zero=0.0, tank=0.0):
@@ -38,16 +35,15 @@ def recordings(seed=None, low=1e6, square=0.0, zero=0.0, tank=0.0):
     fine = {n: Sensor("fine", s.noise * 1e-3, 0.0, s.low, s.high) for n, s in SENSORS.items()}
     sensors = fine if seed is None else SENSORS
     for k, port in enumerate("ab"):
-        time, stepped, other = pressures(np.array([2e6, 5e6, 9e6, 13e6, 17e6, 11e6, 7e6]), low)
-        a, b = (stepped, other) if port == "a" else (other, stepped)
+        other = np.full_like(TIME, low)
+        a, b = (STEPPED, other) if port == "a" else (other, STEPPED)
         d = a - b
-        flow = d / R_IN + square * d * np.abs(d) + a / R_EX + CAPACITANCE * np.gradient(a, time)
+        flow = d / R_IN + square * d * np.abs(d) + a / R_EX + CAPACITANCE * np.gradient(a, TIME)
         signals = {"pressure_a": a + tank, "pressure_b": b + tank, "flow_a": flow}
         signals["drain_flow"] = (a + b) / R_EX + zero
-        signals = {n: measured(sensors[n], x, random) for n, x in signals.items()}
-        about = {"procedure": "motor_leakage", "sensors": sensors}
-        about["conditions"] = {"shaft": "locked"} | ({"tank_pressure": tank} if tank else {})
-        found.append(Recording(Path(f"motor_leakage_{k + 1}.csv"), time, signals, UNITS, **about))
+        conditions = {"shaft": "locked"} | ({"tank_pressure": tank} if tank else {})
+        about = (UNITS, sensors, random, "motor_leakage", conditions)
+        found.append(recorded(f"motor_leakage_{k + 1}", TIME, signals, *about))
     return found
 
 

@@ -79,18 +79,22 @@ def test_two_percent_in_the_exponent_are_no_zero_of_a_transducer():
     assert faults(result) == []
 
 
+def table_of(result, edge):
+    """Commands and openings of the table of an edge."""
+    values = {e.name: e.value for e in result.listed}
+    for kind in ("command", "opening"):
+        names = (f"valve_{edge}_{kind}_{k}" for k in range(1, 11))
+        yield np.array([values[name] for name in names if name in values])
+
+
 def test_tables_are_what_the_machine_reads():
     """Up to ten points per edge, from zero to one, ascending, the first of them at the start."""
     result = found(bench.FINE)
-    values = {e.name: e.value for e in result.listed}
     assert {e.listed for e in result.listed} == {
         f"valve_{edge}_{kind}" for edge in ("pa", "at", "pb", "bt") for kind in ("commands", "openings")
     }
     for edge in ("pa", "at", "pb", "bt"):
-        commands, openings = (
-            [values[n] for k in range(1, 11) if (n := f"valve_{edge}_{kind}_{k}") in values]
-            for kind in ("command", "opening")
-        )
+        commands, openings = table_of(result, edge)
         assert 2 <= len(commands) == len(openings) <= 10
         assert np.all(np.diff(commands) > 0)
         assert np.all(np.diff(openings) >= 0)
@@ -168,8 +172,11 @@ def test_a_wrong_noise_is_named_with_the_right_one(factor):
     assert result.estimates[0].low <= bench.AREA <= result.estimates[0].high
 
 
-def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges():
-    """Readings that no command changes are subtracted, and named if they are not declared."""
+def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges(monkeypatch):
+    """Readings that no command changes are subtracted, and named if they are not declared.
+
+    An opening from 0.3 V has one closed command of 0.25 V only: the steps at 0 V tell the zero, too.
+    """
     recording = bench.edge("P-A", bench.power(1.0), np.zeros(2), [8])
     shifted = changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})
     assert faults(valve.identify([recording], bench.KNOWN)) == []
@@ -177,15 +184,10 @@ def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges():
     assert faults(result) == ["zero of a flow meter"]
     start = named(result)["dead_band + rounding/2"]
     assert start.low <= bench.DEAD_BAND <= start.high
-
-
-def test_a_zero_is_seen_at_zero_command(monkeypatch):
-    """An opening from 0.3 V has one closed command of 0.25 V only: the steps at 0 V tell the zero, too."""
     monkeypatch.setattr(bench, "STEPS", (0.0, *bench.STEPS))
     recording = bench.edge("P-A", bench.power(1.0, 0.3), np.zeros(2), [10])
-    result = valve.identify(
-        [changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})], bench.KNOWN
-    )
+    shifted = changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})
+    result = valve.identify([shifted], bench.KNOWN)
     assert "zero of a flow meter" in faults(result)
     assert all("0.3 L/min" in f.sentence for f in result.findings if f.fault == "zero of a flow meter")
 
@@ -199,22 +201,23 @@ def test_a_zero_of_the_pressures_is_seen_at_two_supplies(monkeypatch, bar):
         recordings.append(bench.edge("P-A", bench.FINE, bar * bench.BAR * np.array([1, -1]), [11, number]))
     result = valve.identify(recordings, bench.KNOWN)
     assert faults(result) == (["zero of a pressure sensor"] if abs(bar) > 0.5 else [])
-    estimates = named(result)
-    assert estimates["valve_area"].low <= bench.AREA <= estimates["valve_area"].high
+    area, zero = (named(result)[n] for n in ("valve_area", "pressures without flow"))
+    assert area.low <= bench.AREA <= area.high
     # 1 %, 0.04 bar: five standard deviations of 0.008 bar
-    assert estimates["pressures without flow"].value == pytest.approx(
-        2 * bar * bench.BAR, abs=0.04 * bench.BAR
-    )
+    assert zero.value == pytest.approx(2 * bar * bench.BAR, abs=0.04 * bench.BAR)
 
 
-def test_a_start_that_is_not_rounded_as_known_is_named(monkeypatch):
-    """A meter without a dead zone sees that the opening begins at a point, not over the known 0.4 V."""
+def test_a_sharp_start_is_named_if_it_is_seen_and_else_in_the_interval(monkeypatch):
+    """An opening from 0.7 V on, not rounded over the known 0.4 V; a meter without a dead zone sees it."""
+    unseen = named(found(bench.power(1.0, 0.7)))["valve_dead_band"]
+    assert unseen.low <= 0.7 <= unseen.high
+    assert unseen.high < 0.8
     meter = replace(bench.SENSORS["flow"], dead_zone=0.0, resolution=0.01 * bench.LITRES)
     monkeypatch.setitem(bench.SENSORS, "flow", meter)
     result = found(bench.power(1.0, 0.7))
     assert faults(result) == ["dead band"]
-    estimates = named(result)
-    assert estimates["valve_dead_band"].low <= 0.7 <= estimates["valve_dead_band"].high
+    seen = named(result)["valve_dead_band"]
+    assert seen.low <= 0.7 <= seen.high
 
 
 def test_an_edge_in_the_dead_zone_is_not_idle(monkeypatch):
@@ -248,28 +251,22 @@ def test_an_edge_that_is_open_at_zero_has_a_table():
     """An underlap is named, and the table begins at 0 V with the opening that it has there."""
     result = found(lambda v: 0.1 + 0.09 * v)
     assert faults(result) == ["dead band"]
-    values = {e.name: e.value for e in result.listed}
-    assert values["valve_pa_command_1"] == 0.0
-    commands, openings_of = (
-        np.array([values[f"valve_pa_{kind}_{k}"] for k in range(1, 11) if f"valve_pa_{kind}_{k}" in values])
-        for kind in ("command", "opening")
-    )
+    commands, openings_of = table_of(result, "pa")
+    assert commands[0] == 0.0
     volts = np.arange(0.5, 10.01, 0.5)
     table = openings.tabulated(commands, openings_of, volts)
     # 1 %: the start is a step, which a cubic rounds
-    assert table * named(result)["valve_area"].value / bench.AREA == pytest.approx(
-        0.1 + 0.09 * volts, rel=0.01
-    )
+    area = table * named(result)["valve_area"].value
+    assert area == pytest.approx(bench.AREA * (0.1 + 0.09 * volts), rel=0.01)
 
 
 def test_a_band_widens_where_nothing_was_measured(monkeypatch):
     """Up to 6 V only: at 10 V the band holds an opening that stays as it is, and one that goes on rising."""
     monkeypatch.setattr(bench, "STEPS", tuple(v for v in bench.UP if v <= 6.0))
     for share in (bench.power(1.0), bench.power(1.3)):
-        curve = valve.identify_openings([bench.edge("P-A", share, np.zeros(2), [9])], bench.KNOWN).curves[
-            "P-A"
-        ]
-        low, high = curve.band_at(np.array([5.75, 10.0]))
+        edge = bench.edge("P-A", share, np.zeros(2), [9])
+        fit = valve.identify_openings([edge], bench.KNOWN).curves["P-A"]
+        low, high = fit.band_at(np.array([5.75, 10.0]))
         true = bench.AREA * share(np.array([6.0, 10.0]))
         assert low[1] < 1.05 * true[0]
         assert high[1] > true[1]
@@ -319,10 +316,3 @@ def test_an_opening_that_falls_is_named(share):
 
     assert "falling opening" in faults(found(closing, 1))
     assert "falling opening" not in faults(found(share, 1))
-
-
-def test_the_start_of_a_straight_opening_is_as_uncertain_as_its_foot():
-    """No flow was measured near 0.7 V: the interval holds a sharp start, unlike the known rounding."""
-    dead_band = named(found(bench.power(1.0, 0.7)))["valve_dead_band"]
-    assert dead_band.low <= 0.7 <= dead_band.high
-    assert dead_band.high < 0.8

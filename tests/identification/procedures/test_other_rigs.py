@@ -14,7 +14,6 @@ from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
-HOSE = ("hose_resistance", "hose_dynamics")
 TRUTH = {
     "valve_area": bench.AREA,
     "valve_dead_band": bench.DEAD_BAND,
@@ -50,36 +49,22 @@ def gaps(r):
     """One sample in a hundred is missing, independently for each sensor."""
     random = np.random.default_rng(1)
 
-    def with_gaps(name, x):
-        return x if name == "command" else np.where(random.random(x.size) < 0.01, np.nan, x)
-
-    return with_signals(r, with_gaps)
+    lost = {n: random.random(r.time.size) < 0.01 for n in r.signals if n != "command"}
+    return bench.changed(r, {n: np.where(where, np.nan, r[n]) for n, where in lost.items()})
 
 
-def slower(r):
-    """Every fourth row: 50 Hz."""
-    return rows(r, slice(None, None, 4))
-
-
-def offset(r):
-    """The transducer at the outlet reads 0.5 bar too much."""
-    return with_signals(r, lambda n, x: x + 5e4 if n == "pressure_out" else x)
-
-
-def turned(r):
-    """All flow meters count the other way."""
-    return with_signals(r, lambda n, x: -x if n.startswith("flow") else x)
+def offset(r, zero=0.5 * bench.BAR):
+    """The transducer at the outlet reads so much too much."""
+    return bench.changed(r, {"pressure_out": r["pressure_out"] + zero})
 
 
 CHANGES = {
     "gaps": gaps,
     "lost rows": lambda r: rows(r, np.random.default_rng(2).random(r.time.size) > 0.01),  # one in a hundred
     "undescribed sensors": lambda r: replace(r, sensors={}),
-    "undescribed dead zone": lambda r: replace(
-        r, sensors={n: replace(s, dead_zone=0.0) for n, s in r.sensors.items()}
-    ),
+    "undescribed dead zone": lambda r: bench.with_sensors(r, dead_zone=0.0),
     "offset": offset,
-    "50 Hz": slower,
+    "50 Hz": lambda r: rows(r, slice(None, None, 4)),
 }
 
 
@@ -130,9 +115,7 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
     """5 bar between two transducers of the class 0.05 bar: the zero ends there; a hose warns."""
 
     def far_off(r):
-        moved = with_signals(r, lambda n, x: x + 5e5 if n == "pressure_out" else x)
-        sensors = {n: replace(s, zero_error=declared * bench.BAR) for n, s in moved.sensors.items()}
-        return replace(moved, sensors=sensors)
+        return bench.with_sensors(offset(r, 5 * bench.BAR), zero_error=declared * bench.BAR)
 
     result = result_of(name, far_off)
     zero = next(e for e in result.others if e.name == "pressures without flow")
@@ -151,9 +134,9 @@ def test_residuals_far_above_the_noise_are_a_warning():
 
 
 IMPOSSIBLE = {
-    "meters turned": turned,
-    "one meter turned": lambda r: with_signals(r, lambda n, x: -x if n == "flow_out" else x),
-    "50 Hz": slower,
+    "meters turned": lambda r: with_signals(r, lambda n, x: -x if n.startswith("flow") else x),
+    "one meter turned": lambda r: bench.changed(r, {"flow_out": -r["flow_out"]}),
+    "50 Hz": CHANGES["50 Hz"],
     "at rest": lambda r: with_signals(r, lambda _, x: np.full_like(x, x[0])),
     "edge P-X": lambda r: replace(r, conditions={"edge": "P-X"}),
     "one sign": lambda r: with_signals(r, lambda n, x: np.abs(x) if n == "command" else x),
@@ -170,7 +153,7 @@ def test_impossible_data_are_refused_in_one_line(name, change, message):
     assert re.search(message, problem(lambda: result_of(name, IMPOSSIBLE[change])))
 
 
-@pytest.mark.parametrize("name", HOSE)
+@pytest.mark.parametrize("name", ["hose_resistance", "hose_dynamics"])
 def test_two_hoses_are_refused(name):
     """Recordings of hoses of different lengths are refused, not averaged."""
     procedure, recordings = BENCHES[name]
@@ -200,16 +183,12 @@ def test_commands_that_close_the_edge_are_left_out():
     assert together.estimates[0].value == pytest.approx(alone.estimates[0].value, rel=1e-9)
 
 
-def constant(name, x):
-    """Pressures with samples replaced by the mean of their step of 1.5 s."""
-    return np.repeat(x.reshape(-1, 300).mean(axis=1), 300) if name.startswith("pressure") else x
-
-
 def test_a_signal_without_noise_gives_no_infinite_weights():
-    """Constant steps, as in a simulation: the estimate is right, and its interval is not zero."""
+    """Pressures constant in each step of 1.5 s, as in a simulation: the estimate is right, sd is not zero."""
     quiet = Sensor("perfect", 0.0, 1e-12, -np.inf, np.inf, bench.FLOW.dead_zone)
     one = bench.edge("P-A", 0, flow=quiet)
-    clean = with_signals(one, constant)
+    steps = {n: one[n].reshape(-1, 300).mean(axis=1) for n in ("pressure_in", "pressure_out")}
+    clean = bench.changed(one, {n: np.repeat(x, 300) for n, x in steps.items()})
     area = valve.identify([replace(clean, sensors={})], bench.KNOWN).estimates[0]
     assert area.value == pytest.approx(bench.AREA, rel=1e-3)  # the means keep the noise of 300 samples
     assert area.sd > 0

@@ -1,10 +1,9 @@
 """Payload from pressures: recordings by equations of the test, and those of both rigs."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from identification.procedures.bench import measured
+from equations import transcription
+from identification.procedures.bench import BAR, recorded
 from identification.procedures.lumped_machine import ENCODER, KNOWN, PRESSURE, V, gravity
 from kit import shards
 
@@ -15,12 +14,10 @@ from fmus.identification.results import named
 from fmus.rig.experiments import WEIGHED, experiment
 from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording
 
 STICK = -1.2  # rad
 HEAD, ROD = "boom_stick.boom_head_pressure", "boom_stick.boom_rod_pressure"
 AREAS = np.pi / 4 * V["boom_bore"] ** 2, np.pi / 4 * (V["boom_bore"] ** 2 - V["boom_rod"] ** 2)  # m2
-BAR = 1e5
 
 
 def cylinder(boom):
@@ -32,17 +29,12 @@ def cylinder(boom):
 
 def inertia(held):
     """Moment of inertia of the arm about the boom's pivot [kg.m2], the stick held."""
-    elbow, turned = complex(V["stick_pivot_x"], V["stick_pivot_z"]), np.exp(1j * STICK)
-    stick = elbow + complex(V["stick_centre_x"], V["stick_centre_z"]) * turned
-    tip = elbow + V["stick_length"] * turned
-    boom = complex(V["boom_centre_x"], V["boom_centre_z"])
-    points = ((V["boom_mass"], boom), (V["stick_mass"], stick), (V["head_mass"] + held, tip))
-    return V["boom_inertia"] + V["stick_inertia"] + sum(m * abs(r) ** 2 for m, r in points)
+    return transcription.arm(transcription.Machine(transcription.numbers()), 0.0, STICK, 0, 0, 0, held)[1]
 
 
 def recording(held, seed, name="loaded", zero=0.0, up_only=False, dry=2500.0, viscous=4e4):
     """The boom moves slowly to and fro: F J = G + I q'' + friction."""
-    rng, time = np.random.default_rng(seed), np.arange(6001) / 200
+    time = np.arange(6001) / 200
     phase = 2 * np.pi * time / 10
     boom = 0.2 + (0.002 * time if up_only else 0.08 * np.sin(phase))
     rate = np.gradient(boom, time, edge_order=2)
@@ -59,15 +51,8 @@ def recording(held, seed, name="loaded", zero=0.0, up_only=False, dry=2500.0, vi
         ROD: rod,
     }
     sensors = {n: PRESSURE if "pressure" in n else ENCODER for n in signals}
-    return Recording(
-        Path(f"{name}.csv"),
-        time,
-        {n: measured(sensors[n], x, rng) for n, x in signals.items()},
-        SIGNALS,
-        procedure="weighing",
-        conditions={"payload": 0.0} if "empty" in name else {},
-        sensors=sensors,
-    )
+    conditions = {"payload": 0.0} if "empty" in name else {}
+    return recorded(name, time, signals, SIGNALS, sensors, seed, "weighing", conditions)
 
 
 def payloads(*recordings):
@@ -89,12 +74,6 @@ def test_payloads_of_a_quasi_static_balance_come_back():
     assert sum(inside) >= 9  # of 12; measured: 91 % of 80 seeds
 
 
-def per_pressure(area):
-    """Mass [kg] per pressure [Pa] on an area, in the middle of the motion."""
-    one, none = (gravity(0.2, STICK, held)[0] for held in (1.0, 0.0))
-    return area * float(cylinder(0.2)) / (one - none)
-
-
 def test_tare_cancels_the_zero_of_a_pressure_sensor():
     """2 bar too much in both recordings: half a kilogram with the tare, 20 kg without it."""
     loaded, empty = recording(300.0, 1, zero=2 * BAR), recording(0.0, 2, "empty", zero=2 * BAR)
@@ -102,8 +81,10 @@ def test_tare_cancels_the_zero_of_a_pressure_sensor():
     result, (alone,) = payloads(loaded)
     # 2 bar are 18 kg; by the change of the moment arm the recording itself tells most of it from a mass
     assert abs(alone.value - 300.0) < 3.3 * alone.sd
+    one, none = (gravity(0.2, STICK, held)[0] for held in (1.0, 0.0))
+    per_area = float(cylinder(0.2)) / (one - none)  # kg/(Pa.m2), in the middle of the motion
     # 0.25 % of 400 bar may be the zero of either side: 1 bar, two standard deviations, independent
-    assert alone.sd < BAR * per_pressure(np.hypot(*AREAS)) / 2
+    assert alone.sd < BAR * np.hypot(*AREAS) * per_area / 2
     # head and rod side explain nearly the same, so the doubt about each is small
     assert min(f.p for f in result.findings if f.fault == "zero of a pressure sensor") < 0.05
 

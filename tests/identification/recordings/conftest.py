@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from orchestrator.data.recording import Recording, Sensor
@@ -27,19 +28,12 @@ def columns() -> dict[str, np.ndarray]:
     return {"t": 5.0 * k, "U": np.repeat([0.0, 2.5, -1.0, 4.0], 10), "P1": pressure, "Q": 1.7 * k}
 
 
-def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
-    """Write columns like a logger, a gap as an empty cell."""
-    rows = zip(*columns.values(), strict=True)
-    lines = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
-    path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
-    return path
-
-
 @pytest.fixture
 def csv(tmp_path, columns) -> Path:
-    """The columns as a CSV file with its description."""
+    """The columns as a CSV file of a logger, a gap as an empty cell, with its description."""
     (tmp_path / "a.toml").write_text(META, encoding="utf-8")
-    return write_csv(tmp_path / "a.csv", columns)
+    pd.DataFrame(columns).to_csv(tmp_path / "a.csv", index=False)
+    return tmp_path / "a.csv"
 
 
 def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **signals) -> Recording:
@@ -54,9 +48,3 @@ def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **si
         conditions={"edge": "P-A"},
         sensors=sensors or {},
     )
-
-
-@pytest.fixture(name="recording", scope="session")
-def made():
-    """The function that returns a recording in memory."""
-    return recording

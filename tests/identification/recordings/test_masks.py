@@ -9,12 +9,12 @@ import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
 from identification.recordings.conftest import GAUGE, SIZE, T, recording, rounded
+from kit.mistakes import problem
 
 from fmus.identification.recordings.masks import averages, faults, good, good_all, standard_error, steady
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import add, split, take, window
 from fmus.identification.refinement.problem import usable_samples
-from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
 
@@ -99,10 +99,8 @@ def test_parts_of_a_recording_keep_everything_else():
     more = add(made, "v", np.zeros(100), "m/s")
     assert (more.units["v"], more.sensor("v"), more.sensor("x")) == ("m/s", Sensor(), sensor)
     assert add(made, "x", np.zeros(100), "m").sensor("x") == Sensor()
-    with pytest.raises(Problem, match=r"expected samples from 3 s to 4 s, got 0 s to 0\.495 s"):
-        window(made, 3, 4)
-    with pytest.raises(Problem, match=r"signal v: expected shape \(100,\), got \(3,\)"):
-        add(made, "v", np.zeros(3), "m/s")
+    problem(lambda: window(made, 3, 4), r"expected samples from 3 s to 4 s, got 0 s to 0\.495 s")
+    problem(lambda: add(made, "v", np.zeros(3), "m/s"), r"signal v: expected shape \(100,\), got \(3,\)")
 
 
 # ---- stuck
@@ -136,7 +134,10 @@ def test_stuck_samples_are_not_used(stop):
     usable = usable_samples(read, "pressure")
     assert not usable[990 : stop + 10].any()
     assert usable[:980].all()
-    assert "stuck at one value" in remarks(read)
+    told = remarks(read)
+    assert told.count("pressure: ") == 1
+    assert "stuck at one value" in told
+    assert "first at 5 s" in told
 
 
 @pytest.mark.parametrize(("size", "longest"), [(900, 3), (1050, 4)])

@@ -11,31 +11,9 @@ import pytest
 import scipy.io
 from kit.mistakes import table
 
-from fmus.identification.recordings.reading import (
-    doubtful,
-    read,
-    read_folder,
-    read_series,
-    require,
-    unused_files,
-)
+from fmus.identification.recordings import reading
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
-
-
-def parquet(path, columns):
-    """A Parquet file written by pandas: NaN becomes null."""
-    pd.DataFrame(columns).to_parquet(path)
-
-
-def mat_5(path, columns):
-    """A MATLAB file up to version 7.2: vectors are matrices with one column."""
-    scipy.io.savemat(path, {name: values[:, None] for name, values in columns.items()})
-
-
-def mat_4(path, columns):
-    """A file of MATLAB 4."""
-    scipy.io.savemat(path, columns, format="4")
 
 
 def mat_73(path, columns):
@@ -44,6 +22,14 @@ def mat_73(path, columns):
         for name, values in columns.items():
             file[name] = values[None, :]
             file[name].attrs["MATLAB_class"] = np.bytes_("double")
+
+
+WRITERS = {
+    ".parquet": lambda path, columns: pd.DataFrame(columns).to_parquet(path),  # NaN becomes null
+    "5.mat": lambda path, columns: scipy.io.savemat(path, {n: v[:, None] for n, v in columns.items()}),
+    "4.mat": lambda path, columns: scipy.io.savemat(path, columns, format="4"),
+    "7.3.mat": mat_73,
+}
 
 
 def same(one, other):
@@ -58,7 +44,7 @@ def same(one, other):
 
 def test_values_are_si_and_the_description_is_complete(csv, columns):
     """Milliseconds, volts of a transducer in bar and litres per minute become s, Pa and m3/s."""
-    found = read(csv)
+    found = reading.read(csv)
     # the same two or three multiplications in another order: a few rounding errors, here and below
     np.testing.assert_allclose(found.time, columns["t"] / 1000 - 1.5, rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(found["pressure_in"], (40 * columns["P1"] + 1) * 1e5, rtol=1e-14)
@@ -73,20 +59,20 @@ def test_values_are_si_and_the_description_is_complete(csv, columns):
     assert "command" not in found.sensors
 
 
-@pytest.mark.parametrize("write", [parquet, mat_5, mat_4, mat_73])
-def test_every_kind_of_file_gives_the_same_recording(csv, columns, write):
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_kind_of_file_gives_the_same_recording(csv, columns, kind):
     """CSV, Parquet and MATLAB files with the same columns give bit-identical recordings."""
-    expected = read(csv)
-    other = csv.with_suffix(".parquet" if write is parquet else ".mat")
-    write(other, columns)
-    same(read(other), expected)
+    expected = reading.read(csv)
+    other = csv.with_suffix(Path(kind).suffix or kind)
+    WRITERS[kind](other, columns)
+    same(reading.read(other), expected)
     csv.unlink()
-    same(read(csv.with_suffix(".toml")), expected)
+    same(reading.read(csv.with_suffix(".toml")), expected)
 
 
 def test_columns_of_matlab_structs_and_matrices(csv, columns):
     """A column may be a field of a struct or a column of a matrix, in both versions of MATLAB files."""
-    expected = read(csv)
+    expected = reading.read(csv)
     meta = csv.with_suffix(".toml")
     text = meta.read_text(encoding="utf-8")
     changes = {'"t"': '"run.clock.t"', '"U"': '"run.U"', '"P1"': '"data(:,2)"', '"Q"': '"data(:,1)"'}
@@ -100,18 +86,18 @@ def test_columns_of_matlab_structs_and_matrices(csv, columns):
         file["run/U"], file["run/clock/t"], file["data"] = columns["U"][None], columns["t"][None], matrix.T
     for path in (old, new):
         path.with_suffix(".toml").write_text(text, encoding="utf-8")
-        same(read(path), replace(expected, title=path.stem))
+        same(reading.read(path), replace(expected, title=path.stem))
 
 
 def test_logger_with_semicolons_and_commas(csv):
     """Lines before the names, ";" and decimal "," give the same numbers as a plain CSV file."""
-    expected = read(csv)
+    expected = reading.read(csv)
     plain = csv.read_text(encoding="utf-8").replace(",", ";").replace(".", ",")
     csv.write_text(f"\ufeffLogger 7\n\n{plain}\n", encoding="utf-8")
     meta = csv.with_suffix(".toml")
     how = '[file]\ndelimiter = ";"\ndecimal = ","\nskip_lines = 2\n'
     meta.write_text(how + meta.read_text(encoding="utf-8"), encoding="utf-8")
-    same(read(csv), expected)
+    same(reading.read(csv), expected)
 
 
 def test_what_loggers_write_for_no_sample_is_a_gap(csv):
@@ -122,7 +108,7 @@ def test_what_loggers_write_for_no_sample_is_a_gap(csv):
         cells[2] = word
         lines[3] = ",".join(cells)
         csv.write_text("\n".join(lines), encoding="utf-8")
-        assert np.flatnonzero(np.isnan(read(csv)["pressure_in"])).tolist() == [2, 7]
+        assert np.flatnonzero(np.isnan(reading.read(csv)["pressure_in"])).tolist() == [2, 7]
 
 
 def test_only_the_part_between_start_and_stop(csv):
@@ -131,29 +117,34 @@ def test_only_the_part_between_start_and_stop(csv):
     text = meta.read_text(encoding="utf-8")
     meta.write_text(text.replace("[time]", "[time]\nstart = -1.45\nstop = -1.4"), encoding="utf-8")
     # 0.05 s at 200 Hz, both ends
-    assert len(read(csv).time) == 11
+    assert len(reading.read(csv).time) == 11
 
 
 def test_folder_has_its_experiments_only(csv):
-    """A trace without [experiment] in the folder is ignored; the order is that of the file names."""
+    """In the order of their names; other data are reported with the reason, and are no experiment."""
     text = csv.with_suffix(".toml").read_text(encoding="utf-8")
     plain = text[text.index("[time]") :]
     for name, meta in {"b": text.replace('"valve"', '"machine"'), "trace": plain}.items():
         csv.with_name(f"{name}.csv").write_bytes(csv.read_bytes())
         csv.with_name(f"{name}.toml").write_text(meta, encoding="utf-8")
-    found = read_folder(csv.parent)
+    found = reading.read_folder(csv.parent)
     assert [(one.source.name, one.procedure) for one in found] == [("a.csv", "valve"), ("b.csv", "machine")]
-    assert read(csv.with_name("trace.csv")).procedure == ""
+    assert reading.read(csv.with_name("trace.csv")).procedure == ""
+    csv.with_name("c.mat").write_bytes(b"")
+    assert reading.unused_files(csv.parent, found) == [
+        "c.mat: left out, c.toml is missing.",
+        "trace.csv: left out, trace.toml has no table [experiment].",
+    ]
 
 
 def test_required_signals_have_their_dimension(csv):
     """A procedure that needs a pressure refuses a flow under that name, and a missing signal."""
-    found = read(csv)
-    require(found, {"pressure_in": "Pa", "flow": "m3/s"})
+    found = reading.read(csv)
+    reading.require(found, {"pressure_in": "Pa", "flow": "m3/s"})
     with pytest.raises(Problem, match=r"a\.csv: signal flow is in L/min \(m3/s\), expected Pa"):
-        require(found, {"flow": "Pa"})
+        reading.require(found, {"flow": "Pa"})
     with pytest.raises(Problem, match=r"a\.csv: expected the signal pressure_out.*got command, pressure_in"):
-        require(found, {"pressure_out": "Pa"})
+        reading.require(found, {"pressure_out": "Pa"})
 
 
 USUAL = {"Pa": (1e5, 1e7), "m3/s": (1e-4, 1e-3), "m": (0.1, 1), "m/s": (0.1, 1), "V": (1, 10)}
@@ -166,24 +157,11 @@ def test_signals_far_from_usual_are_doubted(unit, low, high):
     time = np.linspace(0, 9e3, 3)
     for peak, usual in ((1e4 * high, high), (1e-4 * low, low)):
         made = Recording(Path("a.csv"), time, {"x": peak * np.ones(3)}, {"x": unit})
-        (told,) = doubtful([made])
+        (told,) = reading.doubtful([made])
         assert f"usually about {usual:.3g} {unit};" in told
     usual = replace(made, signals={"x": high * np.ones(3)})
-    assert doubtful([usual]) == []
-    assert doubtful([replace(usual, time=1.2 * time)]) == ["a.csv: 10800 s; did you mean ms?"]
-
-
-def test_data_without_a_description_are_reported(csv):
-    """A data file that is not read is reported with its name and the reason."""
-    recordings = read_folder(csv.parent)
-    assert unused_files(csv.parent, recordings) == []
-    (csv.parent / "b.csv").write_bytes(csv.read_bytes())
-    (csv.parent / "c.mat").write_bytes(b"")
-    (csv.parent / "c.toml").write_text('[signals.x]\nunit = "V"\n', encoding="utf-8")
-    assert unused_files(csv.parent, recordings) == [
-        "b.csv: left out, b.toml is missing.",
-        "c.mat: left out, c.toml has no table [experiment].",
-    ]
+    assert reading.doubtful([usual]) == []
+    assert reading.doubtful([replace(usual, time=1.2 * time)]) == ["a.csv: 10800 s; did you mean ms?"]
 
 
 # ---- files of numbers without a description
@@ -196,7 +174,7 @@ def test_plain_text_is_read_whatever_separates_it(tmp_path, mark):
     """Two columns of numbers without names, units and time become two signals at the given rate."""
     path = tmp_path / "actuator.dat"
     np.savetxt(path, VALUES, fmt="%.17g", delimiter=mark)
-    found = read_series(path, {"command": 0, "pressure": 1}, rate=50.0, units={"pressure": "bar"})
+    found = reading.read_series(path, {"command": 0, "pressure": 1}, rate=50.0, units={"pressure": "bar"})
     np.testing.assert_array_equal(found["command"], VALUES[:, 0])
     # one multiplication: one rounding
     np.testing.assert_allclose(found["pressure"], 1e5 * VALUES[:, 1], rtol=1e-15)
@@ -209,8 +187,8 @@ def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
     """A date in another column does not matter; a named column is selected by its name."""
     path = tmp_path / "named.csv"
     path.write_text("when,u\nMonday,1\nTuesday,2\n", encoding="utf-8")
-    np.testing.assert_array_equal(read_series(path, {"command": "u"})["command"], [1, 2])
-    np.testing.assert_array_equal(read_series(path, {"command": 1}, skip_lines=1)["command"], [1, 2])
+    np.testing.assert_array_equal(reading.read_series(path, {"command": "u"})["command"], [1, 2])
+    np.testing.assert_array_equal(reading.read_series(path, {"command": 1}, skip_lines=1)["command"], [1, 2])
 
 
 @table(__file__, "mistakes", "columns, options, message")
@@ -219,7 +197,7 @@ def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
     path = tmp_path / "plain.txt"
     path.write_text("1 2\n3 4\n5 x\n", encoding="utf-8")
     with pytest.raises(Problem) as caught:
-        read_series(path, columns, **options)
+        reading.read_series(path, columns, **options)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -230,6 +208,6 @@ def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
 def test_a_decimal_comma_is_found(tmp_path, text):
     """A comma inside cells with another delimiter is decimal; otherwise it is the delimiter."""
     (tmp_path / "a.txt").write_text(text)
-    found = read_series(tmp_path / "a.txt", {"u": 0, "y": 1})
+    found = reading.read_series(tmp_path / "a.txt", {"u": 0, "y": 1})
     np.testing.assert_array_equal(found["u"], [0.5, 1.0])
     np.testing.assert_array_equal(found["y"], [1.0, -25.0])

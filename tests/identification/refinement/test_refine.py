@@ -16,6 +16,15 @@ from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.refine import compiled, refine
 
 
+def distance(found) -> float:
+    """Square of the distance from the truth, in standard deviations.
+
+    Chi square with three degrees of freedom stays below 21 with 99.99 %.
+    """
+    away = found.z - np.log([TRUTH[name] for name in found.problem.names])
+    return away @ np.linalg.solve(found.statistics.covariance, away)
+
+
 def test_steps_shrink_quadratically_without_noise() -> None:
     """If residuals vanish at the optimum, each error is of the order of the square of the one before."""
     task = problem(run(recording(noise=0.0)))
@@ -39,9 +48,7 @@ def test_segments_converge_where_one_shot_does_not(off: float) -> None:
     cut = refine(task, segment=1.0, horizon=np.inf)
     assert not whole.converged
     assert cut.converged
-    truth = np.log([TRUTH[name] for name in task.names])
-    # chi square with three degrees of freedom stays below 21 with 99.99 %
-    assert (cut.z - truth) @ np.linalg.solve(cut.statistics.covariance, cut.z - truth) < 21
+    assert distance(cut) < 21
     # the sensors explain what is left: 801 samples, three standard deviations of a root mean square
     assert cut.history[-1].residual == pytest.approx(1, abs=3 / np.sqrt(2 * 801))
 
@@ -155,10 +162,5 @@ def test_a_recording_may_begin_in_motion() -> None:
     found = refine(problem(moving))
     assert (run(recording()).at_rest, moving.at_rest) == (("speed",), ())
     assert found.converged
-    truth = np.log([TRUTH[name] for name in found.problem.names])
-    away = found.z - truth
-    # chi square with three degrees of freedom stays below 21 with 99.99 %
-    assert away @ np.linalg.solve(found.statistics.covariance, away) < 21
-    held = refine(problem(replace(moving, at_rest=("speed",))))
-    away = held.z - truth
-    assert away @ np.linalg.solve(held.statistics.covariance, away) > 21
+    assert distance(found) < 21
+    assert distance(refine(problem(replace(moving, at_rest=("speed",))))) > 21

@@ -1,11 +1,11 @@
 """Joint refinement of the harvester: its lumped model against its own simulation with the paper's sensors."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from identification.procedures.bench import measured
+from identification.procedures.bench import recorded
+from identification.procedures.lumped_machine import ENCODER, PRESSURE
 from kit import shards
 from kit.mistakes import problem as problem_of
 
@@ -24,15 +24,14 @@ PRESSURES = tuple(side.format("pressure") for side in SIDES)
 ANGLES = ("swing_angle", "boom_angle", "stick_angle")
 FLOWS = ("swing_flow_a", "boom_head_flow", "stick_head_flow")
 SENSORS = {
-    **dict.fromkeys(PRESSURES, Sensor("transducer", 1e4, 400e5 / 4096, 0.0, 400e5)),
-    **dict.fromkeys(ANGLES, Sensor("encoder", 0.0, 2 * np.pi / 65536)),
+    **dict.fromkeys(PRESSURES, PRESSURE),
+    **dict.fromkeys(ANGLES, ENCODER),
     **dict.fromkeys(FLOWS, Sensor("turbine", 5e-6, 1e-2 / 4096, -5e-3, 5e-3, 1.67e-4)),
 }
 
 
 def machine_recording(seconds: float) -> Recording:
     """The beginning of the work cycle with noise, quantisation and the dead zones of the flow meters."""
-    rng = np.random.default_rng(0)
     time = np.arange(round(200 * seconds) + 1) / 200
     model = CompiledModel(HARVESTER, tuple(SENSORS), (), tolerance=1e-9)
     usual = values(HARVESTER).u
@@ -44,10 +43,10 @@ def machine_recording(seconds: float) -> Recording:
     start = model.start(model.p0, columns[0])[0]
     y = model.segment(start, model.p0, time, columns, False).y
     names = signal_names()
-    read = {names[n]: u for n, u in inputs.items() if n != "tank_pressure"}
-    read |= {names[n]: measured(s, y[:, k], rng) for k, (n, s) in enumerate(SENSORS.items())}
+    true = {names[n]: u for n, u in inputs.items() if n != "tank_pressure"}
+    true |= {names[n]: x for n, x in zip(SENSORS, y.T, strict=True)}
     sensors = {names[n]: s for n, s in SENSORS.items()}
-    return Recording(Path("machine.csv"), time, read, {}, procedure="machine", sensors=sensors)
+    return recorded("machine", time, true, {}, sensors, 0, "machine")
 
 
 SOME = ("valve_area", "boom_piston_damping", "head_mass", "bulk_modulus")
@@ -101,12 +100,10 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 
 def still(*outputs: str, use: str = "train") -> Recording:
     """One second without motion, measured by sensors of some outputs."""
-    names, noise = signal_names(), np.random.default_rng(0)
-    read = {names[n]: np.zeros(200) for n in COMMANDS}
-    read |= {names[n]: 1e6 + 1e4 * noise.standard_normal(200) for n in outputs}
+    names = signal_names()
+    true = {names[n]: np.zeros(200) for n in COMMANDS} | {names[n]: np.full(200, 1e6) for n in outputs}
     sensors = {names[n]: Sensor("transducer", 1e4) for n in outputs}
-    time = np.arange(200) / 200
-    return Recording(Path(f"{use}.csv"), time, read, {}, procedure="machine", use=use, sensors=sensors)
+    return replace(recorded(use, np.arange(200) / 200, true, {}, sensors, 0, "machine"), use=use)
 
 
 def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:

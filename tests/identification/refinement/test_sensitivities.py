@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.mistakes import table
+from kit.mistakes import problem, table
 from kit.toy import toy
 
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
+from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution, SimulationFailed
 from fmus.parameters import Values
-from orchestrator.base.errors import Problem
 
 TOY = toy(
     "toy",  # a lag, and growth in proportion to an input; nothing but the integral depends on `idle`
@@ -44,21 +43,20 @@ def model(outputs: Sequence[str] = ("lag", "square"), tolerance: float = TOLERAN
     return CompiledModel(TOY, outputs, FREE, NUMBERS, tolerance)
 
 
-def _lag(x0: complex, delay: complex, gain: complex) -> np.ndarray:
-    """Response of the lag to a ramp from x0."""
-    line = gain * (U0 + SLOPE * (TIME - delay))
-    return line + (x0 - gain * (U0 - SLOPE * delay)) * np.exp(-TIME / delay)
-
-
-def _square(size: complex, growth: complex, scale: complex, gain: complex) -> np.ndarray:
-    grown = size * np.exp(growth * (U0 * TIME + SLOPE * TIME**2 / 2))
-    return scale * grown**2 + gain * DRIVE
+@pytest.fixture
+def whole() -> tuple[CompiledModel, np.ndarray, SegmentSolution]:
+    """The toy, a state, and the solution from there over the whole time."""
+    toy, x0 = model(), np.array([0.1, 0.8])
+    return toy, x0, toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
 
 
 def solution(x: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Outputs for initial states (lag, size) and the parameters FREE; also for complex numbers."""
     _, scale, delay, growth, gain = p
-    return np.column_stack([_lag(x[0], delay, gain), _square(x[1], growth, scale, gain)])
+    line = gain * (U0 + SLOPE * (TIME - delay))  # what a ramp makes of the lag after a while
+    lag = line + (x[0] - line[0]) * np.exp(-TIME / delay)
+    size = x[1] * np.exp(growth * (U0 * TIME + SLOPE * TIME**2 / 2))
+    return np.column_stack([lag, scale * size**2 + gain * DRIVE])
 
 
 def slope(x: np.ndarray, p: np.ndarray, direction: int) -> np.ndarray:
@@ -68,10 +66,9 @@ def slope(x: np.ndarray, p: np.ndarray, direction: int) -> np.ndarray:
     return solution(both[:2], both[2:]).imag / 1e-30
 
 
-def test_outputs_and_all_their_derivatives_are_those_of_the_closed_form() -> None:
+def test_outputs_and_all_their_derivatives_are_those_of_the_closed_form(whole) -> None:
     """A lag and bilinear growth with a ramp, from any state: every sensitivity is right."""
-    toy, x0 = model(), np.array([0.1, 0.8])
-    piece = toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
+    toy, x0, piece = whole
     found = np.concatenate([piece.y_x, piece.y_p], axis=2)
     # error of the solver at a tolerance of 1e-9; it adds up over 2 s, in which the square grows tenfold
     assert piece.y == pytest.approx(solution(x0, toy.p0), rel=1e-7, abs=1e-7)
@@ -94,21 +91,20 @@ def test_the_start_is_that_of_the_subsystem() -> None:
     assert slopes == pytest.approx(expected, rel=1e-15)
 
 
-def test_what_the_outputs_do_not_depend_on_is_left_out() -> None:
+def test_what_the_outputs_do_not_depend_on_is_left_out(whole) -> None:
     """Only states and inputs with an effect remain; parameters of the initial state have zero columns."""
-    toy = model()
+    toy, _, piece = whole
     assert toy.states == ("lag", "size")
     assert toy.inputs == ("drive",)
-    piece = toy.segment(np.array([0.1, 0.8]), toy.p0, TIME, DRIVE[:, None])
     assert not piece.y_p[:, :, FREE.index("seed")].any()
     assert model(("total",)).states == ("lag", "total")
     assert model(("total",)).inputs == ("idle", "drive")
 
 
-def test_without_derivatives_the_outputs_are_the_same() -> None:
+def test_without_derivatives_the_outputs_are_the_same(whole) -> None:
     """Sensitivities do not change the steps."""
-    toy, x0 = model(), np.array([0.1, 0.8])
-    full, bare = (toy.segment(x0, toy.p0, TIME, DRIVE[:, None], with_) for with_ in (True, False))
+    toy, x0, full = whole
+    bare = toy.segment(x0, toy.p0, TIME, DRIVE[:, None], False)
     assert np.array_equal(full.y, bare.y)
     assert np.array_equal(full.x, bare.x)
     assert (full.steps, bare.y_p.size) == (bare.steps, 0)
@@ -162,8 +158,7 @@ def test_failure_tells_the_time_and_the_reason() -> None:
 @table(__file__, "names", "outputs, free, message")
 def test_names_are_checked(outputs: list[str], free: list[str], message: str) -> None:
     """An unknown name is refused with a message that lists the declared ones."""
-    with pytest.raises(Problem, match=message):
-        CompiledModel(TOY, outputs, free, NUMBERS)
+    problem(lambda: CompiledModel(TOY, outputs, free, NUMBERS), message)
 
 
 @pytest.mark.parametrize(
@@ -178,8 +173,7 @@ def test_names_are_checked(outputs: list[str], free: list[str], message: str) ->
 def test_samples_are_checked(change: dict[str, np.ndarray], message: str) -> None:
     """Arrays of another shape, beyond which C would read, and times that do not increase are refused."""
     good = {"x": np.array([0.1, 0.8]), "p": model().p0, "time": TIME, "inputs": DRIVE[:, None]}
-    with pytest.raises(Problem, match=message):
-        model().segment(*(good | change).values())
+    problem(lambda: model().segment(*(good | change).values()), message)
 
 
 def test_a_store_that_cannot_be_written_to_is_done_without(monkeypatch, tmp_path) -> None:

@@ -45,12 +45,19 @@ def model(tolerance: float) -> CompiledModel:
     return CompiledModel(HARVESTER, OUTPUTS, FREE, NUMBERS, tolerance)
 
 
-def inputs(machine: CompiledModel) -> np.ndarray:
+def driven(inputs: Sequence[str]) -> np.ndarray:
     """Commands, and the other inputs with the values of the parameter file."""
-    rows = np.tile([NUMBERS.u[name] for name in machine.inputs], (TIME.size, 1))
+    rows = np.tile([NUMBERS.u[name] for name in inputs], (TIME.size, 1))
     for name, column in zip(COMMANDS, COMMANDED.T, strict=True):
-        rows[:, machine.inputs.index(name)] = column
+        rows[:, inputs.index(name)] = column
     return rows
+
+
+def started(tolerance: float) -> tuple[CompiledModel, np.ndarray, np.ndarray, np.ndarray]:
+    """The machine, its inputs (n, nu), its states at the start and their derivatives."""
+    machine = model(tolerance)
+    rows = driven(machine.inputs)
+    return machine, rows, *machine.start(machine.p0, rows[0])
 
 
 def variational(chosen: Sequence[str], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -84,9 +91,7 @@ def variational(chosen: Sequence[str], count: int) -> tuple[np.ndarray, np.ndarr
     ode = {"t": t, "x": z, "p": ca.vertcat(at, slope)}
     ode["ode"] = rate(spread[0], at + slope * t, p, spread[1]) / weights
     x = np.array(list(NUMBERS.x.values()))
-    u = np.tile([NUMBERS.u[name] for name in quantities(HARVESTER.inputs)], (TIME.size, 1))
-    for name, column in zip(COMMANDS, COMMANDED.T, strict=True):
-        u[:, list(quantities(HARVESTER.inputs)).index(name)] = column
+    u = driven(list(quantities(HARVESTER.inputs)))
     begin = ca.Function(
         "begin", known, [sym.start, ca.substitute(along(sym.start), s, ca.SX.zeros(nx, len(free)))]
     )
@@ -119,9 +124,7 @@ def variational(chosen: Sequence[str], count: int) -> tuple[np.ndarray, np.ndarr
 )
 def test_sensitivities_are_those_of_the_variational_equations(chosen: Sequence[str], count: int) -> None:
     """Every sensitivity to a parameter, including its effect on the initial state, while all axes move."""
-    machine = model(1e-10)
-    rows = inputs(machine)
-    x0, start = machine.start(machine.p0, rows[0])
+    machine, rows, x0, start = started(1e-10)
     piece = machine.segment(x0, machine.p0, TIME[:count], rows[:count])
     found = (piece.y_p + piece.y_x @ start)[:, :, [FREE.index(name) for name in chosen]]
     y, expected = variational(chosen, count)
@@ -135,9 +138,8 @@ def test_sensitivities_are_those_of_the_variational_equations(chosen: Sequence[s
 def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
     """Where no step size can change, differences of the program itself agree in any direction, however large
     the error of its steps: nothing in the derivative of a step is left out."""
-    machine, rng = model(1e9), np.random.default_rng(seed)  # every step is accepted, one for each sample
-    rows = inputs(machine)
-    x0, _ = machine.start(machine.p0, rows[0])
+    rng = np.random.default_rng(seed)
+    machine, rows, x0, _ = started(1e9)  # every step is accepted, one for each sample
     moving = model(1e-6).segment(x0, machine.p0, TIME[:61], rows[:61], False).x
     # without a payload: the force of a pick-up begins with a kink, across which differences are wrong
     scale = np.where(["payload" in n or "held" in n for n in machine.states], 0.0, machine.nominal)
@@ -165,9 +167,7 @@ def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
 @given(cut=st.integers(1, TIME.size - 2))
 def test_two_pieces_are_one(cut: int) -> None:
     """Two consecutive segments give the whole by the chain rule, as multiple shooting requires."""
-    machine = model(1e-10)
-    rows = inputs(machine)
-    x0, _ = machine.start(machine.p0, rows[0])
+    machine, rows, x0, _ = started(1e-10)
     whole = machine.segment(x0, machine.p0, TIME, rows)
     first = machine.segment(x0, machine.p0, TIME[: cut + 1], rows[: cut + 1])
     second = machine.segment(first.x, machine.p0, TIME[cut:], rows[cut:])
@@ -183,9 +183,7 @@ def test_two_pieces_are_one(cut: int) -> None:
 
 def test_threads_do_not_disturb_each_other() -> None:
     """Segments from two threads on one model are bit-identical to those from one thread."""
-    machine = model(1e-6)
-    rows = inputs(machine)
-    x0, _ = machine.start(machine.p0, rows[0])
+    machine, rows, x0, _ = started(1e-6)
 
     def run(scale: float) -> SegmentSolution:
         return machine.segment(x0, machine.p0 * scale, TIME, rows)

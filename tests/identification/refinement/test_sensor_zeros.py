@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from identification.procedures.bench import changed, with_sensors
 from identification.refinement.oscillator import NUMBERS, OSCILLATOR, recording, run
 from identification.refinement.oscillator import problem as oscillator_problem
 from identification.refinement.test_refine_machine import SOME, WHOLE, machine_recording
@@ -29,10 +30,8 @@ OFF, DECLARED = np.radians(2.0), np.radians(3.0)
 def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals(names, seconds, least) -> None:
     """All encoders declare 3 degrees: the boom's zero is found, the swing's, which nothing tells, is open."""
     clean = machine_recording(seconds)
-    encoders = {n: replace(clean.sensors[n], zero_error=DECLARED) for n in clean.signals if "_angle" in n}
-    read = replace(
-        clean, signals={**clean.signals, BOOM: clean[BOOM] + OFF}, sensors={**clean.sensors, **encoders}
-    )
+    moved = changed(clean, {BOOM: clean[BOOM] + OFF})
+    read = with_sensors(moved, "manipulator.", zero_error=DECLARED)  # of the angles
     task = machine.problem([read], nominal(), names)
     away = [
         f if f.name.startswith("zero_") else replace(f, value=f.value * k, sd=0.3 * f.value)
@@ -62,17 +61,10 @@ def _with_zero(error: float, off: float):
 
     def shifted(seed: int):
         read = recording(seed)
-        return mapping.run(replace(read, signals={**read.signals, "position": read["position"] + off}))
+        return mapping.run(changed(read, {"position": read["position"] + off}))
 
-    return replace(
-        base,
-        free=(
-            *base.free,
-            FreeParameter(zero_of("position"), 0.0, "m", error / 2, -error, error, scale=error),
-        ),
-        training=(shifted(0),),
-        held_out=(shifted(7),),
-    )
+    zero = FreeParameter(zero_of("position"), 0.0, "m", error / 2, -error, error, scale=error)
+    return replace(base, free=(*base.free, zero), training=(shifted(0),), held_out=(shifted(7),))
 
 
 def test_a_zero_stays_within_what_its_sensor_declares() -> None:

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fmus.identification.recordings.masks import noise
+from fmus.identification.refinement import statistics
 from fmus.identification.refinement.problem import FreeParameter, moves_at_start, smoothed
 from fmus.identification.refinement.refine import (
     RefinementResult,
@@ -19,15 +20,6 @@ from fmus.identification.refinement.refine import (
     subsampled,
 )
 from fmus.identification.refinement.shooting import CondensedRun, correlation_time
-from fmus.identification.refinement.statistics import (
-    NOISE_ERROR,
-    SimulatedRun,
-    _jackknife,
-    excess,
-    simulate,
-    unidentified,
-    whiteness,
-)
 from fmus.identification.results import coverage_factor
 
 
@@ -105,7 +97,7 @@ def test_prior_decides_where_the_data_are_silent() -> None:
 def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     """The interval of a parameter that the data do not determine is that of its prior."""
     sentences = {
-        sd: unidentified((FreeParameter("loss", 1.0, sd=sd, log=True),), np.array([[0.6]]))[0]
+        sd: statistics.unidentified((FreeParameter("loss", 1.0, sd=sd, log=True),), np.array([[0.6]]))[0]
         for sd in (None, 0.1)
     }
     # the root of 0.6
@@ -120,7 +112,7 @@ def test_a_parameter_that_hardly_takes_part_is_not_named(share, named) -> None:
     """A direction without data whose square is 3 % or 10 % along the second parameter."""
     direction = np.sqrt([1 - share, share])
     free = (FreeParameter("gain", 1.0, log=True), FreeParameter("loss", 1.0, log=True))
-    (sentence,) = unidentified(free, 1e-4 * np.eye(2) + 1e4 * np.outer(direction, direction))
+    (sentence,) = statistics.unidentified(free, 1e-4 * np.eye(2) + 1e4 * np.outer(direction, direction))
     assert sentence.startswith(named)
 
 
@@ -145,7 +137,7 @@ def test_the_error_of_an_estimated_noise() -> None:
     """The scatter of 400 estimates from 1000 samples each, known to 1 / sqrt(800) = 3.5 %."""
     rng = np.random.default_rng(0)
     found = np.std([noise(rng.standard_normal(1000)) for _ in range(400)])
-    assert found * np.sqrt(1000) == pytest.approx(NOISE_ERROR, rel=0.1)
+    assert found * np.sqrt(1000) == pytest.approx(statistics.NOISE_ERROR, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -160,7 +152,7 @@ def test_the_error_of_an_estimated_noise() -> None:
 def test_residuals_above_their_noise_are_improbable(made, low, high) -> None:
     """Noise: p is uniform where there is an excess; an oscillation of 0.8 standard deviations: no noise."""
     rng = np.random.default_rng(0)
-    p = [excess(made(rng.standard_normal(2000))) for _ in range(150)]
+    p = [statistics.excess(made(rng.standard_normal(2000))) for _ in range(150)]
     # the standard deviation of a quantile of 150 uniform numbers is 0.04
     assert low <= np.quantile(p, 0.45) <= high
 
@@ -170,13 +162,13 @@ def test_whiteness_does_not_see_across_gaps() -> None:
     task = problem(run(recording()))
     one = task.training[0]
     rng = np.random.default_rng(3)
-    traces = SimulatedRun(one, one.measured + NOISE * rng.standard_normal(one.measured.shape))
+    traces = statistics.SimulatedRun(one, one.measured + NOISE * rng.standard_normal(one.measured.shape))
     holes = rng.random(one.weight.shape) < 0.5
     half = replace(one, weight=np.where(holes, 0.0, one.weight))
-    assert whiteness([replace(traces, run=half)], ("push",), 0).white
+    assert statistics.whiteness([replace(traces, run=half)], ("push",), 0).white
     for samples in (150, 170):  # four times 40 lags are needed
         few = replace(one, weight=one.weight * (np.arange(601) < samples)[:, None])
-        found = whiteness([replace(traces, run=few)], ("push",), 0)
+        found = statistics.whiteness([replace(traces, run=few)], ("push",), 0)
         assert np.isnan(found.outside) == (samples < 160)
 
 
@@ -200,12 +192,9 @@ def test_sensitivities_are_those_of_a_repeated_simulation(refined: RefinementRes
     one, step = refined.problem.training[0], 1e-4
     by_z, _ = refined.uncertainty(one)
     for j in range(len(refined.z)):
-        ends = [
-            simulate(
-                one, refined.simulator, refined.problem.values_of(refined.z + sign * step * np.eye(3)[j])
-            ).y
-            for sign in (1, -1)
-        ]
+        moved = (refined.z + sign * step * np.eye(3)[j] for sign in (1, -1))
+        values = (refined.problem.values_of(z) for z in moved)
+        ends = [statistics.simulate(one, refined.simulator, v).y for v in values]
         # the solver's tolerance over the step
         np.testing.assert_allclose(by_z[:, :, j], (ends[0] - ends[1]) / (2 * step), atol=1e-2)
 
@@ -286,6 +275,6 @@ def test_leaving_out_one_segment_after_another_gives_the_variance_of_a_mean() ->
     samples = np.random.default_rng(4).normal(size=7)
     rows = [np.array([[1.0, sample - samples.mean()]]) for sample in samples]
     run = CondensedRun([], rows, np.zeros((0, 2)), np.vstack(rows))
-    found = _jackknife([run], np.zeros((1, 1)), np.array([[1 / 7]]))
+    found = statistics._jackknife([run], np.zeros((1, 1)), np.array([[1 / 7]]))
     # exact identity: rounding only
     assert found[0, 0] == pytest.approx(np.var(samples, ddof=1) / 7, rel=1e-12, abs=0)

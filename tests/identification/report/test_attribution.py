@@ -10,16 +10,6 @@ from kit.properties import examples
 
 from fmus.identification.machine import COMMANDS
 from fmus.identification.report import attribution
-from fmus.identification.report.attribution import (
-    EFFECTS,
-    LEAST,
-    effect_changes,
-    explain,
-    explained_squares,
-    orthogonal_part,
-    shapley_values,
-    unexplained,
-)
 from fmus.identification.report.prediction import Excitation, compare, predict
 from fmus.machine.work_cycle import Move
 from orchestrator.data.recording import Recording
@@ -46,7 +36,7 @@ def excitation():
 def effects(excitation):
     """Change of angles, pressures and flows by each effect."""
     signals = ("angle", "pressure", "pressure_a", "pressure_b", "flow_a", "head_flow")
-    changes = effect_changes(excitation, {})
+    changes = attribution.effect_changes(excitation, {})
     return {e: {n: y for n, y in change.items() if n.endswith(signals)} for e, change in changes.items()}
 
 
@@ -57,10 +47,10 @@ def noisy(change, share, seed=0):
     return {n: y + share * np.sqrt(np.mean(y**2)) * rng.standard_normal(y.size) for n, y in moved.items()}
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", attribution.EFFECTS)
 def test_the_effect_in_the_residual_is_identified(effects, effect):
     """One effect plus as much noise: its name, its share and its strength are right."""
-    explanation = explain(noisy(effects[effect], 1.0), effects, step=STEP)
+    explanation = attribution.explain(noisy(effects[effect], 1.0), effects, step=STEP)
     assert explanation.effect == effect
     assert effect in explanation.verdict
     share = explanation.shares[0]
@@ -70,14 +60,16 @@ def test_the_effect_in_the_residual_is_identified(effects, effect):
     assert share.coefficient == pytest.approx(1.0, abs=0.06)
     doubled = {n: 2 * y for n, y in effects[effect].items() if np.std(y) > 0}
     # exact identity: rounding only
-    assert explain(doubled, effects, step=STEP).shares[0].coefficient == pytest.approx(2.0, rel=1e-9)
+    assert attribution.explain(doubled, effects, step=STEP).shares[0].coefficient == pytest.approx(
+        2.0, rel=1e-9
+    )
 
 
 def test_white_noise_shows_no_effect(effects):
     """Noise in all signals: no effect, and the verdict says that none explains it."""
     rng = np.random.default_rng(1)
     noise = {n: rng.standard_normal(y.size) for n, y in effects["swinging head"].items()}
-    explanation = explain(noise, effects, step=STEP)
+    explanation = attribution.explain(noise, effects, step=STEP)
     assert explanation.effect == ""
     assert explanation.verdict.startswith("None of the effects")
     assert "a cause that is not in the list" in explanation.verdict  # the noise of the sensors is not given
@@ -89,7 +81,7 @@ def test_an_interval_counts_half_a_second_of_correlation():
     """Newey and West: the covariance of the products with lags up to 0.5 s, each with a smaller weight."""
     rng = np.random.default_rng(0)
     change, error = (np.convolve(rng.standard_normal(1000), np.ones(30), "same") for _ in range(2))
-    share = explain({"x": change + error}, {"swinging head": {"x": change}}, step=STEP).shares[0]
+    share = attribution.explain({"x": change + error}, {"swinging head": {"x": change}}, step=STEP).shares[0]
     product = change * (change + error - share.coefficient * change)
     lags = [(1 - k / 51) * product[k:] @ product[: product.size - k] for k in range(51)]
     sd = np.sqrt(2 * sum(lags) - lags[0]) / (change @ change)
@@ -100,7 +92,7 @@ def test_an_interval_counts_half_a_second_of_correlation():
 @pytest.mark.parametrize("ratio", [1.4, 1.6])
 def test_a_signal_is_above_the_noise_from_one_and_a_half_times_on(ratio):
     """A residual of that size of a sensor of noise one."""
-    assert unexplained({"x": np.full(9, ratio)}, {"x": 1.0}, {}) == ["x"] * (ratio > 1.5)
+    assert attribution.unexplained({"x": np.full(9, ratio)}, {"x": 1.0}, {}) == ["x"] * (ratio > 1.5)
 
 
 @pytest.mark.parametrize("why", ["noise", "small"])
@@ -109,7 +101,7 @@ def test_a_small_residual_is_left_out(effects, why):
     residual = noisy(effects["swinging head"], 0.0)
     size = {n: float(np.sqrt(np.mean(y**2))) for n, y in residual.items()}
     limits = {"noise": size} if why == "noise" else {"small": dict.fromkeys(residual, np.inf)}
-    explanation = explain(residual, effects, step=STEP, **limits)
+    explanation = attribution.explain(residual, effects, step=STEP, **limits)
     assert explanation.quiet == tuple(residual)
     assert (explanation.effect, explanation.shares) == ("", ())
     assert explanation.verdict.startswith("Nothing is left to explain")
@@ -126,21 +118,16 @@ def test_without_an_unexplained_residual_no_effect_is_simulated(excitation, monk
     assert attribution.attribute(compare(recording, dict(recording.signals)), {}).shares == ()
 
 
-@pytest.fixture(scope="module")
-def slope(excitation):
-    """Change of the signals by a tenth of a percent of the damping of the swing."""
-    default, damped = (predict(excitation, {DAMPING: 300.0 * factor}) for factor in (1.0, 1.001))
-    return {DAMPING: {n: damped[n] - y for n, y in default.items()}}
-
-
-def test_parameters_and_an_effect_are_told_apart(slope, effects):
+def test_parameters_and_an_effect_are_told_apart(excitation, effects):
     """A wrong damping is one of parameters; dry friction is found, although it resembles damping."""
-    explanation = explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
+    default, damped = (predict(excitation, {DAMPING: 300.0 * factor}) for factor in (1.0, 1.001))
+    slope = {DAMPING: {n: damped[n] - y for n, y in default.items()}}
+    explanation = attribution.explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
     assert explanation.effect == ""
     # noise is a hundredth of the power, and the damping explains the rest
     assert explanation.parameters == pytest.approx(0.99, abs=0.01)
     residual = noisy(effects["dry friction"], 0.2)
-    explanation = explain(residual, effects, step=STEP, absorbed=slope)
+    explanation = attribution.explain(residual, effects, step=STEP, absorbed=slope)
     assert explanation.effect == "dry friction"
     assert explanation.shares[0].alone + explanation.parameters < 1.0
 
@@ -149,33 +136,28 @@ def test_gaps_do_not_count(effects):
     """Samples without a measurement are left out."""
     residual = noisy(effects["pump and engine"], 0.0)
     cut = {n: np.where(np.arange(y.size) < 200, np.nan, y) for n, y in residual.items()}
-    explanation = explain(cut, effects, step=STEP)
+    explanation = attribution.explain(cut, effects, step=STEP)
     assert explanation.effect == "pump and engine"
     # exact identity: without noise the effect explains the whole residual
     assert explanation.shares[0].alone == pytest.approx(1.0, abs=1e-9)
 
 
-@given(
-    st.integers(1, 4).flatmap(
-        lambda m: st.tuples(st.just(m), st.integers(0, 2**31 - 1), st.floats(1e-6, 1e6))
-    )
-)
+@given(count=st.integers(1, 4), seed=st.integers(0, 2**31 - 1), scale=st.floats(1e-6, 1e6))
 @examples(30)
-def test_shares_add_up(case):
+def test_shares_add_up(count, seed, scale):
     """Shapley values of any columns add up to what all explain together, whatever their scale."""
-    count, seed, scale = case
     rng = np.random.default_rng(seed)
     d, r = rng.standard_normal((60, count)), rng.standard_normal(60)
-    part = explained_squares(d, r)
+    part = attribution.explained_squares(d, r)
     # exact identity: rounding only
-    assert sum(shapley_values(part)) == pytest.approx(part[-1], abs=1e-9)
-    np.testing.assert_allclose(explained_squares(scale * d, r), part, atol=1e-9 * float(r @ r))
+    assert sum(attribution.shapley_values(part)) == pytest.approx(part[-1], abs=1e-9)
+    np.testing.assert_allclose(attribution.explained_squares(scale * d, r), part, atol=1e-9 * float(r @ r))
 
 
 def test_two_equal_effects_share(effects):
     """Two equal effects explain the same alone, and half of it each among all."""
     change = effects["swinging head"]
-    explanation = explain(noisy(change, 0.0), {"one": change, "other": change}, step=STEP)
+    explanation = attribution.explain(noisy(change, 0.0), {"one": change, "other": change}, step=STEP)
     # exact identity: rounding only
     assert [s.alone for s in explanation.shares] == pytest.approx([1.0, 1.0])
     assert [s.together for s in explanation.shares] == pytest.approx([0.5, 0.5])
@@ -185,9 +167,9 @@ def test_two_equal_effects_share(effects):
 def test_a_small_share_is_not_reported(effects):
     """An effect with less than the smallest share is not reported, even if it is significant."""
     residual = noisy(effects["swinging head"], 2.5)  # 1 / (1 + 2.5^2) = 0.14 of the power
-    explanation = explain(residual, effects, step=STEP)
+    explanation = attribution.explain(residual, effects, step=STEP)
     assert explanation.shares[0].effect == "swinging head"
-    assert 0.05 < explanation.shares[0].alone < LEAST
+    assert 0.05 < explanation.shares[0].alone < attribution.LEAST
     assert explanation.effect == ""
 
 
@@ -196,6 +178,6 @@ def test_the_orthogonal_part_is_orthogonal():
     rng = np.random.default_rng(3)
     slope = rng.standard_normal((50, 3))
     slope = np.column_stack([slope, slope[:, 0] - slope[:, 1], np.zeros(50)])
-    rest = orthogonal_part(rng.standard_normal(50), slope)
+    rest = attribution.orthogonal_part(rng.standard_normal(50), slope)
     # exact identity: rounding only
     np.testing.assert_allclose(slope.T @ rest, 0, atol=1e-12)

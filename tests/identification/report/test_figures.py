@@ -6,9 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from identification.report.samples import panel, residual, result
 from matplotlib.image import imread
 
@@ -23,8 +20,6 @@ from fmus.identification.report.figures import (
 from fmus.identification.report.identification_page import _joints
 from fmus.identification.report.prediction import RecordingComparison, nrmse
 from fmus.identification.results import Curve, Estimate, Panel
-from orchestrator.base.text import typeset
-from orchestrator.base.units import pretty
 from orchestrator.data.recording import Recording
 from orchestrator.pages import plotting
 from orchestrator.pages.figures import plot
@@ -223,30 +218,3 @@ def test_panels_of_measured_signals_and_correlations():
     assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]
     assert [t.get_text() for t in axes.get_yticklabels()] == ["b", "c"]
-
-
-@given(arrays(float, st.integers(1, 5000), elements=st.floats(-1e6, 1e6) | st.just(np.nan)))
-def test_decimation_keeps_peaks(values):
-    """Decimation keeps the largest and the smallest sample, the ends, and the order."""
-    time = np.arange(values.size, dtype=float)
-    x, y = plotting.decimate(time, values, 100)
-    assert len(x) <= 202
-    assert (np.diff(x) > 0).all()
-    assert (x[0], x[-1]) == (time[0], time[-1])
-    if np.isfinite(values).any():
-        assert (np.nanmin(y), np.nanmax(y)) == (np.nanmin(values), np.nanmax(values))
-
-
-@pytest.mark.parametrize(
-    ("unit", "shown"),
-    [("Pa.s2/m6", "Pa·s²/m⁶"), ("m3/(s.Pa^0.5)", "m³/(s·Pa^0.5)"), ("L/min", "L/min"), ("s-1", "s⁻¹")],
-)
-def test_units_are_typeset(unit, shown):
-    """Integer powers are superscripts; other powers stay."""
-    assert pretty(unit) == shown
-
-
-def test_numbers_in_sentences_are_typeset():
-    """Numbers in a remark are typeset; words stay."""
-    text = typeset("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
-    assert text == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1), stage1end"

@@ -63,19 +63,15 @@ def test_warnings_are_above_the_estimates(text):
     assert not html.fromstring(text).xpath("//*[@class='warning']")
 
 
-def test_a_page_without_refinement():
-    """Only procedures: other sections are left out."""
+@pytest.mark.filterwarnings("error")
+def test_what_is_not_there_is_left_out():
+    """Sections, if there were only procedures; the matrix of a refinement of one parameter."""
     found = render(page(refinement=None, explanation=None, qualities=(), commands={}))
     sections = {s.get("id") for s in html.fromstring(found).iter("section")}
     assert sections == {"parameters", "hose_resistance"}
 
-
-@pytest.mark.filterwarnings("error")
-def test_one_parameter_has_no_correlation():
-    """A refinement of one parameter is shown without a matrix."""
-    one = page()["refinement"]
-    assert one is not None
-    shown = render(page(refinement={**one, "names": ("head_mass",), "correlation": np.ones((1, 1))}))
+    one = {"names": ("head_mass",), "correlation": np.ones((1, 1))}
+    shown = render(page(refinement=page()["refinement"] | one))
     assert "Correlation of the estimates" not in shown
     assert "Joint refinement" in shown
 

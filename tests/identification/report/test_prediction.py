@@ -4,11 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from identification.procedures.bench import changed
 from kit.properties import examples
+from kit.work_cycle import REFERENCE
 
 from fmus.identification.machine import COMMANDS
 from fmus.identification.report.attribution import candidate_effects
@@ -25,28 +26,30 @@ from fmus.machine.work_cycle import Move
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, Sensor
 
-ROOT = Path(__file__).parents[3]
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}
 STOP = 4.0  # s
 SIGNALS = ("manipulator.boom_angle", "swing.swing_pressure_a", "boom_stick.stick_rod_pressure")
 
 
-@pytest.fixture(scope="module")
-def reference():
-    """The first seconds of the reference trace, which a separate simulation wrote."""
-    table = pd.read_csv(ROOT / "data" / "reference" / "work_cycle.csv")
-    return table[table["time"] <= STOP]
-
-
-def test_default_parameters_give_the_reference_trace(reference):
-    """Without estimates the prediction is the trace of the machine."""
-    time = reference["time"].to_numpy()
-    commands = {name: reference[signal].to_numpy() for name, signal in COMMANDS.items()}
-    outputs = predict(Excitation(time, commands, POSE), {})
+def test_default_parameters_give_the_reference_trace():
+    """Without estimates the prediction is the trace of the machine, which a separate simulation wrote."""
+    reference = {name: column[REFERENCE["time"] <= STOP] for name, column in REFERENCE.items()}
+    commands = {name: reference[signal] for name, signal in COMMANDS.items()}
+    outputs = predict(Excitation(reference["time"], commands, POSE), {})
     for name in SIGNALS:
-        expected = reference[name].to_numpy()
+        expected = reference[name]
         # integrator error: the trace was made at 1e-11, the prediction at 1e-8 per step
         np.testing.assert_allclose(outputs[name], expected, atol=1e-5 * np.ptp(expected))
+
+
+T = np.arange(0.0, 2.0, 0.005)  # s
+
+
+def standing(command: np.ndarray, **more: np.ndarray) -> Recording:
+    """Two seconds in the usual pose with one command on all levers; `more`: signals of the swing."""
+    signals = {f"manipulator.{j}_angle": np.full(T.size, a) for j, a in POSE.items()}
+    signals |= dict.fromkeys(COMMANDS.values(), command) | {f"swing.{n}": x for n, x in more.items()}
+    return Recording(Path("x.csv"), T, signals, {}, procedure="machine", use="test")
 
 
 def boom_motion(stop: float = 1.5) -> Excitation:
@@ -54,12 +57,6 @@ def boom_motion(stop: float = 1.5) -> Excitation:
     move = Move("boom", 0.2, 3.0, 0.2, 0.5, 0.2).sample(time)
     still = np.zeros_like(time)
     return Excitation(time, {"swing_command": still, "boom_command": move, "stick_command": still}, POSE)
-
-
-@pytest.fixture(scope="module")
-def usual() -> float:
-    """The motion of the boom without estimates."""
-    return float(np.ptp(predict(boom_motion(), {})["manipulator.boom_angle"]))
 
 
 def test_a_variant_does_not_need_all_parameters():
@@ -70,19 +67,16 @@ def test_a_variant_does_not_need_all_parameters():
 
 def test_a_recording_gives_the_excitation():
     """Commands, pose and supply pressure come from the recording, and their noise is averaged."""
-    time = np.arange(0.0, 2.0, 0.005)
     rng = np.random.default_rng(0)
-    angles = {f"manipulator.{j}_angle": a + 1e-4 * rng.standard_normal(time.size) for j, a in POSE.items()}
-    commands = {signal: np.where(time > 1.0, 2.0, 0.0) for signal in COMMANDS.values()}
-    supply = {"swing.supply_pressure": 2e7 + 1e4 * rng.standard_normal(time.size)}
-    signals = {**angles, **commands, **supply}
-    recording = Recording(Path("x.csv"), time, signals, {}, procedure="machine", use="test")
+    angles = {f"manipulator.{j}_angle": a + 1e-4 * rng.standard_normal(T.size) for j, a in POSE.items()}
+    supply = 2e7 + 1e4 * rng.standard_normal(T.size)
+    recording = changed(standing(np.where(T > 1.0, 2.0, 0.0), supply_pressure=supply), angles)
     found = excitation(recording)
     # measurement noise: mean of 100 samples, five standard deviations
     assert found.pose == pytest.approx(POSE, abs=5e-5)
     # the lines through the smoothed pressure may be 0.5 bar off
     np.testing.assert_allclose(found.lines["supply_pressure"], 2e7, atol=6e4)
-    loud = replace(recording, signals=signals | {"swing.supply_pressure": rng.normal(2e7, 2e6, time.size)})
+    loud = changed(recording, {"swing.supply_pressure": rng.normal(2e7, 2e6, T.size)})
     left = excitation(loud).lines["supply_pressure"].std() / 2e6
     # cubic over 11 samples: 89/429 of the variance [Savitzky and Golay, table I]; 400 samples, 40 independent
     assert left == pytest.approx(np.sqrt(89 / 429), rel=0.15)
@@ -91,11 +85,8 @@ def test_a_recording_gives_the_excitation():
 @pytest.mark.parametrize(("volts", "pressure"), [(0.8e-4, 4e4), (1.2e-4, 6e4)])
 def test_small_corners_of_inputs_are_left_out(volts, pressure):
     """A tenth of a millivolt and half a bar: a bump that is less is a straight line, a larger one is not."""
-    time = np.arange(0.0, 2.0, 0.005)
-    bump = np.interp(time, [0.5, 0.9, 1.1, 1.5], [0.0, 1.0, 1.0, 0.0])
-    signals = {f"manipulator.{j}_angle": np.full(time.size, a) for j, a in POSE.items()}
-    signals |= dict.fromkeys(COMMANDS.values(), volts * bump) | {"swing.supply_pressure": pressure * bump}
-    found = excitation(Recording(Path("x.csv"), time, signals, {}, procedure="machine"))
+    bump = np.interp(T, [0.5, 0.9, 1.1, 1.5], [0.0, 1.0, 1.0, 0.0])
+    found = excitation(standing(volts * bump, supply_pressure=pressure * bump))
     kept = volts > 1e-4
     assert found.commands["boom_command"].any() == kept
     assert (np.ptp(found.lines["supply_pressure"]) > 0.5 * pressure) == kept
@@ -103,26 +94,24 @@ def test_small_corners_of_inputs_are_left_out(volts, pressure):
 
 def test_gaps_of_a_command_are_filled_or_refused():
     """Ten missing samples have no effect, half a second of them is refused, as is a pose without samples."""
-    time = np.arange(0.0, 2.0, 0.005)
-    ramp = np.interp(time, [0.5, 1.5], [0.0, 4.0])
-    short, long = (np.where((time >= 1) & (time < end), np.nan, ramp) for end in (1.05, 1.5))
-    signals = {f"manipulator.{j}_angle": np.full(time.size, a) for j, a in POSE.items()}
-    signals |= dict.fromkeys(COMMANDS.values(), short)
-    recording = Recording(Path("x.csv"), time, signals, {}, procedure="machine", use="test")
+    ramp = np.interp(T, [0.5, 1.5], [0.0, 4.0])
+    short, long = (np.where((T >= 1) & (end > T), np.nan, ramp) for end in (1.05, 1.5))
+    recording = standing(short)
     # straight lines through the samples may be off by this
     np.testing.assert_allclose(excitation(recording).commands["boom_command"], ramp, atol=COMMAND_TOLERANCE)
     for name, values, message in (
         (COMMANDS["boom_command"], long, r"boom_command: expected gaps of .* got one from 1 s to 1\.495 s"),
-        ("manipulator.swing_angle", np.where(time < 1, np.nan, 0.0), "swing_angle: expected a sample in the"),
+        ("manipulator.swing_angle", np.where(T < 1, np.nan, 0.0), "swing_angle: expected a sample in the"),
     ):
         with pytest.raises(Problem, match=message):
-            excitation(replace(recording, signals={**signals, name: values}))
+            excitation(changed(recording, {name: values}))
 
 
-def test_a_measured_supply_pressure_drives_the_machine(usual):
+def test_a_measured_supply_pressure_drives_the_machine():
     """A weak supply moves the boom more slowly; pump and engine are then not among the effects."""
     weak = replace(boom_motion(), lines={"supply_pressure": np.full(boom_motion().time.size, 8e6)})
-    assert np.ptp(predict(weak, {})["manipulator.boom_angle"]) < 0.8 * usual
+    found, usual = (np.ptp(predict(e, {})["manipulator.boom_angle"]) for e in (weak, boom_motion()))
+    assert found < 0.8 * usual
     assert set(candidate_effects(boom_motion())) - set(candidate_effects(weak)) == {"pump and engine"}
 
 

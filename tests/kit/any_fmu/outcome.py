@@ -99,6 +99,9 @@ def compare(fast: Outcome, slow: Outcome) -> None:
     assert fast.farewells == slow.farewells
 
 
+CIRCLE, TURNS = ["p.y -> q.u", "q.y -> p.u"], {"q.push": 1.0, "q.gain": -1.0}
+
+
 def circle(workshop: Workshop, quirk: str = "plain", able=None, changes=None, **start) -> System:
     """p' = q and q' = 1 - p, from rest at 0, so q = sin t; the component q is the one with the quirk."""
     curved = workshop.fmi == 2 and not (changes or {}).get("u_rate")
@@ -110,5 +113,4 @@ def circle(workshop: Workshop, quirk: str = "plain", able=None, changes=None, **
         "p": workshop.make("quirk", "quirk_p", interpolates=workshop.fmi == 2),
         "q": workshop.make("quirk", name, interpolates=curved, able=known, changes=changes),
     }
-    values = {"q.push": 1.0, "q.gain": -1.0} | {f"q.{k}": v for k, v in start.items()}
-    return assemble(files, ["p.y -> q.u", "q.y -> p.u"], values)
+    return assemble(files, CIRCLE, TURNS | {f"q.{k}": v for k, v in start.items()})
