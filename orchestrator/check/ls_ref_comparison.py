@@ -298,5 +298,8 @@ def _summary(case: ShippedExperiment, result: ExperimentComparison) -> Finding:
 
 
 EXPERIMENT = CheckRule(
-    "reference.result", "The FMU reproduces the result of the experiment that it ships", _experiment
+    "reference.result",
+    "The FMU reproduces the result of the experiment that it ships",
+    _experiment,
+    "draft of FMI-LS-REF",
 )

@@ -146,5 +146,5 @@ def table(rules: tuple[CheckRule, ...]) -> str:
     ]
     for rule in rules:
         tools = ", ".join(t.name for t in affected_tools(rule.id)) or "any"
-        lines.append(f"| `{rule.id}` | {rule.text} | {rule.clause} | {tools} | {' '.join(rule.threads)} |")
+        lines.append(f"| `{rule.id}` | {rule.text} | {rule.clause} | {tools} | {rule.threads} |")
     return "\n".join(lines)

@@ -26,14 +26,23 @@ INTERFACES = {  # element -> name of the interface type
     "CoSimulation": "co-simulation",
     "ScheduledExecution": "scheduled execution",
 }
-INITIAL = {  # (causality, variability) -> default of `initial`, in both versions
-    **{(c, v): "exact" for c in ("parameter", "structuralParameter") for v in ("fixed", "tunable")},
-    **{(c, v): "calculated" for c in ("calculatedParameter", "local") for v in ("fixed", "tunable")},
-    **{(c, v): "calculated" for c in ("output", "local") for v in ("discrete", "continuous")},
-    **{(c, "constant"): "exact" for c in ("output", "local")},
-}
-# Allowed combinations of causality and variability, in both versions.
-COMBINATIONS = {*INITIAL, ("input", "discrete"), ("input", "continuous"), ("independent", "continuous")}
+INITIAL: dict[tuple[str, str], tuple[str, ...]] = {
+    **{(c, v): ("exact",) for c in ("parameter", "structuralParameter") for v in ("fixed", "tunable")},
+    **{
+        (c, v): ("calculated", "approx")
+        for c in ("calculatedParameter", "local")
+        for v in ("fixed", "tunable")
+    },
+    **{
+        (c, v): ("calculated", "exact", "approx")
+        for c in ("output", "local")
+        for v in ("discrete", "continuous")
+    },
+    **{(c, "constant"): ("exact",) for c in ("output", "local")},
+    **{("input", v): () for v in ("discrete", "continuous")},
+    ("independent", "continuous"): (),
+}  # (causality, variability), all that are allowed -> allowed values of `initial`, the default first
+INITIAL_3 = INITIAL | {("input", v): ("exact",) for v in ("discrete", "continuous")}  # in FMI 3.0
 
 
 def parse_int(text: str | None) -> int | None:
@@ -372,7 +381,7 @@ def _variable(
         attributes.update(inner.items())
     type_, causality = local_name(inner), attributes.get("causality", "local")
     variability = attributes.get("variability") or _variability(type_, causality, major)
-    default = "exact" if (major, causality) == (3, "input") else INITIAL.get((causality, variability), "")
+    allowed = (INITIAL_3 if major == 3 else INITIAL).get((causality, variability))
     declared = types.get(attributes.get("declaredType", ""))
     starts = tuple(s.get("value", "") for s in children(inner, "Start"))
     if not starts and "start" in attributes:
@@ -388,7 +397,7 @@ def _variable(
         reference=parse_int(attributes.get("valueReference")),
         causality=causality,
         variability=variability,
-        initial=attributes.get("initial", default),
+        initial=attributes.get("initial", allowed[0] if allowed else ""),
         starts=starts if starts or "start" in attributes else None,
         shape=tuple(parse_int(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
         aliases=tuple(map(_entry, children(e, "Alias"))),

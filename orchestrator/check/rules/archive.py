@@ -4,47 +4,32 @@ import posixpath
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from pathlib import PurePosixPath
 
 from orchestrator.base.files import why_unsafe
 from orchestrator.base.xml import child, children, local_name
-from orchestrator.check.rule import Finding, RuleTable, error, join_names, note, warning
+from orchestrator.check.rule import Finding, error, join_names, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
 from orchestrator.check.subject import DESCRIPTION, Subject, read_xml
 
-ARCHIVE = RuleTable()
 FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")
 MAX_PATH = 150  # characters; the limit of Windows, 260, includes the temporary folder and the name of the FMU
 
 
-def _opening(rule: str, subject: Subject) -> Iterator[Finding]:
-    """Findings from opening the FMU."""
+def opening(subject: Subject, rule: str) -> Iterator[Finding]:
+    """Findings of a rule from opening the FMU."""
     return (f for f in subject.faults if f.rule == rule)
 
 
-for _id, _text in (
-    ("archive.zip", "The file is a zip archive, and all its members can be unpacked"),
-    ("archive.name", "Members have relative names with forward slashes and are inside of the archive"),
-    ("archive.link", "No member is a symbolic link"),
-    ("archive.method", "Members are deflated or stored, not encrypted"),
-    ("archive.twice", "All members have different names, even if case is ignored"),
-    ("archive.size", "The unpacked archive has a reasonable size"),
-):
-    ARCHIVE.rule(_id, _text)(partial(_opening, _id))
-
-
-@ARCHIVE.rule("archive.suffix", "The file name ends in .fmu")
-def suffix(subject: Subject) -> Iterator[Finding]:
+def archive_suffix(subject: Subject) -> Iterator[Finding]:
+    """The file name ends in .fmu."""
     if subject.path.suffix.lower() != ".fmu":
         yield warning(f"{subject.path.name}: expected a file name that ends in .fmu")
 
 
-@ARCHIVE.rule(
-    "archive.description", "modelDescription.xml is at the top of the archive", "FMIKit#312 FMIKit#261"
-)
-def description(subject: Subject) -> Iterator[Finding]:
+def archive_description(subject: Subject) -> Iterator[Finding]:
+    """modelDescription.xml is at the top of the archive."""
     if DESCRIPTION in subject.names or any(f.rule == "archive.zip" for f in subject.faults):
         return
     if "SystemStructure.ssd" in subject.names:
@@ -57,12 +42,8 @@ def description(subject: Subject) -> Iterator[Finding]:
     yield error(f"expected {DESCRIPTION} at the top of the archive, got {got}")
 
 
-@ARCHIVE.rule(
-    "archive.path",
-    "Paths in the archive are ASCII, have no spaces and are short enough for Windows",
-    "FMPy#230 fmi-standard#289",
-)
-def paths(subject: Subject) -> Iterator[Finding]:
+def archive_path(subject: Subject) -> Iterator[Finding]:
+    """Paths in the archive are ASCII, have no spaces and are short enough for Windows."""
     unusual = [n for n in subject.names if " " in n or not n.isascii()]
     if unusual:
         yield warning(
@@ -75,8 +56,8 @@ def paths(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@ARCHIVE.rule("archive.stray", "The archive contains only files and folders of the standard")
-def stray(subject: Subject) -> Iterator[Finding]:
+def archive_stray(subject: Subject) -> Iterator[Finding]:
+    """The archive contains only files and folders of the standard."""
     top = {n.split("/")[0] for n in subject.names if not why_unsafe(n)}
     unknown = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
     if subject.major and unknown:
@@ -85,14 +66,13 @@ def stray(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@ARCHIVE.rule("archive.extra", "Folders below extra/ have reverse domain names")
-def extra(subject: Subject) -> Iterator[Finding]:
+def archive_extra(subject: Subject) -> Iterator[Finding]:
+    """Folders below extra/ have reverse domain names."""
     names = {n.split("/")[1] for n in subject.names if n.startswith("extra/") and n.count("/") > 1}
     for name in sorted(n for n in names if "." not in n):
         yield note(f"extra/{name}: expected a reverse domain name such as extra/com.example")
 
 
-CONTENTS = RuleTable()
 ICONS = {2: ("model.png", "terminalsAndIcons/icon.png"), 3: ("terminalsAndIcons/icon.png",)}
 CATEGORIES = """logEvents logSingularLinearSystems logNonlinearSystems logDynamicStateSelection
     logStatusWarning logStatusDiscard logStatusError logStatusFatal logStatusPending logAll"""
@@ -123,21 +103,21 @@ def _searched(subject: Subject, files: Iterable[str]) -> Iterator[tuple[str, byt
             return
 
 
-@CONTENTS.rule("contents.icon", "The FMU has an icon", "OpenModelica#13162")
-def icon(subject: Subject) -> Iterator[Finding]:
+def contents_icon(subject: Subject) -> Iterator[Finding]:
+    """The FMU has an icon."""
     expected = ICONS.get(subject.major, ())
     if expected and not subject.files.intersection(expected):
         yield note(f"{expected[0]} is missing; tools show an empty block")
 
 
-@CONTENTS.rule("contents.documentation", "The FMU has documentation")
-def documentation(subject: Subject) -> Iterator[Finding]:
+def contents_documentation(subject: Subject) -> Iterator[Finding]:
+    """The FMU has documentation."""
     if subject.major and "documentation/index.html" not in subject.files:
         yield note("documentation/index.html is missing; users cannot read what the FMU models")
 
 
-@CONTENTS.rule("contents.licence", "The licence is stated")
-def licence(subject: Subject) -> Iterator[Finding]:
+def contents_licence(subject: Subject) -> Iterator[Finding]:
+    """The licence is stated."""
     if not subject.major or subject.root is None:
         return
     files = sorted(f for f in subject.files if f.startswith("documentation/licenses/"))
@@ -149,8 +129,8 @@ def licence(subject: Subject) -> Iterator[Finding]:
         yield note(f"{files[0]}: expected an entry point license.txt or license.html next to it")
 
 
-@CONTENTS.rule("contents.texts", "The FMU has a description, author, version and generation tool")
-def texts(subject: Subject) -> Iterator[Finding]:
+def contents_texts(subject: Subject) -> Iterator[Finding]:
+    """The FMU has a description, author, version and generation tool."""
     if not subject.major or subject.root is None:
         return
     missing = [n for n in METADATA if not (subject.root.get(n) or "").strip()]
@@ -158,10 +138,8 @@ def texts(subject: Subject) -> Iterator[Finding]:
         yield note(f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(missing)}")
 
 
-@CONTENTS.rule(
-    "contents.categories", "Log categories exist and are unique; in FMI 2 they include names of the standard"
-)
-def categories(subject: Subject) -> Iterator[Finding]:
+def contents_categories(subject: Subject) -> Iterator[Finding]:
+    """Log categories exist and are unique; in FMI 2 they include names of the standard."""
     names = subject.model.categories
     if subject.major and not names:
         yield note(f"{DESCRIPTION}: no log categories; users cannot select messages of the FMU")
@@ -174,8 +152,8 @@ def categories(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@CONTENTS.rule("contents.annotations", "There are no annotations for a single tool")
-def vendors(subject: Subject) -> Iterator[Finding]:
+def contents_annotations(subject: Subject) -> Iterator[Finding]:
+    """There are no annotations for a single tool."""
     path = ("VendorAnnotations", "Tool") if subject.major == 2 else ("Annotations", "Annotation")
     for element in children(subject.root, *path):
         tool = element.get("name") or element.get("type") or local_name(element)
@@ -184,8 +162,8 @@ def vendors(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@CONTENTS.rule("contents.paths", "Files contain no paths of the machine on which the FMU was made")
-def private_paths(subject: Subject) -> Iterator[Finding]:
+def contents_paths(subject: Subject) -> Iterator[Finding]:
+    """Files contain no paths of the machine on which the FMU was made."""
     for file, data in _searched(subject, (f for f in subject.files if f.endswith(TEXT_FILES))):
         if match := LOCAL_PATH.search(data):
             line = data.count(b"\n", 0, match.start()) + 1
@@ -193,21 +171,20 @@ def private_paths(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{file} line {line}: {path} is a path of the machine on which the FMU was made")
 
 
-@CONTENTS.rule("contents.machine", "Libraries contain no paths of the machine on which they were built")
-def machine(subject: Subject) -> Iterator[Finding]:
+def contents_machine(subject: Subject) -> Iterator[Finding]:
+    """Libraries contain no paths of the machine on which they were built."""
     for file, data in _searched(subject, {b.file for b in subject.binaries}):
         if match := LOCAL_PATH.search(data):
             yield note(f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}")
 
 
-@CONTENTS.rule("contents.size", f"The FMU has at most {MAX_SIZE / 1e6:.0f} MB")
-def size(subject: Subject) -> Iterator[Finding]:
+def contents_size(subject: Subject) -> Iterator[Finding]:
+    """The FMU has at most 50 MB."""
     bytes_ = subject.path.stat().st_size
     if bytes_ > MAX_SIZE:
         yield note(f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model")
 
 
-SOURCES = RuleTable()
 BUILD = "sources/buildDescription.xml"
 CODE = (".c", ".cc", ".cpp", ".cxx")
 HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
@@ -223,8 +200,8 @@ def _severity(subject: Subject) -> Callable[..., Finding]:
     return warning if subject.binaries else error
 
 
-@SOURCES.rule("source.listed", "Listed source files exist")
-def listed(subject: Subject) -> Iterator[Finding]:
+def source_listed(subject: Subject) -> Iterator[Finding]:
+    """Listed source files exist."""
     lists = [(DESCRIPTION, subject.root, (k, "SourceFiles", "File")) for k in subject.model.interfaces]
     if BUILD in subject.files:
         root, _ = read_xml(subject.folder, BUILD)
@@ -240,8 +217,8 @@ def listed(subject: Subject) -> Iterator[Finding]:
             yield _severity(subject)(f"{where} line {files[0].sourceline}: {text}")
 
 
-@SOURCES.rule("source.build", "Sources come with a list of the files to compile")
-def build(subject: Subject) -> Iterator[Finding]:
+def source_build(subject: Subject) -> Iterator[Finding]:
+    """Sources come with a list of the files to compile."""
     code = _code(subject)
     if not code or not subject.model.interfaces:
         return
@@ -256,11 +233,8 @@ def build(subject: Subject) -> Iterator[Finding]:
         yield warning(f"{DESCRIPTION}: expected SourceFiles for each interface, got {kinds[0]} only")
 
 
-@SOURCES.rule(
-    "source.description",
-    "buildDescription.xml is valid against its schema and consistent with modelDescription.xml",
-)
-def build_description(subject: Subject) -> Iterator[Finding]:
+def source_description(subject: Subject) -> Iterator[Finding]:
+    """buildDescription.xml is valid against its schema and consistent with modelDescription.xml."""
     if BUILD not in subject.files:
         return
     finding = _severity(subject)
@@ -287,8 +261,8 @@ def build_description(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@SOURCES.rule("source.name", "A single source file has the name of the model (FMI 3)")
-def single(subject: Subject) -> Iterator[Finding]:
+def source_name(subject: Subject) -> Iterator[Finding]:
+    """A single source file has the name of the model (FMI 3)."""
     root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files and subject.major == 3 else (None, "")
     names = {f.get("name") for f in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile")}
     for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
@@ -298,8 +272,8 @@ def single(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@SOURCES.rule("source.headers", "Sources contain no FMI headers; the importer provides them")
-def headers(subject: Subject) -> Iterator[Finding]:
+def source_headers(subject: Subject) -> Iterator[Finding]:
+    """Sources contain no FMI headers; the importer provides them."""
     files = sorted(
         f for f in subject.files if f.startswith("sources/") and f.endswith((*HEADERS, *HEADERS_3))
     )

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.xml import local_name
-from orchestrator.check.rule import Finding, RuleTable, error, note, warning
+from orchestrator.check.rule import Finding, error, note, warning
 from orchestrator.check.rules.variables import CPP, MODELICA, C
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import Entry
 
-DESCRIPTION_FILE = RuleTable()
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
 FMPY = "fmpy.validate"
 MAX_NAMES = 2000  # variables above which FMPy does not check names, which takes milliseconds for each
@@ -37,8 +36,8 @@ COVERED = {
 }
 
 
-@DESCRIPTION_FILE.rule("xml.syntax", "modelDescription.xml is XML without a DOCTYPE")
-def syntax(subject: Subject) -> Iterator[Finding]:
+def xml_syntax(subject: Subject) -> Iterator[Finding]:
+    """modelDescription.xml is XML without a DOCTYPE."""
     yield from (f for f in subject.faults if f.rule == "xml.syntax")
     root = subject.root
     if root is not None and local_name(root) != "fmiModelDescription":
@@ -47,8 +46,8 @@ def syntax(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@DESCRIPTION_FILE.rule("xml.encoding", "modelDescription.xml is written in UTF-8")
-def encoding(subject: Subject) -> Iterator[Finding]:
+def xml_encoding(subject: Subject) -> Iterator[Finding]:
+    """modelDescription.xml is written in UTF-8."""
     if subject.root is None:
         return
     encoding_ = subject.root.getroottree().docinfo.encoding or "UTF-8"
@@ -56,8 +55,8 @@ def encoding(subject: Subject) -> Iterator[Finding]:
         yield warning(f"{DESCRIPTION}: encoding: expected UTF-8, got {encoding_}")
 
 
-@DESCRIPTION_FILE.rule("version.known", "The FMI version is 2.0 or 3.0")
-def version(subject: Subject) -> Iterator[Finding]:
+def version_known(subject: Subject) -> Iterator[Finding]:
+    """The FMI version is 2.0 or 3.0."""
     if subject.root is None or local_name(subject.root) != "fmiModelDescription":
         return
     if subject.version.startswith("1."):
@@ -67,18 +66,16 @@ def version(subject: Subject) -> Iterator[Finding]:
         yield error(f"{DESCRIPTION}: fmiVersion: expected 2.0 or 3.0, got {subject.version!r}")
 
 
-@DESCRIPTION_FILE.rule("version.new", "Tools that support FMI 2.0 only can use the FMU")
-def new(subject: Subject) -> Iterator[Finding]:
+def version_new(subject: Subject) -> Iterator[Finding]:
+    """Tools that support FMI 2.0 only can use the FMU."""
     if subject.major == 3:
         yield note(
             "FMI 3.0: some tools support FMI 2.0 only, or FMI 3.0 in part; ship an FMI 2.0 FMU as well"
         )
 
 
-@DESCRIPTION_FILE.rule(
-    "xml.schema", "modelDescription.xml is valid against the schema of its version", "FMPy#774"
-)
-def schema(subject: Subject) -> Iterator[Finding]:
+def xml_schema(subject: Subject) -> Iterator[Finding]:
+    """modelDescription.xml is valid against the schema of its version."""
     if subject.root is None or not subject.major or local_name(subject.root) != "fmiModelDescription":
         return
     for line, message in violations(subject.root, SCHEMAS[subject.major]):
@@ -96,8 +93,8 @@ def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
         yield entry.line, re.sub(r"\{[^}]*\}", "", entry.message)
 
 
-@DESCRIPTION_FILE.rule(FMPY, "FMPy's validation finds no other faults")
 def fmpy_validate(subject: Subject) -> Iterator[Finding]:
+    """FMPy's validation finds no other faults."""
     if subject.root is None or not subject.major:
         return
     if subject.root.xpath("count(//*)") > MAX_ELEMENTS:
@@ -134,8 +131,8 @@ def without_repeats(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     return tuple(f for f in all_findings if not repeated(f))
 
 
-@DESCRIPTION_FILE.rule("kind.some", "The FMU offers Model Exchange or Co-Simulation")
-def kinds(subject: Subject) -> Iterator[Finding]:
+def kind_some(subject: Subject) -> Iterator[Finding]:
+    """The FMU offers Model Exchange or Co-Simulation."""
     offered = subject.model.interfaces
     if subject.model.variables and not offered:
         yield error(f"{DESCRIPTION}: expected ModelExchange or CoSimulation, got neither")
@@ -143,19 +140,18 @@ def kinds(subject: Subject) -> Iterator[Finding]:
         yield warning("offers Scheduled Execution only, which few tools support")
 
 
-@DESCRIPTION_FILE.rule("kind.simulation", "The FMU offers Co-Simulation")
-def simulation(subject: Subject) -> Iterator[Finding]:
+def kind_simulation(subject: Subject) -> Iterator[Finding]:
+    """The FMU offers Co-Simulation."""
     if "ModelExchange" in subject.model.interfaces and "CoSimulation" not in subject.model.interfaces:
         yield note("no Co-Simulation: masters without a solver of their own cannot run it")
 
 
-@DESCRIPTION_FILE.rule("kind.exchange", "The FMU offers Model Exchange")
-def exchange(subject: Subject) -> Iterator[Finding]:
+def kind_exchange(subject: Subject) -> Iterator[Finding]:
+    """The FMU offers Model Exchange."""
     if "CoSimulation" in subject.model.interfaces and "ModelExchange" not in subject.model.interfaces:
         yield note("no Model Exchange: the importing tool cannot solve the equations with its own solver")
 
 
-IDENTITY = RuleTable()
 EXAMPLE_TOKENS = {  # tokens that were copied from examples into many FMUs
     "0{32}": "the nil GUID",
     "8c4e810f3df34a008276176fa3c9f[0-9a-f]{3}": "the GUID of an example of the FMU SDK",
@@ -164,12 +160,8 @@ EXAMPLE_TOKENS = {  # tokens that were copied from examples into many FMUs
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-@IDENTITY.rule(
-    "identity.token",
-    "The GUID or instantiation token exists and is unique",
-    "FMPy#167 FMIKit#80 OpenModelica#3809",
-)
-def token(subject: Subject) -> Iterator[Finding]:
+def identity_token(subject: Subject) -> Iterator[Finding]:
+    """The GUID or instantiation token exists and is unique."""
     if subject.root is None or not subject.major:
         return
     name = "guid" if subject.major == 2 else "instantiationToken"
@@ -186,8 +178,8 @@ def token(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{where} is {value}, a brace is missing")
 
 
-@IDENTITY.rule("identity.identifier", "The model identifier is a C identifier")
-def identifier(subject: Subject) -> Iterator[Finding]:
+def identity_identifier(subject: Subject) -> Iterator[Finding]:
+    """The model identifier is a C identifier."""
     for kind, element in subject.model.interfaces.items():
         name = element.get("modelIdentifier")
         where = f"{DESCRIPTION} line {element.line}: {kind}"
@@ -196,24 +188,19 @@ def identifier(subject: Subject) -> Iterator[Finding]:
             yield error(f"{where}: modelIdentifier: {text}, got {name!r}")
 
 
-@IDENTITY.rule(
-    "identity.keyword", "The model identifier is not a keyword of Modelica or C++", "OpenModelica#5706"
-)
-def keyword(subject: Subject) -> Iterator[Finding]:
+def identity_keyword(subject: Subject) -> Iterator[Finding]:
+    """The model identifier is not a keyword of Modelica or C++."""
     for name in subject.model.identifiers:
         languages = [n for n, words in (("Modelica", MODELICA), ("C++", CPP)) if name in words]
         if languages:
             yield note(f"{DESCRIPTION}: modelIdentifier {name} is a keyword of {' and '.join(languages)}")
 
 
-@IDENTITY.rule("identity.same", "Co-Simulation and Model Exchange share a binary")
-def same(subject: Subject) -> Iterator[Finding]:
+def identity_same(subject: Subject) -> Iterator[Finding]:
+    """Co-Simulation and Model Exchange share a binary."""
     names = subject.model.identifiers
     if len(names) > 1:
         yield note(f"{DESCRIPTION}: model identifiers {', '.join(names)} differ; each needs its own binary")
-
-
-DEFAULT_EXPERIMENT = RuleTable()
 
 
 def _number(element: Entry, name: str) -> float | None:
@@ -223,8 +210,8 @@ def _number(element: Entry, name: str) -> float | None:
         return None
 
 
-@DEFAULT_EXPERIMENT.rule("experiment.exists", "The FMU has a default experiment with stop time and step size")
-def exists(subject: Subject) -> Iterator[Finding]:
+def experiment_exists(subject: Subject) -> Iterator[Finding]:
+    """The FMU has a default experiment with stop time and step size."""
     if not subject.model.variables:
         return
     element = subject.model.experiment
@@ -236,8 +223,8 @@ def exists(subject: Subject) -> Iterator[Finding]:
         yield note(f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(missing)}")
 
 
-@DEFAULT_EXPERIMENT.rule("experiment.values", "The default experiment can be run")
-def values(subject: Subject) -> Iterator[Finding]:
+def experiment_values(subject: Subject) -> Iterator[Finding]:
+    """The default experiment can be run."""
     element = subject.model.experiment
     if element is None:
         return
@@ -254,10 +241,8 @@ def values(subject: Subject) -> Iterator[Finding]:
         yield warning(f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s")
 
 
-@DEFAULT_EXPERIMENT.rule(
-    "experiment.step", "The default experiment is a whole number of steps", "FMIKit#133 FMPy#887"
-)
-def step(subject: Subject) -> Iterator[Finding]:
+def experiment_step(subject: Subject) -> Iterator[Finding]:
+    """The default experiment is a whole number of steps."""
     element = subject.model.experiment
     if element is None:
         return
@@ -274,10 +259,8 @@ def step(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@DEFAULT_EXPERIMENT.rule(
-    "experiment.start", "The default experiment starts at 0", "PyFMI#261 FMPy#638 OpenModelica#11855"
-)
-def start(subject: Subject) -> Iterator[Finding]:
+def experiment_start(subject: Subject) -> Iterator[Finding]:
+    """The default experiment starts at 0."""
     element = subject.model.experiment
     start_time = None if element is None else _number(element, "startTime")
     if element is not None and start_time:

@@ -7,14 +7,11 @@ import ast
 import re
 import sys
 from collections.abc import Callable, Iterator
-from functools import partial
 
 from orchestrator.check.binary import SUFFIXES, Binary, required
-from orchestrator.check.rule import Finding, RuleTable, error, join_names, note, warning
+from orchestrator.check.rule import Finding, error, join_names, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.fmi.library import platform_folders
-
-EXPORTS = RuleTable()
 
 
 def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
@@ -25,12 +22,8 @@ def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
             yield b, kinds
 
 
-@EXPORTS.rule(
-    "binary.functions",
-    "Every library exports all functions of its FMI version and interface types",
-    "FMPy#545 FMPy#642 FMPy#552 FMPy#700 fmi-standard#1868",
-)
-def functions(subject: Subject) -> Iterator[Finding]:
+def binary_functions(subject: Subject) -> Iterator[Finding]:
+    """Every library exports all functions of its FMI version and interface types."""
     for b, kinds in models(subject):
         missing = [f for f in required(subject.major, kinds) if f not in b.exports]
         if not missing:
@@ -44,8 +37,8 @@ def _at(b: Binary) -> str:
     return f"{b} ({b.machine})" if b.format == "Mach-O" else str(b)
 
 
-@EXPORTS.rule("binary.version", "Libraries export functions of their FMI version only")
-def version(subject: Subject) -> Iterator[Finding]:
+def binary_version(subject: Subject) -> Iterator[Finding]:
+    """Libraries export functions of their FMI version only."""
     prefix = f"fmi{subject.major}"
     for b, _ in models(subject):
         others = sorted(e for e in b.exports if re.match(r"fmi[123][A-Z]", e) and not e.startswith(prefix))
@@ -53,12 +46,8 @@ def version(subject: Subject) -> Iterator[Finding]:
             yield note(f"{_at(b)}: exports functions of another FMI version: {join_names(others, 2)}")
 
 
-@EXPORTS.rule(
-    "binary.symbols",
-    "All undefined symbols of a library are in the libraries that it needs",
-    "PythonFMU#192 PythonFMU#110",
-)
-def symbols(subject: Subject) -> Iterator[Finding]:
+def binary_symbols(subject: Subject) -> Iterator[Finding]:
+    """All undefined symbols of a library are in the libraries that it needs."""
     for b, _ in models(subject):
         if b.unresolved:
             yield warning(
@@ -67,8 +56,8 @@ def symbols(subject: Subject) -> Iterator[Finding]:
             )
 
 
-@EXPORTS.rule("binary.private", "Libraries export no other functions")
-def private(subject: Subject) -> Iterator[Finding]:
+def binary_private(subject: Subject) -> Iterator[Finding]:
+    """Libraries export no other functions."""
     for b, _ in models(subject):
         others = [
             e
@@ -79,8 +68,8 @@ def private(subject: Subject) -> Iterator[Finding]:
             yield note(f"{_at(b)}: exports functions that are not of FMI: {join_names(sorted(others), 2)}")
 
 
-@EXPORTS.rule("binary.debug", "Libraries contain no debug information")
-def debug(subject: Subject) -> Iterator[Finding]:
+def binary_debug(subject: Subject) -> Iterator[Finding]:
+    """Libraries contain no debug information."""
     for b in subject.binaries:
         if b.debug:
             yield note(
@@ -88,8 +77,8 @@ def debug(subject: Subject) -> Iterator[Finding]:
             )
 
 
-@EXPORTS.rule("binary.traits", "Libraries have no writable code and no executable stack", "melonDS#217")
-def traits(subject: Subject) -> Iterator[Finding]:
+def binary_traits(subject: Subject) -> Iterator[Finding]:
+    """Libraries have no writable code and no executable stack."""
     consequences = {
         "executable stack": "Linux with glibc 2.41 and newer does not load it",
         "writable code": "hardened systems do not load it",
@@ -101,7 +90,6 @@ def traits(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{b}: {trait}; {consequences[trait]}")
 
 
-LIBRARIES = RuleTable()
 SYSTEM = {  # libraries that every machine with this format has
     "ELF": r"lib(c|m|dl|pthread|rt|util)\.so\.\d|ld-linux.*\.so\.\d|linux-vdso\.so\.1",
     "PE": r"(?i)(kernel32|user32|advapi32|gdi32|shell32|ole32|oleaut32|ws2_32|wsock32|msvcrt|ucrtbase|ntdll"
@@ -136,12 +124,8 @@ def _next_to(b: Binary, library: str, subject: Subject) -> bool:
     return f"binaries/{b.platform}/{library.rpartition('/')[2]}" in subject.files
 
 
-@LIBRARIES.rule(
-    "binary.libraries",
-    "Libraries need only libraries that every machine of the platform has, or that are in the same folder",
-    "OpenModelica#11856 OpenModelica#7895 fmi-cross-check#57",
-)
-def libraries(subject: Subject) -> Iterator[Finding]:
+def binary_libraries(subject: Subject) -> Iterator[Finding]:
+    """The libraries that a library needs are on every machine of the platform, or in the same folder."""
     for b in subject.binaries:
         needs: dict[tuple[str, bool], list[str]] = {}
         for library in b.libraries:
@@ -164,8 +148,8 @@ def _describe(b: Binary, library: str) -> tuple[str, bool]:
     return next((t for p, t in RUNTIMES.items() if re.fullmatch(p, library)), "another library"), False
 
 
-@LIBRARIES.rule("binary.loader", "Libraries find the libraries in the same folder", "OpenModelica#11856")
-def loader(subject: Subject) -> Iterator[Finding]:
+def binary_loader(subject: Subject) -> Iterator[Finding]:
+    """Libraries find the libraries in the same folder."""
     for b in subject.binaries:
         neighbours = [n for n in b.libraries if b.format == "ELF" and _next_to(b, n, subject)]
         if neighbours and not any("$ORIGIN" in p for p in b.rpaths):
@@ -173,8 +157,8 @@ def loader(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{text}; the loader will not find it")
 
 
-@LIBRARIES.rule("binary.path", "Libraries contain no search paths of the machine on which they were built")
-def path(subject: Subject) -> Iterator[Finding]:
+def binary_path(subject: Subject) -> Iterator[Finding]:
+    """Libraries contain no search paths of the machine on which they were built."""
     for b in subject.binaries:
         for rpath in b.rpaths:
             if not rpath.startswith(("$ORIGIN", "@loader_path", "@rpath", "@executable_path")):
@@ -184,10 +168,8 @@ def path(subject: Subject) -> Iterator[Finding]:
                 yield warning(f"{b}: needs {library} at an absolute path")
 
 
-@LIBRARIES.rule(
-    "binary.glibc", "Libraries for Linux run with the glibc of older distributions", "FMIZoo.jl#3"
-)
-def glibc(subject: Subject) -> Iterator[Finding]:
+def binary_glibc(subject: Subject) -> Iterator[Finding]:
+    """Libraries for Linux run with the glibc of older distributions."""
     too_new, who_lacks_it, common, examples = GLIBC
     for b in subject.binaries:
         needed = b.versions.get("GLIBC", ())
@@ -208,23 +190,22 @@ def _dotted(version: tuple[int, ...]) -> str:
     return ".".join(map(str, version))
 
 
-@LIBRARIES.rule("binary.macos", "Libraries for macOS run on versions in use")
-def macos(subject: Subject) -> Iterator[Finding]:
+def binary_macos(subject: Subject) -> Iterator[Finding]:
+    """Libraries for macOS run on versions in use."""
     for b in subject.binaries:
         if b.macos[:1] > MACOS:
             yield warning(f"{b}: needs macOS {_dotted(b.macos)}, expected at most {_dotted(MACOS)}")
 
 
-@LIBRARIES.rule("binary.documented", "Libraries that the FMU needs are documented in externalDependencies")
-def documented(subject: Subject) -> Iterator[Finding]:
-    external = any(f.severity == "warning" for f in libraries(subject))
+def binary_documented(subject: Subject) -> Iterator[Finding]:
+    """Libraries that the FMU needs are documented in externalDependencies."""
+    external = any(f.severity == "warning" for f in binary_libraries(subject))
     has_list = any(re.match(r"documentation/externalDependencies\.(txt|html)", f) for f in subject.files)
     if external and not has_list:
         make = error if subject.major == 3 else note
         yield make("the FMU needs other libraries, expected documentation/externalDependencies.txt or .html")
 
 
-PLATFORMS = RuleTable()
 TUPLES = {  # FMI 2 name -> FMI 3 tuple
     "win32": "x86-windows",
     "win64": "x86_64-windows",
@@ -239,7 +220,6 @@ TUPLE = re.compile(
 )
 WASM = re.compile(r"wasm(32|64)-(unknown|wasip?[0-9]*)")  # folders of modules; fmi-ls-wasm has wasm32-wasip2
 FORMATS = {"linux": "ELF", "windows": "PE", "darwin": "Mach-O"}
-THREADS = "PyFMI#61 PythonFMU#106 FMPy#51 FMPy#322 FMPy#576 FMI.jl#47"
 
 
 def folders(subject: Subject) -> list[str]:
@@ -259,8 +239,8 @@ def _legal(folder: str, major: int) -> bool:
     return bool(TUPLE.fullmatch(folder))
 
 
-@PLATFORMS.rule("platform.some", "The FMU has a binary for a platform", THREADS)
-def any_platform(subject: Subject) -> Iterator[Finding]:
+def platform_some(subject: Subject) -> Iterator[Finding]:
+    """The FMU has a binary for a platform."""
     if not subject.model.interfaces or any(_legal(b.platform, subject.major) for b in subject.binaries):
         return
     example = "linux64" if subject.major == 2 else "x86_64-linux"
@@ -272,21 +252,16 @@ def any_platform(subject: Subject) -> Iterator[Finding]:
         yield error(f"expected binaries for a platform such as {example}, got {got}")
 
 
-def _missing(system: str, subject: Subject) -> Iterator[Finding]:
+def missing_platform(subject: Subject, system: str) -> Iterator[Finding]:
+    """There is no binary for 64-bit machines with a system."""
     platforms, required_ = {as_tuple(b.platform) for b in subject.binaries}, f"x86_64-{system.lower()}"
     if platforms and tuple(required_.split("-")) not in platforms:
         name = NAMES[required_] if subject.major == 2 else required_
         yield note(f"no binaries/{name}: no tool on {system} can run it")
 
 
-for _system in ("Windows", "Linux"):
-    PLATFORMS.rule(f"platform.{_system.lower()}", f"The FMU runs on 64-bit {_system}", THREADS)(
-        partial(_missing, _system)
-    )
-
-
-@PLATFORMS.rule("platform.macos", "The FMU runs on macOS, on Intel and Apple machines")
-def macos_folder(subject: Subject) -> Iterator[Finding]:
+def platform_macos(subject: Subject) -> Iterator[Finding]:
+    """The FMU runs on macOS, on Intel and Apple machines."""
     machines = {b.machine for b in subject.binaries if as_tuple(b.platform)[1] == "darwin"}
     if subject.binaries and not machines:
         yield note("no binary for macOS")
@@ -294,8 +269,8 @@ def macos_folder(subject: Subject) -> Iterator[Finding]:
         yield note("no binary for Macs with Apple processors, neither a universal one nor aarch64-darwin")
 
 
-@PLATFORMS.rule("platform.folder", "Platform folders have the names of the FMI version", "FMPy#671")
-def folder(subject: Subject) -> Iterator[Finding]:
+def platform_folder(subject: Subject) -> Iterator[Finding]:
+    """Platform folders have the names of the FMI version."""
     for name in folders(subject) if subject.major else ():
         if _legal(name, subject.major) or WASM.fullmatch(name):
             continue
@@ -313,8 +288,8 @@ def _severity(folder_: str, subject: Subject) -> Callable[..., Finding]:
     return error if folder_ in platform_folders(subject.major) else warning
 
 
-@PLATFORMS.rule("platform.format", "Each library has the format and machine of its platform folder")
-def format_(subject: Subject) -> Iterator[Finding]:
+def platform_format(subject: Subject) -> Iterator[Finding]:
+    """Each library has the format and machine of its platform folder."""
     for b in subject.binaries:
         (machine, system), finding = as_tuple(b.platform), _severity(b.platform, subject)
         if not b.format:
@@ -330,8 +305,8 @@ def format_(subject: Subject) -> Iterator[Finding]:
             yield finding(f"{b}: expected code for {machine}, got {b.machine}")
 
 
-@PLATFORMS.rule("platform.name", "Each platform has a library with the name of the model identifier")
-def name(subject: Subject) -> Iterator[Finding]:
+def platform_name(subject: Subject) -> Iterator[Finding]:
+    """Each platform has a library with the name of the model identifier."""
     for folder_ in (f for f in folders(subject) if _legal(f, subject.major)):
         system = as_tuple(folder_)[1]
         for kind, element in subject.model.interfaces.items():
@@ -351,8 +326,8 @@ def name(subject: Subject) -> Iterator[Finding]:
                 )
 
 
-@PLATFORMS.rule("platform.wasm", "Folders of WebAssembly have a module with the name of the model identifier")
-def wasm(subject: Subject) -> Iterator[Finding]:
+def platform_wasm(subject: Subject) -> Iterator[Finding]:
+    """Folders of WebAssembly have a module with the name of the model identifier."""
     kinds = {b"\x01\0\0\0": "module", b"\r\0\x01\0": "component"}  # bytes 4 to 7: version and layer
     for folder_ in (f for f in folders(subject) if WASM.fullmatch(f)):
         for identifier in {e.get("modelIdentifier") for e in subject.model.interfaces.values()}:
@@ -368,7 +343,6 @@ def wasm(subject: Subject) -> Iterator[Finding]:
                 yield warning(f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}")
 
 
-PYTHON = RuleTable()
 SCRIPTS = "resources/"
 FMU_PACKAGES = ("pythonfmu", "pythonfmu3", "unifmu_fmi2", "unifmu")
 
@@ -397,12 +371,8 @@ def _evidence(subject: Subject) -> Iterator[str]:
         yield f"{launcher} starts Python"
 
 
-@PYTHON.rule(
-    "python.needed",
-    "The FMU runs without Python on the target machine",
-    "PythonFMU#110 PythonFMU#192 PythonFMU#202 PythonFMU#222 FMPy#348 Hopsan#2187",
-)
-def needed(subject: Subject) -> Iterator[Finding]:
+def python_needed(subject: Subject) -> Iterator[Finding]:
+    """The FMU runs without Python on the target machine."""
     evidence = list(_evidence(subject))
     if evidence:
         yield warning(
@@ -411,8 +381,8 @@ def needed(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@PYTHON.rule("python.packages", "Scripts import only the standard library", "PythonFMU#152")
-def packages(subject: Subject) -> Iterator[Finding]:
+def python_packages(subject: Subject) -> Iterator[Finding]:
+    """Scripts import only the standard library."""
     if not any(_evidence(subject)):
         return
     scripts = _scripts(subject)
@@ -438,8 +408,8 @@ def _imports(text: str) -> set[str]:
     return {name.partition(".")[0] for name in plain | from_imports}
 
 
-@PYTHON.rule("python.syntax", "Scripts can be parsed by Python")
-def syntax(subject: Subject) -> Iterator[Finding]:
+def python_syntax(subject: Subject) -> Iterator[Finding]:
+    """Scripts can be parsed by Python."""
     for script in _scripts(subject):
         try:
             ast.parse((subject.folder / script).read_text("utf-8", "replace"))
@@ -449,8 +419,8 @@ def syntax(subject: Subject) -> Iterator[Finding]:
             yield note(f"{script}: is nested too deeply to be parsed")
 
 
-@PYTHON.rule("runtime.java", "The FMU runs without a Java machine on the target")
-def java(subject: Subject) -> Iterator[Finding]:
+def runtime_java(subject: Subject) -> Iterator[Finding]:
+    """The FMU runs without a Java machine on the target."""
     jars = sorted(f for f in subject.files if f.endswith(".jar"))
     if jars:
         yield warning(f"{join_names(jars)}: Java; the target machine may need a Java machine")

@@ -6,13 +6,12 @@ from collections.abc import Iterator, Mapping
 
 from orchestrator.base.units import BASES, parse_unit
 from orchestrator.base.xml import children
-from orchestrator.check.rule import Finding, RuleTable, error, join_variables, note, warning
+from orchestrator.check.rule import Finding, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.variables import words
 from orchestrator.check.subject import Element, Subject, read_xml
 from orchestrator.fmi.raw_description import UnitDefinition, parse_int
 
-UNITS = RuleTable()
 DIMENSIONS = [b for b in BASES if b != "rad"]  # tools differ in the treatment of the radian
 WELL_KNOWN = words(  # names with one meaning
     """m mm cm m/s km/h m3 L l m3/s L/min l/min kg s ms min h N kN N.m J kJ W kW Pa kPa MPa bar rad deg rad/s
@@ -24,16 +23,16 @@ def _at(unit: UnitDefinition) -> str:
     return f"modelDescription.xml line {unit.line}: unit {unit.name}"
 
 
-@UNITS.rule("unit.undefined", "Every unit that a variable uses is defined", "FMPy#511")
-def undefined(subject: Subject) -> Iterator[Finding]:
+def unit_undefined(subject: Subject) -> Iterator[Finding]:
+    """Every unit that a variable uses is defined."""
     defined = {u.name for u in subject.model.units}
     for v in subject.model.variables:
         if v.unit is not None and v.unit not in defined:
             yield error(f"{v}: unit {v.unit!r} is not in UnitDefinitions")
 
 
-@UNITS.rule("unit.display", "Every display unit is defined in its unit", "FMPy#511")
-def display(subject: Subject) -> Iterator[Finding]:
+def unit_display(subject: Subject) -> Iterator[Finding]:
+    """Every display unit is defined in its unit."""
     displays = {u.name: u.display_units for u in subject.model.units}
     for v in subject.model.variables:
         display_unit = v.attributes.get("displayUnit") if v.is_float else None
@@ -50,15 +49,15 @@ def display(subject: Subject) -> Iterator[Finding]:
                 yield warning(f"{_at(unit)}: DisplayUnit {name} has factor 0")
 
 
-@UNITS.rule("unit.twice", "Each unit is defined once")
-def twice(subject: Subject) -> Iterator[Finding]:
+def unit_twice(subject: Subject) -> Iterator[Finding]:
+    """Each unit is defined once."""
     for name, count in Counter(u.name for u in subject.model.units).items():
         if count > 1:
             yield warning(f"modelDescription.xml: unit {name} is defined {count} times")
 
 
-@UNITS.rule("unit.base", "Every used unit has a BaseUnit", "libcosim#519 OMSimulator#942")
-def base(subject: Subject) -> Iterator[Finding]:
+def unit_base(subject: Subject) -> Iterator[Finding]:
+    """Every used unit has a BaseUnit."""
     used = {v.unit for v in subject.model.variables}
     for unit in subject.model.units:
         if unit.base_unit is None and unit.name in used:
@@ -67,8 +66,8 @@ def base(subject: Subject) -> Iterator[Finding]:
             )
 
 
-@UNITS.rule("unit.wrong", "Units with well-known names are defined with their usual meaning")
-def wrong(subject: Subject) -> Iterator[Finding]:
+def unit_wrong(subject: Subject) -> Iterator[Finding]:
+    """Units with well-known names are defined with their usual meaning."""
     for unit in subject.model.units:
         if unit.base_unit is None or unit.name not in WELL_KNOWN:
             continue
@@ -97,10 +96,8 @@ def _float(text: str) -> float:
         return math.nan
 
 
-@UNITS.rule(
-    "unit.factor", "Inputs and outputs are in SI units: factor 1, offset 0", "libcosim#519 OMSimulator#942"
-)
-def factor(subject: Subject) -> Iterator[Finding]:
+def unit_factor(subject: Subject) -> Iterator[Finding]:
+    """Inputs and outputs are in SI units: factor 1, offset 0."""
     bases = {u.name: u.base_unit for u in subject.model.units if u.base_unit}
     in_si = {
         n for n, b in bases.items() if (_float(b.get("factor", "1")), _float(b.get("offset", "0"))) == (1, 0)
@@ -112,14 +109,13 @@ def factor(subject: Subject) -> Iterator[Finding]:
         yield note(f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values")
 
 
-@UNITS.rule("unit.missing", "Real inputs, outputs and parameters have a unit")
-def missing(subject: Subject) -> Iterator[Finding]:
+def unit_missing(subject: Subject) -> Iterator[Finding]:
+    """Real inputs, outputs and parameters have a unit."""
     without = [v for v in subject.model.of("input", "output", "parameter") if v.is_float and v.unit is None]
     if without:
         yield note(f"{join_variables(without)}: no unit")
 
 
-TERMINALS = RuleTable()
 FILE = "terminalsAndIcons/terminalsAndIcons.xml"
 NAMES = {
     "TerminalMemberVariable": ("variableName",),
@@ -133,8 +129,8 @@ def _root(subject: Subject) -> Element | None:
     return read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
 
 
-@TERMINALS.rule("terminal.schema", "terminalsAndIcons.xml is valid against its schema")
-def schema(subject: Subject) -> Iterator[Finding]:
+def terminal_schema(subject: Subject) -> Iterator[Finding]:
+    """terminalsAndIcons.xml is valid against its schema."""
     if FILE not in subject.files:
         return
     root, fault = read_xml(subject.folder, FILE)
@@ -147,8 +143,8 @@ def schema(subject: Subject) -> Iterator[Finding]:
         yield error(f"{FILE}: fmiVersion: expected {subject.version}, got {root.get('fmiVersion')}")
 
 
-@TERMINALS.rule("terminal.members", "Members of terminals are connectable variables of the FMU")
-def members(subject: Subject) -> Iterator[Finding]:
+def terminal_members(subject: Subject) -> Iterator[Finding]:
+    """Members of terminals are connectable variables of the FMU."""
     root = _root(subject)
     variables = {n: v for v in subject.model.variables for n in v.names}
     for element in () if root is None else root.iter(*NAMES):
@@ -163,8 +159,8 @@ def members(subject: Subject) -> Iterator[Finding]:
                 )
 
 
-@TERMINALS.rule("terminal.names", "Terminals and their members have unique names")
-def names(subject: Subject) -> Iterator[Finding]:
+def terminal_names(subject: Subject) -> Iterator[Finding]:
+    """Terminals and their members have unique names."""
     root = _root(subject)
     for level in () if root is None else root.iter("Terminals", "Terminal"):
         for name, count in Counter(t.get("name") for t in children(level, "Terminal")).items():
@@ -185,8 +181,8 @@ def _member_names(terminal: Element) -> Iterator[Finding]:
             yield error(f"{where}: expected unique names, got {count} members {name}")
 
 
-@TERMINALS.rule("terminal.rule", "Matching rules are those of the standard, or have a reverse domain name")
-def rule(subject: Subject) -> Iterator[Finding]:
+def terminal_rule(subject: Subject) -> Iterator[Finding]:
+    """Matching rules are those of the standard, or have a reverse domain name."""
     root = _root(subject)
     for terminal in () if root is None else root.iter("Terminal"):
         matching = terminal.get("matchingRule", "")
@@ -197,8 +193,8 @@ def rule(subject: Subject) -> Iterator[Finding]:
             )
 
 
-@TERMINALS.rule("terminal.icons", "Referenced icons exist, also as PNG")
-def icons(subject: Subject) -> Iterator[Finding]:
+def terminal_icons(subject: Subject) -> Iterator[Finding]:
+    """Referenced icons exist, also as PNG."""
     root = _root(subject)
     for element in () if root is None else root.iter("TerminalGraphicalRepresentation"):
         base = element.get("iconBaseName", "")
@@ -208,8 +204,8 @@ def icons(subject: Subject) -> Iterator[Finding]:
         yield error("terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it")
 
 
-@TERMINALS.rule("terminal.exists", "An FMU with many ports has terminals (FMI 3)")
-def exist(subject: Subject) -> Iterator[Finding]:
+def terminal_exists(subject: Subject) -> Iterator[Finding]:
+    """An FMU with many ports has terminals (FMI 3)."""
     ports = len(subject.model.of("input", "output"))
     if subject.major == 3 and FILE not in subject.files and ports > 8:
         yield note(f"{FILE} is missing; users must connect {ports} inputs and outputs one by one")

@@ -5,40 +5,14 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.check.rule import Finding, RuleTable, error, join_variables, note, warning
+from orchestrator.check.rule import Finding, error, join_variables, note, warning
 from orchestrator.check.subject import Subject
-from orchestrator.fmi.raw_description import SIGNED, UNSIGNED
+from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED
 from orchestrator.fmi.raw_description import DeclaredVariable as Variable
 
-VARIABLES = RuleTable()
-CALCULATED, ANY = ("calculated", "approx"), ("calculated", "exact", "approx")
-LEGAL = {  # FMI 2: (causality, variability) -> allowed values of `initial`; (): the attribute is not allowed
-    ("parameter", "fixed"): ("exact",),
-    ("parameter", "tunable"): ("exact",),
-    ("calculatedParameter", "fixed"): CALCULATED,
-    ("calculatedParameter", "tunable"): CALCULATED,
-    ("input", "discrete"): (),
-    ("input", "continuous"): (),
-    ("output", "constant"): ("exact",),
-    ("output", "discrete"): ANY,
-    ("output", "continuous"): ANY,
-    ("local", "constant"): ("exact",),
-    ("local", "fixed"): CALCULATED,
-    ("local", "tunable"): CALCULATED,
-    ("local", "discrete"): ANY,
-    ("local", "continuous"): ANY,
-    ("independent", "continuous"): (),
-}
-LEGAL_3 = LEGAL | {
-    ("input", "discrete"): ("exact",),
-    ("input", "continuous"): ("exact",),
-    ("structuralParameter", "fixed"): ("exact",),
-    ("structuralParameter", "tunable"): ("exact",),
-}
 
-
-@VARIABLES.rule("variable.duplicate", "Each variable has a unique name", "Simulix#28")
-def duplicate(subject: Subject) -> Iterator[Finding]:
+def variable_duplicate(subject: Subject) -> Iterator[Finding]:
+    """Each variable has a unique name."""
     lines: dict[str, int] = {}
     for v in subject.model.variables:
         for name in v.names:
@@ -50,16 +24,12 @@ def duplicate(subject: Subject) -> Iterator[Finding]:
                 lines[name] = v.line
 
 
-@VARIABLES.rule(
-    "variable.combination",
-    "Causality, variability and initial are an allowed combination",
-    "FMPy#189 FMPy#108 FMPy#579",
-)
-def combination(subject: Subject) -> Iterator[Finding]:
-    legal = LEGAL_3 if subject.major == 3 else LEGAL
+def variable_combination(subject: Subject) -> Iterator[Finding]:
+    """Causality, variability and initial are an allowed combination."""
+    legal = INITIAL_3 if subject.major == 3 else INITIAL
     for v in subject.model.variables:
         allowed = legal.get((v.causality, v.variability))
-        if allowed is None:
+        if allowed is None or (v.causality == "structuralParameter" and subject.major == 2):
             yield error(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
         elif "initial" in v.attributes and v.initial not in allowed:
             expected = f"expected {' or '.join(allowed) or 'none'} for a {v.variability} {v.causality}"
@@ -68,8 +38,8 @@ def combination(subject: Subject) -> Iterator[Finding]:
             yield error(f"{v}: variability: expected discrete for a {v.type}, got continuous")
 
 
-@VARIABLES.rule("variable.variability", "Variables that are not Real declare their variability")
-def variability(subject: Subject) -> Iterator[Finding]:
+def variable_variability(subject: Subject) -> Iterator[Finding]:
+    """Variables that are not Real declare their variability."""
     if subject.major != 2:
         return
     for v in subject.model.variables:
@@ -79,8 +49,8 @@ def variability(subject: Subject) -> Iterator[Finding]:
             )
 
 
-@VARIABLES.rule("variable.start", "Start values exist if and only if they are required", "FMIKit#151")
-def start(subject: Subject) -> Iterator[Finding]:
+def variable_start(subject: Subject) -> Iterator[Finding]:
+    """Start values exist if and only if they are required."""
     for v in subject.model.variables:
         if v.type == "Clock":
             continue
@@ -97,8 +67,8 @@ def start(subject: Subject) -> Iterator[Finding]:
             yield error(f"{v}: expected no start value ({reason}), got {' '.join(v.starts)[:40]}")
 
 
-@VARIABLES.rule("variable.reference", "Value references are integers, and unique in FMI 3")
-def reference(subject: Subject) -> Iterator[Finding]:
+def variable_reference(subject: Subject) -> Iterator[Finding]:
+    """Value references are integers, and unique in FMI 3."""
     variables: dict[int, Variable] = {}
     for v in subject.model.variables:
         if v.reference is None or not 0 <= v.reference < 2**32:
@@ -110,8 +80,8 @@ def reference(subject: Subject) -> Iterator[Finding]:
             variables[v.reference] = v
 
 
-@VARIABLES.rule("variable.alias", "Variables with the same value reference are consistent (FMI 2)")
-def alias(subject: Subject) -> Iterator[Finding]:
+def variable_alias(subject: Subject) -> Iterator[Finding]:
+    """Variables with the same value reference are consistent (FMI 2)."""
     if subject.major != 2:
         return
     sets: dict[tuple[str, int], list[Variable]] = defaultdict(list)
@@ -143,12 +113,8 @@ def _alias(aliases: list[Variable]) -> Iterator[Finding]:
         yield error(f"{first}: {names} share a valueReference, but only some are constant")
 
 
-@VARIABLES.rule(
-    "variable.independent",
-    "There is at most one independent variable in FMI 2, exactly one in FMI 3",
-    "casadi#4030",
-)
-def independent(subject: Subject) -> Iterator[Finding]:
+def variable_independent(subject: Subject) -> Iterator[Finding]:
+    """There is at most one independent variable in FMI 2, exactly one in FMI 3."""
     model = subject.model
     variables = model.of("independent")
     if len(variables) > 1:
@@ -164,8 +130,8 @@ def independent(subject: Subject) -> Iterator[Finding]:
             yield error(f"{v}: expected a real independent variable, got {v.type}")
 
 
-@VARIABLES.rule("variable.type", "Declared types exist and have the type of the variable")
-def type_(subject: Subject) -> Iterator[Finding]:
+def variable_type(subject: Subject) -> Iterator[Finding]:
+    """Declared types exist and have the type of the variable."""
     model = subject.model
     for v in model.variables:
         name = v.attributes.get("declaredType")
@@ -179,29 +145,28 @@ def type_(subject: Subject) -> Iterator[Finding]:
             yield error(f"{v}: expected a declaredType, without which an enumeration has no items")
 
 
-@VARIABLES.rule("variable.string", "Inputs and outputs are numeric", "FMPy#696")
-def string(subject: Subject) -> Iterator[Finding]:
+def variable_string(subject: Subject) -> Iterator[Finding]:
+    """Inputs and outputs are numeric."""
     unusual = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
     if unusual:
         yield note(f"{join_variables(unusual)}: {unusual[0].type}, which many tools cannot connect")
 
 
-@VARIABLES.rule("variable.array", "Variables are scalars")
-def array(subject: Subject) -> Iterator[Finding]:
+def variable_array(subject: Subject) -> Iterator[Finding]:
+    """Variables are scalars."""
     arrays = [v for v in subject.model.variables if v.shape]
     if arrays:
         yield note(f"{arrays[0]} is an array; tools that were made for FMI 2 may not support arrays")
 
 
-@VARIABLES.rule("variable.text", "Inputs, outputs and parameters have a description")
-def text(subject: Subject) -> Iterator[Finding]:
+def variable_text(subject: Subject) -> Iterator[Finding]:
+    """Inputs, outputs and parameters have a description."""
     ports = subject.model.of("input", "output", "parameter")
     undescribed = [v for v in ports if not v.get("description").strip()]
     if undescribed:
         yield note(f"{join_variables(undescribed)}: no description")
 
 
-NAMES = RuleTable()
 MAX_LENGTH = 63  # namelengthmax of MATLAB
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
@@ -243,12 +208,8 @@ def _structured(subject: Subject) -> bool:
     return subject.root is not None and subject.root.get("variableNamingConvention") == "structured"
 
 
-@NAMES.rule(
-    "name.grammar",
-    "Names follow the variableNamingConvention that the FMU declares",
-    "casadi#4030 fmi-cross-check#74 OpenModelica#11265",
-)
-def grammar(subject: Subject) -> Iterator[Finding]:
+def name_grammar(subject: Subject) -> Iterator[Finding]:
+    """Names follow the variableNamingConvention that the FMU declares."""
     for v, name in _named(subject):
         if re.search(r"[\r\n\t]", name):
             yield warning(f"{v}: the name {name!r} has a line break or tab")
@@ -256,8 +217,8 @@ def grammar(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{v}: the name {name!r} breaks the grammar of variableNamingConvention structured")
 
 
-@NAMES.rule("name.structured", "Inputs and outputs have flat names", "Hopsan#2266 Hopsan#2280 OSMP#70")
-def structured(subject: Subject) -> Iterator[Finding]:
+def name_structured(subject: Subject) -> Iterator[Finding]:
+    """Inputs and outputs have flat names."""
     ports = [v for v in subject.model.of("input", "output") if re.search(r"[.\[]", v.name)]
     if _structured(subject) and ports:
         yield note(
@@ -265,8 +226,8 @@ def structured(subject: Subject) -> Iterator[Finding]:
         )
 
 
-@NAMES.rule("name.characters", "Names are identifiers: letters, digits and underscores")
-def characters(subject: Subject) -> Iterator[Finding]:
+def name_characters(subject: Subject) -> Iterator[Finding]:
+    """Names are identifiers: letters, digits and underscores."""
     if _structured(subject):
         return  # checked by the rule name.grammar
     unusual = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
@@ -274,12 +235,8 @@ def characters(subject: Subject) -> Iterator[Finding]:
         yield note(f"{join_variables(unusual)}: not identifiers; tools rename or quote them")
 
 
-@NAMES.rule(
-    "name.mangled",
-    "Names remain different if a tool replaces all characters except letters and digits",
-    "Modelica-FMI#22",
-)
-def mangled(subject: Subject) -> Iterator[Finding]:
+def name_mangled(subject: Subject) -> Iterator[Finding]:
+    """Names remain different if a tool replaces all characters except letters and digits."""
     groups: dict[str, list[Variable]] = defaultdict(list)
     for v in subject.model.variables:
         groups[re.sub(r"\W", "_", v.name)].append(v)
@@ -288,8 +245,8 @@ def mangled(subject: Subject) -> Iterator[Finding]:
             yield note(f"{same[1]}: becomes {name} in some tools, as {same[0].name} does")
 
 
-@NAMES.rule("name.case", "Names differ by more than case")
-def case(subject: Subject) -> Iterator[Finding]:
+def name_case(subject: Subject) -> Iterator[Finding]:
+    """Names differ by more than case."""
     variables: dict[str, Variable] = {}
     for v in subject.model.variables:
         other = variables.setdefault(v.name.casefold(), v)
@@ -297,8 +254,8 @@ def case(subject: Subject) -> Iterator[Finding]:
             yield note(f"{v}: differs from {other.name} only by case")
 
 
-@NAMES.rule("name.keyword", "No name is a keyword of Modelica or C", "OpenModelica#3596 OpenModelica#5706")
-def keyword(subject: Subject) -> Iterator[Finding]:
+def name_keyword(subject: Subject) -> Iterator[Finding]:
+    """No name is a keyword of Modelica or C."""
     for v in subject.model.variables:
         if v.causality == "independent":
             continue
@@ -307,14 +264,11 @@ def keyword(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{v}: is a keyword of {' and '.join(languages)}")
 
 
-@NAMES.rule("name.length", f"Names have at most {MAX_LENGTH} characters", "FMIKit#341")
-def length(subject: Subject) -> Iterator[Finding]:
+def name_length(subject: Subject) -> Iterator[Finding]:
+    """Names have at most 63 characters."""
     long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]
     if long:
         yield note(f"{join_variables(long)}: {len(long[0].name)} characters, expected at most {MAX_LENGTH}")
-
-
-VALUES = RuleTable()
 
 
 def number(v: Variable, text: str | None) -> float | None:
@@ -343,8 +297,8 @@ def _fits(v: Variable, text: str) -> bool:
     return True
 
 
-@VALUES.rule("value.start", "Start values are finite values of their type")
-def start_in_range(subject: Subject) -> Iterator[Finding]:
+def value_start(subject: Subject) -> Iterator[Finding]:
+    """Start values are finite values of their type."""
     for v in subject.model.variables:
         for text in v.starts or ():
             if not _fits(v, text):
@@ -353,8 +307,8 @@ def start_in_range(subject: Subject) -> Iterator[Finding]:
                 yield warning(f"{v}: start value: expected a finite number, got {text}")
 
 
-@VALUES.rule("value.range", "Start values are between min and max, and min is below max")
-def range_(subject: Subject) -> Iterator[Finding]:
+def value_range(subject: Subject) -> Iterator[Finding]:
+    """Start values are between min and max, and min is below max."""
     for v in subject.model.variables:
         low, high = number(v, v.attributes.get("min")), number(v, v.attributes.get("max"))
         if low is not None and high is not None and low > high:
@@ -371,16 +325,16 @@ def _interval(low: float | None, high: float | None) -> str:
     return f"{'-inf' if low is None else f'{low:g}'} ... {'inf' if high is None else f'{high:g}'}"
 
 
-@VALUES.rule("value.nominal", "Nominal values are positive, because solvers scale tolerances with them")
-def nominal(subject: Subject) -> Iterator[Finding]:
+def value_nominal(subject: Subject) -> Iterator[Finding]:
+    """Nominal values are positive, because solvers scale tolerances with them."""
     for v in subject.model.variables:
         value = number(v, v.attributes.get("nominal"))
         if value is not None and not (math.isfinite(value) and value > 0):
             yield warning(f"{v}: nominal: expected a positive number, got {value:g}")
 
 
-@VALUES.rule("value.enumeration", "Items of an enumeration are distinct, and start values are among them")
-def enumeration(subject: Subject) -> Iterator[Finding]:
+def value_enumeration(subject: Subject) -> Iterator[Finding]:
+    """Items of an enumeration are distinct, and start values are among them."""
     model = subject.model
     items = {name: [value for _, value in declared.items] for name, declared in model.types.items()}
     allowed = {name: set(values) for name, values in items.items()}
