@@ -3,11 +3,12 @@
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources_location
@@ -22,6 +23,18 @@ FORKS = hasattr(os, "fork") and sys.platform != "darwin"  # there, libraries of 
 FINISHED = 93  # exit status of a fork whose task is complete
 Remark = tuple[str, str]  # severity, text
 Task = Callable[["Trial"], Iterator[Remark]]
+
+
+class InstanceOptions(TypedDict, total=False):
+    """How an instance differs from the usual one, see `FmuInstance.instantiate`."""
+
+    token: str
+    resources: str | None
+    name: str
+    verbose: bool
+    update: Any
+    early: bool
+    required: Sequence[int]
 
 
 class OnlyOnce(Exception):
@@ -78,7 +91,9 @@ class Trial:
         self.activity.call(f"loading {path.name}")
         return Library(path, self.description.major)
 
-    def instance(self, kind: str = "", library: Library | None = None, **options: Any) -> FmuInstance:
+    def instance(
+        self, kind: str = "", library: Library | None = None, **options: Unpack[InstanceOptions]
+    ) -> FmuInstance:
         """A new instance; raises OnlyOnce if a second one is not allowed, CallFailed if the FMU fails."""
         kind, library = kind or self.kind, library or self.library
         if self._instances and self.description.interfaces[kind].declares(
@@ -87,12 +102,10 @@ class Trial:
             raise OnlyOnce
         log = Log(limit=MAX_MESSAGES)
         instance = FmuInstance(library, log, kind == "ModelExchange", self.activity.call)
-        defaults = {
-            "token": self.description.token,
-            "name": "probe",
-            "resources": resources_location(self.folder, self.description.major),
-        }
-        if not instance.instantiate(**{**defaults, **options}):
+        options.setdefault("token", self.description.token)
+        options.setdefault("name", "probe")
+        options.setdefault("resources", resources_location(self.folder, self.description.major))
+        if not instance.instantiate(**options):
             raise CallFailed(
                 f"{instance.describe_call('Instantiate')} returns no instance{log.quoted_messages()}", ERROR
             )
@@ -107,6 +120,9 @@ def main(channel: Channel) -> None:
     """
     for module in Path(__file__).parent.glob("[a-z]*.py"):
         import_module(f"orchestrator.check.tasks.{module.stem}")
+    warnings.simplefilter(
+        "ignore"
+    )  # NumPy warns about values that are not finite, which are no mistakes here
     own = {*channel.folder.iterdir()}
     while job := channel.get():
         channel.activity.clear()
