@@ -159,11 +159,11 @@ def run_default(subject: Subject) -> Iterator[Finding]:
 
 
 def probe(
-    subject: Subject, tasks: Sequence[str], kind: str = "", needs: Sequence[str] = (), fmi: int = 0
+    subject: Subject, tasks: Sequence[str], kind: str = "", needs: Sequence[str] = ()
 ) -> Iterator[Finding]:
     """Run tasks one after the other; the arguments are those of probes.toml."""
     first = first_run(subject)
-    kinds = [k for k in first.kinds if first.completed(k) and kind in ("", k) and fmi in (0, subject.major)]
+    kinds = [k for k in first.kinds if first.completed(k) and kind in ("", k)]
     kinds = [k for k in kinds if not needs or first.model.interfaces[k].declares(*needs)]
 
     def work(kind: str) -> Outcome:

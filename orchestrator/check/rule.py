@@ -74,7 +74,7 @@ def join_variables(variables: Sequence[DeclaredVariable]) -> str:
 
 MAX_FINDINGS = 10_000  # of one rule; a report shows five
 VERSIONS = ("2.0.5", "3.0.2")  # of the standard, whose clauses rules name
-Check = Callable[["Subject"], Iterable[Finding]]
+Check = Callable[["Subject"], Iterable[Finding | str]]
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,11 @@ class CheckRule:
 
     id        topic and name: "unit.undefined"
     text      the requirement in one line
-    check     yields a finding for each violation
+    check     yields a finding for each violation, or the text of one
+    severity  of findings that are texts
     clause    of the standard on which errors are based; empty: the rule gives warnings at most
     threads   issue threads that report violations
+    fmi       versions of FMUs to which the rule applies; empty: to any file
     """
 
     id: str
@@ -93,12 +95,16 @@ class CheckRule:
     check: Check
     clause: str = ""
     threads: str = ""
+    severity: Severity = "warning"
+    fmi: Sequence[int] = ()
 
     def __call__(self, subject: Subject) -> Iterator[Finding]:
         """All findings, with the id and the threads of this rule."""
-        findings = iter(self.check(subject))
+        applies = not self.fmi or subject.major in self.fmi
+        findings = iter(self.check(subject) if applies else ())
         kinds: dict[object, list[Finding]] = {}
-        for number, finding in enumerate(islice(findings, MAX_FINDINGS)):
+        for number, found in enumerate(islice(findings, MAX_FINDINGS)):
+            finding = Finding("", self.severity, found) if isinstance(found, str) else found
             text = one_line(finding.text)
             severity = finding.severity if self.clause or finding.severity != "error" else "warning"
             complete = replace(finding, rule=self.id, severity=severity, text=text, thread=self.threads)
@@ -142,10 +148,12 @@ def _rule(
     text: str = "",
     clause: Sequence[str] = (),
     threads: str = "",
+    severity: Severity = "warning",
+    fmi: Sequence[int] = (),
     **arguments: Any,
 ) -> CheckRule:
     name = check or id_.replace(".", "_")
-    function: Callable[..., Iterable[Finding]] = next(getattr(m, name) for m in modules if hasattr(m, name))
+    function: Callable[..., Any] = next(getattr(m, name) for m in modules if hasattr(m, name))
     text = text or (getdoc(function) or "").partition("\n")[0].removesuffix(".")
     clauses = [f"FMI {version}: {c}" for version, c in zip(VERSIONS, clause, strict=False) if c]
-    return CheckRule(id_, text, partial(function, **arguments), ", ".join(clauses), threads)
+    return CheckRule(id_, text, partial(function, **arguments), ", ".join(clauses), threads, severity, fmi)

@@ -135,7 +135,7 @@ class Subject:
     path: Path
     folder: Path
     version: str = ""
-    root: Element | None = None
+    root: Element = None
     names: tuple[str, ...] = ()
     faults: tuple[Finding, ...] = field(default=())
 

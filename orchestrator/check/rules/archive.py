@@ -22,55 +22,49 @@ def opening(subject: Subject, rule: str) -> Iterator[Finding]:
     return (f for f in subject.faults if f.rule == rule)
 
 
-def archive_suffix(subject: Subject) -> Iterator[Finding]:
+def archive_suffix(subject: Subject) -> Iterator[str]:
     """The file name ends in .fmu."""
     if subject.path.suffix.lower() != ".fmu":
-        yield warning(f"{subject.path.name}: expected a file name that ends in .fmu")
+        yield f"{subject.path.name}: expected a file name that ends in .fmu"
 
 
-def archive_description(subject: Subject) -> Iterator[Finding]:
+def archive_description(subject: Subject) -> Iterator[str]:
     """modelDescription.xml is at the top of the archive."""
     if DESCRIPTION in subject.names or any(f.rule == "archive.zip" for f in subject.faults):
         return
     if "SystemStructure.ssd" in subject.names:
         text = "expected an FMU, got a system (SSP); check the .fmu files in its folder resources one by one"
-        yield error(f"{text}, or run the system with harvester run")
+        yield f"{text}, or run the system with harvester run"
         return
     names = {n: PurePosixPath(n.replace("\\", "/")).name for n in subject.names}
     elsewhere = [n for n, name in names.items() if name.lower() == DESCRIPTION.lower()]
     got = elsewhere[0] if elsewhere else ", ".join(subject.names[:5]) or "an empty archive"
-    yield error(f"expected {DESCRIPTION} at the top of the archive, got {got}")
+    yield f"expected {DESCRIPTION} at the top of the archive, got {got}"
 
 
-def archive_path(subject: Subject) -> Iterator[Finding]:
+def archive_path(subject: Subject) -> Iterator[str]:
     """Paths in the archive are ASCII, have no spaces and are short enough for Windows."""
     unusual = [n for n in subject.names if " " in n or not n.isascii()]
     if unusual:
-        yield warning(
-            f"{join_names(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
-        )
+        yield f"{join_names(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
     long = [n for n in subject.names if len(n) > MAX_PATH]
     if long:
-        yield warning(
-            f"member {long[0]!r} has {len(long[0])} characters, expected at most {MAX_PATH} for Windows"
-        )
+        yield f"member {long[0]!r} has {len(long[0])} characters, expected at most {MAX_PATH} for Windows"
 
 
-def archive_stray(subject: Subject) -> Iterator[Finding]:
+def archive_stray(subject: Subject) -> Iterator[str]:
     """The archive contains only files and folders of the standard."""
     top = {n.split("/")[0] for n in subject.names if not why_unsafe(n)}
     unknown = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
-    if subject.major and unknown:
-        yield note(
-            f"{', '.join(unknown[:5])}: not a file or folder of the standard; other data belong into extra/"
-        )
+    if unknown:
+        yield f"{', '.join(unknown[:5])}: not a file or folder of the standard; other data belong into extra/"
 
 
-def archive_extra(subject: Subject) -> Iterator[Finding]:
+def archive_extra(subject: Subject) -> Iterator[str]:
     """Folders below extra/ have reverse domain names."""
     names = {n.split("/")[1] for n in subject.names if n.startswith("extra/") and n.count("/") > 1}
     for name in sorted(n for n in names if "." not in n):
-        yield note(f"extra/{name}: expected a reverse domain name such as extra/com.example")
+        yield f"extra/{name}: expected a reverse domain name such as extra/com.example"
 
 
 ICONS = {2: ("model.png", "terminalsAndIcons/icon.png"), 3: ("terminalsAndIcons/icon.png",)}
@@ -103,45 +97,41 @@ def _searched(subject: Subject, files: Iterable[str]) -> Iterator[tuple[str, byt
             return
 
 
-def contents_icon(subject: Subject) -> Iterator[Finding]:
+def contents_icon(subject: Subject) -> Iterator[str]:
     """The FMU has an icon."""
-    expected = ICONS.get(subject.major, ())
-    if expected and not subject.files.intersection(expected):
-        yield note(f"{expected[0]} is missing; tools show an empty block")
+    expected = ICONS[subject.major]
+    if not subject.files.intersection(expected):
+        yield f"{expected[0]} is missing; tools show an empty block"
 
 
-def contents_documentation(subject: Subject) -> Iterator[Finding]:
+def contents_documentation(subject: Subject) -> Iterator[str]:
     """The FMU has documentation."""
-    if subject.major and "documentation/index.html" not in subject.files:
-        yield note("documentation/index.html is missing; users cannot read what the FMU models")
+    if "documentation/index.html" not in subject.files:
+        yield "documentation/index.html is missing; users cannot read what the FMU models"
 
 
-def contents_licence(subject: Subject) -> Iterator[Finding]:
+def contents_licence(subject: Subject) -> Iterator[str]:
     """The licence is stated."""
-    if not subject.major or subject.root is None:
-        return
     files = sorted(f for f in subject.files if f.startswith("documentation/licenses/"))
     if not files and not subject.root.get("license"):
-        yield note("no licence, neither as attribute license nor in documentation/licenses")
+        yield "no licence, neither as attribute license nor in documentation/licenses"
     elif files and not any(
         re.fullmatch(r"documentation/licenses/license\.(txt|html|spdx)", f) for f in files
     ):
-        yield note(f"{files[0]}: expected an entry point license.txt or license.html next to it")
+        yield f"{files[0]}: expected an entry point license.txt or license.html next to it"
 
 
-def contents_texts(subject: Subject) -> Iterator[Finding]:
+def contents_texts(subject: Subject) -> Iterator[str]:
     """The FMU has a description, author, version and generation tool."""
-    if not subject.major or subject.root is None:
-        return
     missing = [n for n in METADATA if not (subject.root.get(n) or "").strip()]
     if missing:
-        yield note(f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(missing)}")
+        yield f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(missing)}"
 
 
 def contents_categories(subject: Subject) -> Iterator[Finding]:
     """Log categories exist and are unique; in FMI 2 they include names of the standard."""
     names = subject.model.categories
-    if subject.major and not names:
+    if not names:
         yield note(f"{DESCRIPTION}: no log categories; users cannot select messages of the FMU")
     for name, count in Counter(names).items():
         if count > 1:
@@ -152,37 +142,35 @@ def contents_categories(subject: Subject) -> Iterator[Finding]:
         )
 
 
-def contents_annotations(subject: Subject) -> Iterator[Finding]:
+def contents_annotations(subject: Subject) -> Iterator[str]:
     """There are no annotations for a single tool."""
     path = ("VendorAnnotations", "Tool") if subject.major == 2 else ("Annotations", "Annotation")
     for element in children(subject.root, *path):
         tool = element.get("name") or element.get("type") or local_name(element)
-        yield note(
-            f"{DESCRIPTION} line {element.sourceline}: annotations for {tool}; other tools ignore them"
-        )
+        yield f"{DESCRIPTION} line {element.sourceline}: annotations for {tool}; other tools ignore them"
 
 
-def contents_paths(subject: Subject) -> Iterator[Finding]:
+def contents_paths(subject: Subject) -> Iterator[str]:
     """Files contain no paths of the machine on which the FMU was made."""
     for file, data in _searched(subject, (f for f in subject.files if f.endswith(TEXT_FILES))):
         if match := LOCAL_PATH.search(data):
             line = data.count(b"\n", 0, match.start()) + 1
             path = match.group()[:80].decode("utf-8", "replace")
-            yield warning(f"{file} line {line}: {path} is a path of the machine on which the FMU was made")
+            yield f"{file} line {line}: {path} is a path of the machine on which the FMU was made"
 
 
-def contents_machine(subject: Subject) -> Iterator[Finding]:
+def contents_machine(subject: Subject) -> Iterator[str]:
     """Libraries contain no paths of the machine on which they were built."""
     for file, data in _searched(subject, {b.file for b in subject.binaries}):
         if match := LOCAL_PATH.search(data):
-            yield note(f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}")
+            yield f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}"
 
 
-def contents_size(subject: Subject) -> Iterator[Finding]:
+def contents_size(subject: Subject) -> Iterator[str]:
     """The FMU has at most 50 MB."""
     bytes_ = subject.path.stat().st_size
     if bytes_ > MAX_SIZE:
-        yield note(f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model")
+        yield f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model"
 
 
 BUILD = "sources/buildDescription.xml"
@@ -261,21 +249,19 @@ def source_description(subject: Subject) -> Iterator[Finding]:
         )
 
 
-def source_name(subject: Subject) -> Iterator[Finding]:
+def source_name(subject: Subject) -> Iterator[str]:
     """A single source file has the name of the model (FMI 3)."""
-    root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files and subject.major == 3 else (None, "")
+    root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files else (None, "")
     names = {f.get("name") for f in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile")}
     for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
-        expected = subject.model.identifiers[0] if subject.model.identifiers else "model"
-        yield note(
-            f"sources/{name}: expected a name such as {expected}.c; object files of several FMUs get mixed up"
-        )
+        expected = f"{(*subject.model.identifiers, 'model')[0]}.c"
+        yield f"sources/{name}: expected a name such as {expected}; object files of several FMUs get mixed up"
 
 
-def source_headers(subject: Subject) -> Iterator[Finding]:
+def source_headers(subject: Subject) -> Iterator[str]:
     """Sources contain no FMI headers; the importer provides them."""
     files = sorted(
         f for f in subject.files if f.startswith("sources/") and f.endswith((*HEADERS, *HEADERS_3))
     )
     if files:
-        yield note(f"{join_names(files)}: FMI headers, which the importing tool provides")
+        yield f"{join_names(files)}: FMI headers, which the importing tool provides"

@@ -46,13 +46,13 @@ def xml_syntax(subject: Subject) -> Iterator[Finding]:
         )
 
 
-def xml_encoding(subject: Subject) -> Iterator[Finding]:
+def xml_encoding(subject: Subject) -> Iterator[str]:
     """modelDescription.xml is written in UTF-8."""
     if subject.root is None:
         return
     encoding_ = subject.root.getroottree().docinfo.encoding or "UTF-8"
     if encoding_.upper() not in ("UTF-8", "ASCII", "US-ASCII"):
-        yield warning(f"{DESCRIPTION}: encoding: expected UTF-8, got {encoding_}")
+        yield f"{DESCRIPTION}: encoding: expected UTF-8, got {encoding_}"
 
 
 def version_known(subject: Subject) -> Iterator[Finding]:
@@ -66,20 +66,16 @@ def version_known(subject: Subject) -> Iterator[Finding]:
         yield error(f"{DESCRIPTION}: fmiVersion: expected 2.0 or 3.0, got {subject.version!r}")
 
 
-def version_new(subject: Subject) -> Iterator[Finding]:
+def version_new(_: Subject) -> Iterator[str]:
     """Tools that support FMI 2.0 only can use the FMU."""
-    if subject.major == 3:
-        yield note(
-            "FMI 3.0: some tools support FMI 2.0 only, or FMI 3.0 in part; ship an FMI 2.0 FMU as well"
-        )
+    yield "FMI 3.0: some tools support FMI 2.0 only, or FMI 3.0 in part; ship an FMI 2.0 FMU as well"
 
 
-def xml_schema(subject: Subject) -> Iterator[Finding]:
+def xml_schema(subject: Subject) -> Iterator[str]:
     """modelDescription.xml is valid against the schema of its version."""
-    if subject.root is None or not subject.major or local_name(subject.root) != "fmiModelDescription":
-        return
-    for line, message in violations(subject.root, SCHEMAS[subject.major]):
-        yield error(f"{DESCRIPTION} line {line}: {message}")
+    if local_name(subject.root) == "fmiModelDescription":
+        for line, message in violations(subject.root, SCHEMAS[subject.major]):
+            yield f"{DESCRIPTION} line {line}: {message}"
 
 
 def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
@@ -95,8 +91,6 @@ def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
 
 def fmpy_validate(subject: Subject) -> Iterator[Finding]:
     """FMPy's validation finds no other faults."""
-    if subject.root is None or not subject.major:
-        return
     if subject.root.xpath("count(//*)") > MAX_ELEMENTS:
         text = (
             f"{DESCRIPTION} has more than {MAX_ELEMENTS} elements, for which FMPy's validation takes too long"
@@ -140,16 +134,16 @@ def kind_some(subject: Subject) -> Iterator[Finding]:
         yield warning("offers Scheduled Execution only, which few tools support")
 
 
-def kind_simulation(subject: Subject) -> Iterator[Finding]:
+def kind_simulation(subject: Subject) -> Iterator[str]:
     """The FMU offers Co-Simulation."""
     if "ModelExchange" in subject.model.interfaces and "CoSimulation" not in subject.model.interfaces:
-        yield note("no Co-Simulation: masters without a solver of their own cannot run it")
+        yield "no Co-Simulation: masters without a solver of their own cannot run it"
 
 
-def kind_exchange(subject: Subject) -> Iterator[Finding]:
+def kind_exchange(subject: Subject) -> Iterator[str]:
     """The FMU offers Model Exchange."""
     if "CoSimulation" in subject.model.interfaces and "ModelExchange" not in subject.model.interfaces:
-        yield note("no Model Exchange: the importing tool cannot solve the equations with its own solver")
+        yield "no Model Exchange: the importing tool cannot solve the equations with its own solver"
 
 
 EXAMPLE_TOKENS = {  # tokens that were copied from examples into many FMUs
@@ -160,47 +154,45 @@ EXAMPLE_TOKENS = {  # tokens that were copied from examples into many FMUs
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-def identity_token(subject: Subject) -> Iterator[Finding]:
+def identity_token(subject: Subject) -> Iterator[str]:
     """The GUID or instantiation token exists and is unique."""
-    if subject.root is None or not subject.major:
-        return
     name = "guid" if subject.major == 2 else "instantiationToken"
     value = subject.root.get(name)
     where = f"{DESCRIPTION} line {subject.root.sourceline}: {name}"
     if value is not None and not value.strip():
-        yield warning(f"{where} is empty, expected a new value for each change of the interface")
+        yield f"{where} is empty, expected a new value for each change of the interface"
     elif value is not None:
         digits = re.sub(r"[^0-9a-z]", "", value.lower())
         origin = next((o for pattern, o in EXAMPLE_TOKENS.items() if re.fullmatch(pattern, digits)), None)
         if origin:
-            yield warning(f"{where} is {value}, {origin}; tools cannot detect a changed interface")
+            yield f"{where} is {value}, {origin}; tools cannot detect a changed interface"
         elif value.count("{") != value.count("}"):
-            yield warning(f"{where} is {value}, a brace is missing")
+            yield f"{where} is {value}, a brace is missing"
 
 
-def identity_identifier(subject: Subject) -> Iterator[Finding]:
+def identity_identifier(subject: Subject) -> Iterator[str]:
     """The model identifier is a C identifier."""
     for kind, element in subject.model.interfaces.items():
         name = element.get("modelIdentifier")
         where = f"{DESCRIPTION} line {element.line}: {kind}"
         if not C_IDENTIFIER.fullmatch(name) or name in C:
             text = "expected a C identifier, because binaries and C functions have this name"
-            yield error(f"{where}: modelIdentifier: {text}, got {name!r}")
+            yield f"{where}: modelIdentifier: {text}, got {name!r}"
 
 
-def identity_keyword(subject: Subject) -> Iterator[Finding]:
+def identity_keyword(subject: Subject) -> Iterator[str]:
     """The model identifier is not a keyword of Modelica or C++."""
     for name in subject.model.identifiers:
         languages = [n for n, words in (("Modelica", MODELICA), ("C++", CPP)) if name in words]
         if languages:
-            yield note(f"{DESCRIPTION}: modelIdentifier {name} is a keyword of {' and '.join(languages)}")
+            yield f"{DESCRIPTION}: modelIdentifier {name} is a keyword of {' and '.join(languages)}"
 
 
-def identity_same(subject: Subject) -> Iterator[Finding]:
+def identity_same(subject: Subject) -> Iterator[str]:
     """Co-Simulation and Model Exchange share a binary."""
     names = subject.model.identifiers
     if len(names) > 1:
-        yield note(f"{DESCRIPTION}: model identifiers {', '.join(names)} differ; each needs its own binary")
+        yield f"{DESCRIPTION}: model identifiers {', '.join(names)} differ; each needs its own binary"
 
 
 def _number(element: Entry, name: str) -> float | None:
@@ -210,20 +202,20 @@ def _number(element: Entry, name: str) -> float | None:
         return None
 
 
-def experiment_exists(subject: Subject) -> Iterator[Finding]:
+def experiment_exists(subject: Subject) -> Iterator[str]:
     """The FMU has a default experiment with stop time and step size."""
     if not subject.model.variables:
         return
     element = subject.model.experiment
     if element is None:
-        yield note(f"{DESCRIPTION}: no DefaultExperiment; tools guess stop time and step size")
+        yield f"{DESCRIPTION}: no DefaultExperiment; tools guess stop time and step size"
         return
     missing = [n for n in ("stopTime", "stepSize") if n not in element.attributes]
     if missing:
-        yield note(f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(missing)}")
+        yield f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(missing)}"
 
 
-def experiment_values(subject: Subject) -> Iterator[Finding]:
+def experiment_values(subject: Subject) -> Iterator[str]:
     """The default experiment can be run."""
     element = subject.model.experiment
     if element is None:
@@ -233,15 +225,15 @@ def experiment_values(subject: Subject) -> Iterator[Finding]:
     for name in ("stepSize", "tolerance"):
         value = _number(element, name)
         if value is not None and not (math.isfinite(value) and value > 0):
-            yield warning(f"{where}: {name}: expected a positive number, got {value:g}")
+            yield f"{where}: {name}: expected a positive number, got {value:g}"
     if stop is not None and not start < stop < math.inf:
-        yield warning(f"{where}: stopTime: expected a time after startTime {start:g}, got {stop:g}")
+        yield f"{where}: stopTime: expected a time after startTime {start:g}, got {stop:g}"
     step = _number(element, "stepSize")
     if stop is not None and step is not None and stop > start and step > stop - start:
-        yield warning(f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s")
+        yield f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s"
 
 
-def experiment_step(subject: Subject) -> Iterator[Finding]:
+def experiment_step(subject: Subject) -> Iterator[str]:
     """The default experiment is a whole number of steps."""
     element = subject.model.experiment
     if element is None:
@@ -253,16 +245,16 @@ def experiment_step(subject: Subject) -> Iterator[Finding]:
     count = (stop - start) / size
     # the step size is rounded in its last bit: the count is an integer to 1e-9 for up to a million steps
     if not math.isclose(count, round(count), rel_tol=1e-9):
-        yield note(
+        yield (
             f"{DESCRIPTION} line {element.line}: {stop - start:g} s are {count:.6g} steps of {size:g} s"
             "; the last step is shorter or missing"
         )
 
 
-def experiment_start(subject: Subject) -> Iterator[Finding]:
+def experiment_start(subject: Subject) -> Iterator[str]:
     """The default experiment starts at 0."""
     element = subject.model.experiment
     start_time = None if element is None else _number(element, "startTime")
     if element is not None and start_time:
         text = f"{DESCRIPTION} line {element.line}: startTime is {start_time:g}"
-        yield note(f"{text}; some tools start at 0 nevertheless")
+        yield f"{text}; some tools start at 0 nevertheless"

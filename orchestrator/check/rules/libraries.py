@@ -22,7 +22,7 @@ def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
             yield b, kinds
 
 
-def binary_functions(subject: Subject) -> Iterator[Finding]:
+def binary_functions(subject: Subject) -> Iterator[str]:
     """Every library exports all functions of its FMI version and interface types."""
     for b, kinds in models(subject):
         missing = [f for f in required(subject.major, kinds) if f not in b.exports]
@@ -30,33 +30,33 @@ def binary_functions(subject: Subject) -> Iterator[Finding]:
             continue
         prefixed = f"{b.stem}_{missing[0]}"
         hint = f"; it exports {prefixed} as for static linking" if prefixed in b.exports else ""
-        yield error(f"{_at(b)}: does not export {join_names(missing)}{hint}")
+        yield f"{_at(b)}: does not export {join_names(missing)}{hint}"
 
 
 def _at(b: Binary) -> str:
     return f"{b} ({b.machine})" if b.format == "Mach-O" else str(b)
 
 
-def binary_version(subject: Subject) -> Iterator[Finding]:
+def binary_version(subject: Subject) -> Iterator[str]:
     """Libraries export functions of their FMI version only."""
     prefix = f"fmi{subject.major}"
     for b, _ in models(subject):
         others = sorted(e for e in b.exports if re.match(r"fmi[123][A-Z]", e) and not e.startswith(prefix))
         if others:
-            yield note(f"{_at(b)}: exports functions of another FMI version: {join_names(others, 2)}")
+            yield f"{_at(b)}: exports functions of another FMI version: {join_names(others, 2)}"
 
 
-def binary_symbols(subject: Subject) -> Iterator[Finding]:
+def binary_symbols(subject: Subject) -> Iterator[str]:
     """All undefined symbols of a library are in the libraries that it needs."""
     for b, _ in models(subject):
         if b.unresolved:
-            yield warning(
+            yield (
                 f"{b}: needs {join_names(b.unresolved, 3)}, which none of {', '.join(b.libraries)} has;"
                 " it loads only inside a program that provides them"
             )
 
 
-def binary_private(subject: Subject) -> Iterator[Finding]:
+def binary_private(subject: Subject) -> Iterator[str]:
     """Libraries export no other functions."""
     for b, _ in models(subject):
         others = [
@@ -65,19 +65,17 @@ def binary_private(subject: Subject) -> Iterator[Finding]:
             if not re.search(r"fmi[123][A-Z]", e) and not e.startswith(("_init", "_fini"))
         ]
         if len(others) > 20:
-            yield note(f"{_at(b)}: exports functions that are not of FMI: {join_names(sorted(others), 2)}")
+            yield f"{_at(b)}: exports functions that are not of FMI: {join_names(sorted(others), 2)}"
 
 
-def binary_debug(subject: Subject) -> Iterator[Finding]:
+def binary_debug(subject: Subject) -> Iterator[str]:
     """Libraries contain no debug information."""
     for b in subject.binaries:
         if b.debug:
-            yield note(
-                f"{b}: {b.debug / 1e3:.0f} kB of debug information, with paths and names of the sources"
-            )
+            yield f"{b}: {b.debug / 1e3:.0f} kB of debug information, with paths and names of the sources"
 
 
-def binary_traits(subject: Subject) -> Iterator[Finding]:
+def binary_traits(subject: Subject) -> Iterator[str]:
     """Libraries have no writable code and no executable stack."""
     consequences = {
         "executable stack": "Linux with glibc 2.41 and newer does not load it",
@@ -87,7 +85,7 @@ def binary_traits(subject: Subject) -> Iterator[Finding]:
     }
     for b in subject.binaries:
         for trait in b.traits:
-            yield warning(f"{b}: {trait}; {consequences[trait]}")
+            yield f"{b}: {trait}; {consequences[trait]}"
 
 
 SYSTEM = {  # libraries that every machine with this format has
@@ -148,24 +146,24 @@ def _describe(b: Binary, library: str) -> tuple[str, bool]:
     return next((t for p, t in RUNTIMES.items() if re.fullmatch(p, library)), "another library"), False
 
 
-def binary_loader(subject: Subject) -> Iterator[Finding]:
+def binary_loader(subject: Subject) -> Iterator[str]:
     """Libraries find the libraries in the same folder."""
     for b in subject.binaries:
         neighbours = [n for n in b.libraries if b.format == "ELF" and _next_to(b, n, subject)]
         if neighbours and not any("$ORIGIN" in p for p in b.rpaths):
             text = f"{b}: needs {neighbours[0]} from the same folder, but its rpath lacks $ORIGIN"
-            yield warning(f"{text}; the loader will not find it")
+            yield f"{text}; the loader will not find it"
 
 
-def binary_path(subject: Subject) -> Iterator[Finding]:
+def binary_path(subject: Subject) -> Iterator[str]:
     """Libraries contain no search paths of the machine on which they were built."""
     for b in subject.binaries:
         for rpath in b.rpaths:
             if not rpath.startswith(("$ORIGIN", "@loader_path", "@rpath", "@executable_path")):
-                yield warning(f"{b}: rpath: expected $ORIGIN or none, got {rpath}")
+                yield f"{b}: rpath: expected $ORIGIN or none, got {rpath}"
         for library in b.libraries:
             if library.startswith("/") and not re.fullmatch(SYSTEM[b.format], library):
-                yield warning(f"{b}: needs {library} at an absolute path")
+                yield f"{b}: needs {library} at an absolute path"
 
 
 def binary_glibc(subject: Subject) -> Iterator[Finding]:
@@ -190,11 +188,11 @@ def _dotted(version: tuple[int, ...]) -> str:
     return ".".join(map(str, version))
 
 
-def binary_macos(subject: Subject) -> Iterator[Finding]:
+def binary_macos(subject: Subject) -> Iterator[str]:
     """Libraries for macOS run on versions in use."""
     for b in subject.binaries:
         if b.macos[:1] > MACOS:
-            yield warning(f"{b}: needs macOS {_dotted(b.macos)}, expected at most {_dotted(MACOS)}")
+            yield f"{b}: needs macOS {_dotted(b.macos)}, expected at most {_dotted(MACOS)}"
 
 
 def binary_documented(subject: Subject) -> Iterator[Finding]:
@@ -252,26 +250,26 @@ def platform_some(subject: Subject) -> Iterator[Finding]:
         yield error(f"expected binaries for a platform such as {example}, got {got}")
 
 
-def missing_platform(subject: Subject, system: str) -> Iterator[Finding]:
+def missing_platform(subject: Subject, system: str) -> Iterator[str]:
     """There is no binary for 64-bit machines with a system."""
     platforms, required_ = {as_tuple(b.platform) for b in subject.binaries}, f"x86_64-{system.lower()}"
     if platforms and tuple(required_.split("-")) not in platforms:
         name = NAMES[required_] if subject.major == 2 else required_
-        yield note(f"no binaries/{name}: no tool on {system} can run it")
+        yield f"no binaries/{name}: no tool on {system} can run it"
 
 
-def platform_macos(subject: Subject) -> Iterator[Finding]:
+def platform_macos(subject: Subject) -> Iterator[str]:
     """The FMU runs on macOS, on Intel and Apple machines."""
     machines = {b.machine for b in subject.binaries if as_tuple(b.platform)[1] == "darwin"}
     if subject.binaries and not machines:
-        yield note("no binary for macOS")
+        yield "no binary for macOS"
     elif machines and "aarch64" not in machines:
-        yield note("no binary for Macs with Apple processors, neither a universal one nor aarch64-darwin")
+        yield "no binary for Macs with Apple processors, neither a universal one nor aarch64-darwin"
 
 
 def platform_folder(subject: Subject) -> Iterator[Finding]:
     """Platform folders have the names of the FMI version."""
-    for name in folders(subject) if subject.major else ():
+    for name in folders(subject):
         if _legal(name, subject.major) or WASM.fullmatch(name):
             continue
         other = TUPLES.get(name) if subject.major == 3 else NAMES.get(name)
@@ -326,21 +324,21 @@ def platform_name(subject: Subject) -> Iterator[Finding]:
                 )
 
 
-def platform_wasm(subject: Subject) -> Iterator[Finding]:
+def platform_wasm(subject: Subject) -> Iterator[str]:
     """Folders of WebAssembly have a module with the name of the model identifier."""
     kinds = {b"\x01\0\0\0": "module", b"\r\0\x01\0": "component"}  # bytes 4 to 7: version and layer
     for folder_ in (f for f in folders(subject) if WASM.fullmatch(f)):
         for identifier in {e.get("modelIdentifier") for e in subject.model.interfaces.values()}:
             file = f"binaries/{folder_}/{identifier}.wasm"
             if file not in subject.files:
-                yield warning(f"binaries/{folder_}: expected {identifier}.wasm, found no such file")
+                yield f"binaries/{folder_}: expected {identifier}.wasm, found no such file"
                 continue
             with (subject.folder / file).open("rb") as opened:
                 head = opened.read(8)
             got = kinds.get(head[4:], "") if head[:4] == b"\0asm" else ""
             expected = "component" if folder_.endswith("p2") else "module"
             if got != expected:
-                yield warning(f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}")
+                yield f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}"
 
 
 SCRIPTS = "resources/"
@@ -371,17 +369,17 @@ def _evidence(subject: Subject) -> Iterator[str]:
         yield f"{launcher} starts Python"
 
 
-def python_needed(subject: Subject) -> Iterator[Finding]:
+def python_needed(subject: Subject) -> Iterator[str]:
     """The FMU runs without Python on the target machine."""
     evidence = list(_evidence(subject))
     if evidence:
-        yield warning(
+        yield (
             f"needs Python on the target: {'; '.join(evidence[:2])}; the target machine needs the same Python"
             " on its path, with all packages"
         )
 
 
-def python_packages(subject: Subject) -> Iterator[Finding]:
+def python_packages(subject: Subject) -> Iterator[str]:
     """Scripts import only the standard library."""
     if not any(_evidence(subject)):
         return
@@ -394,7 +392,7 @@ def python_packages(subject: Subject) -> Iterator[Finding]:
             if name not in sys.stdlib_module_names and name not in shipped:
                 packages_.setdefault(name, script)
     for name, script in packages_.items():
-        yield warning(f"{script}: imports {name}, which must be installed on the target machine")
+        yield f"{script}: imports {name}, which must be installed on the target machine"
 
 
 def _imports(text: str) -> set[str]:
@@ -419,8 +417,8 @@ def python_syntax(subject: Subject) -> Iterator[Finding]:
             yield note(f"{script}: is nested too deeply to be parsed")
 
 
-def runtime_java(subject: Subject) -> Iterator[Finding]:
+def runtime_java(subject: Subject) -> Iterator[str]:
     """The FMU runs without a Java machine on the target."""
     jars = sorted(f for f in subject.files if f.endswith(".jar"))
     if jars:
-        yield warning(f"{join_names(jars)}: Java; the target machine may need a Java machine")
+        yield f"{join_names(jars)}: Java; the target machine may need a Java machine"

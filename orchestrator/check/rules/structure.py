@@ -46,16 +46,13 @@ def _ignores_derivatives(model: ModelDescription) -> bool:
 
 def structure_outputs(subject: Subject) -> Iterator[Finding]:
     """Outputs lists exactly the outputs."""
-    model = subject.model
-    if model.major:
-        yield from _differences(model, "outputs", list(model.of("output")), "exactly the outputs")
+    outputs = list(subject.model.of("output"))
+    yield from _differences(subject.model, "outputs", outputs, "exactly the outputs")
 
 
 def structure_initial(subject: Subject) -> Iterator[Finding]:
     """InitialUnknowns lists exactly the variables that initialisation computes."""
     model = subject.model
-    if not model.major:
-        return
     continuous = {*model.derivatives, *model.states}
     expected = [
         v
@@ -90,19 +87,19 @@ def structure_derivatives(subject: Subject) -> Iterator[Finding]:
             )
 
 
-def structure_rates(subject: Subject) -> Iterator[Finding]:
+def structure_rates(subject: Subject) -> Iterator[str]:
     """Only derivatives of states have the attribute derivative in FMI 2.0.
 
     The standard allows others, but tools that count states by this attribute then count too many.
     """
     model = subject.model
-    if subject.major != 2 or "ModelExchange" not in model.interfaces:
+    if "ModelExchange" not in model.interfaces:
         return
     listed = {u.variable for u in model.structure.get("derivatives", ())}
     unlisted = [v for v in model.variables if v.get("derivative") and v not in listed]
     unlisted = [v for v in unlisted if v.is_float and v.variability == "continuous"]
     if unlisted:
-        yield warning(
+        yield (
             f"{unlisted[0]}: has the attribute derivative, but no entry in ModelStructure/Derivatives;"
             f" some tools count a state for each: {join_names([v.name for v in unlisted])}"
         )
@@ -123,7 +120,7 @@ def structure_entries(subject: Subject) -> Iterator[Finding]:
         yield warning(f"{WHERE}: InitialUnknowns is not ordered by index")
 
 
-def structure_dependencies(subject: Subject) -> Iterator[Finding]:
+def structure_dependencies(subject: Subject) -> Iterator[str]:
     """Outputs and derivatives declare their dependencies; without them every input feeds through."""
     model = subject.model
     inputs = model.of("input")
@@ -133,7 +130,7 @@ def structure_dependencies(subject: Subject) -> Iterator[Finding]:
         if undeclared:
             names = join_names([u.variable.name for u in undeclared if u.variable])
             count = f"{len(undeclared)} of {len(model.structure.get(section, ()))} {section}"
-            yield warning(
+            yield (
                 f"{undeclared[0]}: no dependencies for {count} ({names});"
                 " tools assume direct feed-through from every input"
             )

@@ -23,12 +23,12 @@ def _at(unit: UnitDefinition) -> str:
     return f"modelDescription.xml line {unit.line}: unit {unit.name}"
 
 
-def unit_undefined(subject: Subject) -> Iterator[Finding]:
+def unit_undefined(subject: Subject) -> Iterator[str]:
     """Every unit that a variable uses is defined."""
     defined = {u.name for u in subject.model.units}
     for v in subject.model.variables:
         if v.unit is not None and v.unit not in defined:
-            yield error(f"{v}: unit {v.unit!r} is not in UnitDefinitions")
+            yield f"{v}: unit {v.unit!r} is not in UnitDefinitions"
 
 
 def unit_display(subject: Subject) -> Iterator[Finding]:
@@ -49,24 +49,22 @@ def unit_display(subject: Subject) -> Iterator[Finding]:
                 yield warning(f"{_at(unit)}: DisplayUnit {name} has factor 0")
 
 
-def unit_twice(subject: Subject) -> Iterator[Finding]:
+def unit_twice(subject: Subject) -> Iterator[str]:
     """Each unit is defined once."""
     for name, count in Counter(u.name for u in subject.model.units).items():
         if count > 1:
-            yield warning(f"modelDescription.xml: unit {name} is defined {count} times")
+            yield f"modelDescription.xml: unit {name} is defined {count} times"
 
 
-def unit_base(subject: Subject) -> Iterator[Finding]:
+def unit_base(subject: Subject) -> Iterator[str]:
     """Every used unit has a BaseUnit."""
     used = {v.unit for v in subject.model.variables}
     for unit in subject.model.units:
         if unit.base_unit is None and unit.name in used:
-            yield warning(
-                f"{_at(unit)}: has no BaseUnit; tools can neither convert it nor detect a wrong connection"
-            )
+            yield f"{_at(unit)}: has no BaseUnit; tools can neither convert it nor detect a wrong connection"
 
 
-def unit_wrong(subject: Subject) -> Iterator[Finding]:
+def unit_wrong(subject: Subject) -> Iterator[str]:
     """Units with well-known names are defined with their usual meaning."""
     for unit in subject.model.units:
         if unit.base_unit is None or unit.name not in WELL_KNOWN:
@@ -76,13 +74,13 @@ def unit_wrong(subject: Subject) -> Iterator[Finding]:
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
         factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))
         if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
-            yield warning(f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}")
+            yield f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}"
         elif not (  # factors have five digits or more
             math.isclose(factor, usual.factor, rel_tol=1e-4)
             and math.isclose(offset, usual.offset, abs_tol=1e-2)
         ):
             expected = f"expected factor {usual.factor:.6g} and offset {usual.offset:g}"
-            yield warning(f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}")
+            yield f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}"
 
 
 def _text(exponents: Mapping[str, str]) -> str:
@@ -96,7 +94,7 @@ def _float(text: str) -> float:
         return math.nan
 
 
-def unit_factor(subject: Subject) -> Iterator[Finding]:
+def unit_factor(subject: Subject) -> Iterator[str]:
     """Inputs and outputs are in SI units: factor 1, offset 0."""
     bases = {u.name: u.base_unit for u in subject.model.units if u.base_unit}
     in_si = {
@@ -106,14 +104,14 @@ def unit_factor(subject: Subject) -> Iterator[Finding]:
     ports = [v for v in subject.model.of("input", "output") if v.unit in scaled]
     if ports:
         names = ", ".join(sorted({str(v.unit) for v in ports}))
-        yield note(f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values")
+        yield f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values"
 
 
-def unit_missing(subject: Subject) -> Iterator[Finding]:
+def unit_missing(subject: Subject) -> Iterator[str]:
     """Real inputs, outputs and parameters have a unit."""
     without = [v for v in subject.model.of("input", "output", "parameter") if v.is_float and v.unit is None]
     if without:
-        yield note(f"{join_variables(without)}: no unit")
+        yield f"{join_variables(without)}: no unit"
 
 
 FILE = "terminalsAndIcons/terminalsAndIcons.xml"
@@ -129,21 +127,21 @@ def _root(subject: Subject) -> Element | None:
     return read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
 
 
-def terminal_schema(subject: Subject) -> Iterator[Finding]:
+def terminal_schema(subject: Subject) -> Iterator[str]:
     """terminalsAndIcons.xml is valid against its schema."""
     if FILE not in subject.files:
         return
     root, fault = read_xml(subject.folder, FILE)
     if root is None:
-        yield error(fault)
+        yield fault
         return
     for line, message in violations(root, "fmi3/fmi3TerminalsAndIcons.xsd"):
-        yield error(f"{FILE} line {line}: {message}")
+        yield f"{FILE} line {line}: {message}"
     if subject.major == 3 and root.get("fmiVersion") != subject.version:
-        yield error(f"{FILE}: fmiVersion: expected {subject.version}, got {root.get('fmiVersion')}")
+        yield f"{FILE}: fmiVersion: expected {subject.version}, got {root.get('fmiVersion')}"
 
 
-def terminal_members(subject: Subject) -> Iterator[Finding]:
+def terminal_members(subject: Subject) -> Iterator[str]:
     """Members of terminals are connectable variables of the FMU."""
     root = _root(subject)
     variables = {n: v for v in subject.model.variables for n in v.names}
@@ -152,11 +150,9 @@ def terminal_members(subject: Subject) -> Iterator[Finding]:
             name = element.get(attribute, "")
             where = f"{FILE} line {element.sourceline}: {element.getparent().get('name')}"
             if name not in variables:
-                yield error(f"{where}: member {name!r} is not a variable of the FMU")
+                yield f"{where}: member {name!r} is not a variable of the FMU"
             elif variables[name].causality not in CONNECTABLE and element.get("variableKind") in EXCHANGED:
-                yield error(
-                    f"{where}: member {name}: expected an input or output, got {variables[name].causality}"
-                )
+                yield f"{where}: member {name}: expected an input or output, got {variables[name].causality}"
 
 
 def terminal_names(subject: Subject) -> Iterator[Finding]:
@@ -181,31 +177,31 @@ def _member_names(terminal: Element) -> Iterator[Finding]:
             yield error(f"{where}: expected unique names, got {count} members {name}")
 
 
-def terminal_rule(subject: Subject) -> Iterator[Finding]:
+def terminal_rule(subject: Subject) -> Iterator[str]:
     """Matching rules are those of the standard, or have a reverse domain name."""
     root = _root(subject)
     for terminal in () if root is None else root.iter("Terminal"):
         matching = terminal.get("matchingRule", "")
         if matching not in ("plug", "bus", "sequence") and "." not in matching:
-            yield error(
+            yield (
                 f"{FILE} line {terminal.sourceline}: {terminal.get('name')}: matchingRule:"
                 f" expected plug, bus, sequence or a reverse domain name, got {matching!r}"
             )
 
 
-def terminal_icons(subject: Subject) -> Iterator[Finding]:
+def terminal_icons(subject: Subject) -> Iterator[str]:
     """Referenced icons exist, also as PNG."""
     root = _root(subject)
     for element in () if root is None else root.iter("TerminalGraphicalRepresentation"):
         base = element.get("iconBaseName", "")
         if base and f"terminalsAndIcons/{base}.png" not in subject.files:
-            yield error(f"{FILE} line {element.sourceline}: terminalsAndIcons/{base}.png is missing")
+            yield f"{FILE} line {element.sourceline}: terminalsAndIcons/{base}.png is missing"
     if "terminalsAndIcons/icon.svg" in subject.files and "terminalsAndIcons/icon.png" not in subject.files:
-        yield error("terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it")
+        yield "terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it"
 
 
-def terminal_exists(subject: Subject) -> Iterator[Finding]:
+def terminal_exists(subject: Subject) -> Iterator[str]:
     """An FMU with many ports has terminals (FMI 3)."""
     ports = len(subject.model.of("input", "output"))
-    if subject.major == 3 and FILE not in subject.files and ports > 8:
-        yield note(f"{FILE} is missing; users must connect {ports} inputs and outputs one by one")
+    if FILE not in subject.files and ports > 8:
+        yield f"{FILE} is missing; users must connect {ports} inputs and outputs one by one"
