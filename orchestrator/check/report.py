@@ -32,13 +32,10 @@ class JudgedTool:
 ANY = "any"
 
 
-def _tools() -> Iterator[JudgedTool]:
-    for id_, entry in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items():
-        verdicts = {rule: Verdict(*verdict) for rule, verdict in entry["verdicts"].items()}
-        yield JudgedTool(id_, entry["name"], entry["basis"], verdicts)
-
-
-TOOLS = {tool.id: tool for tool in _tools()}
+TOOLS = {
+    id_: JudgedTool(id_, e["name"], e["basis"], {rule: Verdict(*v) for rule, v in e["verdicts"].items()})
+    for id_, e in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items()
+}
 
 
 def affected_tools(rule: str) -> tuple[JudgedTool, ...]:

@@ -53,6 +53,14 @@ def parse_int(text: str | None) -> int | None:
         return None
 
 
+def parse_float(text: str | None) -> float | None:
+    """A number; None for any other text."""
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
+
+
 def parse_numbers(text: str) -> tuple[float, ...]:
     """Numbers and booleans, separated by white space; ValueError for any other text."""
     return tuple(BOOLEANS[w] if w in BOOLEANS else float(w) for w in text.split())
@@ -184,6 +192,14 @@ class UnitDefinition:
     line: int
     base_unit: Mapping[str, str] | None
     display_units: Mapping[str, Mapping[str, str]]
+
+    @property
+    def conversion(self) -> tuple[float, float]:
+        """Factor and offset of the base unit; NaN for a text that is not a number."""
+        base = self.base_unit or {}
+        texts = base.get("factor", "1"), base.get("offset", "0")
+        factor, offset = (math.nan if (x := parse_float(text)) is None else x for text in texts)
+        return factor, offset
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from orchestrator.base.xml import local_name
 from orchestrator.check.rule import Finding, error, note, warning
 from orchestrator.check.rules.variables import CPP, MODELICA, C
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.raw_description import Entry
+from orchestrator.fmi.raw_description import parse_float
 
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
 FMPY = "fmpy.validate"
@@ -195,66 +195,55 @@ def identity_same(subject: Subject) -> Iterator[str]:
         yield f"{DESCRIPTION}: model identifiers {', '.join(names)} differ; each needs its own binary"
 
 
-def _number(element: Entry, name: str) -> float | None:
-    try:
-        return float(element.get(name))
-    except ValueError:
-        return None
+def _experiment(subject: Subject) -> tuple[str, Mapping[str, float]]:
+    """Where the default experiment is declared, and its attributes that are numbers; none without one."""
+    element = subject.model.experiment
+    if element is None:
+        return "", {}
+    numbers = {name: parse_float(text) for name, text in element.attributes.items()}
+    return f"{DESCRIPTION} line {element.line}", {n: x for n, x in numbers.items() if x is not None}
 
 
 def experiment_exists(subject: Subject) -> Iterator[str]:
     """The FMU has a default experiment with stop time and step size."""
-    if not subject.model.variables:
-        return
     element = subject.model.experiment
-    if element is None:
+    if element is None and subject.model.variables:
         yield f"{DESCRIPTION}: no DefaultExperiment; tools guess stop time and step size"
-        return
-    missing = [n for n in ("stopTime", "stepSize") if n not in element.attributes]
-    if missing:
+    missing = [n for n in ("stopTime", "stepSize") if element is not None and n not in element.attributes]
+    if element is not None and missing and subject.model.variables:
         yield f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(missing)}"
 
 
 def experiment_values(subject: Subject) -> Iterator[str]:
     """The default experiment can be run."""
-    element = subject.model.experiment
-    if element is None:
-        return
-    where = f"{DESCRIPTION} line {element.line}: DefaultExperiment"
-    start, stop = _number(element, "startTime") or 0.0, _number(element, "stopTime")
+    line, numbers = _experiment(subject)
+    where = f"{line}: DefaultExperiment"
     for name in ("stepSize", "tolerance"):
-        value = _number(element, name)
-        if value is not None and not (math.isfinite(value) and value > 0):
-            yield f"{where}: {name}: expected a positive number, got {value:g}"
+        if name in numbers and not 0 < numbers[name] < math.inf:
+            yield f"{where}: {name}: expected a positive number, got {numbers[name]:g}"
+    start, stop, step = numbers.get("startTime", 0.0), numbers.get("stopTime"), numbers.get("stepSize")
     if stop is not None and not start < stop < math.inf:
         yield f"{where}: stopTime: expected a time after startTime {start:g}, got {stop:g}"
-    step = _number(element, "stepSize")
     if stop is not None and step is not None and stop > start and step > stop - start:
         yield f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s"
 
 
 def experiment_step(subject: Subject) -> Iterator[str]:
     """The default experiment is a whole number of steps."""
-    element = subject.model.experiment
-    if element is None:
+    line, numbers = _experiment(subject)
+    duration = numbers.get("stopTime", math.inf) - numbers.get("startTime", 0.0)
+    size = numbers.get("stepSize", math.inf)
+    if not 0 < size <= duration < math.inf:
         return
-    start, stop = _number(element, "startTime") or 0.0, _number(element, "stopTime")
-    size = _number(element, "stepSize")
-    if stop is None or size is None or not 0 < size <= stop - start < math.inf:
-        return
-    count = (stop - start) / size
+    count = duration / size
     # the step size is rounded in its last bit: the count is an integer to 1e-9 for up to a million steps
     if not math.isclose(count, round(count), rel_tol=1e-9):
-        yield (
-            f"{DESCRIPTION} line {element.line}: {stop - start:g} s are {count:.6g} steps of {size:g} s"
-            "; the last step is shorter or missing"
-        )
+        text = f"{duration:g} s are {count:.6g} steps of {size:g} s; the last step is shorter or missing"
+        yield f"{line}: {text}"
 
 
 def experiment_start(subject: Subject) -> Iterator[str]:
     """The default experiment starts at 0."""
-    element = subject.model.experiment
-    start_time = None if element is None else _number(element, "startTime")
-    if element is not None and start_time:
-        text = f"{DESCRIPTION} line {element.line}: startTime is {start_time:g}"
-        yield f"{text}; some tools start at 0 nevertheless"
+    line, numbers = _experiment(subject)
+    if start := numbers.get("startTime"):
+        yield f"{line}: startTime is {start:g}; some tools start at 0 nevertheless"

@@ -147,15 +147,14 @@ def structure_knowns(subject: Subject) -> Iterator[Finding]:
                 known = model.by_key.get(-1 if key is None else key)
                 if known is None:
                     yield error(f"{unknown}: dependency {key} is not a variable")
-                elif complete and not _is_known(known, section, states, model.major):
+                    break
+                if complete and not _is_known(known, section, states, model.major):
                     # a note for parameters, because the Reference-FMUs list them, too
                     make = note if known.causality == "parameter" else warning
                     yield make(
                         f"{unknown}: dependency {known.name} is {known.causality}, {known.variability};"
                         " expected an input, a state or another known"
                     )
-                if known is None:
-                    break
 
 
 def _is_known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], major: int) -> bool:

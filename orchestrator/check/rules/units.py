@@ -10,7 +10,7 @@ from orchestrator.check.rule import Finding, error, join_variables, note, warnin
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.variables import words
 from orchestrator.check.subject import Element, Subject, read_xml
-from orchestrator.fmi.raw_description import UnitDefinition, parse_int
+from orchestrator.fmi.raw_description import UnitDefinition, parse_float, parse_int
 
 DIMENSIONS = [b for b in BASES if b != "rad"]  # tools differ in the treatment of the radian
 WELL_KNOWN = words(  # names with one meaning
@@ -45,7 +45,7 @@ def unit_display(subject: Subject) -> Iterator[Finding]:
             yield make(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit}")
     for unit in subject.model.units:
         for name, attributes in unit.display_units.items():
-            if _float(attributes.get("factor", "1")) == 0:
+            if parse_float(attributes.get("factor")) == 0:
                 yield warning(f"{_at(unit)}: DisplayUnit {name} has factor 0")
 
 
@@ -72,7 +72,7 @@ def unit_wrong(subject: Subject) -> Iterator[str]:
         usual = parse_unit(unit.name)
         exponents = {b: str(usual.base().get(b, 0)) for b in DIMENSIONS}
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
-        factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))
+        factor, offset = unit.conversion
         if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
             yield f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}"
         elif not (  # factors have five digits or more
@@ -87,20 +87,10 @@ def _text(exponents: Mapping[str, str]) -> str:
     return " ".join(f"{b}^{e}" for b, e in exponents.items() if e != "0") or "none"
 
 
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
 def unit_factor(subject: Subject) -> Iterator[str]:
     """Inputs and outputs are in SI units: factor 1, offset 0."""
-    bases = {u.name: u.base_unit for u in subject.model.units if u.base_unit}
-    in_si = {
-        n for n, b in bases.items() if (_float(b.get("factor", "1")), _float(b.get("offset", "0"))) == (1, 0)
-    }
-    scaled = bases.keys() - in_si
+    conversions = {u.name: u.conversion for u in subject.model.units if u.base_unit}
+    scaled = {name for name, conversion in conversions.items() if conversion != (1, 0)}
     ports = [v for v in subject.model.of("input", "output") if v.unit in scaled]
     if ports:
         names = ", ".join(sorted({str(v.unit) for v in ports}))
@@ -123,8 +113,10 @@ EXCHANGED = ("signal", "inflow", "outflow")  # variableKind of members that are 
 CONNECTABLE = ("input", "output", "parameter", "calculatedParameter")
 
 
-def _root(subject: Subject) -> Element | None:
-    return read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
+def _elements(subject: Subject, *names: str) -> Iterator[Element]:
+    """The elements of terminalsAndIcons.xml with these names; none without that file or without variables."""
+    root = read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
+    return iter(()) if root is None else root.iter(*names)
 
 
 def terminal_schema(subject: Subject) -> Iterator[str]:
@@ -143,9 +135,8 @@ def terminal_schema(subject: Subject) -> Iterator[str]:
 
 def terminal_members(subject: Subject) -> Iterator[str]:
     """Members of terminals are connectable variables of the FMU."""
-    root = _root(subject)
     variables = {n: v for v in subject.model.variables for n in v.names}
-    for element in () if root is None else root.iter(*NAMES):
+    for element in _elements(subject, *NAMES):
         for attribute in NAMES[element.tag]:
             name = element.get(attribute, "")
             where = f"{FILE} line {element.sourceline}: {element.getparent().get('name')}"
@@ -157,8 +148,7 @@ def terminal_members(subject: Subject) -> Iterator[str]:
 
 def terminal_names(subject: Subject) -> Iterator[Finding]:
     """Terminals and their members have unique names."""
-    root = _root(subject)
-    for level in () if root is None else root.iter("Terminals", "Terminal"):
+    for level in _elements(subject, "Terminals", "Terminal"):
         for name, count in Counter(t.get("name") for t in children(level, "Terminal")).items():
             if count > 1:
                 yield error(f"{FILE}: expected unique names on each level, got {count} terminals {name}")
@@ -179,20 +169,16 @@ def _member_names(terminal: Element) -> Iterator[Finding]:
 
 def terminal_rule(subject: Subject) -> Iterator[str]:
     """Matching rules are those of the standard, or have a reverse domain name."""
-    root = _root(subject)
-    for terminal in () if root is None else root.iter("Terminal"):
+    for terminal in _elements(subject, "Terminal"):
         matching = terminal.get("matchingRule", "")
         if matching not in ("plug", "bus", "sequence") and "." not in matching:
-            yield (
-                f"{FILE} line {terminal.sourceline}: {terminal.get('name')}: matchingRule:"
-                f" expected plug, bus, sequence or a reverse domain name, got {matching!r}"
-            )
+            where = f"{FILE} line {terminal.sourceline}: {terminal.get('name')}: matchingRule"
+            yield f"{where}: expected plug, bus, sequence or a reverse domain name, got {matching!r}"
 
 
 def terminal_icons(subject: Subject) -> Iterator[str]:
     """Referenced icons exist, also as PNG."""
-    root = _root(subject)
-    for element in () if root is None else root.iter("TerminalGraphicalRepresentation"):
+    for element in _elements(subject, "TerminalGraphicalRepresentation"):
         base = element.get("iconBaseName", "")
         if base and f"terminalsAndIcons/{base}.png" not in subject.files:
             yield f"{FILE} line {element.sourceline}: terminalsAndIcons/{base}.png is missing"

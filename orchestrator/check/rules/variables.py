@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from orchestrator.check.rule import Finding, error, join_variables, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED
+from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
 from orchestrator.fmi.raw_description import DeclaredVariable as Variable
 
 
@@ -50,12 +50,8 @@ def variable_start(subject: Subject) -> Iterator[str]:
     for v in subject.model.variables:
         if v.type == "Clock":
             continue
-        required = v.initial in ("exact", "approx") or v.causality in (
-            "input",
-            "parameter",
-            "structuralParameter",
-        )
-        if required and v.starts is None:
+        settable = v.causality in ("input", "parameter", "structuralParameter")
+        if (settable or v.initial in ("exact", "approx")) and v.starts is None:
             reason = v.causality if v.causality in ("input", "parameter") else f"initial {v.initial}"
             yield f"{v}: expected a start value ({reason}), got none"
         elif v.starts is not None and (v.initial == "calculated" or v.causality == "independent"):
@@ -261,14 +257,9 @@ def name_length(subject: Subject) -> Iterator[str]:
 
 def number(v: Variable, text: str | None) -> float | None:
     """An attribute of a numeric variable; None if it is missing or not a number of the variable's type."""
-    if text is None:
-        return None
-    try:
-        if v.is_float:
-            return float(text)
-        return int(text) if v.type in SIGNED or v.type in UNSIGNED or v.type == "Enumeration" else None
-    except ValueError:
-        return None
+    if v.is_float:
+        return parse_float(text)
+    return parse_int(text) if v.type in (*SIGNED, *UNSIGNED, "Enumeration") else None
 
 
 def _fits(v: Variable, text: str) -> bool:
@@ -303,8 +294,8 @@ def value_range(subject: Subject) -> Iterator[str]:
             yield f"{v}: min {low:g} is above max {high:g}"
             continue
         for value in (number(v, s) for s in v.starts or ()):
-            if value is not None and not (low if low is not None else value) <= value <= (
-                high if high is not None else value
+            if value is not None and not (value if low is None else low) <= value <= (
+                value if high is None else high
             ):
                 yield f"{v}: start value {value:g} is outside of {_interval(low, high)}"
 

@@ -5,7 +5,8 @@ import shutil
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -66,7 +67,6 @@ class Trial:
     result: Any = None
     first_case: int = 0
     begin_case: Callable[[int], None] = lambda _: None
-    _library: list[Library] = field(default_factory=list)
     _instances: int = 0
 
     @property
@@ -74,12 +74,10 @@ class Trial:
         """The element of modelDescription.xml with the capabilities of this interface."""
         return self.description.interfaces[self.kind]
 
-    @property
+    @cached_property
     def library(self) -> Library:
         """The library, loaded on first use."""
-        if not self._library:
-            self._library.append(self.load(self.folder))
-        return self._library[0]
+        return self.load(self.folder)
 
     def load(self, folder: Path, identifier: str = "") -> Library:
         """The library of an unpacked FMU; raises OSError if it cannot be loaded."""
