@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from inspect import getdoc
 from itertools import islice
@@ -88,6 +88,7 @@ class CheckRule:
     clause    of the standard on which errors are based; empty: the rule gives warnings at most
     threads   issue threads that report violations
     fmi       versions of FMUs to which the rule applies; empty: to any file
+    repeated  pattern of the messages of FMPy on the same fault
     """
 
     id: str
@@ -97,6 +98,7 @@ class CheckRule:
     threads: str = ""
     severity: Severity = "warning"
     fmi: Sequence[int] = ()
+    repeated: str = ""
 
     def __call__(self, subject: Subject) -> Iterator[Finding]:
         """All findings, with the id and the threads of this rule."""
@@ -147,13 +149,11 @@ def _rule(
     check: str = "",
     text: str = "",
     clause: Sequence[str] = (),
-    threads: str = "",
-    severity: Severity = "warning",
-    fmi: Sequence[int] = (),
-    **arguments: Any,
+    **entry: Any,
 ) -> CheckRule:
     name = check or id_.replace(".", "_")
     function: Callable[..., Any] = next(getattr(m, name) for m in modules if hasattr(m, name))
     text = text or (getdoc(function) or "").partition("\n")[0].removesuffix(".")
     clauses = [f"FMI {version}: {c}" for version, c in zip(VERSIONS, clause, strict=False) if c]
-    return CheckRule(id_, text, partial(function, **arguments), ", ".join(clauses), threads, severity, fmi)
+    columns = {f.name: entry.pop(f.name) for f in fields(CheckRule) if f.name in entry}
+    return CheckRule(id_, text, partial(function, **entry), ", ".join(clauses), **columns)

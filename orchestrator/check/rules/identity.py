@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +17,6 @@ FMPY = "fmpy.validate"
 MAX_NAMES = 2000  # variables above which FMPy does not check names, which takes milliseconds for each
 MAX_ELEMENTS = 100_000  # above which FMPy is not asked: it takes 10 s for 200 000 variables, and 1 GB
 FMPY_FAILS = "cannot read the FMU"
-# pattern of FMPy's message -> rules on the same fault; the message is reported unless they have findings
-COVERED = {
-    r"ERROR \(line": ("xml.schema",),
-    r"BuildDescription": ("source.description",),
-    r"is not unique": ("variable.duplicate",),
-    r"must have variability != |combination ": ("variable.combination", "variable.variability"),
-    r"declaredType": ("variable.type",),
-    r"start value": ("variable.start",),
-    r"unit .* is not defined": ("unit.undefined", "unit.display"),
-    r"legal variable name|contains an illegal": ("name.grammar",),
-    r"dependenc": ("structure.kinds",),
-    r"Outputs must have": ("structure.outputs", "variable.reference"),
-    r"must have the attribute .derivative|The derivative attribute": ("structure.derivatives",),
-    r"InitialUnknowns": ("structure.initial", "structure.derivatives", "variable.reference"),
-    r"independent variable": ("variable.independent",),
-    r"same value reference": ("variable.reference",),
-}
 
 
 def xml_syntax(subject: Subject) -> Iterator[Finding]:
@@ -109,20 +92,6 @@ def fmpy_validate(subject: Subject) -> Iterator[Finding]:
             yield warning(f"FMPy: {' '.join(str(problem).split())}", "fmpy")
     except Exception as problem:  # FMPy raises many types, some of them because of its own faults
         yield warning(f"FMPy {FMPY_FAILS}: {type(problem).__name__}: {problem}", "fmpy")
-
-
-def without_repeats(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """The findings without those of FMPy that another rule reports or that follow from a reported error."""
-    all_findings = tuple(findings)
-    others = [f for f in all_findings if f.rule != FMPY]
-    ids, has_errors = {f.rule for f in others}, any(f.severity == "error" for f in others)
-    patterns = [pattern for pattern, rules in COVERED.items() if ids.intersection(rules)]
-
-    def repeated(f: Finding) -> bool:
-        follows = has_errors and f.text.startswith(f"FMPy {FMPY_FAILS}")
-        return f.rule == FMPY and (follows or any(re.search(pattern, f.text) for pattern in patterns))
-
-    return tuple(f for f in all_findings if not repeated(f))
 
 
 def kind_some(subject: Subject) -> Iterator[Finding]:

@@ -18,12 +18,13 @@ def run(trial: Trial) -> Iterator[Remark]:
 
     FMI-LS-REF does not define which of the two a result file contains.
     """
-    job = {**trial.payload, "input_rows": np.array(trial.payload["input_rows"])}
+    job = trial.payload
     if trial.kind == "ModelExchange":
         trial.result = {"times": job["times"], "before": _by_cvode(trial, job), "after": []}
         return
     simulation = Simulation(trial, start=job["start"], stop=job["stop"], step=job["step"])
     instance, variables = simulation.instance, trial.description.by_name
+    job = {**job, "input_rows": np.array(job["input_rows"])}
     _set_parameters(simulation, job["parameters"])
     inputs = simulation.values([variables[name] for name in job["inputs"]])
     outputs = simulation.values([variables[name] for name in job["signals"]])
