@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.worker.calls import FUNCTIONS_2, FUNCTIONS_3
 
 SUFFIXES = {"ELF": ".so", "PE": ".dll", "Mach-O": ".dylib"}
 MACHINES = {
@@ -242,34 +243,9 @@ def _is_defined(symbol: Any) -> bool:
     return bool(symbol.raw_type & 0xEF == 0x0F)
 
 
-COMMON_2 = """GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment
-    EnterInitializationMode ExitInitializationMode Terminate Reset GetReal GetInteger GetBoolean GetString
-    SetReal SetInteger SetBoolean SetString GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize
-    SerializeFMUstate DeSerializeFMUstate GetDirectionalDerivative"""
-EXCHANGE_2 = """EnterEventMode NewDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime
-    SetContinuousStates GetDerivatives GetEventIndicators GetContinuousStates GetNominalsOfContinuousStates"""
-SIMULATION_2 = """SetRealInputDerivatives GetRealOutputDerivatives DoStep CancelStep GetStatus GetRealStatus
-    GetIntegerStatus GetBooleanStatus GetStringStatus"""
-TYPES_3 = "Float32 Float64 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String Binary Clock"
-ALL_3 = """GetVersion SetDebugLogging InstantiateModelExchange InstantiateCoSimulation
-    InstantiateScheduledExecution FreeInstance EnterInitializationMode ExitInitializationMode
-    EnterEventMode Terminate Reset GetNumberOfVariableDependencies GetVariableDependencies
-    GetFMUState SetFMUState FreeFMUState SerializedFMUStateSize SerializeFMUState
-    DeserializeFMUState GetDirectionalDerivative GetAdjointDerivative EnterConfigurationMode
-    ExitConfigurationMode GetIntervalDecimal GetIntervalFraction GetShiftDecimal GetShiftFraction
-    SetIntervalDecimal SetIntervalFraction SetShiftDecimal SetShiftFraction EvaluateDiscreteStates
-    UpdateDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime SetContinuousStates
-    GetContinuousStateDerivatives GetEventIndicators GetContinuousStates
-    GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates
-    EnterStepMode GetOutputDerivatives DoStep ActivateModelPartition"""
-
-
 def required(major: int, kinds: Collection[str]) -> tuple[str, ...]:
     """Names of all functions that a library with these interface types must export."""
     if major == 3:
-        access = (f"{verb}{type_}" for verb in ("Get", "Set") for type_ in TYPES_3.split())
-        return tuple(f"fmi3{name}" for name in (*ALL_3.split(), *access))
-    names = COMMON_2.split()
-    names += EXCHANGE_2.split() if "ModelExchange" in kinds else []
-    names += SIMULATION_2.split() if "CoSimulation" in kinds else []
+        return tuple(f"fmi3{name}" for name in FUNCTIONS_3.split())
+    names = [n for kind, functions in FUNCTIONS_2.items() if kind in ("", *kinds) for n in functions.split()]
     return tuple(f"fmi2{name}" for name in names)
