@@ -200,9 +200,8 @@ def _pe(b: Any) -> dict[str, Any]:
     import lief
 
     flags = lief.PE.Section.CHARACTERISTICS
-    writable_code = any(
-        s.has_characteristic(flags.MEM_EXECUTE) and s.has_characteristic(flags.MEM_WRITE) for s in b.sections
-    )
+    executable = [s for s in b.sections if s.has_characteristic(flags.MEM_EXECUTE)]
+    writable_code = any(s.has_characteristic(flags.MEM_WRITE) for s in executable)
     return {
         "format": "PE",
         "machine": _machine(b.header.machine),

@@ -80,9 +80,8 @@ def _first_run(subject: Subject) -> FirstRun:
         return dict(zip(kinds, results, strict=True))
 
     loaded = outcomes(kinds, "loading:load")
-    return FirstRun(
-        loaded, outcomes([k for k in kinds if not loaded[k].failed], "values:default"), model=model
-    )
+    ran = outcomes([k for k in kinds if not loaded[k].failed], "values:default")
+    return FirstRun(loaded, ran, model=model)
 
 
 def _platform_folders(fmi: int) -> list[str]:

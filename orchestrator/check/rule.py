@@ -114,9 +114,8 @@ class CheckRule:
             kinds.setdefault((severity, finding.tools, kind), []).append(complete)
         yield from map(_joined, kinds.values())
         if next(findings, None) is not None:
-            yield Finding(
-                self.id, "note", f"more than {MAX_FINDINGS} findings of this rule; the others are left out"
-            )
+            text = f"more than {MAX_FINDINGS} findings of this rule; the others are left out"
+            yield Finding(self.id, "note", text)
 
 
 PLACE = re.compile(r"\S+ line \d+: (?:(?P<name>[^:]+): )?|member (?P<member>'[^']*') ")

@@ -150,9 +150,8 @@ class RunningFmu:
             return self._access("SetRealInputDerivatives", variables, derivatives, self._real, orders)
         for v, order in zip(variables, orders, strict=True):
             if v not in self.interface.ramp_inputs or order != 1:
-                raise Problem(
-                    f"{self.name}: {v}: the FMU accepts no derivative of order {order} of this input"
-                )
+                text = f"the FMU accepts no derivative of order {order} of this input"
+                raise Problem(f"{self.name}: {v}: {text}")
         return self.writer([self.interface.rate_inputs[v] for v in variables], derivatives)
 
     @property
@@ -321,9 +320,8 @@ class CoSimulationFmu(RunningFmu):
         if status in (DISCARD, ERROR):
             reached = end.reached if status == DISCARD else float("nan")
             progress = f" (the FMU reached t = {reached:.9g} s)" if status == DISCARD else ""
-            discarded = Discarded(
-                self.log.error_message("the step failed", f"with status {status_label(status)}{progress}")
-            )
+            details = f"with status {status_label(status)}{progress}"
+            discarded = Discarded(self.log.error_message("the step failed", details))
             discarded.reached, self.fmu.worst = reached, max(self.fmu.worst, status)
             raise discarded
         if status:
@@ -332,13 +330,8 @@ class CoSimulationFmu(RunningFmu):
             text = f"ended early at t = {end.reached:.9g} s, which was not allowed"
             raise Problem(self.log.error_message("the step", text))
         if end.event:
-            self.log.add(
-                WARNING,
-                (
-                    "the FMU requests event handling by the master, which is switched off (event "
-                    "mode is not used)"
-                ),
-            )
+            text = "the FMU requests event handling by the master, which is switched off"
+            self.log.add(WARNING, f"{text} (event mode is not used)")
 
     def stepping(self, rolls: bool) -> StepCalls:
         """What C needs to step, and if it `rolls`, to save and restore the state."""

@@ -43,11 +43,8 @@ def platform_folders(fmi: int) -> list[str]:
     """
     if fmi == 3:
         return [PLATFORM_TUPLE]
-    return (
-        [PLATFORM_TUPLE, FMI2_PLATFORM]
-        if PLATFORM_TUPLE.startswith("aarch64")
-        else [FMI2_PLATFORM, PLATFORM_TUPLE]
-    )
+    names = [FMI2_PLATFORM, PLATFORM_TUPLE]
+    return names[::-1] if PLATFORM_TUPLE.startswith("aarch64") else names
 
 
 def find_library(folder: Path, identifier: str, fmi: int) -> Path | None:

@@ -273,9 +273,8 @@ class ModelDescription:
         kept |= {*self.of("local")[:MAX_LOCALS], *(v for name in names if (v := self.by_name.get(name)))}
         variables = tuple(v for v in self.variables if v.causality != "local" or v in kept)
         kept.update(variables)
-        return replace(
-            self, variables=variables, by_key={key: v for key, v in self.by_key.items() if v in kept}
-        )
+        by_key = {key: v for key, v in self.by_key.items() if v in kept}
+        return replace(self, variables=variables, by_key=by_key)
 
     def of(self, *causalities: str) -> tuple[DeclaredVariable, ...]:
         """The variables of some causalities."""

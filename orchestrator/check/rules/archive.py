@@ -137,9 +137,8 @@ def contents_categories(subject: Subject) -> Iterator[Finding]:
         if count > 1:
             yield warning(f"{DESCRIPTION}: log category {name} is declared {count} times")
     if subject.major == 2 and names and not set(CATEGORIES.split()).intersection(names):
-        yield note(
-            f"{DESCRIPTION}: expected log categories of the standard such as logStatusError, got {names[0]}"
-        )
+        text = f"expected log categories of the standard such as logStatusError, got {names[0]}"
+        yield note(f"{DESCRIPTION}: {text}")
 
 
 def contents_annotations(subject: Subject) -> Iterator[str]:
@@ -199,10 +198,8 @@ def source_listed(subject: Subject) -> Iterator[Finding]:
         names = dict.fromkeys(posixpath.normpath(f.get("name", "")) for f in files)
         missing = [n for n in names if f"sources/{n}" not in subject.files]
         if missing:
-            text = (
-                f"{len(missing)} of {len(names)} listed files are missing in sources/: {join_names(missing)}"
-            )
-            yield _severity(subject)(f"{where} line {files[0].sourceline}: {text}")
+            text = f"{len(missing)} of {len(names)} listed files are missing in sources/"
+            yield _severity(subject)(f"{where} line {files[0].sourceline}: {text}: {join_names(missing)}")
 
 
 def source_build(subject: Subject) -> Iterator[Finding]:
@@ -212,9 +209,8 @@ def source_build(subject: Subject) -> Iterator[Finding]:
         return
     kinds = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
     if subject.major == 3 and BUILD not in subject.files:
-        yield _severity(subject)(
-            f"{BUILD} is missing next to {join_names(code, 2)}; FMI 3 tools cannot compile them"
-        )
+        text = f"is missing next to {join_names(code, 2)}; FMI 3 tools cannot compile them"
+        yield _severity(subject)(f"{BUILD} {text}")
     elif subject.major == 2 and BUILD not in subject.files and not kinds:
         yield warning(f"{DESCRIPTION}: no SourceFiles for {join_names(code, 2)}")
     elif subject.major == 2 and kinds and len(kinds) < len(subject.model.interfaces):
@@ -243,10 +239,8 @@ def source_description(subject: Subject) -> Iterator[Finding]:
         if platform and not TUPLE.fullmatch(platform):
             yield note(f"{BUILD} line {c.sourceline}: {platform} is not a platform of the standard")
     generic = Counter(c.get("modelIdentifier") for c in configurations if not c.get("platform"))
-    if any(n > 1 for n in generic.values()):
-        yield finding(
-            f"{BUILD}: expected one BuildConfiguration without platform, got {max(generic.values())}"
-        )
+    if (most := max(generic.values(), default=0)) > 1:
+        yield finding(f"{BUILD}: expected one BuildConfiguration without platform, got {most}")
 
 
 def source_name(subject: Subject) -> Iterator[str]:
@@ -260,8 +254,6 @@ def source_name(subject: Subject) -> Iterator[str]:
 
 def source_headers(subject: Subject) -> Iterator[str]:
     """Sources contain no FMI headers; the importer provides them."""
-    files = sorted(
-        f for f in subject.files if f.startswith("sources/") and f.endswith((*HEADERS, *HEADERS_3))
-    )
-    if files:
+    sources = (f for f in subject.files if f.startswith("sources/"))
+    if files := sorted(f for f in sources if f.endswith((*HEADERS, *HEADERS_3))):
         yield f"{join_names(files)}: FMI headers, which the importing tool provides"

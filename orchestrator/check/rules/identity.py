@@ -24,9 +24,8 @@ def xml_syntax(subject: Subject) -> Iterator[Finding]:
     yield from (f for f in subject.faults if f.rule == "xml.syntax")
     root = subject.root
     if root is not None and local_name(root) != "fmiModelDescription":
-        yield error(
-            f"{DESCRIPTION} line {root.sourceline}: expected fmiModelDescription, got {local_name(root)}"
-        )
+        text = f"expected fmiModelDescription, got {local_name(root)}"
+        yield error(f"{DESCRIPTION} line {root.sourceline}: {text}")
 
 
 def xml_encoding(subject: Subject) -> Iterator[str]:
@@ -75,10 +74,8 @@ def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
 def fmpy_validate(subject: Subject) -> Iterator[Finding]:
     """FMPy's validation finds no other faults."""
     if subject.root.xpath("count(//*)") > MAX_ELEMENTS:
-        text = (
-            f"{DESCRIPTION} has more than {MAX_ELEMENTS} elements, for which FMPy's validation takes too long"
-        )
-        yield note(f"{text}: it was left out", "fmpy")
+        text = f"{MAX_ELEMENTS} elements, for which FMPy's validation takes too long: it was left out"
+        yield note(f"{DESCRIPTION} has more than {text}", "fmpy")
         return
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError

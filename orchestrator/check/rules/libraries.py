@@ -59,11 +59,7 @@ def binary_symbols(subject: Subject) -> Iterator[str]:
 def binary_private(subject: Subject) -> Iterator[str]:
     """Libraries export no other functions."""
     for b, _ in models(subject):
-        others = [
-            e
-            for e in b.exports
-            if not re.search(r"fmi[123][A-Z]", e) and not e.startswith(("_init", "_fini"))
-        ]
+        others = [e for e in b.exports if not re.search(r"fmi[123][A-Z]|^_init|^_fini", e)]
         if len(others) > 20:
             yield f"{_at(b)}: exports functions that are not of FMI: {join_names(sorted(others), 2)}"
 
@@ -274,9 +270,8 @@ def platform_folder(subject: Subject) -> Iterator[Finding]:
             continue
         other = TUPLES.get(name) if subject.major == 3 else NAMES.get(name)
         if other:
-            yield warning(
-                f"expected binaries/{other}, got the name of the other FMI version, binaries/{name}"
-            )
+            got = f"the name of the other FMI version, binaries/{name}"
+            yield warning(f"expected binaries/{other}, got {got}")
         else:
             yield note(f"binaries/{name} is not a platform of the standard; tools ignore it")
 
@@ -311,17 +306,12 @@ def platform_name(subject: Subject) -> Iterator[Finding]:
             expected = f"{element.get('modelIdentifier')}{SUFFIXES[FORMATS[system]]}"
             if f"binaries/{folder_}/{expected}" in subject.files:
                 continue
-            static = [
-                f
-                for f in subject.files
-                if f.startswith(f"binaries/{folder_}/") and f.endswith((".a", ".lib"))
-            ]
+            inside = [f for f in subject.files if f.startswith(f"binaries/{folder_}/")]
+            static = [f for f in inside if f.endswith((".a", ".lib"))]
             present = sorted(b.name for b in subject.binaries if b.platform == folder_)
             if present or not static:
-                got = ", ".join(present[:4]) or "no library"
-                yield _severity(folder_, subject)(
-                    f"binaries/{folder_}: expected {expected} for {kind}, got {got}"
-                )
+                text = f"expected {expected} for {kind}, got {', '.join(present[:4]) or 'no library'}"
+                yield _severity(folder_, subject)(f"binaries/{folder_}: {text}")
 
 
 def platform_wasm(subject: Subject) -> Iterator[str]:
@@ -359,10 +349,8 @@ def _evidence(subject: Subject) -> Iterator[str]:
         elif len(functions_) > 2:
             more = len(functions_) - 1
             yield f"{b} calls {functions_[0]} and {more} more functions of Python without needing libpython"
-    by_pythonfmu = "resources/slavemodule.txt" in subject.files or (
-        subject.root is not None and "pythonfmu" in str(subject.root.get("generationTool", "")).lower()
-    )
-    if by_pythonfmu:
+    tool = "" if subject.root is None else str(subject.root.get("generationTool", ""))
+    if "resources/slavemodule.txt" in subject.files or "pythonfmu" in tool.lower():
         yield "it was made by PythonFMU"
     launcher = "resources/launch.toml"
     if launcher in subject.files and "python" in (subject.folder / launcher).read_text("utf-8", "replace"):

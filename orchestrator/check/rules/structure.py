@@ -82,9 +82,8 @@ def structure_derivatives(subject: Subject) -> Iterator[Finding]:
         elif not (state.is_float and state.variability == "continuous"):
             yield finding(f"{variable}: is the derivative of {state.name}, which is not continuous")
         elif state.causality not in ("local", "output"):
-            yield finding(
-                f"{variable}: its state {state.name} is {state.causality}, expected local or output"
-            )
+            text = f"its state {state.name} is {state.causality}, expected local or output"
+            yield finding(f"{variable}: {text}")
 
 
 def structure_rates(subject: Subject) -> Iterator[str]:

@@ -90,9 +90,8 @@ def _alias(aliases: list[Variable]) -> Iterator[Finding]:
     first, names = aliases[0], ", ".join(v.name for v in aliases[:4])
     settable = [v for v in aliases if v.causality in ("input", "parameter")]
     if len(settable) > 1:
-        yield error(
-            f"{settable[1]}: shares valueReference {first.reference} with {settable[0].name}; both can be set"
-        )
+        text = f"shares valueReference {first.reference} with {settable[0].name}; both can be set"
+        yield error(f"{settable[1]}: {text}")
         return
     if len([v for v in aliases if v.starts is not None and v.variability != "constant"]) > 1:
         yield error(f"{first}: {names} share a valueReference, and more than one has a start value")

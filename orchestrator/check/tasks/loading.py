@@ -53,10 +53,8 @@ def log(trial: Trial) -> Iterator[Remark]:
     try:
         instance.call("SetDebugLogging", instance.flag(True), ctypes.c_size_t(len(categories)), array)
     except Problem as problem:
-        argument = (
-            "the log categories of modelDescription.xml" if categories else "no category, which means all"
-        )
-        yield "warning", f"{problem}, with {argument}"
+        declared = "the log categories of modelDescription.xml"
+        yield "warning", f"{problem}, with {declared if categories else 'no category, which means all'}"
     simulation.begin().run(3)
     simulation.close()
     for status, category in dict.fromkeys((m.status, m.category) for m in instance.log.messages):

@@ -81,9 +81,8 @@ class Trial:
 
     def load(self, folder: Path, identifier: str = "") -> Library:
         """The library of an unpacked FMU; raises OSError if it cannot be loaded."""
-        path = find_library(
-            folder, identifier or self.interface.get("modelIdentifier"), self.description.major
-        )
+        identifier = identifier or self.interface.get("modelIdentifier")
+        path = find_library(folder, identifier, self.description.major)
         if path is None:
             raise FileNotFoundError("no binary for this platform")
         self.activity.call(f"loading {path.name}")
@@ -104,9 +103,8 @@ class Trial:
         options.setdefault("name", "probe")
         options.setdefault("resources", resources_location(self.folder, self.description.major))
         if not instance.instantiate(**options):
-            raise CallFailed(
-                f"{instance.describe_call('Instantiate')} returns no instance{log.quoted_messages()}", ERROR
-            )
+            call = instance.describe_call("Instantiate")
+            raise CallFailed(f"{call} returns no instance{log.quoted_messages()}", ERROR)
         self._instances += 1
         return instance
 

@@ -214,10 +214,8 @@ class Integrator:
             if not needed or terminate:
                 self.instance.call("EnterContinuousTimeMode")
                 return
-        text = (
-            f"the event iteration does not end: new discrete states are needed after {MAX_ITERATIONS} calls"
-        )
-        raise CallFailed(text, ERROR)
+        needed_after = f"new discrete states are needed after {MAX_ITERATIONS} calls"
+        raise CallFailed(f"the event iteration does not end: {needed_after}", ERROR)
 
     # ---- the state vector
 

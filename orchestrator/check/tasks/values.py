@@ -99,10 +99,8 @@ def default(trial: Trial) -> Iterator[Remark]:
     """The default experiment runs with finite values; the result has the options for the other tasks."""
     start = experiment(trial.description, "startTime") or 0.0
     stop = experiment(trial.description, "stopTime")
-    endless = stop is None or math.isinf(stop)
-    steps = (
-        MAX_STEPS if stop is None or endless else int((stop - start) / usual_step(trial.description) + 1e-9)
-    )
+    duration = math.inf if stop is None else stop - start
+    steps = int(duration / usual_step(trial.description) + 1e-9) if math.isfinite(duration) else MAX_STEPS
     simulation, initial, rows = _run(trial, stop if steps else None, max(steps, 1))
     if problem := not_finite(simulation.outputs.names, [initial]):
         yield "error", f"after initialisation {problem}"
