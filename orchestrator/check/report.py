@@ -44,7 +44,6 @@ def affected_tools(rule: str) -> tuple[JudgedTool, ...]:
 
 
 MAX_PRINTED = 5  # findings of one rule in the text report
-TITLES = {"error": "errors", "warning": "warnings", "note": "notes"}
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class CheckReport:
             lines.append(f"for {tool.name}, judged {tool.basis}")
         for severity in SEVERITIES:
             findings = [f for f in self.findings if f.severity == severity]
-            lines += ["", TITLES[severity], *self._lines(findings)] if findings else []
+            lines += ["", f"{severity}s", *self._lines(findings)] if findings else []
         return "\n".join([*lines, "", self.summary()])
 
     def summary(self) -> str:

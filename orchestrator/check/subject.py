@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import (
@@ -25,11 +24,10 @@ from orchestrator.base.files import (
     temporary_folder,
     why_unreadable,
 )
+from orchestrator.base.xml import MAX_BYTES, Element, excess, too_large
+from orchestrator.check.binary import Binary, read_all
 from orchestrator.check.rule import Finding
-
-if TYPE_CHECKING:
-    from orchestrator.check.binary import Binary
-    from orchestrator.fmi.raw_description import ModelDescription
+from orchestrator.fmi.raw_description import ModelDescription, read_description
 
 DESCRIPTION = "modelDescription.xml"
 SYMBOLIC_LINK = 0o120000
@@ -106,9 +104,6 @@ def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
             yield Finding("archive.zip", "error", text)
 
 
-Element = Any  # lxml ships no types
-
-
 @dataclass(frozen=True)
 class Subject:
     """One FMU.
@@ -144,15 +139,11 @@ class Subject:
     @cached_property
     def model(self) -> ModelDescription:
         """The content of modelDescription.xml, which may be invalid."""
-        from orchestrator.fmi.raw_description import read_description
-
         return read_description(self.root, self.major)
 
     @cached_property
     def binaries(self) -> tuple[Binary, ...]:
         """The shared libraries of all platforms, one for each architecture of a universal library."""
-        from orchestrator.check.binary import read_all
-
         return read_all(self.folder, sorted(self.files))
 
 
@@ -176,8 +167,6 @@ def parse_unpacked(
 def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
     """The root of an XML file, or None and the fault. Entities are not expanded, and nothing is fetched."""
     from lxml import etree
-
-    from orchestrator.base.xml import MAX_BYTES, excess, too_large
 
     path = folder / file
     if (size := path.stat().st_size) > MAX_BYTES:
