@@ -47,6 +47,15 @@ def machine_memory() -> float:
         return float("inf")
 
 
+def resident_memory(process: int) -> float:
+    """Resident memory of a process [bytes]; 0 if it has ended, and on systems that do not report it."""
+    try:
+        pages = Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1]
+    except (OSError, IndexError):
+        return 0.0
+    return float(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
 def size_text(rows: int, signals: int) -> str:
     """How much the rows of a trace are, in words."""
     return f"{rows:.3g} points of {signals} signals, {NUMBER * rows * (signals + 1) / 1e9:.2g} GB"

@@ -5,6 +5,8 @@ Imports are inside the functions, because the child processes of a check import 
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +39,6 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
     from orchestrator.check.probe_process import probe_threads
     from orchestrator.check.report import ANY, TOOLS, CheckReport
     from orchestrator.check.rules import STATIC
-    from orchestrator.check.rules.identity import without_repeats
     from orchestrator.check.subject import open_subject
 
     if tool != ANY and tool not in TOOLS:
@@ -51,7 +52,7 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
         running = [pool.submit(_findings, rule, subject) for rule in rules if rule not in STATIC]
         findings = [finding for rule in rules if rule in STATIC for finding in _findings(rule, subject)]
         findings += [finding for future in running for finding in future.result()]
-        return CheckReport(path, _title(subject), without_repeats(findings), tool)
+        return CheckReport(path, _title(subject), _without_repeats(findings, rules), tool)
 
 
 def _findings(rule: CheckRule, subject: Subject) -> list[Finding]:
@@ -63,6 +64,21 @@ def _findings(rule: CheckRule, subject: Subject) -> list[Finding]:
     except Exception as problem:
         text = f"rule {rule.id} could not be applied: {type(problem).__name__}: {problem}"
         return [Finding(DEFECT, "warning", text)]
+
+
+def _without_repeats(findings: Sequence[Finding], rules: Sequence[CheckRule]) -> tuple[Finding, ...]:
+    """The findings without those of FMPy that another rule reports or that follow from a reported error."""
+    from orchestrator.check.rules.identity import FMPY, FMPY_FAILS
+
+    others = [f for f in findings if f.rule != FMPY]
+    ids, has_errors = {f.rule for f in others}, any(f.severity == "error" for f in others)
+    patterns = [rule.repeated for rule in rules if rule.repeated and rule.id in ids]
+
+    def repeated(f: Finding) -> bool:
+        follows = has_errors and f.text.startswith(f"FMPy {FMPY_FAILS}")
+        return f.rule == FMPY and (follows or any(re.search(pattern, f.text) for pattern in patterns))
+
+    return tuple(f for f in findings if not repeated(f))
 
 
 def _title(subject: Subject) -> str:

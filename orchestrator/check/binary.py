@@ -6,11 +6,12 @@ section 2.3). In FMI 3 it must export all functions of fmi3Functions.h (FMI 3.0.
 
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.worker.calls import FUNCTIONS_2, FUNCTIONS_3
 
 SUFFIXES = {"ELF": ".so", "PE": ".dll", "Mach-O": ".dylib"}
 MACHINES = {
@@ -24,6 +25,9 @@ MACHINES = {
     "ARMNT": "aarch32",
 }
 MAX_SIZE = 300 << 20  # bytes of a library; lief needs twice as much. The largest in use have 200 MB
+NAMES = {"exports": frozenset, "imports": frozenset} | dict.fromkeys(
+    ("libraries", "unresolved", "rpaths"), tuple
+)
 DEBUG_SECTIONS = (".debug_info", ".zdebug_info", "__debug_info")
 
 
@@ -95,41 +99,35 @@ def _read(path: Path, file: str) -> list[Binary]:
     try:
         with warnings.catch_warnings():  # lief warns about each unusual value in a header
             warnings.simplefilter("ignore")
-            binaries = [_decoded(b) for b in _parse(path, file, size)] if size else []
+            binaries = [Binary(file, size, **_decoded(b)) for b in _parse(path)] if size else []
     except Exception as problem:  # lief raises many types on invalid headers
         binaries, damage = [], f"{type(problem).__name__} while reading it"
     return binaries or [Binary(file, size, head=head, damage=damage)]
 
 
-def _parse(path: Path, file: str, size: int) -> Iterator[Binary]:
+def _parse(path: Path) -> Iterator[dict[str, Any]]:
+    """The fields of the binary, or of the parts of a universal one."""
     with DeferredInterrupts():  # one while lief is loaded would abort this process
         import lief
 
     lief.logging.disable()
     if lief.is_elf(str(path)):
-        yield _elf(_checked(lief.ELF.parse(str(path))), file, size)
+        yield _elf(_checked(lief.ELF.parse(str(path))))
     elif lief.is_pe(str(path)):
-        yield _pe(_checked(lief.PE.parse(str(path))), file, size)
+        yield _pe(_checked(lief.PE.parse(str(path))))
     elif lief.is_macho(str(path)):
         universal = _checked(lief.MachO.parse(str(path)))  # must exist as long as its parts are used
         for part in range(universal.size):
-            yield _macho(universal.at(part), file, size)
+            yield _macho(universal.at(part))
 
 
-def _decoded(b: Binary) -> Binary:
-    """The binary with texts only; lief returns names that are not UTF-8 as bytes."""
-
-    def texts(names: Iterable[Any]) -> Iterator[str]:
-        return (n.decode(errors="replace") if isinstance(n, bytes) else str(n) for n in names)
-
-    return replace(
-        b,
-        exports=frozenset(texts(b.exports)),
-        imports=frozenset(texts(b.imports)),
-        libraries=tuple(texts(b.libraries)),
-        unresolved=tuple(texts(b.unresolved)),
-        rpaths=tuple(texts(b.rpaths)),
-    )
+def _decoded(fields: dict[str, Any]) -> dict[str, Any]:
+    """The fields with texts only; lief returns names that are not UTF-8 as bytes."""
+    for field_, kind in NAMES.items():
+        names = fields.get(field_, ())
+        texts = (n.decode(errors="replace") if isinstance(n, bytes) else str(n) for n in names)
+        fields[field_] = kind(texts)
+    return fields
 
 
 def _checked(parsed: Any) -> Any:
@@ -143,7 +141,7 @@ def _machine(value: Any) -> str:
     return MACHINES.get(value.name, str(value.name).lower())
 
 
-def _elf(b: Any, file: str, size: int) -> Binary:
+def _elf(b: Any) -> dict[str, Any]:
     import lief
 
     tags, flag = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment
@@ -156,30 +154,25 @@ def _elf(b: Any, file: str, size: int) -> Binary:
             families[requirement.name] = family
             numbers = tuple(int(n) for n in version.split(".") if n.isdigit())
             versions[family] = max(versions.get(family, ()), numbers)
-    traits = [
-        "executable stack"
-        if any(s.type == flag.TYPE.GNU_STACK and s.has(flag.FLAGS.X) for s in b.segments)
-        else "",
-        "writable code" if any(_is_writable_code(s, flag) for s in b.segments) else "",
-        "text relocations" if b.has(tags.TEXTREL) else "",
-    ]
-    libraries = tuple(str(n) for n in b.libraries)
-    rpaths = [e for e in b.dynamic_entries if e.tag in (tags.RPATH, tags.RUNPATH)]
-    return Binary(
-        file=file,
-        size=size,
-        format="ELF",
-        machine=_machine(b.header.machine_type),
-        is_library=b.header.file_type == lief.ELF.Header.FILE_TYPE.DYN,
-        exports=frozenset(s.name for s in b.dynamic_symbols if s.shndx and s.name),
-        libraries=libraries,
-        imports=frozenset(s.name for s in undefined),
-        unresolved=_unresolved(undefined, libraries, families),
-        versions=versions,
-        rpaths=tuple(p for e in rpaths for p in e.paths),
-        traits=tuple(t for t in traits if t),
-        debug=sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
-    )
+    traits = {
+        "executable stack": any(s.type == flag.TYPE.GNU_STACK and s.has(flag.FLAGS.X) for s in b.segments),
+        "writable code": any(_is_writable_code(s, flag) for s in b.segments),
+        "text relocations": b.has(tags.TEXTREL),
+    }
+    libraries = [str(n) for n in b.libraries]
+    return {
+        "format": "ELF",
+        "machine": _machine(b.header.machine_type),
+        "is_library": b.header.file_type == lief.ELF.Header.FILE_TYPE.DYN,
+        "exports": [s.name for s in b.dynamic_symbols if s.shndx and s.name],
+        "libraries": libraries,
+        "imports": [s.name for s in undefined],
+        "unresolved": _unresolved(undefined, libraries, families),
+        "versions": versions,
+        "rpaths": [p for e in b.dynamic_entries if e.tag in (tags.RPATH, tags.RUNPATH) for p in e.paths],
+        "traits": tuple(trait for trait, found in traits.items() if found),
+        "debug": sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
+    }
 
 
 def _is_writable_code(segment: Any, flag: Any) -> bool:
@@ -198,62 +191,50 @@ def _unresolved(symbols: list[Any], libraries: Iterable[str], versioned: Iterabl
     import lief
 
     weak = lief.ELF.Symbol.BINDING.WEAK
-    return tuple(
-        sorted(
-            s.name
-            for s in symbols
-            if s.binding != weak and not (s.has_version and s.symbol_version.has_auxiliary_version)
-        )
-    )
+    strong = (s for s in symbols if s.binding != weak)
+    unversioned = [s for s in strong if not (s.has_version and s.symbol_version.has_auxiliary_version)]
+    return tuple(sorted(s.name for s in unversioned))
 
 
-def _pe(b: Any, file: str, size: int) -> Binary:
+def _pe(b: Any) -> dict[str, Any]:
     import lief
 
     flags = lief.PE.Section.CHARACTERISTICS
-    writable_code = [
-        s
-        for s in b.sections
-        if s.has_characteristic(flags.MEM_EXECUTE) and s.has_characteristic(flags.MEM_WRITE)
-    ]
-    return Binary(
-        file=file,
-        size=size,
-        format="PE",
-        machine=_machine(b.header.machine),
-        is_library=b.header.has_characteristic(lief.PE.Header.CHARACTERISTICS.DLL),
-        exports=frozenset(e.name for e in b.exported_functions),
-        libraries=tuple(dict.fromkeys(str(n) for n in b.libraries)),
-        imports=frozenset(e.name for i in b.imports for e in i.entries if e.name),
-        traits=("writable code",) if writable_code else (),
-        debug=sum(s.size for s in b.sections if s.name.startswith((".debug", "/"))),
-    )
+    executable = [s for s in b.sections if s.has_characteristic(flags.MEM_EXECUTE)]
+    writable_code = any(s.has_characteristic(flags.MEM_WRITE) for s in executable)
+    return {
+        "format": "PE",
+        "machine": _machine(b.header.machine),
+        "is_library": b.header.has_characteristic(lief.PE.Header.CHARACTERISTICS.DLL),
+        "exports": [e.name for e in b.exported_functions],
+        "libraries": dict.fromkeys(str(n) for n in b.libraries),
+        "imports": [e.name for i in b.imports for e in i.entries if e.name],
+        "traits": ("writable code",) * writable_code,
+        "debug": sum(s.size for s in b.sections if s.name.startswith((".debug", "/"))),
+    }
 
 
-def _macho(b: Any, file: str, size: int) -> Binary:
+def _macho(b: Any) -> dict[str, Any]:
     import lief
 
-    arm = b.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64
+    arm, files = b.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64, lief.MachO.Header.FILE_TYPE
     macos = (
         b.build_version.minos if b.has_build_version else b.version_min.version if b.has_version_min else ()
     )
     # libraries for old versions of macOS list their exports in the symbol table only
     exports = list(b.exported_functions) or [s for s in b.symbols if _is_defined(s)]
-    return Binary(
-        file=file,
-        size=size,
-        format="Mach-O",
-        machine=_machine(b.header.cpu_type),
-        is_library=b.header.file_type
-        in (lief.MachO.Header.FILE_TYPE.DYLIB, lief.MachO.Header.FILE_TYPE.BUNDLE),
-        exports=frozenset(str(s.name).removeprefix("_") for s in exports),
-        libraries=tuple(n.name for n in b.libraries if n.command != lief.MachO.LoadCommand.TYPE.ID_DYLIB),
-        imports=frozenset(s.name.removeprefix("_") for s in b.imported_symbols),
-        rpaths=tuple(r.path for r in b.rpaths),
-        traits=("unsigned",) if arm and not b.has_code_signature else (),
-        debug=sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
-        macos=tuple(macos),
-    )
+    return {
+        "format": "Mach-O",
+        "machine": _machine(b.header.cpu_type),
+        "is_library": b.header.file_type in (files.DYLIB, files.BUNDLE),
+        "exports": [str(s.name).removeprefix("_") for s in exports],
+        "libraries": [n.name for n in b.libraries if n.command != lief.MachO.LoadCommand.TYPE.ID_DYLIB],
+        "imports": [s.name.removeprefix("_") for s in b.imported_symbols],
+        "rpaths": [r.path for r in b.rpaths],
+        "traits": ("unsigned",) * (arm and not b.has_code_signature),
+        "debug": sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
+        "macos": tuple(macos),
+    }
 
 
 def _is_defined(symbol: Any) -> bool:
@@ -261,34 +242,9 @@ def _is_defined(symbol: Any) -> bool:
     return bool(symbol.raw_type & 0xEF == 0x0F)
 
 
-COMMON_2 = """GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment
-    EnterInitializationMode ExitInitializationMode Terminate Reset GetReal GetInteger GetBoolean GetString
-    SetReal SetInteger SetBoolean SetString GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize
-    SerializeFMUstate DeSerializeFMUstate GetDirectionalDerivative"""
-EXCHANGE_2 = """EnterEventMode NewDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime
-    SetContinuousStates GetDerivatives GetEventIndicators GetContinuousStates GetNominalsOfContinuousStates"""
-SIMULATION_2 = """SetRealInputDerivatives GetRealOutputDerivatives DoStep CancelStep GetStatus GetRealStatus
-    GetIntegerStatus GetBooleanStatus GetStringStatus"""
-TYPES_3 = "Float32 Float64 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String Binary Clock"
-ALL_3 = """GetVersion SetDebugLogging InstantiateModelExchange InstantiateCoSimulation
-    InstantiateScheduledExecution FreeInstance EnterInitializationMode ExitInitializationMode
-    EnterEventMode Terminate Reset GetNumberOfVariableDependencies GetVariableDependencies
-    GetFMUState SetFMUState FreeFMUState SerializedFMUStateSize SerializeFMUState
-    DeserializeFMUState GetDirectionalDerivative GetAdjointDerivative EnterConfigurationMode
-    ExitConfigurationMode GetIntervalDecimal GetIntervalFraction GetShiftDecimal GetShiftFraction
-    SetIntervalDecimal SetIntervalFraction SetShiftDecimal SetShiftFraction EvaluateDiscreteStates
-    UpdateDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime SetContinuousStates
-    GetContinuousStateDerivatives GetEventIndicators GetContinuousStates
-    GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates
-    EnterStepMode GetOutputDerivatives DoStep ActivateModelPartition"""
-
-
 def required(major: int, kinds: Collection[str]) -> tuple[str, ...]:
     """Names of all functions that a library with these interface types must export."""
     if major == 3:
-        access = (f"{verb}{type_}" for verb in ("Get", "Set") for type_ in TYPES_3.split())
-        return tuple(f"fmi3{name}" for name in (*ALL_3.split(), *access))
-    names = COMMON_2.split()
-    names += EXCHANGE_2.split() if "ModelExchange" in kinds else []
-    names += SIMULATION_2.split() if "CoSimulation" in kinds else []
+        return tuple(f"fmi3{name}" for name in FUNCTIONS_3.split())
+    names = [n for kind, functions in FUNCTIONS_2.items() if kind in ("", *kinds) for n in functions.split()]
     return tuple(f"fmi2{name}" for name in names)

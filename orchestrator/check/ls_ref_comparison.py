@@ -57,55 +57,41 @@ def compare(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
     """Run an experiment and compare; raises Problem if a file cannot be read."""
     model, kind = subject.model, first_run(subject).kinds[0]
     reference, result = table(case.reference), ExperimentComparison()
-    signals = _signals(model, reference, result)
-    job = _job(model, case, reference, signals, result)
-    if not signals:
-        result.problems.append(f"{case.reference.name} has no column of a numeric variable of the model")
-        return result
-    described = model.for_run(*job["signals"], *job["inputs"], *job["parameters"])
-    outcome = run(subject.folder, described, kind, "shipped_experiment:run", payload=job)
-    result.late = outcome.late
-    errors = (text for severity, text in outcome.remarks if severity == "error")
-    result.failure = outcome.failure or next(errors, "")
-    if not result.failure:
-        result.errors = _errors(model, reference, signals, outcome.result)
-    return result
-
-
-def _signals(model: ModelDescription, reference: ResultTable, result: ExperimentComparison) -> list[str]:
-    """Columns of numeric variables; columns that are not variables are reported."""
-    variables = model.by_name
-    unknown = [n for n in reference.columns if n not in variables]
-    if unknown:
-        result.problems.append(
-            f"the model has no variables {', '.join(unknown[:5])}, which the result contains"
-        )
-    return [n for n in reference.columns if n in variables and variables[n].is_number]
-
-
-# ---- the payload of the task
-
-
-def _job(
-    model: ModelDescription,
-    case: ShippedExperiment,
-    reference: ResultTable,
-    signals: Sequence[str],
-    result: ExperimentComparison,
-) -> dict[str, Any]:
-    default = experiment(model, "startTime") or 0.0
-    start = case.start if case.start is not None else default
+    signals = _numeric_columns(model, reference, "the result", result)
+    start = case.start if case.start is not None else experiment(model, "startTime") or 0.0
     stop = case.stop if case.stop is not None else reference.time[-1]
     job: dict[str, Any] = {
         "start": start,
         "stop": stop,
         "step": case.step or _step(model, reference),
         "tolerance": case.tolerance or experiment(model, "tolerance"),
-        "signals": list(signals),
+        "signals": signals,
         "times": [t for t in reference.time if start <= t <= stop * (1 + 1e-12)],
-        "parameters": _parameters(model, case, result),
+        "parameters": _parameters(model, case.parameters, result),
+        **_stimuli(model, case.stimuli, result),
     }
-    return job | _stimuli(model, case, result)
+    if not signals:
+        result.problems.append(f"{case.reference.name} has no column of a numeric variable of the model")
+        return result
+    described = model.for_run(*signals, *job["inputs"], *job["parameters"])
+    outcome = run(subject.folder, described, kind, "shipped_experiment:run", payload=job)
+    errors = (text for severity, text in outcome.remarks if severity == "error")
+    result.late, result.failure = outcome.late, outcome.failure or next(errors, "")
+    if not result.failure:
+        result.errors = _errors(model, reference, signals, outcome.result)
+    return result
+
+
+def _numeric_columns(
+    model: ModelDescription, content: ResultTable, file: str, result: ExperimentComparison
+) -> list[str]:
+    """Columns of numeric variables; columns that are not variables are reported."""
+    variables = model.by_name
+    unknown = [n for n in content.columns if n not in variables]
+    if unknown:
+        text = f"the model has no variables {', '.join(unknown[:5])}, which {file} contains"
+        result.problems.append(text)
+    return [n for n in content.columns if n in variables and variables[n].is_number]
 
 
 def _step(model: ModelDescription, reference: ResultTable) -> float:
@@ -115,19 +101,17 @@ def _step(model: ModelDescription, reference: ResultTable) -> float:
     return declared or min(intervals, default=usual_step(model))
 
 
-def _parameters(
-    model: ModelDescription, case: ShippedExperiment, result: ExperimentComparison
-) -> dict[str, Any]:
-    if case.parameters is None:
+def _parameters(model: ModelDescription, file: Path | None, result: ExperimentComparison) -> dict[str, Any]:
+    if file is None:
         return {}
     values: dict[str, Any] = {}
-    for name, text in parameter_set(case.parameters).items():
+    for name, text in parameter_set(file).items():
         v = model.by_name.get(name)
         if v is None or not _settable(v):
             reason = "which cannot be set" if v else "which is not a variable of the model"
-            result.problems.append(f"{case.parameters.name} sets {name}, {reason}")
+            result.problems.append(f"{file.name} sets {name}, {reason}")
         else:
-            values[name] = text if v.type == "String" else _numbers(text, v, case.parameters.name)
+            values[name] = text if v.type == "String" else _numbers(text, v, file.name)
     return values
 
 
@@ -146,18 +130,12 @@ def _numbers(text: str, v: DeclaredVariable, file: str) -> list[float]:
     return values
 
 
-def _stimuli(
-    model: ModelDescription, case: ShippedExperiment, result: ExperimentComparison
-) -> dict[str, Any]:
-    if case.stimuli is None:
+def _stimuli(model: ModelDescription, file: Path | None, result: ExperimentComparison) -> dict[str, Any]:
+    if file is None:
         return {"inputs": [], "input_times": [], "input_rows": []}
-    stimuli, variables = table(case.stimuli), model.by_name
-    names = [n for n in stimuli.columns if n in variables and variables[n].is_number]
-    unknown = [n for n in stimuli.columns if n not in variables]
-    if unknown:
-        text = f"the model has no variables {', '.join(unknown[:5])}, which {case.stimuli.name} contains"
-        result.problems.append(text)
-    columns = [_column(variables[n], stimuli.columns[n], case.stimuli.name) for n in names]
+    stimuli = table(file)
+    names = _numeric_columns(model, stimuli, file.name, result)
+    columns = [_column(model.by_name[n], stimuli.columns[n], file.name) for n in names]
     rows = np.hstack(columns).tolist() if columns else [[] for _ in stimuli.time]
     return {"inputs": names, "input_times": stimuli.time, "input_rows": rows}
 
@@ -298,5 +276,8 @@ def _summary(case: ShippedExperiment, result: ExperimentComparison) -> Finding:
 
 
 EXPERIMENT = CheckRule(
-    "reference.result", "The FMU reproduces the result of the experiment that it ships", _experiment
+    "reference.result",
+    "The FMU reproduces the result of the experiment that it ships",
+    _experiment,
+    "draft of FMI-LS-REF",
 )

@@ -151,7 +151,7 @@ def _attempt(job: Mapping[str, Any]) -> Outcome:
 def probe_threads(run: bool) -> Iterator[ThreadPoolExecutor]:
     """Threads that run tasks; child processes end with the block, also after an interrupt.
 
-    run   start two child processes already, which takes them a tenth of a second
+    run   start two child processes already, which takes them up to two tenths of a second
     """
     pool = ThreadPoolExecutor()
     try:

@@ -1,18 +1,17 @@
 """Rules that load and run the FMU in child processes: a crash, a hang or an exit is a finding, too.
 
-First the FMU is loaded and its default experiment is run. If that is completed, the tasks in probes.toml
-follow.
+First the FMU is loaded and its default experiment is run. If that is completed, the other rules follow.
 """
 
+import sys
 import threading
-import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from orchestrator.check.probe_process import Outcome, run
-from orchestrator.check.rule import MAKE, Check, CheckRule, Finding, note
+from orchestrator.check.rule import MAKE, Finding, note, rules_in
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
 from orchestrator.fmi.raw_description import INTERFACES, ModelDescription
@@ -81,9 +80,8 @@ def _first_run(subject: Subject) -> FirstRun:
         return dict(zip(kinds, results, strict=True))
 
     loaded = outcomes(kinds, "loading:load")
-    return FirstRun(
-        loaded, outcomes([k for k in kinds if not loaded[k].failed], "values:default"), model=model
-    )
+    ran = outcomes([k for k in kinds if not loaded[k].failed], "values:default")
+    return FirstRun(loaded, ran, model=model)
 
 
 def _platform_folders(fmi: int) -> list[str]:
@@ -134,19 +132,24 @@ def _findings(first: FirstRun, outcomes: dict[str, Outcome]) -> Iterator[Finding
 # ---- rules
 
 
-def _possible(subject: Subject) -> Iterator[Finding]:
-    """Why nothing is run; other rules report a file that is not an FMU at all."""
+def run_possible(subject: Subject) -> Iterator[Finding]:
+    """The FMU can be run on this machine.
+
+    Other rules report a file that is not an FMU at all.
+    """
     first = first_run(subject)
     if first.problem and (subject.folder / DESCRIPTION).is_file():
         yield note(f"{first.problem}: the FMU was not run")
 
 
-def _loads(subject: Subject) -> Iterator[Finding]:
+def run_load(subject: Subject) -> Iterator[Finding]:
+    """The binary for this machine loads and exports the functions of its interfaces."""
     first = first_run(subject)
     yield from _findings(first, first.loaded)
 
 
-def _runs(subject: Subject) -> Iterator[Finding]:
+def run_default(subject: Subject) -> Iterator[Finding]:
+    """The default experiment is completed with finite values."""
     first = first_run(subject)
     yield from _findings(first, first.ran)
     for kind in (k for k in first.ran if not first.completed(k)):
@@ -154,56 +157,25 @@ def _runs(subject: Subject) -> Iterator[Finding]:
         yield note(f"{INTERFACES[kind]}: {text}")
 
 
-def _probe(tasks: Sequence[str], kind: str = "", needs: Sequence[str] = (), fmi: int = 0) -> Check:
-    """A check that runs tasks one after the other; the arguments are those of probes.toml."""
+def probe(
+    subject: Subject, tasks: Sequence[str], kind: str = "", needs: Sequence[str] = ()
+) -> Iterator[Finding]:
+    """Run tasks one after the other; the arguments are those of probes.toml."""
+    first = first_run(subject)
+    kinds = [k for k in first.kinds if first.completed(k) and kind in ("", k)]
+    kinds = [k for k in kinds if not needs or first.model.interfaces[k].declares(*needs)]
 
-    def check(subject: Subject) -> Iterable[Finding]:
-        first = first_run(subject)
-        model = first.model
-        kinds = [
-            k
-            for k in first.kinds
-            if first.completed(k)
-            and kind in ("", k)
-            and fmi in (0, model.major)
-            and (not needs or model.interfaces[k].declares(*needs))
-        ]
+    def work(kind: str) -> Outcome:
+        outcome = Outcome()
+        for task in tasks:
+            remarks, payload = outcome.remarks, outcome.result
+            outcome = run(subject.folder, first.model, kind, task, first.ran[kind].result, payload)
+            outcome.remarks = [*remarks, *outcome.remarks]
+            if outcome.failure or outcome.crashes:
+                break
+        return outcome
 
-        def work(kind: str) -> Outcome:
-            outcome = Outcome()
-            for task in tasks:
-                remarks, payload = outcome.remarks, outcome.result
-                outcome = run(subject.folder, model, kind, task, first.ran[kind].result, payload)
-                outcome.remarks = [*remarks, *outcome.remarks]
-                if outcome.failure or outcome.crashes:
-                    break
-            return outcome
-
-        yield from _findings(first, {kind: work(kind) for kind in kinds})
-
-    return check
+    yield from _findings(first, {kind: work(kind) for kind in kinds})
 
 
-def _from_file() -> Iterator[CheckRule]:
-    """The rules in probes.toml."""
-    for name, entry in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8")).items():
-        text, threads = entry.pop("text"), tuple(entry.pop("threads", "").split())
-        yield CheckRule(f"run.{name}", text, _probe(**entry), threads)
-
-
-PROBES: tuple[CheckRule, ...] = (
-    CheckRule("run.possible", "The FMU can be run on this machine", _possible),
-    CheckRule(
-        "run.load",
-        "The binary for this machine loads and exports the functions of its interfaces",
-        _loads,
-        ("PythonFMU#110", "FMPy#545", "FMPy#642"),
-    ),
-    CheckRule(
-        "run.default",
-        "The default experiment is completed with finite values",
-        _runs,
-        ("FMIKit#225", "OpenModelica#11229", "rumoca#347"),
-    ),
-    *_from_file(),
-)
+PROBES = rules_in(Path(__file__).with_suffix(".toml"), sys.modules[__name__])

@@ -119,26 +119,16 @@ def experiments(folder: Path, file: Path) -> Iterator[ShippedExperiment | str]:
 
 def _case(folder: Path, file: Path, e: Element, name: str, reference: Path) -> ShippedExperiment:
     inner = child(e, "TransientSimulation")
-
-    def number(key: str) -> float | None:
+    parameters, stimuli = (_source(folder, file, e, tag) for tag in ("Parameters", "Stimuli"))
+    numbers = []
+    for key in ("startTime", "stopTime", "stepSize", "tolerance"):
         text = e.get(key) if inner is None or e.get(key) is not None else inner.get(key)
         try:
-            return None if text is None else float(text)
+            numbers.append(None if text is None else float(text))
         except ValueError:
-            raise Problem(
-                f"{relative(folder, file)}: {name}: {key}: expected a number, got {text!r}"
-            ) from None
-
-    return ShippedExperiment(
-        name=name,
-        reference=reference,
-        parameters=_source(folder, file, e, "Parameters"),
-        stimuli=_source(folder, file, e, "Stimuli"),
-        start=number("startTime"),
-        stop=number("stopTime"),
-        step=number("stepSize"),
-        tolerance=number("tolerance"),
-    )
+            where = f"{relative(folder, file)}: {name}: {key}"
+            raise Problem(f"{where}: expected a number, got {text!r}") from None
+    return ShippedExperiment(name, reference, parameters, stimuli, *numbers)
 
 
 def _source(folder: Path, file: Path, e: Element, tag: str) -> Path | None:

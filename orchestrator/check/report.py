@@ -32,13 +32,10 @@ class JudgedTool:
 ANY = "any"
 
 
-def _tools() -> Iterator[JudgedTool]:
-    for id_, entry in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items():
-        verdicts = {rule: Verdict(*verdict) for rule, verdict in entry["verdicts"].items()}
-        yield JudgedTool(id_, entry["name"], entry["basis"], verdicts)
-
-
-TOOLS = {tool.id: tool for tool in _tools()}
+TOOLS = {
+    id_: JudgedTool(id_, e["name"], e["basis"], {rule: Verdict(*v) for rule, v in e["verdicts"].items()})
+    for id_, e in tomllib.loads(Path(__file__).with_name("tools.toml").read_text("utf-8")).items()
+}
 
 
 def affected_tools(rule: str) -> tuple[JudgedTool, ...]:
@@ -47,7 +44,6 @@ def affected_tools(rule: str) -> tuple[JudgedTool, ...]:
 
 
 MAX_PRINTED = 5  # findings of one rule in the text report
-TITLES = {"error": "errors", "warning": "warnings", "note": "notes"}
 
 
 @dataclass(frozen=True)
@@ -84,7 +80,7 @@ class CheckReport:
             lines.append(f"for {tool.name}, judged {tool.basis}")
         for severity in SEVERITIES:
             findings = [f for f in self.findings if f.severity == severity]
-            lines += ["", TITLES[severity], *self._lines(findings)] if findings else []
+            lines += ["", f"{severity}s", *self._lines(findings)] if findings else []
         return "\n".join([*lines, "", self.summary()])
 
     def summary(self) -> str:
@@ -146,5 +142,5 @@ def table(rules: tuple[CheckRule, ...]) -> str:
     ]
     for rule in rules:
         tools = ", ".join(t.name for t in affected_tools(rule.id)) or "any"
-        lines.append(f"| `{rule.id}` | {rule.text} | {rule.clause} | {tools} | {' '.join(rule.threads)} |")
+        lines.append(f"| `{rule.id}` | {rule.text} | {rule.clause} | {tools} | {rule.threads} |")
     return "\n".join(lines)

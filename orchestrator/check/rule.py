@@ -1,14 +1,17 @@
-"""Findings of a check, its rules, and tables in which a decorator registers them."""
+"""Findings of a check, and its rules: functions with the names of the rules in rules.toml and probes.toml."""
 
 from __future__ import annotations
 
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from inspect import getdoc
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from orchestrator.base.errors import one_line
 
@@ -70,14 +73,8 @@ def join_variables(variables: Sequence[DeclaredVariable]) -> str:
 
 
 MAX_FINDINGS = 10_000  # of one rule; a report shows five
-CLAUSES: dict[str, str] = {"reference.result": "draft of FMI-LS-REF"} | {
-    rule: ", ".join(f"FMI {v}: {c}" for v, c in (("2.0.5", old), ("3.0.2", new)) if c)
-    for old, new, rules in tomllib.loads(Path(__file__).with_name("clauses.toml").read_text("utf-8"))[
-        "clauses"
-    ]
-    for rule in rules.split()
-}
-Check = Callable[["Subject"], Iterable[Finding]]
+VERSIONS = ("2.0.5", "3.0.2")  # of the standard, whose clauses rules name
+Check = Callable[["Subject"], Iterable[Finding | str]]
 
 
 @dataclass(frozen=True)
@@ -86,35 +83,39 @@ class CheckRule:
 
     id        topic and name: "unit.undefined"
     text      the requirement in one line
-    check     yields a finding for each violation
+    check     yields a finding for each violation, or the text of one
+    severity  of findings that are texts
+    clause    of the standard on which errors are based; empty: the rule gives warnings at most
     threads   issue threads that report violations
+    fmi       versions of FMUs to which the rule applies; empty: to any file
+    repeated  pattern of the messages of FMPy on the same fault
     """
 
     id: str
     text: str
     check: Check
-    threads: tuple[str, ...] = ()
-
-    @property
-    def clause(self) -> str:
-        """The clause of the standard on which errors are based; empty: the rule gives warnings at most."""
-        return CLAUSES.get(self.id, "")
+    clause: str = ""
+    threads: str = ""
+    severity: Severity = "warning"
+    fmi: Sequence[int] = ()
+    repeated: str = ""
 
     def __call__(self, subject: Subject) -> Iterator[Finding]:
         """All findings, with the id and the threads of this rule."""
-        findings = iter(self.check(subject))
+        applies = not self.fmi or subject.major in self.fmi
+        findings = iter(self.check(subject) if applies else ())
         kinds: dict[object, list[Finding]] = {}
-        for number, finding in enumerate(islice(findings, MAX_FINDINGS)):
-            text, threads = one_line(finding.text), " ".join(self.threads)
+        for number, found in enumerate(islice(findings, MAX_FINDINGS)):
+            finding = Finding("", self.severity, found) if isinstance(found, str) else found
+            text = one_line(finding.text)
             severity = finding.severity if self.clause or finding.severity != "error" else "warning"
-            complete = replace(finding, rule=self.id, severity=severity, text=text, thread=threads)
+            complete = replace(finding, rule=self.id, severity=severity, text=text, thread=self.threads)
             kind = _kind(text) if PLACE.match(text) else number
             kinds.setdefault((severity, finding.tools, kind), []).append(complete)
         yield from map(_joined, kinds.values())
         if next(findings, None) is not None:
-            yield Finding(
-                self.id, "note", f"more than {MAX_FINDINGS} findings of this rule; the others are left out"
-            )
+            text = f"more than {MAX_FINDINGS} findings of this rule; the others are left out"
+            yield Finding(self.id, "note", text)
 
 
 PLACE = re.compile(r"\S+ line \d+: (?:(?P<name>[^:]+): )?|member (?P<member>'[^']*') ")
@@ -135,14 +136,23 @@ def _joined(findings: Sequence[Finding]) -> Finding:
     return replace(first, text=text, places=tuple(f.text for f in findings))
 
 
-class RuleTable(list[CheckRule]):
-    """Rules in the order in which they are applied."""
+def rules_in(file: Path, *modules: ModuleType) -> tuple[CheckRule, ...]:
+    """The rules of a TOML file, whose functions are in these modules; rules.toml explains the entries."""
+    entries = tomllib.loads(file.read_text("utf-8"))
+    return tuple(_rule(id_, modules, **entry) for id_, entry in entries.items())
 
-    def rule(self, name: str, text: str, *threads: str) -> Callable[[Check], Check]:
-        """Decorator that registers a function as the rule `name`."""
 
-        def register(check: Check) -> Check:
-            self.append(CheckRule(name, text, check, threads))
-            return check
-
-        return register
+def _rule(
+    id_: str,
+    modules: Sequence[ModuleType],
+    check: str = "",
+    text: str = "",
+    clause: Sequence[str] = (),
+    **entry: Any,
+) -> CheckRule:
+    name = check or id_.replace(".", "_")
+    function: Callable[..., Any] = next(getattr(m, name) for m in modules if hasattr(m, name))
+    text = text or (getdoc(function) or "").partition("\n")[0].removesuffix(".")
+    clauses = [f"FMI {version}: {c}" for version, c in zip(VERSIONS, clause, strict=False) if c]
+    columns = {f.name: entry.pop(f.name) for f in fields(CheckRule) if f.name in entry}
+    return CheckRule(id_, text, partial(function, **entry), ", ".join(clauses), **columns)

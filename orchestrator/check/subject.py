@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import (
@@ -25,11 +24,10 @@ from orchestrator.base.files import (
     temporary_folder,
     why_unreadable,
 )
+from orchestrator.base.xml import MAX_BYTES, Element, excess, too_large
+from orchestrator.check.binary import Binary, read_all
 from orchestrator.check.rule import Finding
-
-if TYPE_CHECKING:
-    from orchestrator.check.binary import Binary
-    from orchestrator.fmi.raw_description import ModelDescription
+from orchestrator.fmi.raw_description import ModelDescription, read_description
 
 DESCRIPTION = "modelDescription.xml"
 SYMBOLIC_LINK = 0o120000
@@ -60,45 +58,34 @@ def _content(path: Path) -> str:
     return next((name for start, name in formats.items() if head.startswith(start)), "an unknown format")
 
 
-def _error(rule: str, text: str) -> Finding:
-    return Finding(rule, "error", text)
-
-
 def _refusals(members: list[zipfile.ZipInfo], packed: int) -> Iterator[Finding]:
     """Findings for which an archive of `packed` bytes is not unpacked."""
-    if fault := size_fault(members, packed):
-        yield _error("archive.size", f"{fault}; its members are not checked")
-    if fault := overlap(members):
-        yield _error("archive.zip", f"{fault}; its members are not checked")
+    for rule, fault in (("archive.size", size_fault(members, packed)), ("archive.zip", overlap(members))):
+        if fault:
+            yield Finding(rule, "error", f"{fault}; its members are not checked")
 
 
 def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
     """Findings about the members listed in the central directory of the archive."""
-    for member in members:
-        name = member.orig_filename
-        if fault := name_fault(member):
-            yield _error("archive.name", f"member {name!r} {fault}")
-        elif "\\" in name:
-            yield _error("archive.name", f"member {name!r} has a backslash, expected forward slashes")
-        if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
-            yield _error("archive.link", f"member {name!r} is a symbolic link, expected a file")
-        if fault := why_unreadable(member):
-            yield _error("archive.method", f"member {name!r} {fault}")
-        elif member.compress_type == zipfile.ZIP_STORED and member.flag_bits & 8 and member.file_size:
-            text = f"member {name!r} is stored with a data descriptor, expected none"
-            yield Finding("archive.method", "warning", text)
-    yield from _duplicates(members)
-
-
-def _duplicates(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
-    """Members that overwrite each other, at least on some systems."""
     names: dict[str, str] = {}
-    for name in (m.filename for m in members):
-        other = names.setdefault(name.casefold(), name)
-        if other is name:
-            continue
-        fault = "exists twice" if other == name else f"differs from {other!r} only by case"
-        yield Finding("archive.twice", "warning", f"member {name!r} {fault}")
+    for member in members:
+        name = f"member {member.orig_filename!r}"
+        if fault := name_fault(member):
+            yield Finding("archive.name", "error", f"{name} {fault}")
+        elif "\\" in member.orig_filename:
+            yield Finding("archive.name", "error", f"{name} has a backslash, expected forward slashes")
+        if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
+            yield Finding("archive.link", "error", f"{name} is a symbolic link, expected a file")
+        if fault := why_unreadable(member):
+            yield Finding("archive.method", "error", f"{name} {fault}")
+        elif member.compress_type == zipfile.ZIP_STORED and member.flag_bits & 8 and member.file_size:
+            text = f"{name} is stored with a data descriptor, expected none"
+            yield Finding("archive.method", "warning", text)
+        # members that overwrite each other, at least on some systems
+        other = names.setdefault(member.filename.casefold(), member.filename)
+        if other is not member.filename:
+            fault = "exists twice" if other == member.filename else f"differs from {other!r} only by case"
+            yield Finding("archive.twice", "warning", f"member {member.filename!r} {fault}")
 
 
 def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
@@ -113,10 +100,8 @@ def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
                 raise Problem(
                     f"{archive.filename}: cannot be unpacked into {folder}: {problem.strerror}"
                 ) from None
-            yield _error("archive.zip", f"member {member.filename!r} cannot be unpacked: {problem}")
-
-
-Element = Any  # lxml ships no types
+            text = f"member {member.filename!r} cannot be unpacked: {problem}"
+            yield Finding("archive.zip", "error", text)
 
 
 @dataclass(frozen=True)
@@ -135,7 +120,7 @@ class Subject:
     path: Path
     folder: Path
     version: str = ""
-    root: Element | None = None
+    root: Element = None
     names: tuple[str, ...] = ()
     faults: tuple[Finding, ...] = field(default=())
 
@@ -154,15 +139,11 @@ class Subject:
     @cached_property
     def model(self) -> ModelDescription:
         """The content of modelDescription.xml, which may be invalid."""
-        from orchestrator.fmi.raw_description import read_description
-
         return read_description(self.root, self.major)
 
     @cached_property
     def binaries(self) -> tuple[Binary, ...]:
         """The shared libraries of all platforms, one for each architecture of a universal library."""
-        from orchestrator.check.binary import read_all
-
         return read_all(self.folder, sorted(self.files))
 
 
@@ -186,8 +167,6 @@ def parse_unpacked(
 def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
     """The root of an XML file, or None and the fault. Entities are not expanded, and nothing is fetched."""
     from lxml import etree
-
-    from orchestrator.base.xml import MAX_BYTES, excess, too_large
 
     path = folder / file
     if (size := path.stat().st_size) > MAX_BYTES:

@@ -121,11 +121,9 @@ class RunningComponent:
         make: Callable[[bool], StepCalls] | None = getattr(self.slave, "stepping", None)
         if make:
             self._stepping = step = make(self.rollback)
-            struct.instance, struct.fmi, struct.flags = step.component, step.fmi, step.flags
-            struct.do_step, struct.get_state, struct.set_state = step.do_step, step.get_state, step.set_state
             struct.call = binding.pointer(step.slot)
-            for name, address in zip(("event", "terminate", "early", "last"), step.results, strict=False):
-                setattr(struct, name, address)
+            for name, value in step.members.items():
+                setattr(struct, name, value)
         struct.clock = binding.at(np.asarray(self.slave.log.clock))
         struct.never_restored, struct.rollback = not self.rollback, self.rollback
         struct.halved = self.halved
@@ -156,9 +154,7 @@ class RunningComponent:
         function   address of the FMI function that returned it: get state or set state; None: a step
         """
         assert self._stepping is not None
-        step = self._stepping
-        checks = {step.get_state: step.check_get, step.set_state: step.check_set}
-        (checks[function] if function else step.check_step)(status)
+        self._stepping.checks[function or 0](status)
 
     # ---- saved state; C saves and restores that of a component that it steps
 

@@ -6,7 +6,7 @@ Float64 and Int32 are converted.
 """
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -125,26 +125,24 @@ class Access:
     names: Sequence[str]
 
     def __call__(self) -> None:
-        if self.fmu_values.dtype == self.values.dtype:
-            self.call()
-        elif self.sets:
-            with np.errstate(over="ignore"):  # overflow to single precision gives infinity
-                self.fmu_values[:] = self.values
-            check_range(self.values, self.fmu_values, self.names)
-            self.call()
-        else:
-            self.call()
-            self.values[:] = self.fmu_values
-            check_range(self.fmu_values, self.values, self.names)
+        convert = self.fmu_values.dtype != self.values.dtype
+        if convert and self.sets:
+            self._convert()
+        self.call()
+        if convert and not self.sets:
+            self._convert()
+
+    def _convert(self) -> None:
+        """Copy values to or from the type of the FMU; integers must be in the range of the other type."""
+        before, after = (self.values, self.fmu_values) if self.sets else (self.fmu_values, self.values)
+        with np.errstate(over="ignore"):  # overflow to single precision gives infinity
+            after[:] = before
+        check_range(before, after, self.names)
 
     def check_status(self, status: int) -> None:
         """Raise the exception for the status of a call from C."""
         if status == OUT_OF_RANGE:
-            if self.sets:
-                self.fmu_values[:] = self.values
-                check_range(self.values, self.fmu_values, self.names)
-            self.values[:] = self.fmu_values
-            check_range(self.fmu_values, self.values, self.names)
+            self._convert()
         self.call.check_status(status)
 
 
@@ -181,28 +179,15 @@ class ExchangeCall:
 
 @dataclass(frozen=True)
 class StepCalls:
-    """Addresses and callbacks to step an instance, and to save and restore its state, from C.
+    """How C steps an instance, and saves and restores its state.
 
-    do_step, get_state, set_state      addresses of the FMI functions; 0 for functions that are not needed
-    results                            addresses of the FMI 3.0 results of a step: eventHandlingNeeded,
-                                       terminateSimulation, earlyReturn, lastSuccessfulTime; empty in FMI 2.0
-    flags                              address of the first three results as one integer; 0 in FMI 2.0
-    check_step, check_get, check_set   raise the exception for a status of the three functions
-    clock                              communication point and start of the step, see `Log.clock`
-    slot                               the call in progress, see `worker.calls`
+    members   of the structure of a component in engine.h: instance, addresses of functions and of results
+    checks    address of a function -> raises the exception for a status of it; that of `do_step` is 0
+    slot      the call in progress, see `worker.calls`
     """
 
-    component: int
-    fmi: int
-    do_step: int
-    get_state: int
-    set_state: int
-    results: tuple[int, ...]
-    flags: int
-    check_step: Callable[[int], None]
-    check_get: Callable[[int], None]
-    check_set: Callable[[int], None]
-    clock: NDArray[np.float64]
+    members: Mapping[str, int]
+    checks: Mapping[int, Callable[[int], None]]
     slot: CallSlot
 
 

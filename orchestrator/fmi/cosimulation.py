@@ -1,7 +1,4 @@
-"""A running FMU as a component of a system: get and set variables; for Co-Simulation steps and rollback.
-
-`CapabilityTrial` tests capabilities that a model description does not declare, on a spare instance.
-"""
+"""A running FMU as a component of a system: get and set variables; for Co-Simulation steps and rollback."""
 
 from __future__ import annotations
 
@@ -153,9 +150,8 @@ class RunningFmu:
             return self._access("SetRealInputDerivatives", variables, derivatives, self._real, orders)
         for v, order in zip(variables, orders, strict=True):
             if v not in self.interface.ramp_inputs or order != 1:
-                raise Problem(
-                    f"{self.name}: {v}: the FMU accepts no derivative of order {order} of this input"
-                )
+                text = f"the FMU accepts no derivative of order {order} of this input"
+                raise Problem(f"{self.name}: {v}: {text}")
         return self.writer([self.interface.rate_inputs[v] for v in variables], derivatives)
 
     @property
@@ -206,7 +202,10 @@ class RunningFmu:
 
 
 class CoSimulationFmu(RunningFmu):
-    """One instance of an FMU for Co-Simulation, as masters use it."""
+    """One instance of an FMU for Co-Simulation, as masters use it.
+
+    Capabilities that the model description does not declare are tested on a spare instance.
+    """
 
     def __init__(
         self,
@@ -216,21 +215,22 @@ class CoSimulationFmu(RunningFmu):
         start: Mapping[str, Value] | None = None,
         before: CallHook | None = None,
     ) -> None:
-        """`start`: start values of the spare instance of `CapabilityTrial`; this one is set by `set`."""
+        """`start`: start values of the spare instance; this one is set by `set`."""
         self._source, self._start = fmu, start or {}
-        self._trial = CapabilityTrial(self._spare_instance)
+        self._spare: CoSimulationFmu | None = None
+        self._spare_fails = False  # to be opened
         self._cubic: bool | None = None
         self._final = True  # no step will be repeated
         super().__init__(name, interface, fmu, before)
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""
-        self._trial.end()
+        self._end_spare()
         super().setup(start, stop, tolerance)
 
     def close(self) -> None:
         """Terminate and free the instance, unload the library, remove the unpacked files. May be repeated."""
-        self._trial.end()
+        self._end_spare()
         super().close()
 
     # ---- capabilities
@@ -242,10 +242,9 @@ class CoSimulationFmu(RunningFmu):
         if degree == 1 or not self.interface.can_interpolate_inputs:
             return 1
         if self._cubic is None:  # FMI 2.0 does not declare the highest order
-            self._cubic = bool(
-                self._trial.succeeds(
-                    lambda fmu: fmu.input_derivative_writer([variable] * 3, np.zeros(3), [1, 2, 3])
-                )
+            orders = [1, 2, 3]
+            self._cubic = self._succeeds(
+                lambda fmu: fmu.input_derivative_writer([variable] * 3, np.zeros(3), orders)
             )
         return 3 if self._cubic else 1
 
@@ -255,12 +254,36 @@ class CoSimulationFmu(RunningFmu):
             return []
 
         def fails(names: Sequence[str]) -> bool:
-            bind = partial(
-                CoSimulationFmu.output_derivative_reader, variables=names, into=np.zeros(len(names))
+            return (
+                self._succeeds(lambda fmu: fmu.output_derivative_reader(names, np.zeros(len(names)))) is False
             )
-            return self._trial.succeeds(bind) is False
 
         return [y for y in outputs if not fails([y])] if fails(outputs) else outputs
+
+    def _succeeds(self, bind: Callable[[CoSimulationFmu], Call]) -> bool | None:
+        """True if a call returns status OK on the spare instance; None if there is none.
+
+        The instance is freed after a failed call, because the call may have left it in an invalid state.
+        """
+        if self._spare is None and not self._spare_fails:
+            try:
+                self._spare = self._spare_instance()
+            except Problem:
+                self._spare_fails = True
+        if self._spare is None:
+            return None
+        try:
+            bind(self._spare)()
+        except Problem:
+            self._end_spare()
+            return False
+        return self._spare.fmu.worst == 0
+
+    def _end_spare(self) -> None:
+        """Free the spare instance."""
+        if self._spare is not None:
+            self._spare.close()
+            self._spare = None
 
     def _spare_instance(self) -> CoSimulationFmu:
         """Another instance, initialised and in step mode."""
@@ -297,9 +320,8 @@ class CoSimulationFmu(RunningFmu):
         if status in (DISCARD, ERROR):
             reached = end.reached if status == DISCARD else float("nan")
             progress = f" (the FMU reached t = {reached:.9g} s)" if status == DISCARD else ""
-            discarded = Discarded(
-                self.log.error_message("the step failed", f"with status {status_label(status)}{progress}")
-            )
+            details = f"with status {status_label(status)}{progress}"
+            discarded = Discarded(self.log.error_message("the step failed", details))
             discarded.reached, self.fmu.worst = reached, max(self.fmu.worst, status)
             raise discarded
         if status:
@@ -308,31 +330,22 @@ class CoSimulationFmu(RunningFmu):
             text = f"ended early at t = {end.reached:.9g} s, which was not allowed"
             raise Problem(self.log.error_message("the step", text))
         if end.event:
-            self.log.add(
-                WARNING,
-                (
-                    "the FMU requests event handling by the master, which is switched off (event "
-                    "mode is not used)"
-                ),
-            )
+            text = "the FMU requests event handling by the master, which is switched off"
+            self.log.add(WARNING, f"{text} (event mode is not used)")
 
     def stepping(self, rolls: bool) -> StepCalls:
-        """Addresses and callbacks to step from C; `rolls`: also to save and restore the state."""
-        get, set_ = "GetFMUState", "SetFMUState"
-        return StepCalls(
-            component=self.fmu.handle.value or 0,
-            fmi=self.interface.fmi,
-            do_step=self.fmu.address("DoStep"),
-            get_state=self.fmu.address(get) if rolls else 0,
-            set_state=self.fmu.address(set_) if rolls else 0,
-            results=self.fmu.results,
-            flags=ctypes.addressof(self.fmu.flags) if self.fmu.results else 0,
-            check_step=self._check_step,
-            check_get=lambda status: self.fmu.check_status(status, self.fmu.describe_call(get)),
-            check_set=lambda status: self.fmu.check_status(status, self.fmu.describe_call(set_)),
-            clock=np.ctypeslib.as_array(self.log.clock),
-            slot=self.fmu.slot,
-        )
+        """What C needs to step, and if it `rolls`, to save and restore the state."""
+        fmu, states = self.fmu, {"get_state": "GetFMUState", "set_state": "SetFMUState"} if rolls else {}
+        addresses = {member: fmu.address(function) for member, function in states.items()}
+        checks = {
+            address: partial(fmu.check_status, description=fmu.describe_call(states[member]))
+            for member, address in addresses.items()
+        }
+        members = {"instance": fmu.handle.value or 0, "fmi": fmu.fmi, "do_step": fmu.address("DoStep")}
+        if fmu.results:
+            members["flags"] = ctypes.addressof(fmu.flags)
+        members |= zip(("event", "terminate", "early", "last"), fmu.results, strict=False)
+        return StepCalls({**members, **addresses}, {0: self._check_step, **checks}, fmu.slot)
 
     # ---- rollback
 
@@ -355,37 +368,3 @@ class CoSimulationFmu(RunningFmu):
         """Free a saved FMU state; errors are ignored if the FMU has failed before."""
         with suppress(Problem) if self.fmu.worst >= ERROR else nullcontext():
             self._unless_fatal(partial(self.fmu.free_state, state))
-
-
-class CapabilityTrial:
-    """Tests calls on a spare instance, for capabilities that the model description does not declare.
-
-    The instance is freed after a failed call, because the call may have left it in an invalid state.
-    """
-
-    def __init__(self, make_instance: Callable[[], CoSimulationFmu]) -> None:
-        """`make_instance` returns an instance in step mode, or raises Problem."""
-        self._make_instance, self._available = make_instance, True
-        self._instance: CoSimulationFmu | None = None
-
-    def succeeds(self, bind: Callable[[CoSimulationFmu], Call]) -> bool | None:
-        """True if a call returns status OK; None if there is no instance for the test."""
-        if self._instance is None and self._available:
-            try:
-                self._instance = self._make_instance()
-            except Problem:
-                self._available = False
-        if self._instance is None:
-            return None
-        try:
-            bind(self._instance)()
-        except Problem:
-            self.end()
-            return False
-        return self._instance.fmu.worst == 0
-
-    def end(self) -> None:
-        """Free the instance."""
-        if self._instance is not None:
-            self._instance.close()
-            self._instance = None

@@ -13,8 +13,8 @@ from orchestrator.base.files import Location, is_file_name
 from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import MAX_BYTES, Element, parse_text
 from orchestrator.fmi.raw_description import (
-    COMBINATIONS,
     FLOATS,
+    INITIAL,
     INTERFACES,
     SIGNED,
     UNSIGNED,
@@ -357,7 +357,7 @@ def _variable(
     if v.reference is None or not 0 <= v.reference < 2**32:
         got = v.attributes.get("valueReference")
         raise Problem(f"{v}: valueReference: expected a whole number below 2^32, got {got!r}")
-    if (v.causality, v.variability) not in COMBINATIONS and not v.get("initial"):
+    if (v.causality, v.variability) not in INITIAL and not v.get("initial"):
         raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
     fmi_type = "Int64" if v.type == "Enumeration" else v.type
     try:

@@ -215,9 +215,8 @@ class FmuInstance:
         """Raise CallFailed for a status worse than a warning."""
         self.worst = max(self.worst, status)
         if status != WARNING:
-            raise CallFailed(
-                self.log.error_message(f"{description} failed", f"with status {status_label(status)}"), status
-            )
+            details = f"with status {status_label(status)}"
+            raise CallFailed(self.log.error_message(f"{description} failed", details), status)
 
     def flag(self, value: bool = False) -> Any:
         """A boolean of this version of FMI."""

@@ -43,11 +43,8 @@ def platform_folders(fmi: int) -> list[str]:
     """
     if fmi == 3:
         return [PLATFORM_TUPLE]
-    return (
-        [PLATFORM_TUPLE, FMI2_PLATFORM]
-        if PLATFORM_TUPLE.startswith("aarch64")
-        else [FMI2_PLATFORM, PLATFORM_TUPLE]
-    )
+    names = [FMI2_PLATFORM, PLATFORM_TUPLE]
+    return names[::-1] if PLATFORM_TUPLE.startswith("aarch64") else names
 
 
 def find_library(folder: Path, identifier: str, fmi: int) -> Path | None:
@@ -85,7 +82,7 @@ class Library:
     def __init__(self, path: Path, fmi: int, name: str = "") -> None:
         self.fmi, self.prefix, self._name = fmi, f"fmi{fmi}", name
         self._functions: dict[str, Any] = {}
-        self._threads = _thread_count()
+        self._threads = thread_count()
         with _one_at_a_time:
             before = Path.cwd()
             os.chdir(path.parent)  # some libraries search for other libraries in the working directory
@@ -117,7 +114,7 @@ class Library:
 
     def close(self) -> None:
         """Unload the library, unless threads that were started meanwhile may still be in its code."""
-        if _thread_count() > self._threads:
+        if thread_count() > self._threads:
             return
         handle = ctypes.c_void_p(self._library._handle)
         with in_progress(self._name, self.fmi, UNLOADING):
@@ -127,7 +124,7 @@ class Library:
                 ctypes.CDLL(None).dlclose(handle)
 
 
-def _thread_count() -> int:
+def thread_count() -> int:
     """Number of threads of this process; 0 if the system does not tell."""
     try:
         return len(os.listdir("/proc/self/task"))

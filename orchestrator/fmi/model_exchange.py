@@ -20,14 +20,6 @@ class ExchangeFmu(RunningFmu):
 
     exchange = True
 
-    def enter_event_mode(self) -> None:
-        """From continuous-time mode."""
-        self.fmu.call("EnterEventMode")
-
-    def enter_continuous_time_mode(self) -> None:
-        """From event mode."""
-        self.fmu.call("EnterContinuousTimeMode")
-
     def exchange_call(self, function: str, values: Buffer) -> ExchangeCall:
         """A call of SetTime, CompletedIntegratorStep, or a function of a vector, with these values."""
         return ExchangeCall(

@@ -26,20 +26,37 @@ INTERFACES = {  # element -> name of the interface type
     "CoSimulation": "co-simulation",
     "ScheduledExecution": "scheduled execution",
 }
-INITIAL = {  # (causality, variability) -> default of `initial`, in both versions
-    **{(c, v): "exact" for c in ("parameter", "structuralParameter") for v in ("fixed", "tunable")},
-    **{(c, v): "calculated" for c in ("calculatedParameter", "local") for v in ("fixed", "tunable")},
-    **{(c, v): "calculated" for c in ("output", "local") for v in ("discrete", "continuous")},
-    **{(c, "constant"): "exact" for c in ("output", "local")},
-}
-# Allowed combinations of causality and variability, in both versions.
-COMBINATIONS = {*INITIAL, ("input", "discrete"), ("input", "continuous"), ("independent", "continuous")}
+INITIAL: dict[tuple[str, str], tuple[str, ...]] = {
+    **{(c, v): ("exact",) for c in ("parameter", "structuralParameter") for v in ("fixed", "tunable")},
+    **{
+        (c, v): ("calculated", "approx")
+        for c in ("calculatedParameter", "local")
+        for v in ("fixed", "tunable")
+    },
+    **{
+        (c, v): ("calculated", "exact", "approx")
+        for c in ("output", "local")
+        for v in ("discrete", "continuous")
+    },
+    **{(c, "constant"): ("exact",) for c in ("output", "local")},
+    **{("input", v): () for v in ("discrete", "continuous")},
+    ("independent", "continuous"): (),
+}  # (causality, variability), all that are allowed -> allowed values of `initial`, the default first
+INITIAL_3 = INITIAL | {("input", v): ("exact",) for v in ("discrete", "continuous")}  # in FMI 3.0
 
 
 def parse_int(text: str | None) -> int | None:
     """An integer; None for any other text."""
     try:
         return None if text is None else int(text)
+    except ValueError:
+        return None
+
+
+def parse_float(text: str | None) -> float | None:
+    """A number; None for any other text."""
+    try:
+        return None if text is None else float(text)
     except ValueError:
         return None
 
@@ -176,6 +193,14 @@ class UnitDefinition:
     base_unit: Mapping[str, str] | None
     display_units: Mapping[str, Mapping[str, str]]
 
+    @property
+    def conversion(self) -> tuple[float, float]:
+        """Factor and offset of the base unit; NaN for a text that is not a number."""
+        base = self.base_unit or {}
+        texts = base.get("factor", "1"), base.get("offset", "0")
+        factor, offset = (math.nan if (x := parse_float(text)) is None else x for text in texts)
+        return factor, offset
+
 
 @dataclass(frozen=True, eq=False)
 class TypeDefinition(Entry):
@@ -248,9 +273,8 @@ class ModelDescription:
         kept |= {*self.of("local")[:MAX_LOCALS], *(v for name in names if (v := self.by_name.get(name)))}
         variables = tuple(v for v in self.variables if v.causality != "local" or v in kept)
         kept.update(variables)
-        return replace(
-            self, variables=variables, by_key={key: v for key, v in self.by_key.items() if v in kept}
-        )
+        by_key = {key: v for key, v in self.by_key.items() if v in kept}
+        return replace(self, variables=variables, by_key=by_key)
 
     def of(self, *causalities: str) -> tuple[DeclaredVariable, ...]:
         """The variables of some causalities."""
@@ -372,7 +396,7 @@ def _variable(
         attributes.update(inner.items())
     type_, causality = local_name(inner), attributes.get("causality", "local")
     variability = attributes.get("variability") or _variability(type_, causality, major)
-    default = "exact" if (major, causality) == (3, "input") else INITIAL.get((causality, variability), "")
+    allowed = (INITIAL_3 if major == 3 else INITIAL).get((causality, variability))
     declared = types.get(attributes.get("declaredType", ""))
     starts = tuple(s.get("value", "") for s in children(inner, "Start"))
     if not starts and "start" in attributes:
@@ -388,7 +412,7 @@ def _variable(
         reference=parse_int(attributes.get("valueReference")),
         causality=causality,
         variability=variability,
-        initial=attributes.get("initial", default),
+        initial=attributes.get("initial", allowed[0] if allowed else ""),
         starts=starts if starts or "start" in attributes else None,
         shape=tuple(parse_int(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
         aliases=tuple(map(_entry, children(e, "Alias"))),

@@ -425,7 +425,7 @@ class Plant:
         set_discrete   sets external inputs that are not continuous
         """
         for slave in self.slaves.values():
-            slave.enter_event_mode()
+            slave.fmu.call("EnterEventMode")
         set_discrete()
         self._update_discrete_states()
 
@@ -450,7 +450,7 @@ class Plant:
                 again |= needed
             updated = not again
         for member in self.members:
-            member.slave.enter_continuous_time_mode()
+            member.slave.fmu.call("EnterContinuousTimeMode")
             for call in member.starts:
                 call()
         self._struct.inverse_state = self._binding.h.MISSING

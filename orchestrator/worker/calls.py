@@ -22,23 +22,34 @@ from typing import Any
 
 SLOTS = 256  # instances with a slot in the file; further ones have one in the memory of the process
 FIRST = ("", "DoStep", "GetFMUState", "SetFMUState")  # STEP, SAVE and RESTORE in engine.h
-TYPES = "Real Integer Boolean String Float64 Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64"
-OTHERS = (
-    "Instantiate InstantiateCoSimulation InstantiateModelExchange FreeInstance SetDebugLogging"
-    " SetupExperiment EnterInitializationMode ExitInitializationMode EnterConfigurationMode"
-    " ExitConfigurationMode Terminate Reset GetFMUstate SetFMUstate FreeFMUstate FreeFMUState"
-    " SerializeFMUstate SerializeFMUState DeSerializeFMUstate DeserializeFMUState"
-    " GetDirectionalDerivative GetAdjointDerivative GetRealOutputDerivatives GetOutputDerivatives"
-    " SetRealInputDerivatives GetRealStatus GetBooleanStatus"
-    " SetTime SetContinuousStates GetEventIndicators CompletedIntegratorStep"
-)
+FUNCTIONS_2 = {  # of FMI 2.0, by interface type; "": of both
+    "": """GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment
+    EnterInitializationMode ExitInitializationMode Terminate Reset GetReal GetInteger GetBoolean GetString
+    SetReal SetInteger SetBoolean SetString GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize
+    SerializeFMUstate DeSerializeFMUstate GetDirectionalDerivative""",
+    "ModelExchange": """EnterEventMode NewDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep
+    SetTime SetContinuousStates GetDerivatives GetEventIndicators GetContinuousStates
+    GetNominalsOfContinuousStates""",
+    "CoSimulation": """SetRealInputDerivatives GetRealOutputDerivatives DoStep CancelStep GetStatus
+    GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus""",
+}
+FUNCTIONS_3 = """GetVersion SetDebugLogging InstantiateModelExchange InstantiateCoSimulation
+    InstantiateScheduledExecution FreeInstance EnterInitializationMode ExitInitializationMode
+    EnterEventMode Terminate Reset GetNumberOfVariableDependencies GetVariableDependencies
+    GetFMUState SetFMUState FreeFMUState SerializedFMUStateSize SerializeFMUState
+    DeserializeFMUState GetDirectionalDerivative GetAdjointDerivative EnterConfigurationMode
+    ExitConfigurationMode GetIntervalDecimal GetIntervalFraction GetShiftDecimal GetShiftFraction
+    SetIntervalDecimal SetIntervalFraction SetShiftDecimal SetShiftFraction EvaluateDiscreteStates
+    UpdateDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime SetContinuousStates
+    GetContinuousStateDerivatives GetEventIndicators GetContinuousStates
+    GetNominalsOfContinuousStates GetNumberOfEventIndicators GetNumberOfContinuousStates
+    EnterStepMode GetOutputDerivatives DoStep ActivateModelPartition
+    GetFloat32 GetFloat64 GetInt8 GetUInt8 GetInt16 GetUInt16 GetInt32 GetUInt32 GetInt64 GetUInt64
+    GetBoolean GetString GetBinary GetClock SetFloat32 SetFloat64 SetInt8 SetUInt8 SetInt16 SetUInt16
+    SetInt32 SetUInt32 SetInt64 SetUInt64 SetBoolean SetString SetBinary SetClock"""
 LOADING, UNLOADING, UNKNOWN = "loading its library", "unloading its library", "another function"
-FUNCTIONS = (
-    *FIRST,
-    *OTHERS.split(),
-    *(f"{verb}{type_}" for verb in ("Get", "Set") for type_ in TYPES.split()),
-    *(LOADING, UNLOADING, UNKNOWN),
-)
+_NAMES = " ".join([*FUNCTIONS_2.values(), FUNCTIONS_3]).split()
+FUNCTIONS = tuple(dict.fromkeys([*FIRST, *_NAMES, LOADING, UNLOADING, UNKNOWN]))
 _NUMBERS = {name: number for number, name in enumerate(FUNCTIONS)}
 
 

@@ -28,6 +28,7 @@ from queue import Empty, Queue, SimpleQueue
 from typing import Any
 
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.processes import resident_memory
 from orchestrator.worker.calls import ACTIVITY_SIZE, CALLS_SIZE, OUTSIDE, Activity, activity_in, calls_in
 from orchestrator.worker.wire import DISCONNECTED, Garbled, read_message
 
@@ -107,8 +108,7 @@ class Worker:
         in_folder: bool = False,
     ) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-        options = {"cwd": self.folder} if in_folder else {}
-        self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
+        self._child = _start(target, self.folder, environment or {}, descriptors, in_folder)
         self.working = self._child.pid  # the process that works: this one, or a fork of it
         _enlarge(self._child.stdout)
         self._messages: Queue[Any] = Queue(MAX_MESSAGES)
@@ -153,11 +153,7 @@ class Worker:
     @property
     def memory(self) -> float:
         """Resident memory of the process that works [bytes]; 0 on systems that do not report it."""
-        try:
-            pages = Path(f"/proc/{self.working}/statm").read_text(encoding="ascii").split()[1]
-        except (OSError, IndexError):
-            return 0.0
-        return float(pages) * os.sysconf("SC_PAGE_SIZE")
+        return resident_memory(self.working)
 
     @property
     def printed(self) -> list[str]:
@@ -185,9 +181,8 @@ class Worker:
     def report(self) -> str:
         """Cause of the end, last activity and last line of stderr, for a message."""
         cause = self.ending.replace("exit status", "the process ended with exit status")
-        return f"{cause} {self.where}" + (
-            f' ("{self.last_stderr_line[:120]}")' if self.last_stderr_line else ""
-        )
+        last = self.last_stderr_line[:120]
+        return f"{cause} {self.where}" + (f' ("{last}")' if last else "")
 
     @property
     def ending(self) -> str:
@@ -305,7 +300,7 @@ def read_file(path: Path, most: int) -> bytes:
 
 
 def _start(
-    target: str, folder: Path, environment: Mapping[str, str], **options: Any
+    target: str, folder: Path, environment: Mapping[str, str], descriptors: Sequence[int], in_folder: bool
 ) -> subprocess.Popen[bytes]:
     """Start a new Python process, without a fork of this one."""
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))  # removed with what FMUs leave there
@@ -319,8 +314,9 @@ def _start(
             stdout=subprocess.PIPE,
             stderr=errors,
             env=variables,
+            cwd=folder if in_folder else None,
+            pass_fds=descriptors,
             **SESSION_OPTIONS,
-            **options,
         )
 
 

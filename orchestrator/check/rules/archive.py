@@ -4,95 +4,69 @@ import posixpath
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from pathlib import PurePosixPath
 
 from orchestrator.base.files import why_unsafe
 from orchestrator.base.xml import child, children, local_name
-from orchestrator.check.rule import Finding, RuleTable, error, join_names, note, warning
+from orchestrator.check.rule import Finding, error, join_names, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
 from orchestrator.check.subject import DESCRIPTION, Subject, read_xml
 
-ARCHIVE = RuleTable()
 FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")
 MAX_PATH = 150  # characters; the limit of Windows, 260, includes the temporary folder and the name of the FMU
 
 
-def _opening(rule: str, subject: Subject) -> Iterator[Finding]:
-    """Findings from opening the FMU."""
+def opening(subject: Subject, rule: str) -> Iterator[Finding]:
+    """Findings of a rule from opening the FMU."""
     return (f for f in subject.faults if f.rule == rule)
 
 
-for _id, _text in (
-    ("archive.zip", "The file is a zip archive, and all its members can be unpacked"),
-    ("archive.name", "Members have relative names with forward slashes and are inside of the archive"),
-    ("archive.link", "No member is a symbolic link"),
-    ("archive.method", "Members are deflated or stored, not encrypted"),
-    ("archive.twice", "All members have different names, even if case is ignored"),
-    ("archive.size", "The unpacked archive has a reasonable size"),
-):
-    ARCHIVE.rule(_id, _text)(partial(_opening, _id))
-
-
-@ARCHIVE.rule("archive.suffix", "The file name ends in .fmu")
-def suffix(subject: Subject) -> Iterator[Finding]:
+def archive_suffix(subject: Subject) -> Iterator[str]:
+    """The file name ends in .fmu."""
     if subject.path.suffix.lower() != ".fmu":
-        yield warning(f"{subject.path.name}: expected a file name that ends in .fmu")
+        yield f"{subject.path.name}: expected a file name that ends in .fmu"
 
 
-@ARCHIVE.rule(
-    "archive.description", "modelDescription.xml is at the top of the archive", "FMIKit#312 FMIKit#261"
-)
-def description(subject: Subject) -> Iterator[Finding]:
+def archive_description(subject: Subject) -> Iterator[str]:
+    """modelDescription.xml is at the top of the archive."""
     if DESCRIPTION in subject.names or any(f.rule == "archive.zip" for f in subject.faults):
         return
     if "SystemStructure.ssd" in subject.names:
         text = "expected an FMU, got a system (SSP); check the .fmu files in its folder resources one by one"
-        yield error(f"{text}, or run the system with harvester run")
+        yield f"{text}, or run the system with harvester run"
         return
     names = {n: PurePosixPath(n.replace("\\", "/")).name for n in subject.names}
     elsewhere = [n for n, name in names.items() if name.lower() == DESCRIPTION.lower()]
     got = elsewhere[0] if elsewhere else ", ".join(subject.names[:5]) or "an empty archive"
-    yield error(f"expected {DESCRIPTION} at the top of the archive, got {got}")
+    yield f"expected {DESCRIPTION} at the top of the archive, got {got}"
 
 
-@ARCHIVE.rule(
-    "archive.path",
-    "Paths in the archive are ASCII, have no spaces and are short enough for Windows",
-    "FMPy#230 fmi-standard#289",
-)
-def paths(subject: Subject) -> Iterator[Finding]:
+def archive_path(subject: Subject) -> Iterator[str]:
+    """Paths in the archive are ASCII, have no spaces and are short enough for Windows."""
     unusual = [n for n in subject.names if " " in n or not n.isascii()]
     if unusual:
-        yield warning(
-            f"{join_names(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
-        )
+        yield f"{join_names(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
     long = [n for n in subject.names if len(n) > MAX_PATH]
     if long:
-        yield warning(
-            f"member {long[0]!r} has {len(long[0])} characters, expected at most {MAX_PATH} for Windows"
-        )
+        yield f"member {long[0]!r} has {len(long[0])} characters, expected at most {MAX_PATH} for Windows"
 
 
-@ARCHIVE.rule("archive.stray", "The archive contains only files and folders of the standard")
-def stray(subject: Subject) -> Iterator[Finding]:
+def archive_stray(subject: Subject) -> Iterator[str]:
+    """The archive contains only files and folders of the standard."""
     top = {n.split("/")[0] for n in subject.names if not why_unsafe(n)}
     unknown = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
-    if subject.major and unknown:
-        yield note(
-            f"{', '.join(unknown[:5])}: not a file or folder of the standard; other data belong into extra/"
-        )
+    if unknown:
+        yield f"{', '.join(unknown[:5])}: not a file or folder of the standard; other data belong into extra/"
 
 
-@ARCHIVE.rule("archive.extra", "Folders below extra/ have reverse domain names")
-def extra(subject: Subject) -> Iterator[Finding]:
+def archive_extra(subject: Subject) -> Iterator[str]:
+    """Folders below extra/ have reverse domain names."""
     names = {n.split("/")[1] for n in subject.names if n.startswith("extra/") and n.count("/") > 1}
     for name in sorted(n for n in names if "." not in n):
-        yield note(f"extra/{name}: expected a reverse domain name such as extra/com.example")
+        yield f"extra/{name}: expected a reverse domain name such as extra/com.example"
 
 
-CONTENTS = RuleTable()
 ICONS = {2: ("model.png", "terminalsAndIcons/icon.png"), 3: ("terminalsAndIcons/icon.png",)}
 CATEGORIES = """logEvents logSingularLinearSystems logNonlinearSystems logDynamicStateSelection
     logStatusWarning logStatusDiscard logStatusError logStatusFatal logStatusPending logAll"""
@@ -123,91 +97,81 @@ def _searched(subject: Subject, files: Iterable[str]) -> Iterator[tuple[str, byt
             return
 
 
-@CONTENTS.rule("contents.icon", "The FMU has an icon", "OpenModelica#13162")
-def icon(subject: Subject) -> Iterator[Finding]:
-    expected = ICONS.get(subject.major, ())
-    if expected and not subject.files.intersection(expected):
-        yield note(f"{expected[0]} is missing; tools show an empty block")
+def contents_icon(subject: Subject) -> Iterator[str]:
+    """The FMU has an icon."""
+    expected = ICONS[subject.major]
+    if not subject.files.intersection(expected):
+        yield f"{expected[0]} is missing; tools show an empty block"
 
 
-@CONTENTS.rule("contents.documentation", "The FMU has documentation")
-def documentation(subject: Subject) -> Iterator[Finding]:
-    if subject.major and "documentation/index.html" not in subject.files:
-        yield note("documentation/index.html is missing; users cannot read what the FMU models")
+def contents_documentation(subject: Subject) -> Iterator[str]:
+    """The FMU has documentation."""
+    if "documentation/index.html" not in subject.files:
+        yield "documentation/index.html is missing; users cannot read what the FMU models"
 
 
-@CONTENTS.rule("contents.licence", "The licence is stated")
-def licence(subject: Subject) -> Iterator[Finding]:
-    if not subject.major or subject.root is None:
-        return
+def contents_licence(subject: Subject) -> Iterator[str]:
+    """The licence is stated."""
     files = sorted(f for f in subject.files if f.startswith("documentation/licenses/"))
     if not files and not subject.root.get("license"):
-        yield note("no licence, neither as attribute license nor in documentation/licenses")
+        yield "no licence, neither as attribute license nor in documentation/licenses"
     elif files and not any(
         re.fullmatch(r"documentation/licenses/license\.(txt|html|spdx)", f) for f in files
     ):
-        yield note(f"{files[0]}: expected an entry point license.txt or license.html next to it")
+        yield f"{files[0]}: expected an entry point license.txt or license.html next to it"
 
 
-@CONTENTS.rule("contents.texts", "The FMU has a description, author, version and generation tool")
-def texts(subject: Subject) -> Iterator[Finding]:
-    if not subject.major or subject.root is None:
-        return
+def contents_texts(subject: Subject) -> Iterator[str]:
+    """The FMU has a description, author, version and generation tool."""
     missing = [n for n in METADATA if not (subject.root.get(n) or "").strip()]
     if missing:
-        yield note(f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(missing)}")
+        yield f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(missing)}"
 
 
-@CONTENTS.rule(
-    "contents.categories", "Log categories exist and are unique; in FMI 2 they include names of the standard"
-)
-def categories(subject: Subject) -> Iterator[Finding]:
+def contents_categories(subject: Subject) -> Iterator[Finding]:
+    """Log categories exist and are unique; in FMI 2 they include names of the standard."""
     names = subject.model.categories
-    if subject.major and not names:
+    if not names:
         yield note(f"{DESCRIPTION}: no log categories; users cannot select messages of the FMU")
     for name, count in Counter(names).items():
         if count > 1:
             yield warning(f"{DESCRIPTION}: log category {name} is declared {count} times")
     if subject.major == 2 and names and not set(CATEGORIES.split()).intersection(names):
-        yield note(
-            f"{DESCRIPTION}: expected log categories of the standard such as logStatusError, got {names[0]}"
-        )
+        text = f"expected log categories of the standard such as logStatusError, got {names[0]}"
+        yield note(f"{DESCRIPTION}: {text}")
 
 
-@CONTENTS.rule("contents.annotations", "There are no annotations for a single tool")
-def vendors(subject: Subject) -> Iterator[Finding]:
+def contents_annotations(subject: Subject) -> Iterator[str]:
+    """There are no annotations for a single tool."""
     path = ("VendorAnnotations", "Tool") if subject.major == 2 else ("Annotations", "Annotation")
     for element in children(subject.root, *path):
         tool = element.get("name") or element.get("type") or local_name(element)
-        yield note(
-            f"{DESCRIPTION} line {element.sourceline}: annotations for {tool}; other tools ignore them"
-        )
+        yield f"{DESCRIPTION} line {element.sourceline}: annotations for {tool}; other tools ignore them"
 
 
-@CONTENTS.rule("contents.paths", "Files contain no paths of the machine on which the FMU was made")
-def private_paths(subject: Subject) -> Iterator[Finding]:
+def contents_paths(subject: Subject) -> Iterator[str]:
+    """Files contain no paths of the machine on which the FMU was made."""
     for file, data in _searched(subject, (f for f in subject.files if f.endswith(TEXT_FILES))):
         if match := LOCAL_PATH.search(data):
             line = data.count(b"\n", 0, match.start()) + 1
             path = match.group()[:80].decode("utf-8", "replace")
-            yield warning(f"{file} line {line}: {path} is a path of the machine on which the FMU was made")
+            yield f"{file} line {line}: {path} is a path of the machine on which the FMU was made"
 
 
-@CONTENTS.rule("contents.machine", "Libraries contain no paths of the machine on which they were built")
-def machine(subject: Subject) -> Iterator[Finding]:
+def contents_machine(subject: Subject) -> Iterator[str]:
+    """Libraries contain no paths of the machine on which they were built."""
     for file, data in _searched(subject, {b.file for b in subject.binaries}):
         if match := LOCAL_PATH.search(data):
-            yield note(f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}")
+            yield f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}"
 
 
-@CONTENTS.rule("contents.size", f"The FMU has at most {MAX_SIZE / 1e6:.0f} MB")
-def size(subject: Subject) -> Iterator[Finding]:
+def contents_size(subject: Subject) -> Iterator[str]:
+    """The FMU has at most 50 MB."""
     bytes_ = subject.path.stat().st_size
     if bytes_ > MAX_SIZE:
-        yield note(f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model")
+        yield f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model"
 
 
-SOURCES = RuleTable()
 BUILD = "sources/buildDescription.xml"
 CODE = (".c", ".cc", ".cpp", ".cxx")
 HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
@@ -223,8 +187,8 @@ def _severity(subject: Subject) -> Callable[..., Finding]:
     return warning if subject.binaries else error
 
 
-@SOURCES.rule("source.listed", "Listed source files exist")
-def listed(subject: Subject) -> Iterator[Finding]:
+def source_listed(subject: Subject) -> Iterator[Finding]:
+    """Listed source files exist."""
     lists = [(DESCRIPTION, subject.root, (k, "SourceFiles", "File")) for k in subject.model.interfaces]
     if BUILD in subject.files:
         root, _ = read_xml(subject.folder, BUILD)
@@ -234,33 +198,27 @@ def listed(subject: Subject) -> Iterator[Finding]:
         names = dict.fromkeys(posixpath.normpath(f.get("name", "")) for f in files)
         missing = [n for n in names if f"sources/{n}" not in subject.files]
         if missing:
-            text = (
-                f"{len(missing)} of {len(names)} listed files are missing in sources/: {join_names(missing)}"
-            )
-            yield _severity(subject)(f"{where} line {files[0].sourceline}: {text}")
+            text = f"{len(missing)} of {len(names)} listed files are missing in sources/"
+            yield _severity(subject)(f"{where} line {files[0].sourceline}: {text}: {join_names(missing)}")
 
 
-@SOURCES.rule("source.build", "Sources come with a list of the files to compile")
-def build(subject: Subject) -> Iterator[Finding]:
+def source_build(subject: Subject) -> Iterator[Finding]:
+    """Sources come with a list of the files to compile."""
     code = _code(subject)
     if not code or not subject.model.interfaces:
         return
     kinds = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
     if subject.major == 3 and BUILD not in subject.files:
-        yield _severity(subject)(
-            f"{BUILD} is missing next to {join_names(code, 2)}; FMI 3 tools cannot compile them"
-        )
+        text = f"is missing next to {join_names(code, 2)}; FMI 3 tools cannot compile them"
+        yield _severity(subject)(f"{BUILD} {text}")
     elif subject.major == 2 and BUILD not in subject.files and not kinds:
         yield warning(f"{DESCRIPTION}: no SourceFiles for {join_names(code, 2)}")
     elif subject.major == 2 and kinds and len(kinds) < len(subject.model.interfaces):
         yield warning(f"{DESCRIPTION}: expected SourceFiles for each interface, got {kinds[0]} only")
 
 
-@SOURCES.rule(
-    "source.description",
-    "buildDescription.xml is valid against its schema and consistent with modelDescription.xml",
-)
-def build_description(subject: Subject) -> Iterator[Finding]:
+def source_description(subject: Subject) -> Iterator[Finding]:
+    """buildDescription.xml is valid against its schema and consistent with modelDescription.xml."""
     if BUILD not in subject.files:
         return
     finding = _severity(subject)
@@ -281,27 +239,21 @@ def build_description(subject: Subject) -> Iterator[Finding]:
         if platform and not TUPLE.fullmatch(platform):
             yield note(f"{BUILD} line {c.sourceline}: {platform} is not a platform of the standard")
     generic = Counter(c.get("modelIdentifier") for c in configurations if not c.get("platform"))
-    if any(n > 1 for n in generic.values()):
-        yield finding(
-            f"{BUILD}: expected one BuildConfiguration without platform, got {max(generic.values())}"
-        )
+    if (most := max(generic.values(), default=0)) > 1:
+        yield finding(f"{BUILD}: expected one BuildConfiguration without platform, got {most}")
 
 
-@SOURCES.rule("source.name", "A single source file has the name of the model (FMI 3)")
-def single(subject: Subject) -> Iterator[Finding]:
-    root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files and subject.major == 3 else (None, "")
+def source_name(subject: Subject) -> Iterator[str]:
+    """A single source file has the name of the model (FMI 3)."""
+    root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files else (None, "")
     names = {f.get("name") for f in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile")}
     for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
-        expected = subject.model.identifiers[0] if subject.model.identifiers else "model"
-        yield note(
-            f"sources/{name}: expected a name such as {expected}.c; object files of several FMUs get mixed up"
-        )
+        expected = f"{(*subject.model.identifiers, 'model')[0]}.c"
+        yield f"sources/{name}: expected a name such as {expected}; object files of several FMUs get mixed up"
 
 
-@SOURCES.rule("source.headers", "Sources contain no FMI headers; the importer provides them")
-def headers(subject: Subject) -> Iterator[Finding]:
-    files = sorted(
-        f for f in subject.files if f.startswith("sources/") and f.endswith((*HEADERS, *HEADERS_3))
-    )
-    if files:
-        yield note(f"{join_names(files)}: FMI headers, which the importing tool provides")
+def source_headers(subject: Subject) -> Iterator[str]:
+    """Sources contain no FMI headers; the importer provides them."""
+    sources = (f for f in subject.files if f.startswith("sources/"))
+    if files := sorted(f for f in sources if f.endswith((*HEADERS, *HEADERS_3))):
+        yield f"{join_names(files)}: FMI headers, which the importing tool provides"

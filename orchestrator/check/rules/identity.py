@@ -2,62 +2,43 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from orchestrator.base.xml import local_name
-from orchestrator.check.rule import Finding, RuleTable, error, note, warning
+from orchestrator.check.rule import Finding, error, note, warning
 from orchestrator.check.rules.variables import CPP, MODELICA, C
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.raw_description import Entry
+from orchestrator.fmi.raw_description import parse_float
 
-DESCRIPTION_FILE = RuleTable()
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
 FMPY = "fmpy.validate"
 MAX_NAMES = 2000  # variables above which FMPy does not check names, which takes milliseconds for each
 MAX_ELEMENTS = 100_000  # above which FMPy is not asked: it takes 10 s for 200 000 variables, and 1 GB
 FMPY_FAILS = "cannot read the FMU"
-# pattern of FMPy's message -> rules on the same fault; the message is reported unless they have findings
-COVERED = {
-    r"ERROR \(line": ("xml.schema",),
-    r"BuildDescription": ("source.description",),
-    r"is not unique": ("variable.duplicate",),
-    r"must have variability != |combination ": ("variable.combination", "variable.variability"),
-    r"declaredType": ("variable.type",),
-    r"start value": ("variable.start",),
-    r"unit .* is not defined": ("unit.undefined", "unit.display"),
-    r"legal variable name|contains an illegal": ("name.grammar",),
-    r"dependenc": ("structure.kinds",),
-    r"Outputs must have": ("structure.outputs", "variable.reference"),
-    r"must have the attribute .derivative|The derivative attribute": ("structure.derivatives",),
-    r"InitialUnknowns": ("structure.initial", "structure.derivatives", "variable.reference"),
-    r"independent variable": ("variable.independent",),
-    r"same value reference": ("variable.reference",),
-}
 
 
-@DESCRIPTION_FILE.rule("xml.syntax", "modelDescription.xml is XML without a DOCTYPE")
-def syntax(subject: Subject) -> Iterator[Finding]:
+def xml_syntax(subject: Subject) -> Iterator[Finding]:
+    """modelDescription.xml is XML without a DOCTYPE."""
     yield from (f for f in subject.faults if f.rule == "xml.syntax")
     root = subject.root
     if root is not None and local_name(root) != "fmiModelDescription":
-        yield error(
-            f"{DESCRIPTION} line {root.sourceline}: expected fmiModelDescription, got {local_name(root)}"
-        )
+        text = f"expected fmiModelDescription, got {local_name(root)}"
+        yield error(f"{DESCRIPTION} line {root.sourceline}: {text}")
 
 
-@DESCRIPTION_FILE.rule("xml.encoding", "modelDescription.xml is written in UTF-8")
-def encoding(subject: Subject) -> Iterator[Finding]:
+def xml_encoding(subject: Subject) -> Iterator[str]:
+    """modelDescription.xml is written in UTF-8."""
     if subject.root is None:
         return
     encoding_ = subject.root.getroottree().docinfo.encoding or "UTF-8"
     if encoding_.upper() not in ("UTF-8", "ASCII", "US-ASCII"):
-        yield warning(f"{DESCRIPTION}: encoding: expected UTF-8, got {encoding_}")
+        yield f"{DESCRIPTION}: encoding: expected UTF-8, got {encoding_}"
 
 
-@DESCRIPTION_FILE.rule("version.known", "The FMI version is 2.0 or 3.0")
-def version(subject: Subject) -> Iterator[Finding]:
+def version_known(subject: Subject) -> Iterator[Finding]:
+    """The FMI version is 2.0 or 3.0."""
     if subject.root is None or local_name(subject.root) != "fmiModelDescription":
         return
     if subject.version.startswith("1."):
@@ -67,22 +48,16 @@ def version(subject: Subject) -> Iterator[Finding]:
         yield error(f"{DESCRIPTION}: fmiVersion: expected 2.0 or 3.0, got {subject.version!r}")
 
 
-@DESCRIPTION_FILE.rule("version.new", "Tools that support FMI 2.0 only can use the FMU")
-def new(subject: Subject) -> Iterator[Finding]:
-    if subject.major == 3:
-        yield note(
-            "FMI 3.0: some tools support FMI 2.0 only, or FMI 3.0 in part; ship an FMI 2.0 FMU as well"
-        )
+def version_new(_: Subject) -> Iterator[str]:
+    """Tools that support FMI 2.0 only can use the FMU."""
+    yield "FMI 3.0: some tools support FMI 2.0 only, or FMI 3.0 in part; ship an FMI 2.0 FMU as well"
 
 
-@DESCRIPTION_FILE.rule(
-    "xml.schema", "modelDescription.xml is valid against the schema of its version", "FMPy#774"
-)
-def schema(subject: Subject) -> Iterator[Finding]:
-    if subject.root is None or not subject.major or local_name(subject.root) != "fmiModelDescription":
-        return
-    for line, message in violations(subject.root, SCHEMAS[subject.major]):
-        yield error(f"{DESCRIPTION} line {line}: {message}")
+def xml_schema(subject: Subject) -> Iterator[str]:
+    """modelDescription.xml is valid against the schema of its version."""
+    if local_name(subject.root) == "fmiModelDescription":
+        for line, message in violations(subject.root, SCHEMAS[subject.major]):
+            yield f"{DESCRIPTION} line {line}: {message}"
 
 
 def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
@@ -96,15 +71,11 @@ def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
         yield entry.line, re.sub(r"\{[^}]*\}", "", entry.message)
 
 
-@DESCRIPTION_FILE.rule(FMPY, "FMPy's validation finds no other faults")
 def fmpy_validate(subject: Subject) -> Iterator[Finding]:
-    if subject.root is None or not subject.major:
-        return
+    """FMPy's validation finds no other faults."""
     if subject.root.xpath("count(//*)") > MAX_ELEMENTS:
-        text = (
-            f"{DESCRIPTION} has more than {MAX_ELEMENTS} elements, for which FMPy's validation takes too long"
-        )
-        yield note(f"{text}: it was left out", "fmpy")
+        text = f"{MAX_ELEMENTS} elements, for which FMPy's validation takes too long: it was left out"
+        yield note(f"{DESCRIPTION} has more than {text}", "fmpy")
         return
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError
@@ -120,22 +91,8 @@ def fmpy_validate(subject: Subject) -> Iterator[Finding]:
         yield warning(f"FMPy {FMPY_FAILS}: {type(problem).__name__}: {problem}", "fmpy")
 
 
-def without_repeats(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """The findings without those of FMPy that another rule reports or that follow from a reported error."""
-    all_findings = tuple(findings)
-    others = [f for f in all_findings if f.rule != FMPY]
-    ids, has_errors = {f.rule for f in others}, any(f.severity == "error" for f in others)
-    patterns = [pattern for pattern, rules in COVERED.items() if ids.intersection(rules)]
-
-    def repeated(f: Finding) -> bool:
-        follows = has_errors and f.text.startswith(f"FMPy {FMPY_FAILS}")
-        return f.rule == FMPY and (follows or any(re.search(pattern, f.text) for pattern in patterns))
-
-    return tuple(f for f in all_findings if not repeated(f))
-
-
-@DESCRIPTION_FILE.rule("kind.some", "The FMU offers Model Exchange or Co-Simulation")
-def kinds(subject: Subject) -> Iterator[Finding]:
+def kind_some(subject: Subject) -> Iterator[Finding]:
+    """The FMU offers Model Exchange or Co-Simulation."""
     offered = subject.model.interfaces
     if subject.model.variables and not offered:
         yield error(f"{DESCRIPTION}: expected ModelExchange or CoSimulation, got neither")
@@ -143,19 +100,18 @@ def kinds(subject: Subject) -> Iterator[Finding]:
         yield warning("offers Scheduled Execution only, which few tools support")
 
 
-@DESCRIPTION_FILE.rule("kind.simulation", "The FMU offers Co-Simulation")
-def simulation(subject: Subject) -> Iterator[Finding]:
+def kind_simulation(subject: Subject) -> Iterator[str]:
+    """The FMU offers Co-Simulation."""
     if "ModelExchange" in subject.model.interfaces and "CoSimulation" not in subject.model.interfaces:
-        yield note("no Co-Simulation: masters without a solver of their own cannot run it")
+        yield "no Co-Simulation: masters without a solver of their own cannot run it"
 
 
-@DESCRIPTION_FILE.rule("kind.exchange", "The FMU offers Model Exchange")
-def exchange(subject: Subject) -> Iterator[Finding]:
+def kind_exchange(subject: Subject) -> Iterator[str]:
+    """The FMU offers Model Exchange."""
     if "CoSimulation" in subject.model.interfaces and "ModelExchange" not in subject.model.interfaces:
-        yield note("no Model Exchange: the importing tool cannot solve the equations with its own solver")
+        yield "no Model Exchange: the importing tool cannot solve the equations with its own solver"
 
 
-IDENTITY = RuleTable()
 EXAMPLE_TOKENS = {  # tokens that were copied from examples into many FMUs
     "0{32}": "the nil GUID",
     "8c4e810f3df34a008276176fa3c9f[0-9a-f]{3}": "the GUID of an example of the FMU SDK",
@@ -164,122 +120,96 @@ EXAMPLE_TOKENS = {  # tokens that were copied from examples into many FMUs
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-@IDENTITY.rule(
-    "identity.token",
-    "The GUID or instantiation token exists and is unique",
-    "FMPy#167 FMIKit#80 OpenModelica#3809",
-)
-def token(subject: Subject) -> Iterator[Finding]:
-    if subject.root is None or not subject.major:
-        return
+def identity_token(subject: Subject) -> Iterator[str]:
+    """The GUID or instantiation token exists and is unique."""
     name = "guid" if subject.major == 2 else "instantiationToken"
     value = subject.root.get(name)
     where = f"{DESCRIPTION} line {subject.root.sourceline}: {name}"
     if value is not None and not value.strip():
-        yield warning(f"{where} is empty, expected a new value for each change of the interface")
+        yield f"{where} is empty, expected a new value for each change of the interface"
     elif value is not None:
         digits = re.sub(r"[^0-9a-z]", "", value.lower())
         origin = next((o for pattern, o in EXAMPLE_TOKENS.items() if re.fullmatch(pattern, digits)), None)
         if origin:
-            yield warning(f"{where} is {value}, {origin}; tools cannot detect a changed interface")
+            yield f"{where} is {value}, {origin}; tools cannot detect a changed interface"
         elif value.count("{") != value.count("}"):
-            yield warning(f"{where} is {value}, a brace is missing")
+            yield f"{where} is {value}, a brace is missing"
 
 
-@IDENTITY.rule("identity.identifier", "The model identifier is a C identifier")
-def identifier(subject: Subject) -> Iterator[Finding]:
+def identity_identifier(subject: Subject) -> Iterator[str]:
+    """The model identifier is a C identifier."""
     for kind, element in subject.model.interfaces.items():
         name = element.get("modelIdentifier")
         where = f"{DESCRIPTION} line {element.line}: {kind}"
         if not C_IDENTIFIER.fullmatch(name) or name in C:
             text = "expected a C identifier, because binaries and C functions have this name"
-            yield error(f"{where}: modelIdentifier: {text}, got {name!r}")
+            yield f"{where}: modelIdentifier: {text}, got {name!r}"
 
 
-@IDENTITY.rule(
-    "identity.keyword", "The model identifier is not a keyword of Modelica or C++", "OpenModelica#5706"
-)
-def keyword(subject: Subject) -> Iterator[Finding]:
+def identity_keyword(subject: Subject) -> Iterator[str]:
+    """The model identifier is not a keyword of Modelica or C++."""
     for name in subject.model.identifiers:
         languages = [n for n, words in (("Modelica", MODELICA), ("C++", CPP)) if name in words]
         if languages:
-            yield note(f"{DESCRIPTION}: modelIdentifier {name} is a keyword of {' and '.join(languages)}")
+            yield f"{DESCRIPTION}: modelIdentifier {name} is a keyword of {' and '.join(languages)}"
 
 
-@IDENTITY.rule("identity.same", "Co-Simulation and Model Exchange share a binary")
-def same(subject: Subject) -> Iterator[Finding]:
+def identity_same(subject: Subject) -> Iterator[str]:
+    """Co-Simulation and Model Exchange share a binary."""
     names = subject.model.identifiers
     if len(names) > 1:
-        yield note(f"{DESCRIPTION}: model identifiers {', '.join(names)} differ; each needs its own binary")
+        yield f"{DESCRIPTION}: model identifiers {', '.join(names)} differ; each needs its own binary"
 
 
-DEFAULT_EXPERIMENT = RuleTable()
-
-
-def _number(element: Entry, name: str) -> float | None:
-    try:
-        return float(element.get(name))
-    except ValueError:
-        return None
-
-
-@DEFAULT_EXPERIMENT.rule("experiment.exists", "The FMU has a default experiment with stop time and step size")
-def exists(subject: Subject) -> Iterator[Finding]:
-    if not subject.model.variables:
-        return
+def _experiment(subject: Subject) -> tuple[str, Mapping[str, float]]:
+    """Where the default experiment is declared, and its attributes that are numbers; none without one."""
     element = subject.model.experiment
     if element is None:
-        yield note(f"{DESCRIPTION}: no DefaultExperiment; tools guess stop time and step size")
-        return
-    missing = [n for n in ("stopTime", "stepSize") if n not in element.attributes]
-    if missing:
-        yield note(f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(missing)}")
+        return "", {}
+    numbers = {name: parse_float(text) for name, text in element.attributes.items()}
+    return f"{DESCRIPTION} line {element.line}", {n: x for n, x in numbers.items() if x is not None}
 
 
-@DEFAULT_EXPERIMENT.rule("experiment.values", "The default experiment can be run")
-def values(subject: Subject) -> Iterator[Finding]:
+def experiment_exists(subject: Subject) -> Iterator[str]:
+    """The FMU has a default experiment with stop time and step size."""
     element = subject.model.experiment
-    if element is None:
-        return
-    where = f"{DESCRIPTION} line {element.line}: DefaultExperiment"
-    start, stop = _number(element, "startTime") or 0.0, _number(element, "stopTime")
+    if element is None and subject.model.variables:
+        yield f"{DESCRIPTION}: no DefaultExperiment; tools guess stop time and step size"
+    missing = [n for n in ("stopTime", "stepSize") if element is not None and n not in element.attributes]
+    if element is not None and missing and subject.model.variables:
+        yield f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(missing)}"
+
+
+def experiment_values(subject: Subject) -> Iterator[str]:
+    """The default experiment can be run."""
+    line, numbers = _experiment(subject)
+    where = f"{line}: DefaultExperiment"
     for name in ("stepSize", "tolerance"):
-        value = _number(element, name)
-        if value is not None and not (math.isfinite(value) and value > 0):
-            yield warning(f"{where}: {name}: expected a positive number, got {value:g}")
+        if name in numbers and not 0 < numbers[name] < math.inf:
+            yield f"{where}: {name}: expected a positive number, got {numbers[name]:g}"
+    start, stop, step = numbers.get("startTime", 0.0), numbers.get("stopTime"), numbers.get("stepSize")
     if stop is not None and not start < stop < math.inf:
-        yield warning(f"{where}: stopTime: expected a time after startTime {start:g}, got {stop:g}")
-    step = _number(element, "stepSize")
+        yield f"{where}: stopTime: expected a time after startTime {start:g}, got {stop:g}"
     if stop is not None and step is not None and stop > start and step > stop - start:
-        yield warning(f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s")
+        yield f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s"
 
 
-@DEFAULT_EXPERIMENT.rule(
-    "experiment.step", "The default experiment is a whole number of steps", "FMIKit#133 FMPy#887"
-)
-def step(subject: Subject) -> Iterator[Finding]:
-    element = subject.model.experiment
-    if element is None:
+def experiment_step(subject: Subject) -> Iterator[str]:
+    """The default experiment is a whole number of steps."""
+    line, numbers = _experiment(subject)
+    duration = numbers.get("stopTime", math.inf) - numbers.get("startTime", 0.0)
+    size = numbers.get("stepSize", math.inf)
+    if not 0 < size <= duration < math.inf:
         return
-    start, stop = _number(element, "startTime") or 0.0, _number(element, "stopTime")
-    size = _number(element, "stepSize")
-    if stop is None or size is None or not 0 < size <= stop - start < math.inf:
-        return
-    count = (stop - start) / size
+    count = duration / size
     # the step size is rounded in its last bit: the count is an integer to 1e-9 for up to a million steps
     if not math.isclose(count, round(count), rel_tol=1e-9):
-        yield note(
-            f"{DESCRIPTION} line {element.line}: {stop - start:g} s are {count:.6g} steps of {size:g} s"
-            "; the last step is shorter or missing"
-        )
+        text = f"{duration:g} s are {count:.6g} steps of {size:g} s; the last step is shorter or missing"
+        yield f"{line}: {text}"
 
 
-@DEFAULT_EXPERIMENT.rule(
-    "experiment.start", "The default experiment starts at 0", "PyFMI#261 FMPy#638 OpenModelica#11855"
-)
-def start(subject: Subject) -> Iterator[Finding]:
-    element = subject.model.experiment
-    start_time = None if element is None else _number(element, "startTime")
-    if element is not None and start_time:
-        text = f"{DESCRIPTION} line {element.line}: startTime is {start_time:g}"
-        yield note(f"{text}; some tools start at 0 nevertheless")
+def experiment_start(subject: Subject) -> Iterator[str]:
+    """The default experiment starts at 0."""
+    line, numbers = _experiment(subject)
+    if start := numbers.get("startTime"):
+        yield f"{line}: startTime is {start:g}; some tools start at 0 nevertheless"

@@ -7,14 +7,11 @@ import ast
 import re
 import sys
 from collections.abc import Callable, Iterator
-from functools import partial
 
 from orchestrator.check.binary import SUFFIXES, Binary, required
-from orchestrator.check.rule import Finding, RuleTable, error, join_names, note, warning
+from orchestrator.check.rule import Finding, error, join_names, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.fmi.library import platform_folders
-
-EXPORTS = RuleTable()
 
 
 def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
@@ -25,71 +22,57 @@ def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
             yield b, kinds
 
 
-@EXPORTS.rule(
-    "binary.functions",
-    "Every library exports all functions of its FMI version and interface types",
-    "FMPy#545 FMPy#642 FMPy#552 FMPy#700 fmi-standard#1868",
-)
-def functions(subject: Subject) -> Iterator[Finding]:
+def binary_functions(subject: Subject) -> Iterator[str]:
+    """Every library exports all functions of its FMI version and interface types."""
     for b, kinds in models(subject):
         missing = [f for f in required(subject.major, kinds) if f not in b.exports]
         if not missing:
             continue
         prefixed = f"{b.stem}_{missing[0]}"
         hint = f"; it exports {prefixed} as for static linking" if prefixed in b.exports else ""
-        yield error(f"{_at(b)}: does not export {join_names(missing)}{hint}")
+        yield f"{_at(b)}: does not export {join_names(missing)}{hint}"
 
 
 def _at(b: Binary) -> str:
     return f"{b} ({b.machine})" if b.format == "Mach-O" else str(b)
 
 
-@EXPORTS.rule("binary.version", "Libraries export functions of their FMI version only")
-def version(subject: Subject) -> Iterator[Finding]:
+def binary_version(subject: Subject) -> Iterator[str]:
+    """Libraries export functions of their FMI version only."""
     prefix = f"fmi{subject.major}"
     for b, _ in models(subject):
         others = sorted(e for e in b.exports if re.match(r"fmi[123][A-Z]", e) and not e.startswith(prefix))
         if others:
-            yield note(f"{_at(b)}: exports functions of another FMI version: {join_names(others, 2)}")
+            yield f"{_at(b)}: exports functions of another FMI version: {join_names(others, 2)}"
 
 
-@EXPORTS.rule(
-    "binary.symbols",
-    "All undefined symbols of a library are in the libraries that it needs",
-    "PythonFMU#192 PythonFMU#110",
-)
-def symbols(subject: Subject) -> Iterator[Finding]:
+def binary_symbols(subject: Subject) -> Iterator[str]:
+    """All undefined symbols of a library are in the libraries that it needs."""
     for b, _ in models(subject):
         if b.unresolved:
-            yield warning(
+            yield (
                 f"{b}: needs {join_names(b.unresolved, 3)}, which none of {', '.join(b.libraries)} has;"
                 " it loads only inside a program that provides them"
             )
 
 
-@EXPORTS.rule("binary.private", "Libraries export no other functions")
-def private(subject: Subject) -> Iterator[Finding]:
+def binary_private(subject: Subject) -> Iterator[str]:
+    """Libraries export no other functions."""
     for b, _ in models(subject):
-        others = [
-            e
-            for e in b.exports
-            if not re.search(r"fmi[123][A-Z]", e) and not e.startswith(("_init", "_fini"))
-        ]
+        others = [e for e in b.exports if not re.search(r"fmi[123][A-Z]|^_init|^_fini", e)]
         if len(others) > 20:
-            yield note(f"{_at(b)}: exports functions that are not of FMI: {join_names(sorted(others), 2)}")
+            yield f"{_at(b)}: exports functions that are not of FMI: {join_names(sorted(others), 2)}"
 
 
-@EXPORTS.rule("binary.debug", "Libraries contain no debug information")
-def debug(subject: Subject) -> Iterator[Finding]:
+def binary_debug(subject: Subject) -> Iterator[str]:
+    """Libraries contain no debug information."""
     for b in subject.binaries:
         if b.debug:
-            yield note(
-                f"{b}: {b.debug / 1e3:.0f} kB of debug information, with paths and names of the sources"
-            )
+            yield f"{b}: {b.debug / 1e3:.0f} kB of debug information, with paths and names of the sources"
 
 
-@EXPORTS.rule("binary.traits", "Libraries have no writable code and no executable stack", "melonDS#217")
-def traits(subject: Subject) -> Iterator[Finding]:
+def binary_traits(subject: Subject) -> Iterator[str]:
+    """Libraries have no writable code and no executable stack."""
     consequences = {
         "executable stack": "Linux with glibc 2.41 and newer does not load it",
         "writable code": "hardened systems do not load it",
@@ -98,10 +81,9 @@ def traits(subject: Subject) -> Iterator[Finding]:
     }
     for b in subject.binaries:
         for trait in b.traits:
-            yield warning(f"{b}: {trait}; {consequences[trait]}")
+            yield f"{b}: {trait}; {consequences[trait]}"
 
 
-LIBRARIES = RuleTable()
 SYSTEM = {  # libraries that every machine with this format has
     "ELF": r"lib(c|m|dl|pthread|rt|util)\.so\.\d|ld-linux.*\.so\.\d|linux-vdso\.so\.1",
     "PE": r"(?i)(kernel32|user32|advapi32|gdi32|shell32|ole32|oleaut32|ws2_32|wsock32|msvcrt|ucrtbase|ntdll"
@@ -136,12 +118,8 @@ def _next_to(b: Binary, library: str, subject: Subject) -> bool:
     return f"binaries/{b.platform}/{library.rpartition('/')[2]}" in subject.files
 
 
-@LIBRARIES.rule(
-    "binary.libraries",
-    "Libraries need only libraries that every machine of the platform has, or that are in the same folder",
-    "OpenModelica#11856 OpenModelica#7895 fmi-cross-check#57",
-)
-def libraries(subject: Subject) -> Iterator[Finding]:
+def binary_libraries(subject: Subject) -> Iterator[Finding]:
+    """The libraries that a library needs are on every machine of the platform, or in the same folder."""
     for b in subject.binaries:
         needs: dict[tuple[str, bool], list[str]] = {}
         for library in b.libraries:
@@ -164,30 +142,28 @@ def _describe(b: Binary, library: str) -> tuple[str, bool]:
     return next((t for p, t in RUNTIMES.items() if re.fullmatch(p, library)), "another library"), False
 
 
-@LIBRARIES.rule("binary.loader", "Libraries find the libraries in the same folder", "OpenModelica#11856")
-def loader(subject: Subject) -> Iterator[Finding]:
+def binary_loader(subject: Subject) -> Iterator[str]:
+    """Libraries find the libraries in the same folder."""
     for b in subject.binaries:
         neighbours = [n for n in b.libraries if b.format == "ELF" and _next_to(b, n, subject)]
         if neighbours and not any("$ORIGIN" in p for p in b.rpaths):
             text = f"{b}: needs {neighbours[0]} from the same folder, but its rpath lacks $ORIGIN"
-            yield warning(f"{text}; the loader will not find it")
+            yield f"{text}; the loader will not find it"
 
 
-@LIBRARIES.rule("binary.path", "Libraries contain no search paths of the machine on which they were built")
-def path(subject: Subject) -> Iterator[Finding]:
+def binary_path(subject: Subject) -> Iterator[str]:
+    """Libraries contain no search paths of the machine on which they were built."""
     for b in subject.binaries:
         for rpath in b.rpaths:
             if not rpath.startswith(("$ORIGIN", "@loader_path", "@rpath", "@executable_path")):
-                yield warning(f"{b}: rpath: expected $ORIGIN or none, got {rpath}")
+                yield f"{b}: rpath: expected $ORIGIN or none, got {rpath}"
         for library in b.libraries:
             if library.startswith("/") and not re.fullmatch(SYSTEM[b.format], library):
-                yield warning(f"{b}: needs {library} at an absolute path")
+                yield f"{b}: needs {library} at an absolute path"
 
 
-@LIBRARIES.rule(
-    "binary.glibc", "Libraries for Linux run with the glibc of older distributions", "FMIZoo.jl#3"
-)
-def glibc(subject: Subject) -> Iterator[Finding]:
+def binary_glibc(subject: Subject) -> Iterator[Finding]:
+    """Libraries for Linux run with the glibc of older distributions."""
     too_new, who_lacks_it, common, examples = GLIBC
     for b in subject.binaries:
         needed = b.versions.get("GLIBC", ())
@@ -208,23 +184,22 @@ def _dotted(version: tuple[int, ...]) -> str:
     return ".".join(map(str, version))
 
 
-@LIBRARIES.rule("binary.macos", "Libraries for macOS run on versions in use")
-def macos(subject: Subject) -> Iterator[Finding]:
+def binary_macos(subject: Subject) -> Iterator[str]:
+    """Libraries for macOS run on versions in use."""
     for b in subject.binaries:
         if b.macos[:1] > MACOS:
-            yield warning(f"{b}: needs macOS {_dotted(b.macos)}, expected at most {_dotted(MACOS)}")
+            yield f"{b}: needs macOS {_dotted(b.macos)}, expected at most {_dotted(MACOS)}"
 
 
-@LIBRARIES.rule("binary.documented", "Libraries that the FMU needs are documented in externalDependencies")
-def documented(subject: Subject) -> Iterator[Finding]:
-    external = any(f.severity == "warning" for f in libraries(subject))
+def binary_documented(subject: Subject) -> Iterator[Finding]:
+    """Libraries that the FMU needs are documented in externalDependencies."""
+    external = any(f.severity == "warning" for f in binary_libraries(subject))
     has_list = any(re.match(r"documentation/externalDependencies\.(txt|html)", f) for f in subject.files)
     if external and not has_list:
         make = error if subject.major == 3 else note
         yield make("the FMU needs other libraries, expected documentation/externalDependencies.txt or .html")
 
 
-PLATFORMS = RuleTable()
 TUPLES = {  # FMI 2 name -> FMI 3 tuple
     "win32": "x86-windows",
     "win64": "x86_64-windows",
@@ -239,7 +214,6 @@ TUPLE = re.compile(
 )
 WASM = re.compile(r"wasm(32|64)-(unknown|wasip?[0-9]*)")  # folders of modules; fmi-ls-wasm has wasm32-wasip2
 FORMATS = {"linux": "ELF", "windows": "PE", "darwin": "Mach-O"}
-THREADS = "PyFMI#61 PythonFMU#106 FMPy#51 FMPy#322 FMPy#576 FMI.jl#47"
 
 
 def folders(subject: Subject) -> list[str]:
@@ -259,8 +233,8 @@ def _legal(folder: str, major: int) -> bool:
     return bool(TUPLE.fullmatch(folder))
 
 
-@PLATFORMS.rule("platform.some", "The FMU has a binary for a platform", THREADS)
-def any_platform(subject: Subject) -> Iterator[Finding]:
+def platform_some(subject: Subject) -> Iterator[Finding]:
+    """The FMU has a binary for a platform."""
     if not subject.model.interfaces or any(_legal(b.platform, subject.major) for b in subject.binaries):
         return
     example = "linux64" if subject.major == 2 else "x86_64-linux"
@@ -272,38 +246,32 @@ def any_platform(subject: Subject) -> Iterator[Finding]:
         yield error(f"expected binaries for a platform such as {example}, got {got}")
 
 
-def _missing(system: str, subject: Subject) -> Iterator[Finding]:
+def missing_platform(subject: Subject, system: str) -> Iterator[str]:
+    """There is no binary for 64-bit machines with a system."""
     platforms, required_ = {as_tuple(b.platform) for b in subject.binaries}, f"x86_64-{system.lower()}"
     if platforms and tuple(required_.split("-")) not in platforms:
         name = NAMES[required_] if subject.major == 2 else required_
-        yield note(f"no binaries/{name}: no tool on {system} can run it")
+        yield f"no binaries/{name}: no tool on {system} can run it"
 
 
-for _system in ("Windows", "Linux"):
-    PLATFORMS.rule(f"platform.{_system.lower()}", f"The FMU runs on 64-bit {_system}", THREADS)(
-        partial(_missing, _system)
-    )
-
-
-@PLATFORMS.rule("platform.macos", "The FMU runs on macOS, on Intel and Apple machines")
-def macos_folder(subject: Subject) -> Iterator[Finding]:
+def platform_macos(subject: Subject) -> Iterator[str]:
+    """The FMU runs on macOS, on Intel and Apple machines."""
     machines = {b.machine for b in subject.binaries if as_tuple(b.platform)[1] == "darwin"}
     if subject.binaries and not machines:
-        yield note("no binary for macOS")
+        yield "no binary for macOS"
     elif machines and "aarch64" not in machines:
-        yield note("no binary for Macs with Apple processors, neither a universal one nor aarch64-darwin")
+        yield "no binary for Macs with Apple processors, neither a universal one nor aarch64-darwin"
 
 
-@PLATFORMS.rule("platform.folder", "Platform folders have the names of the FMI version", "FMPy#671")
-def folder(subject: Subject) -> Iterator[Finding]:
-    for name in folders(subject) if subject.major else ():
+def platform_folder(subject: Subject) -> Iterator[Finding]:
+    """Platform folders have the names of the FMI version."""
+    for name in folders(subject):
         if _legal(name, subject.major) or WASM.fullmatch(name):
             continue
         other = TUPLES.get(name) if subject.major == 3 else NAMES.get(name)
         if other:
-            yield warning(
-                f"expected binaries/{other}, got the name of the other FMI version, binaries/{name}"
-            )
+            got = f"the name of the other FMI version, binaries/{name}"
+            yield warning(f"expected binaries/{other}, got {got}")
         else:
             yield note(f"binaries/{name} is not a platform of the standard; tools ignore it")
 
@@ -313,8 +281,8 @@ def _severity(folder_: str, subject: Subject) -> Callable[..., Finding]:
     return error if folder_ in platform_folders(subject.major) else warning
 
 
-@PLATFORMS.rule("platform.format", "Each library has the format and machine of its platform folder")
-def format_(subject: Subject) -> Iterator[Finding]:
+def platform_format(subject: Subject) -> Iterator[Finding]:
+    """Each library has the format and machine of its platform folder."""
     for b in subject.binaries:
         (machine, system), finding = as_tuple(b.platform), _severity(b.platform, subject)
         if not b.format:
@@ -330,45 +298,39 @@ def format_(subject: Subject) -> Iterator[Finding]:
             yield finding(f"{b}: expected code for {machine}, got {b.machine}")
 
 
-@PLATFORMS.rule("platform.name", "Each platform has a library with the name of the model identifier")
-def name(subject: Subject) -> Iterator[Finding]:
+def platform_name(subject: Subject) -> Iterator[Finding]:
+    """Each platform has a library with the name of the model identifier."""
     for folder_ in (f for f in folders(subject) if _legal(f, subject.major)):
         system = as_tuple(folder_)[1]
         for kind, element in subject.model.interfaces.items():
             expected = f"{element.get('modelIdentifier')}{SUFFIXES[FORMATS[system]]}"
             if f"binaries/{folder_}/{expected}" in subject.files:
                 continue
-            static = [
-                f
-                for f in subject.files
-                if f.startswith(f"binaries/{folder_}/") and f.endswith((".a", ".lib"))
-            ]
+            inside = [f for f in subject.files if f.startswith(f"binaries/{folder_}/")]
+            static = [f for f in inside if f.endswith((".a", ".lib"))]
             present = sorted(b.name for b in subject.binaries if b.platform == folder_)
             if present or not static:
-                got = ", ".join(present[:4]) or "no library"
-                yield _severity(folder_, subject)(
-                    f"binaries/{folder_}: expected {expected} for {kind}, got {got}"
-                )
+                text = f"expected {expected} for {kind}, got {', '.join(present[:4]) or 'no library'}"
+                yield _severity(folder_, subject)(f"binaries/{folder_}: {text}")
 
 
-@PLATFORMS.rule("platform.wasm", "Folders of WebAssembly have a module with the name of the model identifier")
-def wasm(subject: Subject) -> Iterator[Finding]:
+def platform_wasm(subject: Subject) -> Iterator[str]:
+    """Folders of WebAssembly have a module with the name of the model identifier."""
     kinds = {b"\x01\0\0\0": "module", b"\r\0\x01\0": "component"}  # bytes 4 to 7: version and layer
     for folder_ in (f for f in folders(subject) if WASM.fullmatch(f)):
         for identifier in {e.get("modelIdentifier") for e in subject.model.interfaces.values()}:
             file = f"binaries/{folder_}/{identifier}.wasm"
             if file not in subject.files:
-                yield warning(f"binaries/{folder_}: expected {identifier}.wasm, found no such file")
+                yield f"binaries/{folder_}: expected {identifier}.wasm, found no such file"
                 continue
             with (subject.folder / file).open("rb") as opened:
                 head = opened.read(8)
             got = kinds.get(head[4:], "") if head[:4] == b"\0asm" else ""
             expected = "component" if folder_.endswith("p2") else "module"
             if got != expected:
-                yield warning(f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}")
+                yield f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}"
 
 
-PYTHON = RuleTable()
 SCRIPTS = "resources/"
 FMU_PACKAGES = ("pythonfmu", "pythonfmu3", "unifmu_fmi2", "unifmu")
 
@@ -387,32 +349,26 @@ def _evidence(subject: Subject) -> Iterator[str]:
         elif len(functions_) > 2:
             more = len(functions_) - 1
             yield f"{b} calls {functions_[0]} and {more} more functions of Python without needing libpython"
-    by_pythonfmu = "resources/slavemodule.txt" in subject.files or (
-        subject.root is not None and "pythonfmu" in str(subject.root.get("generationTool", "")).lower()
-    )
-    if by_pythonfmu:
+    tool = "" if subject.root is None else str(subject.root.get("generationTool", ""))
+    if "resources/slavemodule.txt" in subject.files or "pythonfmu" in tool.lower():
         yield "it was made by PythonFMU"
     launcher = "resources/launch.toml"
     if launcher in subject.files and "python" in (subject.folder / launcher).read_text("utf-8", "replace"):
         yield f"{launcher} starts Python"
 
 
-@PYTHON.rule(
-    "python.needed",
-    "The FMU runs without Python on the target machine",
-    "PythonFMU#110 PythonFMU#192 PythonFMU#202 PythonFMU#222 FMPy#348 Hopsan#2187",
-)
-def needed(subject: Subject) -> Iterator[Finding]:
+def python_needed(subject: Subject) -> Iterator[str]:
+    """The FMU runs without Python on the target machine."""
     evidence = list(_evidence(subject))
     if evidence:
-        yield warning(
+        yield (
             f"needs Python on the target: {'; '.join(evidence[:2])}; the target machine needs the same Python"
             " on its path, with all packages"
         )
 
 
-@PYTHON.rule("python.packages", "Scripts import only the standard library", "PythonFMU#152")
-def packages(subject: Subject) -> Iterator[Finding]:
+def python_packages(subject: Subject) -> Iterator[str]:
+    """Scripts import only the standard library."""
     if not any(_evidence(subject)):
         return
     scripts = _scripts(subject)
@@ -424,7 +380,7 @@ def packages(subject: Subject) -> Iterator[Finding]:
             if name not in sys.stdlib_module_names and name not in shipped:
                 packages_.setdefault(name, script)
     for name, script in packages_.items():
-        yield warning(f"{script}: imports {name}, which must be installed on the target machine")
+        yield f"{script}: imports {name}, which must be installed on the target machine"
 
 
 def _imports(text: str) -> set[str]:
@@ -438,8 +394,8 @@ def _imports(text: str) -> set[str]:
     return {name.partition(".")[0] for name in plain | from_imports}
 
 
-@PYTHON.rule("python.syntax", "Scripts can be parsed by Python")
-def syntax(subject: Subject) -> Iterator[Finding]:
+def python_syntax(subject: Subject) -> Iterator[Finding]:
+    """Scripts can be parsed by Python."""
     for script in _scripts(subject):
         try:
             ast.parse((subject.folder / script).read_text("utf-8", "replace"))
@@ -449,8 +405,8 @@ def syntax(subject: Subject) -> Iterator[Finding]:
             yield note(f"{script}: is nested too deeply to be parsed")
 
 
-@PYTHON.rule("runtime.java", "The FMU runs without a Java machine on the target")
-def java(subject: Subject) -> Iterator[Finding]:
+def runtime_java(subject: Subject) -> Iterator[str]:
+    """The FMU runs without a Java machine on the target."""
     jars = sorted(f for f in subject.files if f.endswith(".jar"))
     if jars:
-        yield warning(f"{join_names(jars)}: Java; the target machine may need a Java machine")
+        yield f"{join_names(jars)}: Java; the target machine may need a Java machine"

@@ -1,17 +1,13 @@
 """Rules on ModelStructure (lists of unknowns and their dependencies), and on capability flags."""
 
-import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
-from pathlib import Path
 from typing import Any
 
-from orchestrator.check.rule import MAKE, Finding, RuleTable, error, join_names, note, warning
+from orchestrator.check.rule import MAKE, Finding, error, join_names, note, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, Unknown
 
-STRUCTURE = RuleTable()
 WHERE = "modelDescription.xml: ModelStructure"
 CALCULATED = ("calculated", "approx")  # values of `initial` of variables that initialisation computes
 INITIAL_KINDS = ("dependent", "constant")  # dependenciesKind in InitialUnknowns
@@ -48,24 +44,15 @@ def _ignores_derivatives(model: ModelDescription) -> bool:
     return model.major == 2 and list(model.interfaces) == ["CoSimulation"] and not any(flags)
 
 
-@STRUCTURE.rule(
-    "structure.outputs", "Outputs lists exactly the outputs", "OMSimulator#838 FMUComplianceChecker#27"
-)
-def outputs(subject: Subject) -> Iterator[Finding]:
-    model = subject.model
-    if model.major:
-        yield from _differences(model, "outputs", list(model.of("output")), "exactly the outputs")
+def structure_outputs(subject: Subject) -> Iterator[Finding]:
+    """Outputs lists exactly the outputs."""
+    outputs = list(subject.model.of("output"))
+    yield from _differences(subject.model, "outputs", outputs, "exactly the outputs")
 
 
-@STRUCTURE.rule(
-    "structure.initial",
-    "InitialUnknowns lists exactly the variables that initialisation computes",
-    "PythonFMU#112 Simulix#28 OpenModelica#15692",
-)
-def initial(subject: Subject) -> Iterator[Finding]:
+def structure_initial(subject: Subject) -> Iterator[Finding]:
+    """InitialUnknowns lists exactly the variables that initialisation computes."""
     model = subject.model
-    if not model.major:
-        return
     continuous = {*model.derivatives, *model.states}
     expected = [
         v
@@ -79,10 +66,8 @@ def initial(subject: Subject) -> Iterator[Finding]:
     yield from _differences(model, "initial", expected + optional, why)
 
 
-@STRUCTURE.rule(
-    "structure.derivatives", "The listed derivatives are derivatives of states", "FMUComplianceChecker#27"
-)
-def derivatives(subject: Subject) -> Iterator[Finding]:
+def structure_derivatives(subject: Subject) -> Iterator[Finding]:
+    """The listed derivatives are derivatives of states."""
     model = subject.model
     finding = note if _ignores_derivatives(model) else error
     for unknown in model.structure.get("derivatives", ()):
@@ -97,32 +82,30 @@ def derivatives(subject: Subject) -> Iterator[Finding]:
         elif not (state.is_float and state.variability == "continuous"):
             yield finding(f"{variable}: is the derivative of {state.name}, which is not continuous")
         elif state.causality not in ("local", "output"):
-            yield finding(
-                f"{variable}: its state {state.name} is {state.causality}, expected local or output"
-            )
+            text = f"its state {state.name} is {state.causality}, expected local or output"
+            yield finding(f"{variable}: {text}")
 
 
-@STRUCTURE.rule("structure.rates", "Only derivatives of states have the attribute derivative in FMI 2.0")
-def rates(subject: Subject) -> Iterator[Finding]:
-    """The standard allows others, but tools that count states by this attribute then count too many."""
+def structure_rates(subject: Subject) -> Iterator[str]:
+    """Only derivatives of states have the attribute derivative in FMI 2.0.
+
+    The standard allows others, but tools that count states by this attribute then count too many.
+    """
     model = subject.model
-    if subject.major != 2 or "ModelExchange" not in model.interfaces:
+    if "ModelExchange" not in model.interfaces:
         return
     listed = {u.variable for u in model.structure.get("derivatives", ())}
     unlisted = [v for v in model.variables if v.get("derivative") and v not in listed]
     unlisted = [v for v in unlisted if v.is_float and v.variability == "continuous"]
     if unlisted:
-        yield warning(
+        yield (
             f"{unlisted[0]}: has the attribute derivative, but no entry in ModelStructure/Derivatives;"
             f" some tools count a state for each: {join_names([v.name for v in unlisted])}"
         )
 
 
-@STRUCTURE.rule(
-    "structure.entries",
-    "Entries of ModelStructure refer to variables, each once, in the order of the standard",
-)
-def entries(subject: Subject) -> Iterator[Finding]:
+def structure_entries(subject: Subject) -> Iterator[Finding]:
+    """Entries of ModelStructure refer to variables, each once, in the order of the standard."""
     for unknowns in subject.model.structure.values():
         for unknown in unknowns:
             if unknown.variable is None:
@@ -136,12 +119,8 @@ def entries(subject: Subject) -> Iterator[Finding]:
         yield warning(f"{WHERE}: InitialUnknowns is not ordered by index")
 
 
-@STRUCTURE.rule(
-    "structure.dependencies",
-    "Outputs and derivatives declare their dependencies; without them every input feeds through",
-    "FMIKit#21 PyFMI#232",
-)
-def dependencies(subject: Subject) -> Iterator[Finding]:
+def structure_dependencies(subject: Subject) -> Iterator[str]:
+    """Outputs and derivatives declare their dependencies; without them every input feeds through."""
     model = subject.model
     inputs = model.of("input")
     for section in ("outputs", "derivatives") if inputs else ():
@@ -150,14 +129,14 @@ def dependencies(subject: Subject) -> Iterator[Finding]:
         if undeclared:
             names = join_names([u.variable.name for u in undeclared if u.variable])
             count = f"{len(undeclared)} of {len(model.structure.get(section, ()))} {section}"
-            yield warning(
+            yield (
                 f"{undeclared[0]}: no dependencies for {count} ({names});"
                 " tools assume direct feed-through from every input"
             )
 
 
-@STRUCTURE.rule("structure.knowns", "Dependencies are knowns of their list, such as inputs and states")
-def knowns(subject: Subject) -> Iterator[Finding]:
+def structure_knowns(subject: Subject) -> Iterator[Finding]:
+    """Dependencies are knowns of their list, such as inputs and states."""
     model = subject.model
     states = set(model.states)
     complete = len(states) == len(model.structure.get("derivatives", ()))  # else some states are missing
@@ -167,15 +146,14 @@ def knowns(subject: Subject) -> Iterator[Finding]:
                 known = model.by_key.get(-1 if key is None else key)
                 if known is None:
                     yield error(f"{unknown}: dependency {key} is not a variable")
-                elif complete and not _is_known(known, section, states, model.major):
+                    break
+                if complete and not _is_known(known, section, states, model.major):
                     # a note for parameters, because the Reference-FMUs list them, too
                     make = note if known.causality == "parameter" else warning
                     yield make(
                         f"{unknown}: dependency {known.name} is {known.causality}, {known.variability};"
                         " expected an input, a state or another known"
                     )
-                if known is None:
-                    break
 
 
 def _is_known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], major: int) -> bool:
@@ -190,8 +168,8 @@ def _is_known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], 
     )
 
 
-@STRUCTURE.rule("structure.kinds", "dependenciesKind has one allowed value for each dependency")
-def kinds(subject: Subject) -> Iterator[Finding]:
+def structure_kinds(subject: Subject) -> Iterator[Finding]:
+    """dependenciesKind has one allowed value for each dependency."""
     for section, unknowns in subject.model.structure.items():
         for unknown in unknowns:
             yield from _kinds(unknown, section)
@@ -219,19 +197,11 @@ def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
         yield note(f"{unknown}: dependenciesKind: {text}")
 
 
-CAPABILITIES = RuleTable()
-
-
-def _abilities(findings: Sequence[Mapping[str, Any]], subject: Subject) -> Iterator[Finding]:
-    """The findings of abilities.toml that apply to an interface."""
+def ability(subject: Subject, findings: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
+    """Those of the findings that apply to an interface and its capability flags, see rules.toml."""
     for kind, entry in subject.model.interfaces.items():
         for f in findings:
             applies = f.get("kind", kind) == kind and f.get("fmi", subject.major) == subject.major
             has, lacks = f.get("has", ()), f.get("lacks", ())
             if applies and (not has or entry.declares(*has)) and not entry.declares(*lacks):
                 yield MAKE[f["severity"]](f"{DESCRIPTION} line {entry.line}: {kind}: {f['text']}")
-
-
-for _id, _entry in tomllib.loads(Path(__file__).with_name("abilities.toml").read_text("utf-8")).items():
-    _threads = _entry.get("threads", "").split()
-    CAPABILITIES.rule(_id, _entry["holds"], *_threads)(partial(_abilities, _entry["findings"]))

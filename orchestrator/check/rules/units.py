@@ -5,14 +5,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from orchestrator.base.units import BASES, parse_unit
-from orchestrator.base.xml import children
-from orchestrator.check.rule import Finding, RuleTable, error, join_variables, note, warning
+from orchestrator.base.xml import Element, children
+from orchestrator.check.rule import Finding, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.variables import words
-from orchestrator.check.subject import Element, Subject, read_xml
-from orchestrator.fmi.raw_description import UnitDefinition, parse_int
+from orchestrator.check.subject import Subject, read_xml
+from orchestrator.fmi.raw_description import UnitDefinition, parse_float, parse_int
 
-UNITS = RuleTable()
 DIMENSIONS = [b for b in BASES if b != "rad"]  # tools differ in the treatment of the radian
 WELL_KNOWN = words(  # names with one meaning
     """m mm cm m/s km/h m3 L l m3/s L/min l/min kg s ms min h N kN N.m J kJ W kW Pa kPa MPa bar rad deg rad/s
@@ -24,16 +23,16 @@ def _at(unit: UnitDefinition) -> str:
     return f"modelDescription.xml line {unit.line}: unit {unit.name}"
 
 
-@UNITS.rule("unit.undefined", "Every unit that a variable uses is defined", "FMPy#511")
-def undefined(subject: Subject) -> Iterator[Finding]:
+def unit_undefined(subject: Subject) -> Iterator[str]:
+    """Every unit that a variable uses is defined."""
     defined = {u.name for u in subject.model.units}
     for v in subject.model.variables:
         if v.unit is not None and v.unit not in defined:
-            yield error(f"{v}: unit {v.unit!r} is not in UnitDefinitions")
+            yield f"{v}: unit {v.unit!r} is not in UnitDefinitions"
 
 
-@UNITS.rule("unit.display", "Every display unit is defined in its unit", "FMPy#511")
-def display(subject: Subject) -> Iterator[Finding]:
+def unit_display(subject: Subject) -> Iterator[Finding]:
+    """Every display unit is defined in its unit."""
     displays = {u.name: u.display_units for u in subject.model.units}
     for v in subject.model.variables:
         display_unit = v.attributes.get("displayUnit") if v.is_float else None
@@ -46,80 +45,65 @@ def display(subject: Subject) -> Iterator[Finding]:
             yield make(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit}")
     for unit in subject.model.units:
         for name, attributes in unit.display_units.items():
-            if _float(attributes.get("factor", "1")) == 0:
+            if parse_float(attributes.get("factor")) == 0:
                 yield warning(f"{_at(unit)}: DisplayUnit {name} has factor 0")
 
 
-@UNITS.rule("unit.twice", "Each unit is defined once")
-def twice(subject: Subject) -> Iterator[Finding]:
+def unit_twice(subject: Subject) -> Iterator[str]:
+    """Each unit is defined once."""
     for name, count in Counter(u.name for u in subject.model.units).items():
         if count > 1:
-            yield warning(f"modelDescription.xml: unit {name} is defined {count} times")
+            yield f"modelDescription.xml: unit {name} is defined {count} times"
 
 
-@UNITS.rule("unit.base", "Every used unit has a BaseUnit", "libcosim#519 OMSimulator#942")
-def base(subject: Subject) -> Iterator[Finding]:
+def unit_base(subject: Subject) -> Iterator[str]:
+    """Every used unit has a BaseUnit."""
     used = {v.unit for v in subject.model.variables}
     for unit in subject.model.units:
         if unit.base_unit is None and unit.name in used:
-            yield warning(
-                f"{_at(unit)}: has no BaseUnit; tools can neither convert it nor detect a wrong connection"
-            )
+            yield f"{_at(unit)}: has no BaseUnit; tools can neither convert it nor detect a wrong connection"
 
 
-@UNITS.rule("unit.wrong", "Units with well-known names are defined with their usual meaning")
-def wrong(subject: Subject) -> Iterator[Finding]:
+def unit_wrong(subject: Subject) -> Iterator[str]:
+    """Units with well-known names are defined with their usual meaning."""
     for unit in subject.model.units:
         if unit.base_unit is None or unit.name not in WELL_KNOWN:
             continue
         usual = parse_unit(unit.name)
         exponents = {b: str(usual.base().get(b, 0)) for b in DIMENSIONS}
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
-        factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))
+        factor, offset = unit.conversion
         if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
-            yield warning(f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}")
+            yield f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}"
         elif not (  # factors have five digits or more
             math.isclose(factor, usual.factor, rel_tol=1e-4)
             and math.isclose(offset, usual.offset, abs_tol=1e-2)
         ):
             expected = f"expected factor {usual.factor:.6g} and offset {usual.offset:g}"
-            yield warning(f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}")
+            yield f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}"
 
 
 def _text(exponents: Mapping[str, str]) -> str:
     return " ".join(f"{b}^{e}" for b, e in exponents.items() if e != "0") or "none"
 
 
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-@UNITS.rule(
-    "unit.factor", "Inputs and outputs are in SI units: factor 1, offset 0", "libcosim#519 OMSimulator#942"
-)
-def factor(subject: Subject) -> Iterator[Finding]:
-    bases = {u.name: u.base_unit for u in subject.model.units if u.base_unit}
-    in_si = {
-        n for n, b in bases.items() if (_float(b.get("factor", "1")), _float(b.get("offset", "0"))) == (1, 0)
-    }
-    scaled = bases.keys() - in_si
+def unit_factor(subject: Subject) -> Iterator[str]:
+    """Inputs and outputs are in SI units: factor 1, offset 0."""
+    conversions = {u.name: u.conversion for u in subject.model.units if u.base_unit}
+    scaled = {name for name, conversion in conversions.items() if conversion != (1, 0)}
     ports = [v for v in subject.model.of("input", "output") if v.unit in scaled]
     if ports:
         names = ", ".join(sorted({str(v.unit) for v in ports}))
-        yield note(f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values")
+        yield f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values"
 
 
-@UNITS.rule("unit.missing", "Real inputs, outputs and parameters have a unit")
-def missing(subject: Subject) -> Iterator[Finding]:
+def unit_missing(subject: Subject) -> Iterator[str]:
+    """Real inputs, outputs and parameters have a unit."""
     without = [v for v in subject.model.of("input", "output", "parameter") if v.is_float and v.unit is None]
     if without:
-        yield note(f"{join_variables(without)}: no unit")
+        yield f"{join_variables(without)}: no unit"
 
 
-TERMINALS = RuleTable()
 FILE = "terminalsAndIcons/terminalsAndIcons.xml"
 NAMES = {
     "TerminalMemberVariable": ("variableName",),
@@ -129,44 +113,42 @@ EXCHANGED = ("signal", "inflow", "outflow")  # variableKind of members that are 
 CONNECTABLE = ("input", "output", "parameter", "calculatedParameter")
 
 
-def _root(subject: Subject) -> Element | None:
-    return read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
+def _elements(subject: Subject, *names: str) -> Iterator[Element]:
+    """The elements of terminalsAndIcons.xml with these names; none without that file or without variables."""
+    root = read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
+    return iter(()) if root is None else root.iter(*names)
 
 
-@TERMINALS.rule("terminal.schema", "terminalsAndIcons.xml is valid against its schema")
-def schema(subject: Subject) -> Iterator[Finding]:
+def terminal_schema(subject: Subject) -> Iterator[str]:
+    """terminalsAndIcons.xml is valid against its schema."""
     if FILE not in subject.files:
         return
     root, fault = read_xml(subject.folder, FILE)
     if root is None:
-        yield error(fault)
+        yield fault
         return
     for line, message in violations(root, "fmi3/fmi3TerminalsAndIcons.xsd"):
-        yield error(f"{FILE} line {line}: {message}")
+        yield f"{FILE} line {line}: {message}"
     if subject.major == 3 and root.get("fmiVersion") != subject.version:
-        yield error(f"{FILE}: fmiVersion: expected {subject.version}, got {root.get('fmiVersion')}")
+        yield f"{FILE}: fmiVersion: expected {subject.version}, got {root.get('fmiVersion')}"
 
 
-@TERMINALS.rule("terminal.members", "Members of terminals are connectable variables of the FMU")
-def members(subject: Subject) -> Iterator[Finding]:
-    root = _root(subject)
+def terminal_members(subject: Subject) -> Iterator[str]:
+    """Members of terminals are connectable variables of the FMU."""
     variables = {n: v for v in subject.model.variables for n in v.names}
-    for element in () if root is None else root.iter(*NAMES):
+    for element in _elements(subject, *NAMES):
         for attribute in NAMES[element.tag]:
             name = element.get(attribute, "")
             where = f"{FILE} line {element.sourceline}: {element.getparent().get('name')}"
             if name not in variables:
-                yield error(f"{where}: member {name!r} is not a variable of the FMU")
+                yield f"{where}: member {name!r} is not a variable of the FMU"
             elif variables[name].causality not in CONNECTABLE and element.get("variableKind") in EXCHANGED:
-                yield error(
-                    f"{where}: member {name}: expected an input or output, got {variables[name].causality}"
-                )
+                yield f"{where}: member {name}: expected an input or output, got {variables[name].causality}"
 
 
-@TERMINALS.rule("terminal.names", "Terminals and their members have unique names")
-def names(subject: Subject) -> Iterator[Finding]:
-    root = _root(subject)
-    for level in () if root is None else root.iter("Terminals", "Terminal"):
+def terminal_names(subject: Subject) -> Iterator[Finding]:
+    """Terminals and their members have unique names."""
+    for level in _elements(subject, "Terminals", "Terminal"):
         for name, count in Counter(t.get("name") for t in children(level, "Terminal")).items():
             if count > 1:
                 yield error(f"{FILE}: expected unique names on each level, got {count} terminals {name}")
@@ -185,31 +167,27 @@ def _member_names(terminal: Element) -> Iterator[Finding]:
             yield error(f"{where}: expected unique names, got {count} members {name}")
 
 
-@TERMINALS.rule("terminal.rule", "Matching rules are those of the standard, or have a reverse domain name")
-def rule(subject: Subject) -> Iterator[Finding]:
-    root = _root(subject)
-    for terminal in () if root is None else root.iter("Terminal"):
+def terminal_rule(subject: Subject) -> Iterator[str]:
+    """Matching rules are those of the standard, or have a reverse domain name."""
+    for terminal in _elements(subject, "Terminal"):
         matching = terminal.get("matchingRule", "")
         if matching not in ("plug", "bus", "sequence") and "." not in matching:
-            yield error(
-                f"{FILE} line {terminal.sourceline}: {terminal.get('name')}: matchingRule:"
-                f" expected plug, bus, sequence or a reverse domain name, got {matching!r}"
-            )
+            where = f"{FILE} line {terminal.sourceline}: {terminal.get('name')}: matchingRule"
+            yield f"{where}: expected plug, bus, sequence or a reverse domain name, got {matching!r}"
 
 
-@TERMINALS.rule("terminal.icons", "Referenced icons exist, also as PNG")
-def icons(subject: Subject) -> Iterator[Finding]:
-    root = _root(subject)
-    for element in () if root is None else root.iter("TerminalGraphicalRepresentation"):
+def terminal_icons(subject: Subject) -> Iterator[str]:
+    """Referenced icons exist, also as PNG."""
+    for element in _elements(subject, "TerminalGraphicalRepresentation"):
         base = element.get("iconBaseName", "")
         if base and f"terminalsAndIcons/{base}.png" not in subject.files:
-            yield error(f"{FILE} line {element.sourceline}: terminalsAndIcons/{base}.png is missing")
+            yield f"{FILE} line {element.sourceline}: terminalsAndIcons/{base}.png is missing"
     if "terminalsAndIcons/icon.svg" in subject.files and "terminalsAndIcons/icon.png" not in subject.files:
-        yield error("terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it")
+        yield "terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it"
 
 
-@TERMINALS.rule("terminal.exists", "An FMU with many ports has terminals (FMI 3)")
-def exist(subject: Subject) -> Iterator[Finding]:
+def terminal_exists(subject: Subject) -> Iterator[str]:
+    """An FMU with many ports has terminals (FMI 3)."""
     ports = len(subject.model.of("input", "output"))
-    if subject.major == 3 and FILE not in subject.files and ports > 8:
-        yield note(f"{FILE} is missing; users must connect {ports} inputs and outputs one by one")
+    if FILE not in subject.files and ports > 8:
+        yield f"{FILE} is missing; users must connect {ports} inputs and outputs one by one"

@@ -5,115 +5,75 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.check.rule import Finding, RuleTable, error, join_variables, note, warning
-from orchestrator.check.subject import Subject
-from orchestrator.fmi.raw_description import SIGNED, UNSIGNED
+from orchestrator.check.rule import Finding, error, join_variables, warning
+from orchestrator.check.subject import DESCRIPTION, Subject
+from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
 from orchestrator.fmi.raw_description import DeclaredVariable as Variable
 
-VARIABLES = RuleTable()
-CALCULATED, ANY = ("calculated", "approx"), ("calculated", "exact", "approx")
-LEGAL = {  # FMI 2: (causality, variability) -> allowed values of `initial`; (): the attribute is not allowed
-    ("parameter", "fixed"): ("exact",),
-    ("parameter", "tunable"): ("exact",),
-    ("calculatedParameter", "fixed"): CALCULATED,
-    ("calculatedParameter", "tunable"): CALCULATED,
-    ("input", "discrete"): (),
-    ("input", "continuous"): (),
-    ("output", "constant"): ("exact",),
-    ("output", "discrete"): ANY,
-    ("output", "continuous"): ANY,
-    ("local", "constant"): ("exact",),
-    ("local", "fixed"): CALCULATED,
-    ("local", "tunable"): CALCULATED,
-    ("local", "discrete"): ANY,
-    ("local", "continuous"): ANY,
-    ("independent", "continuous"): (),
-}
-LEGAL_3 = LEGAL | {
-    ("input", "discrete"): ("exact",),
-    ("input", "continuous"): ("exact",),
-    ("structuralParameter", "fixed"): ("exact",),
-    ("structuralParameter", "tunable"): ("exact",),
-}
 
-
-@VARIABLES.rule("variable.duplicate", "Each variable has a unique name", "Simulix#28")
-def duplicate(subject: Subject) -> Iterator[Finding]:
+def variable_duplicate(subject: Subject) -> Iterator[str]:
+    """Each variable has a unique name."""
     lines: dict[str, int] = {}
     for v in subject.model.variables:
         for name in v.names:
             if not name:
-                yield error(f"{v}: the name is empty")
+                yield f"{v}: the name is empty"
             elif name in lines:
-                yield error(f"{v}: expected unique names, {name} is also in line {lines[name]}")
+                yield f"{v}: expected unique names, {name} is also in line {lines[name]}"
             else:
                 lines[name] = v.line
 
 
-@VARIABLES.rule(
-    "variable.combination",
-    "Causality, variability and initial are an allowed combination",
-    "FMPy#189 FMPy#108 FMPy#579",
-)
-def combination(subject: Subject) -> Iterator[Finding]:
-    legal = LEGAL_3 if subject.major == 3 else LEGAL
+def variable_combination(subject: Subject) -> Iterator[str]:
+    """Causality, variability and initial are an allowed combination."""
+    legal = INITIAL_3 if subject.major == 3 else INITIAL
     for v in subject.model.variables:
         allowed = legal.get((v.causality, v.variability))
-        if allowed is None:
-            yield error(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
+        if allowed is None or (v.causality == "structuralParameter" and subject.major == 2):
+            yield f"{v}: causality {v.causality} with variability {v.variability} is not allowed"
         elif "initial" in v.attributes and v.initial not in allowed:
             expected = f"expected {' or '.join(allowed) or 'none'} for a {v.variability} {v.causality}"
-            yield error(f"{v}: initial: {expected}, got {v.initial}")
+            yield f"{v}: initial: {expected}, got {v.initial}"
         elif v.variability == "continuous" and not v.is_float:
-            yield error(f"{v}: variability: expected discrete for a {v.type}, got continuous")
+            yield f"{v}: variability: expected discrete for a {v.type}, got continuous"
 
 
-@VARIABLES.rule("variable.variability", "Variables that are not Real declare their variability")
-def variability(subject: Subject) -> Iterator[Finding]:
-    if subject.major != 2:
-        return
+def variable_variability(subject: Subject) -> Iterator[str]:
+    """Variables that are not Real declare their variability."""
     for v in subject.model.variables:
         if not v.is_float and "variability" not in v.attributes:
-            yield warning(
-                f"{v}: a {v.type} without variability is continuous by default, which no {v.type} may be"
-            )
+            yield f"{v}: a {v.type} without variability is continuous by default, which no {v.type} may be"
 
 
-@VARIABLES.rule("variable.start", "Start values exist if and only if they are required", "FMIKit#151")
-def start(subject: Subject) -> Iterator[Finding]:
+def variable_start(subject: Subject) -> Iterator[str]:
+    """Start values exist if and only if they are required."""
     for v in subject.model.variables:
         if v.type == "Clock":
             continue
-        required = v.initial in ("exact", "approx") or v.causality in (
-            "input",
-            "parameter",
-            "structuralParameter",
-        )
-        if required and v.starts is None:
+        settable = v.causality in ("input", "parameter", "structuralParameter")
+        if (settable or v.initial in ("exact", "approx")) and v.starts is None:
             reason = v.causality if v.causality in ("input", "parameter") else f"initial {v.initial}"
-            yield error(f"{v}: expected a start value ({reason}), got none")
+            yield f"{v}: expected a start value ({reason}), got none"
         elif v.starts is not None and (v.initial == "calculated" or v.causality == "independent"):
             reason = "initial calculated" if v.initial == "calculated" else "the independent variable"
-            yield error(f"{v}: expected no start value ({reason}), got {' '.join(v.starts)[:40]}")
+            yield f"{v}: expected no start value ({reason}), got {' '.join(v.starts)[:40]}"
 
 
-@VARIABLES.rule("variable.reference", "Value references are integers, and unique in FMI 3")
-def reference(subject: Subject) -> Iterator[Finding]:
+def variable_reference(subject: Subject) -> Iterator[str]:
+    """Value references are integers, and unique in FMI 3."""
     variables: dict[int, Variable] = {}
     for v in subject.model.variables:
         if v.reference is None or not 0 <= v.reference < 2**32:
             got = v.attributes.get("valueReference")
-            yield error(f"{v}: valueReference: expected an integer from 0 to 2^32 - 1, got {got!r}")
+            yield f"{v}: valueReference: expected an integer from 0 to 2^32 - 1, got {got!r}"
         elif subject.major == 3 and v.reference in variables:
-            yield error(f"{v}: valueReference {v.reference} is also that of {variables[v.reference].name}")
+            yield f"{v}: valueReference {v.reference} is also that of {variables[v.reference].name}"
         else:
             variables[v.reference] = v
 
 
-@VARIABLES.rule("variable.alias", "Variables with the same value reference are consistent (FMI 2)")
-def alias(subject: Subject) -> Iterator[Finding]:
-    if subject.major != 2:
-        return
+def variable_alias(subject: Subject) -> Iterator[Finding]:
+    """Variables with the same value reference are consistent (FMI 2)."""
     sets: dict[tuple[str, int], list[Variable]] = defaultdict(list)
     for v in subject.model.variables:
         if v.reference is not None:
@@ -130,9 +90,8 @@ def _alias(aliases: list[Variable]) -> Iterator[Finding]:
     first, names = aliases[0], ", ".join(v.name for v in aliases[:4])
     settable = [v for v in aliases if v.causality in ("input", "parameter")]
     if len(settable) > 1:
-        yield error(
-            f"{settable[1]}: shares valueReference {first.reference} with {settable[0].name}; both can be set"
-        )
+        text = f"shares valueReference {first.reference} with {settable[0].name}; both can be set"
+        yield error(f"{settable[1]}: {text}")
         return
     if len([v for v in aliases if v.starts is not None and v.variability != "constant"]) > 1:
         yield error(f"{first}: {names} share a valueReference, and more than one has a start value")
@@ -143,65 +102,56 @@ def _alias(aliases: list[Variable]) -> Iterator[Finding]:
         yield error(f"{first}: {names} share a valueReference, but only some are constant")
 
 
-@VARIABLES.rule(
-    "variable.independent",
-    "There is at most one independent variable in FMI 2, exactly one in FMI 3",
-    "casadi#4030",
-)
-def independent(subject: Subject) -> Iterator[Finding]:
+def variable_independent(subject: Subject) -> Iterator[str]:
+    """There is at most one independent variable in FMI 2, exactly one in FMI 3."""
     model = subject.model
     variables = model.of("independent")
     if len(variables) > 1:
-        yield error(
-            f"{variables[1]}: expected one independent variable, got a second one after {variables[0].name}"
-        )
+        yield f"{variables[1]}: expected one independent variable, got a second one after {variables[0].name}"
     if model.major == 3 and model.variables and not variables:
-        yield error(
-            "modelDescription.xml: expected an independent variable such as time, got no independent variable"
-        )
+        yield f"{DESCRIPTION}: expected an independent variable such as time, got no independent variable"
     for v in variables:
         if not v.is_float:
-            yield error(f"{v}: expected a real independent variable, got {v.type}")
+            yield f"{v}: expected a real independent variable, got {v.type}"
 
 
-@VARIABLES.rule("variable.type", "Declared types exist and have the type of the variable")
-def type_(subject: Subject) -> Iterator[Finding]:
+def variable_type(subject: Subject) -> Iterator[str]:
+    """Declared types exist and have the type of the variable."""
     model = subject.model
     for v in model.variables:
         name = v.attributes.get("declaredType")
         if name is not None and name not in model.types:
-            yield error(f"{v}: declaredType {name!r} is not defined")
+            yield f"{v}: declaredType {name!r} is not defined"
         elif name is not None:
             expected = model.types[name].type
             if expected != v.type:
-                yield error(f"{v}: declaredType {name} has the type {expected}, the variable {v.type}")
+                yield f"{v}: declaredType {name} has the type {expected}, the variable {v.type}"
         elif v.type == "Enumeration":
-            yield error(f"{v}: expected a declaredType, without which an enumeration has no items")
+            yield f"{v}: expected a declaredType, without which an enumeration has no items"
 
 
-@VARIABLES.rule("variable.string", "Inputs and outputs are numeric", "FMPy#696")
-def string(subject: Subject) -> Iterator[Finding]:
+def variable_string(subject: Subject) -> Iterator[str]:
+    """Inputs and outputs are numeric."""
     unusual = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
     if unusual:
-        yield note(f"{join_variables(unusual)}: {unusual[0].type}, which many tools cannot connect")
+        yield f"{join_variables(unusual)}: {unusual[0].type}, which many tools cannot connect"
 
 
-@VARIABLES.rule("variable.array", "Variables are scalars")
-def array(subject: Subject) -> Iterator[Finding]:
+def variable_array(subject: Subject) -> Iterator[str]:
+    """Variables are scalars."""
     arrays = [v for v in subject.model.variables if v.shape]
     if arrays:
-        yield note(f"{arrays[0]} is an array; tools that were made for FMI 2 may not support arrays")
+        yield f"{arrays[0]} is an array; tools that were made for FMI 2 may not support arrays"
 
 
-@VARIABLES.rule("variable.text", "Inputs, outputs and parameters have a description")
-def text(subject: Subject) -> Iterator[Finding]:
+def variable_text(subject: Subject) -> Iterator[str]:
+    """Inputs, outputs and parameters have a description."""
     ports = subject.model.of("input", "output", "parameter")
     undescribed = [v for v in ports if not v.get("description").strip()]
     if undescribed:
-        yield note(f"{join_variables(undescribed)}: no description")
+        yield f"{join_variables(undescribed)}: no description"
 
 
-NAMES = RuleTable()
 MAX_LENGTH = 63  # namelengthmax of MATLAB
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
@@ -243,90 +193,72 @@ def _structured(subject: Subject) -> bool:
     return subject.root is not None and subject.root.get("variableNamingConvention") == "structured"
 
 
-@NAMES.rule(
-    "name.grammar",
-    "Names follow the variableNamingConvention that the FMU declares",
-    "casadi#4030 fmi-cross-check#74 OpenModelica#11265",
-)
-def grammar(subject: Subject) -> Iterator[Finding]:
+def name_grammar(subject: Subject) -> Iterator[str]:
+    """Names follow the variableNamingConvention that the FMU declares."""
     for v, name in _named(subject):
         if re.search(r"[\r\n\t]", name):
-            yield warning(f"{v}: the name {name!r} has a line break or tab")
+            yield f"{v}: the name {name!r} has a line break or tab"
         elif _structured(subject) and name and not STRUCTURED.fullmatch(name):
-            yield warning(f"{v}: the name {name!r} breaks the grammar of variableNamingConvention structured")
+            yield f"{v}: the name {name!r} breaks the grammar of variableNamingConvention structured"
 
 
-@NAMES.rule("name.structured", "Inputs and outputs have flat names", "Hopsan#2266 Hopsan#2280 OSMP#70")
-def structured(subject: Subject) -> Iterator[Finding]:
+def name_structured(subject: Subject) -> Iterator[str]:
+    """Inputs and outputs have flat names."""
     ports = [v for v in subject.model.of("input", "output") if re.search(r"[.\[]", v.name)]
     if _structured(subject) and ports:
-        yield note(
-            f"{join_variables(ports)}: expected flat names of inputs and outputs, got structured names"
-        )
+        yield f"{join_variables(ports)}: expected flat names of inputs and outputs, got structured names"
 
 
-@NAMES.rule("name.characters", "Names are identifiers: letters, digits and underscores")
-def characters(subject: Subject) -> Iterator[Finding]:
+def name_characters(subject: Subject) -> Iterator[str]:
+    """Names are identifiers: letters, digits and underscores."""
     if _structured(subject):
         return  # checked by the rule name.grammar
     unusual = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
     if unusual:
-        yield note(f"{join_variables(unusual)}: not identifiers; tools rename or quote them")
+        yield f"{join_variables(unusual)}: not identifiers; tools rename or quote them"
 
 
-@NAMES.rule(
-    "name.mangled",
-    "Names remain different if a tool replaces all characters except letters and digits",
-    "Modelica-FMI#22",
-)
-def mangled(subject: Subject) -> Iterator[Finding]:
+def name_mangled(subject: Subject) -> Iterator[str]:
+    """Names remain different if a tool replaces all characters except letters and digits."""
     groups: dict[str, list[Variable]] = defaultdict(list)
     for v in subject.model.variables:
         groups[re.sub(r"\W", "_", v.name)].append(v)
     for name, same in groups.items():
         if len({v.name for v in same}) > 1:
-            yield note(f"{same[1]}: becomes {name} in some tools, as {same[0].name} does")
+            yield f"{same[1]}: becomes {name} in some tools, as {same[0].name} does"
 
 
-@NAMES.rule("name.case", "Names differ by more than case")
-def case(subject: Subject) -> Iterator[Finding]:
+def name_case(subject: Subject) -> Iterator[str]:
+    """Names differ by more than case."""
     variables: dict[str, Variable] = {}
     for v in subject.model.variables:
         other = variables.setdefault(v.name.casefold(), v)
         if other.name != v.name:
-            yield note(f"{v}: differs from {other.name} only by case")
+            yield f"{v}: differs from {other.name} only by case"
 
 
-@NAMES.rule("name.keyword", "No name is a keyword of Modelica or C", "OpenModelica#3596 OpenModelica#5706")
-def keyword(subject: Subject) -> Iterator[Finding]:
+def name_keyword(subject: Subject) -> Iterator[str]:
+    """No name is a keyword of Modelica or C."""
     for v in subject.model.variables:
         if v.causality == "independent":
             continue
         languages = [n for n, words in (("Modelica", MODELICA), ("C", C)) if v.name in words]
         if languages:
-            yield warning(f"{v}: is a keyword of {' and '.join(languages)}")
+            yield f"{v}: is a keyword of {' and '.join(languages)}"
 
 
-@NAMES.rule("name.length", f"Names have at most {MAX_LENGTH} characters", "FMIKit#341")
-def length(subject: Subject) -> Iterator[Finding]:
+def name_length(subject: Subject) -> Iterator[str]:
+    """Names have at most 63 characters."""
     long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]
     if long:
-        yield note(f"{join_variables(long)}: {len(long[0].name)} characters, expected at most {MAX_LENGTH}")
-
-
-VALUES = RuleTable()
+        yield f"{join_variables(long)}: {len(long[0].name)} characters, expected at most {MAX_LENGTH}"
 
 
 def number(v: Variable, text: str | None) -> float | None:
     """An attribute of a numeric variable; None if it is missing or not a number of the variable's type."""
-    if text is None:
-        return None
-    try:
-        if v.is_float:
-            return float(text)
-        return int(text) if v.type in SIGNED or v.type in UNSIGNED or v.type == "Enumeration" else None
-    except ValueError:
-        return None
+    if v.is_float:
+        return parse_float(text)
+    return parse_int(text) if v.type in (*SIGNED, *UNSIGNED, "Enumeration") else None
 
 
 def _fits(v: Variable, text: str) -> bool:
@@ -343,8 +275,8 @@ def _fits(v: Variable, text: str) -> bool:
     return True
 
 
-@VALUES.rule("value.start", "Start values are finite values of their type")
-def start_in_range(subject: Subject) -> Iterator[Finding]:
+def value_start(subject: Subject) -> Iterator[Finding]:
+    """Start values are finite values of their type."""
     for v in subject.model.variables:
         for text in v.starts or ():
             if not _fits(v, text):
@@ -353,46 +285,44 @@ def start_in_range(subject: Subject) -> Iterator[Finding]:
                 yield warning(f"{v}: start value: expected a finite number, got {text}")
 
 
-@VALUES.rule("value.range", "Start values are between min and max, and min is below max")
-def range_(subject: Subject) -> Iterator[Finding]:
+def value_range(subject: Subject) -> Iterator[str]:
+    """Start values are between min and max, and min is below max."""
     for v in subject.model.variables:
         low, high = number(v, v.attributes.get("min")), number(v, v.attributes.get("max"))
         if low is not None and high is not None and low > high:
-            yield error(f"{v}: min {low:g} is above max {high:g}")
+            yield f"{v}: min {low:g} is above max {high:g}"
             continue
         for value in (number(v, s) for s in v.starts or ()):
-            if value is not None and not (low if low is not None else value) <= value <= (
-                high if high is not None else value
+            if value is not None and not (value if low is None else low) <= value <= (
+                value if high is None else high
             ):
-                yield error(f"{v}: start value {value:g} is outside of {_interval(low, high)}")
+                yield f"{v}: start value {value:g} is outside of {_interval(low, high)}"
 
 
 def _interval(low: float | None, high: float | None) -> str:
     return f"{'-inf' if low is None else f'{low:g}'} ... {'inf' if high is None else f'{high:g}'}"
 
 
-@VALUES.rule("value.nominal", "Nominal values are positive, because solvers scale tolerances with them")
-def nominal(subject: Subject) -> Iterator[Finding]:
+def value_nominal(subject: Subject) -> Iterator[str]:
+    """Nominal values are positive, because solvers scale tolerances with them."""
     for v in subject.model.variables:
         value = number(v, v.attributes.get("nominal"))
         if value is not None and not (math.isfinite(value) and value > 0):
-            yield warning(f"{v}: nominal: expected a positive number, got {value:g}")
+            yield f"{v}: nominal: expected a positive number, got {value:g}"
 
 
-@VALUES.rule("value.enumeration", "Items of an enumeration are distinct, and start values are among them")
-def enumeration(subject: Subject) -> Iterator[Finding]:
+def value_enumeration(subject: Subject) -> Iterator[str]:
+    """Items of an enumeration are distinct, and start values are among them."""
     model = subject.model
     items = {name: [value for _, value in declared.items] for name, declared in model.types.items()}
     allowed = {name: set(values) for name, values in items.items()}
     for name, declared in model.types.items():
         if len(allowed[name]) < len(items[name]):
-            yield error(
-                f"modelDescription.xml line {declared.line}: type {name} has two items with the same value"
-            )
+            yield f"modelDescription.xml line {declared.line}: type {name} has two items with the same value"
     for v in model.variables:
         name = v.get("declaredType")
         if v.type != "Enumeration" or name not in model.types:
             continue
         wrong = [s for s in v.starts or () if s not in allowed[name]]
         if wrong:
-            yield error(f"{v}: start value: expected one of {', '.join(items[name][:8])}, got {wrong[0]}")
+            yield f"{v}: start value: expected one of {', '.join(items[name][:8])}, got {wrong[0]}"

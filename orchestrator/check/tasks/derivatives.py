@@ -2,14 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import Simulation, numeric, usual_step
+from orchestrator.check.tasks.trial_run import Simulation, Vector, numeric, usual_step
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.raw_description import DeclaredVariable
 
 SHIFT = 1e-4  # relative to the magnitude of a variable
 MAX_KNOWNS = 60  # inputs and states that are shifted
-Row = list[float]
 
 
 class ShiftedPoint:
@@ -26,18 +27,18 @@ class ShiftedPoint:
         scalar = all(v.size == 1 for v in description.states)
         self.states = list(description.states) if model_exchange and scalar else []
         self.u = dict(zip(simulation.inputs.names, simulation.inputs.get(), strict=True))
-        self.x = simulation.integrator.states() if simulation.integrator else []
+        self.x = simulation.integrator.states() if simulation.integrator else np.zeros(0)
 
     @property
     def knowns(self) -> list[DeclaredVariable]:
         """The inputs and states that are shifted."""
         return [*self.inputs, *self.states][:MAX_KNOWNS]
 
-    def shifted(self, known: DeclaredVariable, shift: float) -> Row:
+    def shifted(self, known: DeclaredVariable, shift: float) -> Vector:
         """The unknowns with one known shifted and all others unchanged."""
         integrator, time = self.simulation.integrator, self.simulation.time
         if integrator is not None and known in self.states:
-            x = list(self.x)
+            x = self.x.copy()
             x[self.states.index(known)] += shift
             integrator.set_time_and_states(time, x)
             row = self.values.get()
@@ -88,10 +89,9 @@ def _changed(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> list
         base, shifted = point.shifted(known, 0.0), point.shifted(known, shift)
     except CallFailed:
         return []
-    rows = zip(point.unknowns, base, shifted, strict=True)
-    return [
-        v for v, a, b in rows if v is not known and abs(a - b) > 1e-9 * max(abs(a), abs(b), 1e-9 * v.nominal)
-    ]
+    magnitude = np.maximum.reduce([np.abs(base), np.abs(shifted), 1e-9 * point.values.nominal])
+    changes = np.abs(base - shifted) > 1e-9 * magnitude
+    return [v for v, changed in zip(point.unknowns, changes, strict=True) if changed and v is not known]
 
 
 def directional(trial: Trial) -> Iterator[Remark]:
@@ -116,7 +116,7 @@ def _against_differences(
         return
     if coarse is None or fine is None:
         return
-    if point.simulation.integrator is None and not any(fine):
+    if point.simulation.integrator is None and not fine.any():
         return  # an FMU may compute its outputs only in the next step
     for unknown, d, a, b in zip(point.unknowns, exact, coarse, fine, strict=True):
         # the two differences show their truncation error; the last term is rounding
@@ -126,11 +126,10 @@ def _against_differences(
             yield f"{text}, by finite differences {b:.6g}"
 
 
-def _central(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> Row | None:
+def _central(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> Vector | None:
     if not point.allowed(known, shift) or not point.allowed(known, -shift):
         return None
-    plus, minus = point.shifted(known, shift), point.shifted(known, -shift)
-    return [(a - b) / (2 * shift) for a, b in zip(plus, minus, strict=True)]
+    return (point.shifted(known, shift) - point.shifted(known, -shift)) / (2 * shift)
 
 
 def adjoint(trial: Trial) -> Iterator[Remark]:
@@ -166,13 +165,13 @@ def output_derivatives(trial: Trial) -> Iterator[Remark]:
     if not outputs:
         return
     values = simulation.values(outputs)
-    quotients: list[Row] = []
-    derivatives: list[Row] = []
+    quotients: list[Vector] = []
+    derivatives: list[list[float]] = []
     for _ in range(3):
         simulation.inputs.set(inputs)  # inputs may change within a step by their rates
         before = values.get()
         simulation.advance()
-        quotients.append([(b - a) / simulation.step for a, b in zip(before, values.get(), strict=True)])
+        quotients.append((values.get() - before) / simulation.step)
         derivatives.append(simulation.instance.output_derivatives([v.reference or 0 for v in outputs]))
     for v, d, left, right in zip(outputs, derivatives[1], quotients[1], quotients[2], strict=True):
         # the derivative of a stiff model differs a lot at states that are off by the solver's tolerance

@@ -5,18 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import Integrator, Simulation, numeric, usual_step
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.raw_description import DeclaredVariable
-
-if TYPE_CHECKING:
-    from numpy import float64
-    from numpy.typing import NDArray
-
-    Vector = NDArray[float64]
 
 MAX_EIGENVALUES = 60  # of larger models the outermost eigenvalues
 SHIFT = 1e-6  # of a state for finite differences, relative to nominal
@@ -124,18 +119,13 @@ def _eigenvalues(integrator: Integrator) -> Sequence[complex]:
     Arnoldi iteration, whose Jacobian-vector products are finite differences of the derivatives. States are
     scaled with their nominal values.
     """
-    import numpy as np  # imported here, because the other tasks start faster without
-
-    def derivatives(x: Vector) -> Vector:
-        return np.array(integrator.derivatives_at(time, x.tolist()))
-
-    x, shift, time = np.array(integrator.states()), SHIFT * np.array(integrator.nominal), integrator.time
-    base, size = derivatives(x), min(len(x), MAX_EIGENVALUES)
+    x, shift, time = integrator.states(), SHIFT * integrator.nominal, integrator.time
+    base, size = integrator.derivatives_at(time, x), min(len(x), MAX_EIGENVALUES)
     basis, h = np.zeros((size + 1, len(x))), np.zeros((size + 1, size))
     start = np.random.default_rng(0).normal(size=len(x))
     basis[0] = start / np.linalg.norm(start)
     for k in range(size):
-        w = (derivatives(x + shift * basis[k]) - base) / shift
+        w = (integrator.derivatives_at(time, x + shift * basis[k]) - base) / shift
         if not np.isfinite(w).all():
             return []
         for _ in range(2):  # orthogonalised twice against rounding

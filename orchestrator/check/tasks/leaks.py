@@ -6,11 +6,12 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
+from orchestrator.base.processes import resident_memory
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import Simulation
+from orchestrator.fmi.library import thread_count
 
 INSTANCES = 2000  # created one after the other if memory, file handles or threads grow
 WARM_UP = 200  # instances before the first measurement, while caches fill
@@ -30,7 +31,7 @@ def leak(trial: Trial) -> Iterator[Remark]:
     measures: dict[str, tuple[Callable[[], float], float, float]] = {
         "bytes of memory": (memory, LEAK, NOISE if _memory_counter() else PAGE_NOISE),
         "file handles": (handles, 0.01, 2),
-        "threads": (running, 0.01, 2),
+        "threads": (thread_count, 0.01, 2),
     }
     samples = {name: [measure()] for name, (measure, _, _) in measures.items()}
     deadline = time.monotonic() + 4 * trial.seconds
@@ -104,11 +105,8 @@ class _Mallinfo(ctypes.Structure):
 
 
 def _process_memory() -> float:
-    if sys.platform == "linux":
-        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
-        return float(pages) * os.sysconf("SC_PAGE_SIZE")
-    if sys.platform == "win32":
-        return 0.0
+    if sys.platform in ("linux", "win32"):
+        return resident_memory(os.getpid())
     import resource
 
     return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
@@ -122,12 +120,6 @@ def handles() -> float:
         kernel.GetProcessHandleCount(kernel.GetCurrentProcess(), ctypes.byref(count))
         return float(count.value)
     return float(len(os.listdir("/dev/fd")))
-
-
-def running() -> float:
-    """Threads of this process; 0 on systems other than Linux."""
-    folder = Path("/proc/self/task")
-    return float(len(os.listdir(folder))) if folder.is_dir() else 0.0
 
 
 def reload(trial: Trial) -> Iterator[Remark]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import MAX_INNER_STEPS, Rows, Simulation, bits, difference, severity
+from orchestrator.check.tasks.trial_run import MAX_INNER_STEPS, Simulation, Vector, difference, severity
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.messages import STATUS
 
@@ -53,10 +53,8 @@ def log(trial: Trial) -> Iterator[Remark]:
     try:
         instance.call("SetDebugLogging", instance.flag(True), ctypes.c_size_t(len(categories)), array)
     except Problem as problem:
-        argument = (
-            "the log categories of modelDescription.xml" if categories else "no category, which means all"
-        )
-        yield "warning", f"{problem}, with {argument}"
+        declared = "the log categories of modelDescription.xml"
+        yield "warning", f"{problem}, with {declared if categories else 'no category, which means all'}"
     simulation.begin().run(3)
     simulation.close()
     for status, category in dict.fromkeys((m.status, m.category) for m in instance.log.messages):
@@ -93,7 +91,7 @@ def resources(trial: Trial) -> Iterator[Remark]:
         except CallFailed as failure:
             yield grave, f"{case}: {failure}"
             continue
-        if bits(row) != bits(expected):
+        if difference(trial, expected, row):
             yield grave, f"{case} the first outputs differ"
 
 
@@ -119,27 +117,26 @@ THREADS, RUNS = 4, 32
 def instances(trial: Trial) -> Iterator[Remark]:
     """Consecutive and interleaved runs are bit-identical to a single run."""
     expected, shifted, repeated = _single_run(trial, 0), _single_run(trial, 5), _single_run(trial, 0)
-    if bits(expected) != bits(repeated):
-        yield "warning", f"a second run in the same process differs: {difference(trial, expected, repeated)}"
+    if text := difference(trial, expected, repeated):
+        yield "warning", f"a second run in the same process differs: {text}"
         return
     try:
         first, second = Simulation(trial).begin(), Simulation(trial, name="second").begin()
     except CallFailed as failure:
         yield "error", f"a second instance cannot be created: {failure}"
         return
-    rows: tuple[Rows, Rows] = ([first.row()], [second.row()])
+    rows = [first.row()], [second.row()]
     for n in range(STEPS):
         rows[0].append(_step(trial, first, n))
         rows[1].append(_step(trial, second, n + 5))
     for interleaved, single, which in ((rows[0], expected, "first"), (rows[1], shifted, "second")):
-        if bits(interleaved) != bits(single):
-            text = difference(trial, single, interleaved)
+        if text := difference(trial, single, interleaved):
             grave = severity(trial, single, interleaved)
             yield grave, f"two instances disturb each other: in the {which} {text}"
             return
 
 
-def _step(trial: Trial, simulation: Simulation, number: int) -> list[float]:
+def _step(trial: Trial, simulation: Simulation, number: int) -> Vector:
     """The outputs after a step with the input perturbation of this number."""
     if trial.perturbable:
         simulation.perturb(number)
@@ -147,7 +144,7 @@ def _step(trial: Trial, simulation: Simulation, number: int) -> list[float]:
     return simulation.row()
 
 
-def _single_run(trial: Trial, shift: int, count: int = STEPS) -> Rows:
+def _single_run(trial: Trial, shift: int, count: int = STEPS) -> list[Vector]:
     simulation = Simulation(trial).begin()
     rows = [simulation.row()]
     for n in range(count):
@@ -168,7 +165,6 @@ def threads(trial: Trial) -> Iterator[Remark]:
         parallel = list(pool.map(lambda n: _single_run(trial, n % THREADS, count), range(RUNS)))
     sys.setswitchinterval(interval)
     for n, rows in enumerate(parallel):
-        if bits(serial[n % THREADS]) != bits(rows):
-            text = difference(trial, serial[n % THREADS], rows)
+        if text := difference(trial, serial[n % THREADS], rows):
             yield "warning", f"{THREADS} instances in {THREADS} threads: {text}"
             return

@@ -2,7 +2,7 @@
 
 import ctypes
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
@@ -64,58 +64,44 @@ def _symptom(trial: Trial, v: DeclaredVariable, value: float) -> str:
 
 def unexpected_calls(trial: Trial) -> Iterator[Remark]:
     """No illegal or unusual call may crash the process; the status that is returned does not matter."""
-    cases = [("illegal", case) for case in ILLEGAL_CALLS.items()]
-    cases += [("legal", case) for case in UNUSUAL_CALLS.items()]
-    for number, (legality, (name, case)) in enumerate(cases):
+    cases = [("illegal", *case) for case in ILLEGAL_CALLS.items()]
+    cases += [("legal", *case) for case in UNUSUAL_CALLS.items()]
+    for number, (legality, name, calls) in enumerate(cases):
         if number >= trial.first_case:
             trial.begin_case(number)
             trial.activity.case(f"{name}, {legality}")
             simulation = Simulation(trial)
             with suppress(Problem):
-                case(simulation)
+                for call in calls:
+                    call(simulation)
     yield from ()  # a generator without findings: the parent process reports a crash
 
 
-def _after_initialisation(*calls: Call) -> Call:
-    """A case that begins with an initialised instance."""
-
-    def case(simulation: Simulation) -> None:
-        simulation.begin()
-        for call in calls:
-            call(simulation)
-
-    return case
+def _begin(simulation: Simulation) -> None:
+    simulation.begin()
 
 
-def _in_initialisation_mode(call: Call) -> Call:
-    """A case that begins in initialisation mode."""
-
-    def case(simulation: Simulation) -> None:
-        simulation.instance.setup(simulation.start)
-        simulation.instance.enter()
-        call(simulation)
-
-    return case
+def _enter(simulation: Simulation) -> None:
+    """Set up the experiment and enter initialisation mode."""
+    simulation.instance.setup(simulation.start)
+    simulation.instance.enter()
 
 
-def _call(function: str) -> Call:
-    return lambda s: s.instance.call(function)
+def _terminate(simulation: Simulation) -> None:
+    simulation.instance.call("Terminate")
 
 
-def _step_or_set_time(simulation: Simulation) -> None:
-    time, length = simulation.time, simulation.step
-    if simulation.kind == "CoSimulation":
-        simulation.do_step(time, length)
-    else:
-        simulation.instance.status("SetTime", ctypes.c_double(time + length))
+def _step(length: float | None = None) -> Call:
+    """A step of this length; by default the usual one, in Model Exchange a later time."""
 
-
-def _do_step_of(length: float) -> Call:
-    def case(simulation: Simulation) -> None:
+    def call(simulation: Simulation) -> None:
+        time = simulation.time
         if simulation.kind == "CoSimulation":
-            simulation.do_step(simulation.time, length)
+            simulation.do_step(time, simulation.step if length is None else length)
+        elif length is None:
+            simulation.instance.status("SetTime", ctypes.c_double(time + simulation.step))
 
-    return case
+    return call
 
 
 def _real(simulation: Simulation) -> str:
@@ -137,7 +123,7 @@ def _get_no_variables(simulation: Simulation) -> None:
 def _set_parameters(legal: bool) -> Call:
     """Set parameters to their start values, which is legal between steps if they are tunable."""
 
-    def case(simulation: Simulation) -> None:
+    def call(simulation: Simulation) -> None:
         between_steps = simulation.kind == "CoSimulation"
         parameters = [
             v
@@ -147,7 +133,7 @@ def _set_parameters(legal: bool) -> Call:
         for v in parameters[:MAX_PARAMETERS]:
             simulation.values([v]).set((v.start * v.size)[: v.size])
 
-    return case
+    return call
 
 
 def _free_null_state(simulation: Simulation) -> None:
@@ -161,29 +147,27 @@ def _free_null_instance(simulation: Simulation) -> None:
     library.function("FreeInstance", None)(ctypes.c_void_p())
 
 
-ILLEGAL_CALLS: dict[str, Call] = {
-    "a step before the initialisation": _step_or_set_time,
-    "outputs before the initialisation": lambda s: s.row(),
-    "Terminate before the initialisation": _call("Terminate"),
-    "initialisation mode left before it was entered": lambda s: s.instance.leave(),
-    "initialisation mode entered twice": _in_initialisation_mode(lambda s: s.instance.enter()),
-    "the experiment set up in initialisation mode": _in_initialisation_mode(
-        lambda s: s.instance.setup(s.start)
-    ),
-    "initialised twice": _after_initialisation(lambda s: s.begin()),
-    "an unknown value reference": _after_initialisation(_get_unknown_reference),
-    "parameters set while running": _after_initialisation(_set_parameters(legal=False)),
-    "a step of length zero": _after_initialisation(_do_step_of(0.0)),
-    "a step backwards": _after_initialisation(_do_step_of(-1e-3)),
-    "a step after Terminate": _after_initialisation(_call("Terminate"), _step_or_set_time),
-    "Terminate twice": _after_initialisation(_call("Terminate"), _call("Terminate")),
+ILLEGAL_CALLS: dict[str, Sequence[Call]] = {
+    "a step before the initialisation": [_step()],
+    "outputs before the initialisation": [lambda s: s.row()],
+    "Terminate before the initialisation": [_terminate],
+    "initialisation mode left before it was entered": [lambda s: s.instance.leave()],
+    "initialisation mode entered twice": [_enter, lambda s: s.instance.enter()],
+    "the experiment set up in initialisation mode": [_enter, lambda s: s.instance.setup(s.start)],
+    "initialised twice": [_begin, _begin],
+    "an unknown value reference": [_begin, _get_unknown_reference],
+    "parameters set while running": [_begin, _set_parameters(legal=False)],
+    "a step of length zero": [_begin, _step(0.0)],
+    "a step backwards": [_begin, _step(-1e-3)],
+    "a step after Terminate": [_begin, _terminate, _step()],
+    "Terminate twice": [_begin, _terminate, _terminate],
 }
-UNUSUAL_CALLS: dict[str, Call] = {  # FMI allows these
-    "freed right after instantiation": lambda s: s.instance.free(),
-    "no variables, null pointers": _after_initialisation(_get_no_variables),
-    "tunable parameters set between steps": _after_initialisation(_set_parameters(legal=True)),
-    "freed without Terminate": _after_initialisation(lambda s: s.instance.free()),
-    "a reset after Terminate": _after_initialisation(_call("Terminate"), _call("Reset"), lambda s: s.begin()),
-    "a null state freed": _after_initialisation(_free_null_state),
-    "a null instance freed": _free_null_instance,
+UNUSUAL_CALLS: dict[str, Sequence[Call]] = {  # FMI allows these
+    "freed right after instantiation": [lambda s: s.instance.free()],
+    "no variables, null pointers": [_begin, _get_no_variables],
+    "tunable parameters set between steps": [_begin, _set_parameters(legal=True)],
+    "freed without Terminate": [_begin, lambda s: s.instance.free()],
+    "a reset after Terminate": [_begin, _terminate, lambda s: s.instance.call("Reset"), _begin],
+    "a null state freed": [_begin, _free_null_state],
+    "a null instance freed": [_free_null_instance],
 }

@@ -3,11 +3,13 @@
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources_location
@@ -22,6 +24,18 @@ FORKS = hasattr(os, "fork") and sys.platform != "darwin"  # there, libraries of 
 FINISHED = 93  # exit status of a fork whose task is complete
 Remark = tuple[str, str]  # severity, text
 Task = Callable[["Trial"], Iterator[Remark]]
+
+
+class InstanceOptions(TypedDict, total=False):
+    """How an instance differs from the usual one, see `FmuInstance.instantiate`."""
+
+    token: str
+    resources: str | None
+    name: str
+    verbose: bool
+    update: Any
+    early: bool
+    required: Sequence[int]
 
 
 class OnlyOnce(Exception):
@@ -53,7 +67,6 @@ class Trial:
     result: Any = None
     first_case: int = 0
     begin_case: Callable[[int], None] = lambda _: None
-    _library: list[Library] = field(default_factory=list)
     _instances: int = 0
 
     @property
@@ -61,24 +74,23 @@ class Trial:
         """The element of modelDescription.xml with the capabilities of this interface."""
         return self.description.interfaces[self.kind]
 
-    @property
+    @cached_property
     def library(self) -> Library:
         """The library, loaded on first use."""
-        if not self._library:
-            self._library.append(self.load(self.folder))
-        return self._library[0]
+        return self.load(self.folder)
 
     def load(self, folder: Path, identifier: str = "") -> Library:
         """The library of an unpacked FMU; raises OSError if it cannot be loaded."""
-        path = find_library(
-            folder, identifier or self.interface.get("modelIdentifier"), self.description.major
-        )
+        identifier = identifier or self.interface.get("modelIdentifier")
+        path = find_library(folder, identifier, self.description.major)
         if path is None:
             raise FileNotFoundError("no binary for this platform")
         self.activity.call(f"loading {path.name}")
         return Library(path, self.description.major)
 
-    def instance(self, kind: str = "", library: Library | None = None, **options: Any) -> FmuInstance:
+    def instance(
+        self, kind: str = "", library: Library | None = None, **options: Unpack[InstanceOptions]
+    ) -> FmuInstance:
         """A new instance; raises OnlyOnce if a second one is not allowed, CallFailed if the FMU fails."""
         kind, library = kind or self.kind, library or self.library
         if self._instances and self.description.interfaces[kind].declares(
@@ -87,15 +99,12 @@ class Trial:
             raise OnlyOnce
         log = Log(limit=MAX_MESSAGES)
         instance = FmuInstance(library, log, kind == "ModelExchange", self.activity.call)
-        defaults = {
-            "token": self.description.token,
-            "name": "probe",
-            "resources": resources_location(self.folder, self.description.major),
-        }
-        if not instance.instantiate(**{**defaults, **options}):
-            raise CallFailed(
-                f"{instance.describe_call('Instantiate')} returns no instance{log.quoted_messages()}", ERROR
-            )
+        options.setdefault("token", self.description.token)
+        options.setdefault("name", "probe")
+        options.setdefault("resources", resources_location(self.folder, self.description.major))
+        if not instance.instantiate(**options):
+            call = instance.describe_call("Instantiate")
+            raise CallFailed(f"{call} returns no instance{log.quoted_messages()}", ERROR)
         self._instances += 1
         return instance
 
@@ -107,6 +116,9 @@ def main(channel: Channel) -> None:
     """
     for module in Path(__file__).parent.glob("[a-z]*.py"):
         import_module(f"orchestrator.check.tasks.{module.stem}")
+    warnings.simplefilter(
+        "ignore"
+    )  # NumPy warns about values that are not finite, which are no mistakes here
     own = {*channel.folder.iterdir()}
     while job := channel.get():
         channel.activity.clear()

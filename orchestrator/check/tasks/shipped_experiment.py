@@ -2,12 +2,15 @@
 
 import ctypes
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import Rows, Simulation
+from orchestrator.check.tasks.trial_run import Simulation, Vector
 
 
 def run(trial: Trial) -> Iterator[Remark]:
@@ -21,6 +24,7 @@ def run(trial: Trial) -> Iterator[Remark]:
         return
     simulation = Simulation(trial, start=job["start"], stop=job["stop"], step=job["step"])
     instance, variables = simulation.instance, trial.description.by_name
+    job = {**job, "input_rows": np.array(job["input_rows"])}
     _set_parameters(simulation, job["parameters"])
     inputs = simulation.values([variables[name] for name in job["inputs"]])
     outputs = simulation.values([variables[name] for name in job["signals"]])
@@ -44,41 +48,38 @@ def run(trial: Trial) -> Iterator[Remark]:
         if simulation.ended:
             break
     simulation.close()
-    trial.result = {"times": times, "before": before, "after": after}
+    trial.result = {"times": times, "before": np.array(before).tolist(), "after": np.array(after).tolist()}
     yield from ()  # a task without findings of its own
 
 
 def _points(trial: Trial, job: Any) -> tuple[list[float], set[int]]:
     """Communication points, and the indices of those that are recorded."""
-    start, stop, step, times = job["start"], job["stop"], job["step"], job["times"]
+    start, stop, step, times = job["start"], job["stop"], job["step"], np.array(job["times"])
     tolerance = 1e-6 * step
-    grid = [start + n * step for n in range(int((stop - start) / step + 1 + 1e-9))]
+    grid = start + step * np.arange(int((stop - start) / step + 1 + 1e-9))
     if trial.interface.declares("canHandleVariableCommunicationStepSize"):
-        off_grid = [
-            t
-            for t in times
-            if start < t <= stop and all(abs(t - g) >= tolerance for _, g in _neighbours(grid, t))
-        ]
-        grid = sorted([*grid, *off_grid])
-    return grid, {n for t in times for n, g in _neighbours(grid, t) if abs(t - g) < tolerance}
+        distance = np.abs(times - grid[_nearest(grid, times)])
+        off_grid = times[(start < times) & (times <= stop) & (distance >= tolerance)]
+        grid = np.sort(np.concatenate([grid, off_grid]))
+    nearest = _nearest(grid, times)
+    return grid.tolist(), {*nearest[np.abs(times - grid[nearest]) < tolerance].tolist()}
 
 
-def _neighbours(grid: Sequence[float], t: float) -> list[tuple[int, float]]:
-    """The points before and after a time, with their indices."""
-    i = bisect_right(grid, t)
-    return [(n, grid[n]) for n in range(max(i - 1, 0), min(i + 1, len(grid)))]
+def _nearest(grid: Vector, times: Vector) -> NDArray[np.intp]:
+    """Index of the point next to each time."""
+    after = np.minimum(np.searchsorted(grid, times, "right"), len(grid) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(times - grid[before] < grid[after] - times, before, after)
 
 
-def _inputs_at(job: Any, t: float) -> list[float]:
+def _inputs_at(job: Any, t: float) -> Any:
     """Inputs at a time, by linear interpolation; the later one of two rows with the same time."""
     time, rows = job["input_times"], job["input_rows"]
     i = bisect_right(time, t + 1e-9 * job["step"])
     if i == 0 or i == len(time):
-        return list(rows[max(i - 1, 0)])
+        return rows[max(i - 1, 0)]
     fraction = (t - time[i - 1]) / (time[i] - time[i - 1])
-    if fraction < 1e-6:
-        return list(rows[i - 1])
-    return [a + fraction * (b - a) for a, b in zip(rows[i - 1], rows[i], strict=True)]
+    return rows[i - 1] + fraction * (rows[i] - rows[i - 1]) if fraction >= 1e-6 else rows[i - 1]
 
 
 def _set_parameters(simulation: Simulation, values: dict[str, Any]) -> None:
@@ -93,10 +94,9 @@ def _set_parameters(simulation: Simulation, values: dict[str, Any]) -> None:
             simulation.values([v]).set(value)
 
 
-def _by_cvode(trial: Trial, job: Any) -> Rows:
+def _by_cvode(trial: Trial, job: Any) -> list[list[float]]:
     """Outputs in Model Exchange, which needs an accurate solver: CVODE of FMPy."""
     import fmpy
-    import numpy as np
 
     def report_progress(*_: Any) -> bool:
         trial.activity.call("a simulation with CVODE")
@@ -106,8 +106,8 @@ def _by_cvode(trial: Trial, job: Any) -> Rows:
     if job["inputs"]:
         stimuli = np.zeros(len(job["input_times"]), [("time", float), *((n, float) for n in job["inputs"])])
         stimuli["time"] = job["input_times"]
-        for i, name in enumerate(job["inputs"]):
-            stimuli[name] = [row[i] for row in job["input_rows"]]
+        for name, column in zip(job["inputs"], np.transpose(job["input_rows"]), strict=True):
+            stimuli[name] = column
     result = fmpy.simulate_fmu(
         str(trial.folder),
         validate=False,
@@ -122,4 +122,5 @@ def _by_cvode(trial: Trial, job: Any) -> Rows:
         step_finished=report_progress,
     )
     columns = [np.interp(job["times"], result["time"], result[name]) for name in job["signals"]]
-    return [[float(x) for x in row] for row in np.column_stack(columns)]
+    rows: list[list[float]] = np.column_stack(columns).tolist()
+    return rows

@@ -6,18 +6,18 @@ Time: summed communication points, a start time other than zero, no stop time.
 import ctypes
 import math
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import Any
+
+import numpy as np
 
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import (
     Integrator,
     Rows,
     Simulation,
-    bits,
+    Vector,
     difference,
     experiment,
-    flat,
     inner_step,
     numeric,
     observed,
@@ -41,12 +41,9 @@ def restore(trial: Trial) -> Iterator[Remark]:
         simulation.instance.restore(state)
         simulation.return_to(bookmark)
         repeated = simulation.run(STEPS_AFTER, trial.perturbable)
-        if bits(expected) != bits(repeated):
-            text = difference(trial, expected, repeated)
-            yield (
-                severity(trial, expected, repeated),
-                f"the run continues differently after its state was restored: {text}",
-            )
+        if text := difference(trial, expected, repeated):
+            text = f"the run continues differently after its state was restored: {text}"
+            yield severity(trial, expected, repeated), text
             break
     yield from _same_handle(simulation, state)
     simulation.instance.free_state(state)
@@ -75,8 +72,8 @@ def reset(trial: Trial) -> Iterator[Remark]:
         return
     simulation.begin()
     repeated = [simulation.row(), *simulation.run(STEPS_AFTER, trial.perturbable)]
-    if bits(expected) != bits(repeated):
-        yield "warning", f"the run after a reset differs: {difference(trial, expected, repeated)}"
+    if text := difference(trial, expected, repeated):
+        yield "warning", f"the run after a reset differs: {text}"
     simulation.close()
 
 
@@ -95,9 +92,9 @@ def serialize(trial: Trial) -> Iterator[Remark]:
         yield "warning", "serialising the same state twice gives different bytes"
     trial.result = {
         "data": data,
-        "rows": rows,
+        "rows": [row.tolist() for row in rows],
         "bookmark": bookmark,
-        "initial_inputs": simulation.initial_inputs,
+        "initial_inputs": simulation.initial_inputs.tolist(),
     }
 
 
@@ -116,8 +113,7 @@ def elsewhere(trial: Trial) -> Iterator[Remark]:
             where = "right after instantiation" if fresh else "after initialisation"
             yield "warning", f"a state from another process, restored {where}: {failure}"
             continue
-        if bits(rows) != bits(saved["rows"]):
-            text = difference(trial, saved["rows"], rows)
+        if text := difference(trial, saved["rows"], rows):
             yield "warning", f"a run from the state of another process differs: {text}"
             break
     del blocks
@@ -129,7 +125,7 @@ def _continue(trial: Trial, simulation: Simulation, saved: Any, fresh: bool) -> 
         simulation.integrator = Integrator(simulation.instance, trial.description)
     if not fresh:
         simulation.begin()
-    simulation.initial_inputs = saved["initial_inputs"]
+    simulation.initial_inputs = np.array(saved["initial_inputs"])
     state = simulation.instance.deserialize(saved["data"])
     simulation.instance.restore(state)
     simulation.instance.free_state(state)
@@ -165,10 +161,10 @@ def drift(trial: Trial) -> Iterator[Remark]:
             yield from _lost_step(scalars(observed(trial.description)), length, counted, summed)
 
 
-def _run(trial: Trial, length: float, summed: bool) -> tuple[Rows, str]:
+def _run(trial: Trial, length: float, summed: bool) -> tuple[list[Vector], str]:
     """Rows, and the message about a step that fails; empty if none does."""
     simulation = Simulation(trial, step=length, summed=summed)
-    rows: Rows = []
+    rows: list[Vector] = []
     try:
         simulation.begin()
         for _ in range(DRIFT_STEPS):
@@ -188,20 +184,25 @@ def _run(trial: Trial, length: float, summed: bool) -> tuple[Rows, str]:
 
 def _lost_step(names: Sequence[str], length: float, counted: Rows, summed: Rows) -> Iterator[Remark]:
     """An output that differs between both runs by as much as a whole step changes it."""
-    for i, name in enumerate(names):
-        column, x = [row[i] for row in counted], summed[-1][i]
-        change = max((abs(b - a) for a, b in pairwise(column)), default=0.0)
-        if abs(x - column[-1]) > max(0.9 * change, 1e-6 * abs(x)):
+    for name, x, expected, change in zip(
+        names, summed[-1], counted[-1], _largest_change(counted), strict=True
+    ):
+        if abs(x - expected) > max(0.9 * change, 1e-6 * abs(x)):
             text = f"after {len(counted)} steps of {length:.9g} s with summed times {name} is {x:.9g}"
-            yield "warning", f"{text}, with counted times {column[-1]:.9g}"
+            yield "warning", f"{text}, with counted times {expected:.9g}"
             return
+
+
+def _largest_change(rows: Rows) -> Vector:
+    """The largest change of each output in one step."""
+    changes: Vector = np.max(np.abs(np.diff(rows, axis=0)), axis=0, initial=0.0)
+    return changes
 
 
 def start_time(trial: Trial) -> Iterator[Remark]:
     """A start at t = 1000 s works, and the first step has the usual length."""
     early = Simulation(trial).begin()
-    first = early.row()
-    rows = [first, *early.run(START_STEPS)]
+    rows = [early.row(), *early.run(START_STEPS)]
     early.close()
     late = Simulation(trial, start=early.start + LATE_START)
     late.stop = late.start + START_STEPS * late.step
@@ -244,10 +245,9 @@ def _fits_time(simulation: Simulation, value: float) -> bool:
     return -lag <= value - simulation.time <= 1e-9 * abs(simulation.time)
 
 
-def _jump(late: Simulation, rows: Rows, initial: list[float], row: list[float]) -> Iterator[Remark]:
+def _jump(late: Simulation, rows: Rows, initial: Vector, row: Vector) -> Iterator[Remark]:
     """The first step changes an output far more than any step of the run from the default start time."""
-    for i, (name, a, b) in enumerate(zip(late.outputs.names, initial, row, strict=True)):
-        usual = max((abs(y[i] - x[i]) for x, y in pairwise(rows)), default=0.0)
+    for name, a, b, usual in zip(late.outputs.names, initial, row, _largest_change(rows), strict=True):
         if abs(b - a) > JUMP * usual and abs(b - a) > 1e-3 * max(abs(a), 1e-6) and not math.isinf(b):
             text = f"the first step from t = {late.start:g} s changes {name} by {b - a:.3g}"
             cause = "the start time is ignored, or outputs are not computed at the start"
@@ -271,20 +271,19 @@ def _time_invariant(trial: Trial) -> bool:
     rows = []
     for time in (simulation.start, simulation.start + LATE_START / 3, simulation.start + LATE_START):
         rows.append([*integrator.derivatives_at(time, x), *simulation.row()])
-    return bits(rows[:1]) == bits(rows[1:2]) == bits(rows[2:])
+    return len({np.array(row).tobytes() for row in rows}) == 1
 
 
 def _different_run(late: Simulation, rows: Rows, late_rows: Rows) -> Iterator[Remark]:
     """The run from t = 1000 s differs, although the model does not depend on time."""
-    for i, (v, name) in enumerate(zip(flat(late.outputs.variables), late.outputs.names, strict=True)):
-        spread = max(row[i] for row in rows) - min(row[i] for row in rows)
-        for n, (a, b) in enumerate(zip(rows, late_rows, strict=False)):
-            # rounding of times changes the lengths of internal steps a little
-            if abs(a[i] - b[i]) > 1e-3 * spread + 1e-6 * max(abs(a[i]), v.nominal):
-                text = f"{name} is {b[i]:.9g} after {n} steps from t = {late.start:g} s"
-                expected = f"expected {a[i]:.9g} as from the default start, because nothing depends on time"
-                yield "warning", f"{text}, {expected}"
-                return
+    count = min(len(rows), len(late_rows))
+    a, b = np.array(rows[:count]), np.array(late_rows[:count])
+    # rounding of times changes the lengths of internal steps a little
+    allowed = 1e-3 * np.ptp(rows, axis=0) + 1e-6 * np.maximum(np.abs(a), late.outputs.nominal)
+    for i, n in np.argwhere((np.abs(a - b) > allowed).T)[:1]:
+        text = f"{late.outputs.names[i]} is {b[n, i]:.9g} after {n} steps from t = {late.start:g} s"
+        expected = f"expected {a[n, i]:.9g} as from the default start, because nothing depends on time"
+        yield "warning", f"{text}, {expected}"
 
 
 def stop_time(trial: Trial) -> Iterator[Remark]:

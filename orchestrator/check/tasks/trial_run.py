@@ -8,21 +8,27 @@ from __future__ import annotations
 
 import ctypes
 import math
-import struct
 import time
 from collections.abc import Sequence
-from typing import Any
+from functools import cached_property
+from typing import Any, Unpack
 
-from orchestrator.check.tasks.runner import Trial
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orchestrator.check.tasks.runner import InstanceOptions, Trial
+from orchestrator.fmi.calls import address
 from orchestrator.fmi.instance import CallFailed, FmuInstance
+from orchestrator.fmi.library import Library
 from orchestrator.fmi.messages import DISCARD, ERROR
 from orchestrator.fmi.raw_description import FLOATS, MAX_LOCALS, DeclaredVariable, ModelDescription
 
-Rows = list[list[float]]
+Vector = NDArray[np.float64]
+Rows = Sequence[Vector]
 MAX_INNER_STEPS = 12  # integrator steps per communication step: enough to change the states of a stiff model
 TOLERANCE = 1e-4  # relative tolerance of the integrator
 MAX_ITERATIONS = 100  # event iterations at one event
-PATTERN = (1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25)  # perturbation of the inputs, step by step
+PATTERN = np.array([1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25])  # perturbation of the inputs, step by step
 PERTURBATION = 1e-3  # relative to the magnitude of an input: small, because the valid range is unknown
 ROUNDING = 1e-13  # relative to nominal; smaller outputs are read as zero
 MAX_LISTED = 5  # inputs listed in a message
@@ -75,44 +81,44 @@ class VariableValues:
 
     def __init__(self, trial: Trial, instance: FmuInstance, variables: Sequence[DeclaredVariable]) -> None:
         self.trial, self.instance, self.variables = trial, instance, list(variables)
-        self.names = scalars(variables)
-        groups: dict[str, tuple[list[int], list[int]]] = {}  # type -> value references, indices of scalars
-        first = 0
-        for v in variables:
-            enumeration = "Integer" if instance.fmi == 2 else "Int64"  # how enumerations are read
-            type_ = enumeration if v.type == "Enumeration" else v.type
-            references, indices = groups.setdefault(type_, ([], []))
-            references.append(v.reference or 0)
-            indices += range(first, first + v.size)
-            first += v.size
-        self._groups = [self._group(type_, *group) for type_, group in groups.items()]
+        self.names, self.elements = scalars(variables), flat(variables)
+        enumeration = "Integer" if instance.fmi == 2 else "Int64"  # how enumerations are read
+        types = [enumeration if v.type == "Enumeration" else v.type for v in variables]
+        self._groups: list[tuple[str, NDArray[np.intp], NDArray[Any], tuple[Any, ...]]] = []
+        for type_ in dict.fromkeys(types):
+            references = [v.reference or 0 for v, t in zip(variables, types, strict=True) if t == type_]
+            places = np.flatnonzero(np.repeat(np.equal(types, type_), [v.size for v in variables]))
+            buffer = np.zeros(len(places), instance.types[type_])
+            values = instance.values(address(buffer), len(places))
+            self._groups.append((type_, places, buffer, (*instance.references(references), *values)))
 
-    def _group(
-        self, type_: str, references: list[int], indices: list[int]
-    ) -> tuple[str, list[int], Any, Any]:
-        """Type, indices, buffer, and the arguments of a call."""
-        buffer = (self.instance.types[type_] * len(indices))()
-        arguments = *self.instance.references(references), *self.instance.values(buffer, len(indices))
-        return type_, indices, buffer, arguments
+    @cached_property
+    def nominal(self) -> Vector:
+        """Nominal value of each element."""
+        return np.array([v.nominal for v in self.elements])
 
-    def get(self) -> list[float]:
+    @cached_property
+    def scale(self) -> Vector:
+        """Typical magnitude of each element."""
+        return np.array([v.scale for v in self.elements])
+
+    def get(self) -> Vector:
         """Values in the order of the variables."""
-        result = [0.0] * len(self.names)
-        for type_, indices, buffer, arguments in self._groups:
+        result = np.zeros(len(self.names))
+        for type_, places, buffer, arguments in self._groups:
             self.instance.call(f"Get{type_}", *arguments)
-            for i, value in zip(indices, buffer, strict=True):
-                result[i] = float(value)
+            result[places] = buffer
         return result
 
-    def set(self, values: Sequence[float]) -> None:
+    def set(self, values: ArrayLike) -> None:
         """Set all values; those of integers and booleans are truncated."""
         if not self.names:
             return
-        pairs = zip(self.names, values, strict=True)
-        self.trial.activity.inputs(", ".join(f"{name} = {x:.6g}" for name, x in pairs))
-        for type_, indices, buffer, arguments in self._groups:
-            for k, i in enumerate(indices):
-                buffer[k] = values[i] if type_ in FLOATS else int(values[i])
+        x = np.asarray(values, float)
+        pairs = zip(self.names, x.tolist(), strict=True)
+        self.trial.activity.inputs(", ".join(f"{name} = {value:.6g}" for name, value in pairs))
+        for type_, places, buffer, arguments in self._groups:
+            buffer[:] = x[places] if type_ in FLOATS else np.trunc(x[places])
             self.instance.call(f"Set{type_}", *arguments)
 
 
@@ -126,41 +132,35 @@ def flat(variables: Sequence[DeclaredVariable]) -> list[DeclaredVariable]:
     return [v for v in variables for _ in range(v.size)]
 
 
-def bits(rows: Sequence[Sequence[float]]) -> bytes:
-    """The bytes of some rows, for an exact comparison in which NaN equals NaN."""
-    return b"".join(struct.pack(f"<{len(r)}d", *r) for r in rows)
-
-
-def not_finite(names: Sequence[str], rows: Sequence[Sequence[float]]) -> str:
+def not_finite(names: Sequence[str], rows: Rows) -> str:
     """Message about the first value that is not finite; empty if all are."""
-    suspects = (row for row in rows if not math.isfinite(sum(row)))  # all but few rows are passed quickly
+    suspects = (row for row in rows if not np.isfinite(row).all())
     values = ((n, x) for row in suspects for n, x in zip(names, row, strict=True))
     return next((f"{n} is {x:g}" for n, x in values if not math.isfinite(x)), "")
 
 
 def difference(trial: Trial, expected: Rows, rows: Rows) -> str:
-    """Message about the first difference between two runs; empty if there is none."""
+    """Message about the first difference of bits between two runs; empty if there is none."""
     names = scalars(observed(trial.description))
     inputs = scalars(continuous_inputs(trial.description)) if trial.perturbable else []
     more = f" and {len(inputs) - MAX_LISTED} more" if len(inputs) > MAX_LISTED else ""
     changing = f", while {', '.join(inputs[:MAX_LISTED])}{more} changed" if inputs else ""
-    for n, (a, b) in enumerate(zip(expected, rows, strict=False), 1):
-        for name, x, y in zip(names, a, b, strict=True):
-            if bits([[x]]) != bits([[y]]):
-                return f"{name} is {y:.17g} instead of {x:.17g} after step {n}{changing}"
+    for n, (a, b) in enumerate(zip(map(np.asarray, expected), map(np.asarray, rows), strict=False), 1):
+        different = np.flatnonzero(a.view(np.int64) != b.view(np.int64))
+        if len(different):
+            i = different[0]
+            return f"{names[i]} is {b[i]:.17g} instead of {a[i]:.17g} after step {n}{changing}"
     return f"{len(rows)} steps instead of {len(expected)}{changing}" if len(expected) != len(rows) else ""
 
 
 def severity(trial: Trial, expected: Rows, rows: Rows) -> str:
     """ "error" if two runs differ by more than the tolerance of the FMU, "warning" if by less."""
+    if len(expected) != len(rows):
+        return "error"
+    x, nominal = np.array(expected), [v.nominal for v in flat(observed(trial.description))]
     tolerance = experiment(trial.description, "tolerance") or TOLERANCE
-    variables = flat(observed(trial.description))
-    near = len(expected) == len(rows) and all(
-        abs(x - y) <= tolerance * max(abs(x), v.nominal)
-        for a, b in zip(expected, rows, strict=True)
-        for v, x, y in zip(variables, a, b, strict=True)
-    )
-    return "warning" if near else "error"
+    near = np.abs(x - np.array(rows)) <= tolerance * np.maximum(np.abs(x), nominal)
+    return "warning" if near.all() else "error"
 
 
 # ---- model exchange
@@ -181,10 +181,8 @@ class Integrator:
         if instance.fmi == 3:
             self.count = self._size("GetNumberOfContinuousStates")
             self.indicators = self._size("GetNumberOfEventIndicators")
-        self._x, self._dx = (ctypes.c_double * self.count)(), (ctypes.c_double * self.count)()
-        self._z = (ctypes.c_double * self.indicators)()
         self.time, self.next_event, self.step_size = 0.0, math.inf, 0.0
-        self.nominal = [1.0] * self.count
+        self.nominal = np.ones(self.count)
 
     def _size(self, function: str) -> int:
         value = ctypes.c_size_t(0)
@@ -195,12 +193,18 @@ class Integrator:
         """Leave the event mode after initialisation and enter continuous-time mode."""
         self.time = time
         self._iterate()
-        self.nominal = [abs(n) or 1.0 for n in self.nominals()]
+        nominals = np.abs(self.nominals())
+        self.nominal = np.where(nominals == 0, 1.0, nominals)
 
-    def nominals(self) -> list[float]:
+    def _vector(self, function: str, count: int) -> Vector:
+        """The vector that a function returns, shape (count,)."""
+        result = np.zeros(count)
+        self.instance.vector(function, address(result), count)
+        return result
+
+    def nominals(self) -> Vector:
         """Nominal values of the states."""
-        self.instance.vector("GetNominalsOfContinuousStates", self._x, self.count)
-        return list(self._x)
+        return self._vector("GetNominalsOfContinuousStates", self.count)
 
     def _iterate(self) -> None:
         """Update discrete states until none changes, and enter continuous-time mode."""
@@ -210,42 +214,32 @@ class Integrator:
             if not needed or terminate:
                 self.instance.call("EnterContinuousTimeMode")
                 return
-        text = (
-            f"the event iteration does not end: new discrete states are needed after {MAX_ITERATIONS} calls"
-        )
-        raise CallFailed(text, ERROR)
+        needed_after = f"new discrete states are needed after {MAX_ITERATIONS} calls"
+        raise CallFailed(f"the event iteration does not end: {needed_after}", ERROR)
 
     # ---- the state vector
 
-    def states(self) -> list[float]:
+    def states(self) -> Vector:
         """The continuous states."""
-        self.instance.vector("GetContinuousStates", self._x, self.count)
-        return list(self._x)
+        return self._vector("GetContinuousStates", self.count)
 
-    def set_time_and_states(self, time: float, x: Sequence[float]) -> None:
+    def set_time_and_states(self, time: float, x: Vector) -> None:
         """Set time and continuous states."""
         self.instance.set_time(time)
         self.set_states(x)
 
-    def set_states(self, x: Sequence[float]) -> None:
+    def set_states(self, x: Vector) -> None:
         """Set the continuous states."""
-        self._x[:] = list(x)
-        self.instance.vector("SetContinuousStates", self._x, self.count)
+        self.instance.vector("SetContinuousStates", address(x), self.count)
 
-    def derivatives(self) -> list[float]:
-        """Derivatives of the continuous states at the time and the states that are set."""
-        self.instance.vector("GetContinuousStateDerivatives", self._dx, self.count)
-        return list(self._dx)
-
-    def derivatives_at(self, time: float, x: Sequence[float]) -> list[float]:
+    def derivatives_at(self, time: float, x: Vector) -> Vector:
         """Derivatives of the continuous states at a time and at states."""
         self.set_time_and_states(time, x)
-        return self.derivatives()
+        return self._vector("GetContinuousStateDerivatives", self.count)
 
-    def _signs(self) -> list[bool]:
+    def _signs(self) -> bytes:
         """Signs of the event indicators."""
-        self.instance.vector("GetEventIndicators", self._z, self.indicators)
-        return [z > 0 for z in self._z]
+        return (self._vector("GetEventIndicators", self.indicators) > 0).tobytes()
 
     # ---- steps
 
@@ -285,27 +279,21 @@ class Integrator:
         self.time = limit + self.time if h == limit else self.time + h
         self.set_time_and_states(self.time, new)
 
-    def _try(self, x: Sequence[float], h: float) -> tuple[list[float], float]:
+    def _try(self, x: Vector, h: float) -> tuple[Vector, float]:
         """States after h, and error over tolerance: infinite if not finite or if the FMU discards a call."""
-
-        def stage(c: float, k: Sequence[float]) -> list[float]:
-            return self.derivatives_at(self.time + c * h, [a + c * h * b for a, b in zip(x, k, strict=True)])
-
         try:
             k1 = self.derivatives_at(self.time, x)
-            k2 = stage(1 / 2, k1)
-            k3 = stage(3 / 4, k2)
-            new = [a + h / 9 * (2 * b + 3 * c + 4 * d) for a, b, c, d in zip(x, k1, k2, k3, strict=True)]
+            k2 = self.derivatives_at(self.time + 1 / 2 * h, x + 1 / 2 * h * k1)
+            k3 = self.derivatives_at(self.time + 3 / 4 * h, x + 3 / 4 * h * k2)
+            new = x + h / 9 * (2 * k1 + 3 * k2 + 4 * k3)
             k4 = self.derivatives_at(self.time + h, new)
         except CallFailed as failure:
             if failure.status != DISCARD:
                 raise
-            return list(x), math.inf
-        errors = [
-            abs(h / 72 * (-5 * b + 6 * c + 8 * d - 9 * e)) / (TOLERANCE * max(abs(a), n))
-            for a, b, c, d, e, n in zip(x, k1, k2, k3, k4, self.nominal, strict=True)
-        ]
-        return new, max(errors) if math.isfinite(sum(errors)) else math.inf
+            return x, math.inf
+        difference = np.abs(h / 72 * (-5 * k1 + 6 * k2 + 8 * k3 - 9 * k4))
+        error = float(np.max(difference / (TOLERANCE * np.maximum(np.abs(x), self.nominal))))
+        return new, error if math.isfinite(error) else math.inf
 
 
 # ---- a run
@@ -330,21 +318,22 @@ class Simulation:
         summed: bool | None = None,
         inputs: Sequence[DeclaredVariable] | None = None,
         kind: str = "",
-        **options: Any,
+        library: Library | None = None,
+        **options: Unpack[InstanceOptions],
     ) -> None:
+        """`library`: of another copy of the FMU; `options`: of the instance."""
         self.trial, description = trial, trial.description
         self.kind = kind or trial.kind
-        self.instance = trial.instance(self.kind, **options)
+        self.instance = trial.instance(self.kind, library, **options)
         self.start = experiment(description, "startTime") or 0.0 if start is None else start
         self.stop, self.step = stop, step or usual_step(description)
         self.summed = trial.summed if summed is None else summed
         self.time, self.step_count, self.reached = self.start, 0, self.start
         self.inputs = self.values(continuous_inputs(description) if inputs is None else inputs)
         self.outputs = self.values(observed(description))
-        self._rounding = [ROUNDING * v.nominal for v in flat(self.outputs.variables)]
         self.integrator: Integrator | None = None
         self._ended = self.early = False
-        self.initial_inputs: list[float] = []
+        self.initial_inputs = np.zeros(0)
 
     def values(self, variables: Sequence[DeclaredVariable]) -> VariableValues:
         """Access to the values of some variables of this instance."""
@@ -379,12 +368,10 @@ class Simulation:
     def perturb(self, step: int | None = None) -> None:
         """Change all inputs a little, by a fixed pattern over the steps."""
         n = self.step_count if step is None else step
-        inputs = zip(self.initial_inputs, flat(self.inputs.variables), strict=True)
-        perturbed = [
-            min(max(x + PERTURBATION * v.scale * PATTERN[(n + 3 * i) % len(PATTERN)], v.minimum), v.maximum)
-            for i, (x, v) in enumerate(inputs)
-        ]
-        self.inputs.set(perturbed)
+        inputs = self.inputs.elements
+        pattern = PATTERN[(n + 3 * np.arange(len(inputs))) % len(PATTERN)]
+        perturbed = self.initial_inputs + PERTURBATION * self.inputs.scale * pattern
+        self.inputs.set(np.clip(perturbed, [v.minimum for v in inputs], [v.maximum for v in inputs]))
 
     def do_step(self, time: float, length: float) -> None:
         """One communication step; raises CallFailed unless the FMU completes it or ends the simulation."""
@@ -408,14 +395,15 @@ class Simulation:
         self.do_step(self.time, self.step)
         self.time = self.time + self.step if self.summed else self.start + self.step_count * self.step
 
-    def row(self) -> list[float]:
+    def row(self) -> Vector:
         """Outputs; values below rounding error relative to nominal are read as 0, and -0 as 0."""
-        values = zip(self.outputs.get(), self._rounding, strict=True)
-        return [0.0 if abs(x) <= rounding else x for x, rounding in values]
+        values = self.outputs.get()
+        values[np.abs(values) <= ROUNDING * self.outputs.nominal] = 0.0
+        return values
 
-    def run(self, count: int, perturb: bool = False, seconds: float = math.inf) -> Rows:
+    def run(self, count: int, perturb: bool = False, seconds: float = math.inf) -> list[Vector]:
         """Rows after each of `count` steps, or of as many steps as fit into `seconds` of wall time."""
-        rows: Rows = []
+        rows: list[Vector] = []
         deadline = time.monotonic() + seconds
         while len(rows) < count and not self.ended and (time.monotonic() < deadline or not rows):
             if perturb:
@@ -427,7 +415,7 @@ class Simulation:
     def bookmark(self) -> tuple[Any, ...]:
         """The state of the run outside of the FMU, to continue from a saved FMU state."""
         e = self.integrator
-        inner = (e.time, e.next_event, e.step_size, e.nominal) if e else None
+        inner = (e.time, e.next_event, e.step_size, e.nominal.tolist()) if e else None
         return self.step_count, self.time, inner
 
     def return_to(self, bookmark: Sequence[Any]) -> None:
@@ -435,7 +423,8 @@ class Simulation:
         self.step_count, self.time, inner = bookmark
         if self.integrator is not None and inner is not None:
             e = self.integrator
-            e.time, e.next_event, e.step_size, e.nominal = inner
+            e.time, e.next_event, e.step_size, nominal = inner
+            e.nominal = np.array(nominal)
 
     def close(self) -> None:
         """Terminate and free the instance."""

@@ -6,14 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import (
-    Simulation,
-    VariableValues,
-    bits,
-    difference,
-    inner_step,
-    numeric,
-)
+from orchestrator.check.tasks.trial_run import Simulation, VariableValues, difference, inner_step, numeric
 from orchestrator.fmi.instance import CallFailed
 
 _B = ctypes.c_bool
@@ -54,11 +47,11 @@ class UpdateCallback:
             early_return_time[0] = time
 
 
-def _simulation(trial: Trial, callback: UpdateCallback, **options: Any) -> Simulation:
+def _simulation(trial: Trial, callback: UpdateCallback, early: bool = False) -> Simulation:
     """A run with this callback, which may read all real outputs."""
     outputs = [v for v in numeric(trial.description, "output") if v.is_float]
     required = [v.reference or 0 for v in outputs]
-    simulation = Simulation(trial, update=callback.function, required=required, **options).begin()
+    simulation = Simulation(trial, update=callback.function, required=required, early=early).begin()
     callback.outputs = simulation.values(outputs)
     return simulation
 
@@ -83,8 +76,7 @@ def intermediate(trial: Trial) -> Iterator[Remark]:
             return
     if callback.problem:
         yield "error", f"in the intermediate update {callback.problem}"
-    elif bits(rows) != bits(expected):
-        text = difference(trial, expected, rows)
+    elif text := difference(trial, expected, rows):
         yield "error", f"results change when outputs are read in the intermediate update: {text}"
     simulation.close()
 

@@ -1,15 +1,16 @@
 """Tasks on the outputs after initialisation and on the default experiment."""
 
 import math
-from collections.abc import Iterator, Sequence
-from operator import gt
+from collections.abc import Iterator
+
+import numpy as np
 
 from orchestrator.check.tasks.runner import OnlyOnce, Remark, Trial
 from orchestrator.check.tasks.trial_run import (
     Rows,
     Simulation,
+    Vector,
     experiment,
-    flat,
     inner_step,
     not_finite,
     numeric,
@@ -36,11 +37,11 @@ def first_output(trial: Trial) -> Iterator[Remark]:
         yield from _tiny_step(trial, before)
 
 
-def _reevaluated(simulation: Simulation, before: Sequence[float], case: str) -> Iterator[Remark]:
+def _reevaluated(simulation: Simulation, before: Vector, case: str) -> Iterator[Remark]:
     """Outputs do not change after the inputs were set to the values that they have."""
     after = simulation.row()
-    scales = [v.scale for v in flat(simulation.outputs.variables)]
-    for name, a, b, scale in zip(simulation.outputs.names, before, after, scales, strict=True):
+    outputs = simulation.outputs
+    for name, a, b, scale in zip(outputs.names, before, after, outputs.scale, strict=True):
         if abs(a - b) > 1e-9 * max(abs(a), abs(b), 1e-6 * scale):
             text = f"{name} is {a:.9g} after initialisation and {b:.9g} after the inputs are set again to the"
             yield "error", f"{text} same values ({case}): the output is not evaluated at initialisation"
@@ -63,14 +64,14 @@ def _inputs_in_initialisation(trial: Trial) -> Iterator[Remark]:
         yield from _reevaluated(simulation, before, "inputs were set in initialisation mode")
 
 
-def _tiny_step(trial: Trial, first: Sequence[float]) -> Iterator[Remark]:
+def _tiny_step(trial: Trial, first: Vector) -> Iterator[Remark]:
     """An output that is exactly 0, jumps in a tiny step and then hardly changes was not evaluated."""
     simulation = Simulation(trial, step=1e-6 * usual_step(trial.description)).begin()
     rows = simulation.run(2)
     if len(rows) < 2:
         return
-    variables = flat(simulation.outputs.variables)
-    for v, name, a, b, c in zip(variables, simulation.outputs.names, first, *rows, strict=True):
+    outputs = simulation.outputs
+    for v, name, a, b, c in zip(outputs.elements, outputs.names, first, *rows, strict=True):
         continuous = v.is_float and v.variability == "continuous"
         if continuous and a == 0.0 and abs(b) > 1e-3 * v.nominal and abs(c - b) < 0.1 * abs(b):
             text = f"{name} is 0 after initialisation and {b:.6g} after a step of {simulation.step:.3g} s"
@@ -98,10 +99,8 @@ def default(trial: Trial) -> Iterator[Remark]:
     """The default experiment runs with finite values; the result has the options for the other tasks."""
     start = experiment(trial.description, "startTime") or 0.0
     stop = experiment(trial.description, "stopTime")
-    endless = stop is None or math.isinf(stop)
-    steps = (
-        MAX_STEPS if stop is None or endless else int((stop - start) / usual_step(trial.description) + 1e-9)
-    )
+    duration = math.inf if stop is None else stop - start
+    steps = int(duration / usual_step(trial.description) + 1e-9) if math.isfinite(duration) else MAX_STEPS
     simulation, initial, rows = _run(trial, stop if steps else None, max(steps, 1))
     if problem := not_finite(simulation.outputs.names, [initial]):
         yield "error", f"after initialisation {problem}"
@@ -112,7 +111,7 @@ def default(trial: Trial) -> Iterator[Remark]:
     trial.result = {"perturbable": _perturbable(trial), "summed": simulation.summed}
 
 
-def _run(trial: Trial, stop: float | None, steps: int) -> tuple[Simulation, list[float], Rows]:
+def _run(trial: Trial, stop: float | None, steps: int) -> tuple[Simulation, Vector, Rows]:
     """The run, its row after initialisation, and its rows after the steps.
 
     If the FMU rejects communication points start + n h, the run is repeated with summed points.
@@ -133,19 +132,18 @@ def _run(trial: Trial, stop: float | None, steps: int) -> tuple[Simulation, list
 
 def _invalid_outputs(simulation: Simulation, rows: Rows) -> Iterator[Remark]:
     """The first step after which an output is not finite, or huge."""
-    names, limits = simulation.outputs.names, [HUGE * v.nominal for v in flat(simulation.outputs.variables)]
+    names, limits = simulation.outputs.names, HUGE * simulation.outputs.nominal
     for n, row in enumerate(rows, 1):
-        if math.isfinite(sum(row)) and not any(map(gt, map(abs, row), limits)):
+        huge = np.flatnonzero(~np.isfinite(row) | (np.abs(row) > limits))
+        if not len(huge):
             continue
         time = simulation.start + n * simulation.step
         when = f"at t = {time:.9g} s with default values, although the status is OK"
         if problem := not_finite(names, [row]):
             yield "error", f"{problem} {when}"
             return
-        huge = [i for i, (x, limit) in enumerate(zip(row, limits, strict=True)) if abs(x) > limit]
-        if huge:
-            yield "warning", f"{names[huge[0]]} has grown to {row[huge[0]]:.3g} {when}"
-            return
+        yield "warning", f"{names[huge[0]]} has grown to {row[huge[0]]:.3g} {when}"
+        return
 
 
 def _last_time(simulation: Simulation) -> Iterator[Remark]:
