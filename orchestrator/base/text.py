@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Sequence, Sized
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence, Sized
 from dataclasses import dataclass, fields
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from markupsafe import Markup, escape
 
@@ -20,6 +21,8 @@ from orchestrator.base.units import factor_and_offset, pretty, reader_unit, supe
 if TYPE_CHECKING:
     from rich.console import Console
 
+Key = TypeVar("Key")
+Item = TypeVar("Item")
 NO_VALUE, DASH, MINUS = "-", "\N{EN DASH}", "\N{MINUS SIGN}"
 ERROR_UNITS = {"m": "mm", "m/s": "mm/s"}  # unit of a quantity -> unit of its errors, which are smaller
 SMALL_LENGTH = 0.1  # [m] or [m/s]; quantities whose values are all smaller are shown in mm or mm/s
@@ -62,6 +65,21 @@ def first_names(names: Iterable[str], limit: int = 4) -> str:
     unique = list(dict.fromkeys(names))
     more = f" and {len(unique) - limit} more" if len(unique) > limit else ""
     return f"{', '.join(unique[:limit])}{more}"
+
+
+def short_names(names: Iterable[str]) -> dict[str, str]:
+    """Name of each signal -> its name without component, if no other one has the same."""
+    bare = {name: name.rpartition(".")[2] for name in names}
+    count = Counter(bare.values())
+    return {name: short if count[short] == 1 else name for name, short in bare.items()}
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """The items by their keys, in the order in which they come first."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def brief(record: Any) -> str:

@@ -21,17 +21,8 @@ from orchestrator.base.toml import NOT_NEGATIVE, POSITIVE, Rule
 from orchestrator.base.units import parse_unit
 from orchestrator.data.table import TextFormat
 
-# Metric -> True if smaller values are better. `maximum` and `rmse` are in the unit of the signal, `fit` and
-# `vaf` in percent, the others are dimensionless. orchestrator/results/metrics.py contains the formulas.
-METRICS = {
-    "nrmse": True,
-    "rmse": True,
-    "maximum": True,
-    "maximum_relative": True,
-    "fit": False,
-    "vaf": False,
-    "iso": False,
-}
+# `maximum` and `rmse` are in the unit of the signal, `fit` and `vaf` in percent, the others are
+# dimensionless. orchestrator/results/metrics.py contains the formulas.
 Metric = Literal["nrmse", "rmse", "maximum", "maximum_relative", "fit", "vaf", "iso"]
 
 
@@ -45,7 +36,7 @@ class Tolerance:
     @property
     def upper(self) -> bool:
         """True for an upper limit, False for a lower limit."""
-        return METRICS[self.metric]
+        return self.metric not in ("fit", "vaf", "iso")
 
     @property
     def in_unit(self) -> bool:

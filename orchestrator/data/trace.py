@@ -8,7 +8,6 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 from __future__ import annotations
 
 import fnmatch
-import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -248,10 +247,9 @@ def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
     """Units in the metadata next to the file of a trace, if they are those of this file."""
     try:
         metadata = json.loads(file.with_suffix(METADATA_SUFFIX).read_bytes())
-        with file.open("rb") as opened:
-            written = hashlib.file_digest(opened, "sha256").hexdigest() == metadata["sha256"]
+        written = Location(file).sha256 == metadata["sha256"]
         return {n: str(u) for n, u in metadata["units"].items() if n in trace.signals} if written else {}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (Problem, OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}
 
 
@@ -316,5 +314,5 @@ def span(signal: Array) -> float:
 
 
 def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    """Root mean square; 0 without values."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0

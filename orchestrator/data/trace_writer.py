@@ -17,12 +17,12 @@ import secrets
 import shutil
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,23 +97,8 @@ class RowLayout:
         return values
 
 
-class PointSink(Protocol):
-    """Receives the recorded points of a run.
-
-    begin           receives the layout and the expected number of points
-    append_points   receives times [s], shape (n,), Real and Integer values, shape (n, ...); the arrays are
-                    overwritten later
-    append_errors   receives names of outputs, times [s], shape (n,), and estimated errors, shape
-                    (n, outputs); the arrays are overwritten later
-    """
-
-    def begin(self, layout: RowLayout, rows: int) -> None: ...
-    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None: ...
-    def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None: ...
-
-
 class TraceSink:
-    """Receives the rows of a trace.
+    """Receives the points of a run, or the rows of a trace; arrays are overwritten later.
 
     layout   the signals, from `begin` on
     rows     number of rows until now
@@ -125,16 +110,16 @@ class TraceSink:
     keeps_errors = False
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
-        """Receive the signals; `rows`: the expected number of rows."""
+        """Receive the signals; `rows`: the expected number of points or rows."""
         del rows
         self.layout, self.rows, self.last = layout, 0, float("nan")
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
-        """Receive points of a run."""
+        """Receive points of a run: times [s], shape (n,), Real and Integer values, shape (n, ...)."""
         self.append(times, self.layout.values(reals, integers))
 
     def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
-        """Receive estimated errors of outputs; only a sink in memory keeps them."""
+        """Receive estimated errors of outputs, shape (n, outputs); only a sink in memory keeps them."""
 
     @property
     def errors(self) -> Trace | None:
@@ -273,7 +258,7 @@ class TraceFile(TraceSink):
         suffix = ".csv" if self.path.suffix.lower() == ".mat" else self.path.suffix
         self.partial = self.path.with_name(f"{self.path.stem}.partial{suffix}")
         self.origin = origin
-        self._format: _Format | None = None
+        self._format: _Csv | _Parquet | None = None
         self.accept: Callable[[RowLayout], None] = lambda _: None
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
@@ -362,26 +347,12 @@ class TraceFile(TraceSink):
                 self._format.close()
 
 
-class _Format(Protocol):
-    """How rows are written to a partial file or folder.
+class _Csv:
+    """CSV: each value is the shortest decimal that is read back as the same float64.
 
     end      time of the last row that is written [s]
     sha256   of the partial file
     """
-
-    end: float
-
-    @property
-    def sha256(self) -> str: ...
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None: ...
-    def append(self, times: Array, values: Array) -> None: ...
-    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]: ...
-    def close(self) -> None: ...
-    def check_alone(self) -> None: ...
-
-
-class _Csv:
-    """CSV: each value is the shortest decimal that is read back as the same float64."""
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         del units
@@ -545,11 +516,10 @@ class _Mat(_Csv):
         except (ValueError, OverflowError, struct.error) as error:  # more than 4 GB
             whole.unlink(missing_ok=True)
             raise Problem(f"{whole}: expected at most 4 GB in a MATLAB file: {error}") from None
-        with whole.open("rb") as file:
-            return whole, hashlib.file_digest(file, "sha256").hexdigest()
+        return whole, Location(whole).sha256
 
 
-FORMATS: Mapping[str, type[_Format]] = {".csv": _Csv, ".parquet": _Parquet, ".mat": _Mat}
+FORMATS: Mapping[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Parquet, ".mat": _Mat}
 LONGEST_NAME = 63  # characters of a name in MATLAB
 RESERVED = (TIME, "units", "run")  # variables of a MATLAB file that are no components
 KEYWORDS = (  # of MATLAB
@@ -607,19 +577,13 @@ def read_origin(path: Path) -> str:
     return str(metadata.get(ORIGIN.encode(), b"").decode())
 
 
-class _naming:
+@contextmanager
+def _naming(file: Path, remark: str = "") -> Iterator[None]:
     """Context in which an OSError becomes a Problem that names a file."""
-
-    def __init__(self, file: Path, remark: str = "") -> None:
-        self._file, self._remark = file, remark
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, OSError):
-            reason = error.strerror or str(error)
-            raise Problem(f"{self._file}: cannot be written: {reason}{self._remark}") from error
+    try:
+        yield
+    except OSError as error:
+        raise Problem(f"{file}: cannot be written: {error.strerror or error}{remark}") from error
 
 
 def remove_partial(partial: Path) -> None:

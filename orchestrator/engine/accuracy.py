@@ -179,7 +179,7 @@ class AccuracySearch:
                 reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
             tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
             return result.noted(
-                f"accuracy {self.accuracy:g} of {_named(self.decisive)}: {reached}, {tolerance}"
+                f"accuracy {self.accuracy:g} of {first_names(self.decisive, 1)}: {reached}, {tolerance}"
             )
         self._continue(error if known else math.inf, result)
         return None
@@ -270,10 +270,6 @@ def _jumps(trace: Trace, name: str) -> bool:
     rates = np.pad(changes / lengths, 1)
     around = np.maximum(rates[:-2], rates[2:]) * lengths
     return bool((changes > np.maximum(JUMP * around, LEAST_JUMP * np.ptp(trace[name]))).any())
-
-
-def _named(signals: Sequence[str]) -> str:
-    return signals[0] if len(signals) == 1 else f"{signals[0]} and {len(signals) - 1} more"
 
 
 def estimates_errors(system: System) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace_writer import PointSink
+from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.linear_prediction import LinearInput, LinearSystem
@@ -95,7 +95,7 @@ class ErrorPropagation:
         rows = zip(self._outputs, np.sqrt(self.squares / time).tolist(), self.largest.tolist(), strict=True)
         return {str(port): EstimatedError(rms, largest) for port, rms, largest in rows}
 
-    def collect(self, sink: PointSink) -> None:
+    def collect(self, sink: TraceSink) -> None:
         """Pass on the errors of the outputs at each evaluation since the last call."""
         if filled := self._struct.filled:
             sink.append_errors([str(p) for p in self._outputs], self.times[:filled], self.rows[:filled])

@@ -354,6 +354,7 @@ def main(channel: Channel) -> None:
 
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
+    from orchestrator.data.trace_writer import TraceSink
     from orchestrator.engine import simulation_loop
     from orchestrator.engine.job import open_slave
     from orchestrator.engine.open_job import run_job
@@ -364,11 +365,11 @@ def _run(channel: Channel, task: RunTask) -> None:
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
     simulation_loop.CORES, reported = task.cores, 0.0
 
-    class Sender:
+    class Sender(TraceSink):
         """Sends points to the parent."""
 
-        def begin(self, layout: RowLayout, rows: int) -> None:
-            del rows
+        def begin(self, layout: RowLayout, rows: int = 0) -> None:
+            super().begin(layout, rows)
             channel.put("begin", layout)
 
         def append_points(self, *points: Any) -> None:

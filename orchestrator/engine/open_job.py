@@ -13,7 +13,7 @@ from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.files import archive_kept_open
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
-from orchestrator.data.trace_writer import PointSink
+from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.error_propagation import ErrorPropagation
@@ -53,7 +53,7 @@ class OpenJob:
 def run_job(
     job: Job,
     times: Grid,
-    sink: PointSink,
+    sink: TraceSink,
     between: Callable[[float], None] = lambda _: None,
     at_end: Callable[[RunEnd], None] = lambda _: None,
     allocate: Allocate = bytearray_of,
@@ -100,7 +100,7 @@ def run_job(
     return end
 
 
-def _step_to_end(opened: OpenJob, sink: PointSink, between: Callable[[float], None]) -> None:
+def _step_to_end(opened: OpenJob, sink: TraceSink, between: Callable[[float], None]) -> None:
     """Step from the start to the stop time."""
     loop = opened.loop
     with DeferredInterrupts() as interrupts:
@@ -130,7 +130,7 @@ def _record_end(job: Job, opened: OpenJob, t: float) -> None:
 
 
 @contextmanager
-def opened(job: Job, times: Grid, sink: PointSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
+def opened(job: Job, times: Grid, sink: TraceSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.record.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]

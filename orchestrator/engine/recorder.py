@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace_writer import Points, PointSink, RowLayout
+from orchestrator.data.trace_writer import Points, RowLayout, TraceSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
@@ -77,7 +77,7 @@ class Recorder:
     """
 
     def __init__(
-        self, network: Network, times: Grid, sink: PointSink, selected: Sequence[Port] | None = None
+        self, network: Network, times: Grid, sink: TraceSink, selected: Sequence[Port] | None = None
     ) -> None:
         self._network, self._sink = network, sink
         all_ports = [*network.reals.index, *network.integers.index]

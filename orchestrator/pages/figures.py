@@ -84,6 +84,14 @@ class Palette:
 PALETTE = Palette()
 REFERENCE = {"color": PALETTE.faint, "linewidth": 2.6}
 SIMULATION = {"color": PALETTE.ink, "linewidth": 1.3, "linestyle": DOTS}
+
+
+def curve_style(colour: int, dashes: int) -> dict[str, Any]:
+    """A colour and a line style by their numbers, in cyclic order."""
+    pattern = LINE_STYLES[dashes % len(LINE_STYLES)]
+    return {"color": PALETTE.colour(colour), "linewidth": 1.3, "linestyle": pattern}
+
+
 # Two samples per bucket are about the width of a screen in pixels: no visible peak is lost.
 BUCKETS = 600
 

@@ -131,17 +131,15 @@ class Comparison:
 
     def quantities(self) -> dict[str, list[str]]:
         """All common signals by quantity."""
-        signals: dict[str, list[str]] = {}
-        for row in next(iter(self.against.values())).rows:
-            signals.setdefault(row.group, []).append(row.signal)
-        return signals
+        groups = next(iter(self.against.values())).groups
+        return {group: [row.signal for row in rows] for group, rows in groups.items()}
 
     def worst(self, label: str, quantity: str) -> ValidatedSignal | None:
         """The signal of a quantity with the largest NRMSE, of those that are not at rest in both runs.
 
         If the reference is at rest, NRMSE is over the range of the other run, and CONSTANT is a note.
         """
-        rows = [row for row in self.against[label].rows if row.group == quantity]
+        rows = self.against[label].groups.get(quantity, [])
         ranges = [span(values) for row in rows for values in (row.reference, row.simulation)]
         least = max(AT_REST * max(ranges, default=0.0), FLOOR)
         moving = [moved for row in rows if (moved := _moving(row, least))]
@@ -149,7 +147,7 @@ class Comparison:
 
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, including signals at rest."""
-        rows = [row for row in self.against[label].rows if row.group == quantity]
+        rows = self.against[label].groups[quantity]
         return max(
             rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, rows[0].unit, r.signal)[0]
         )

@@ -14,7 +14,7 @@ from orchestrator.base.progress import doing
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.engine.arguments import SystemArguments
-from orchestrator.engine.result import Result, compare
+from orchestrator.engine.result import Result, ranges, widest_of_unit
 from orchestrator.monolithic.reference import SOLVER, reference
 from orchestrator.results.validation import by_variable
 
@@ -77,16 +77,9 @@ def _adapted(criterion: Criterion, limit: float | None, span: float | None) -> C
 
 def _spans_of_constants(solved: Result) -> dict[str, float]:
     """What replaces the range of outputs that are constant but for rounding."""
-    nominals = {str(p): solved.system.variable(p).nominal for p in solved.system.ports("output")}
+    nominals = solved.system.nominals
     outputs = solved.trace.select(name for name in nominals if name in solved.trace.signals)
-    varying = {e.name for e in compare(outputs, outputs, None, nominals)}
-    widest: dict[str, float] = {}
-    for name in varying:
-        unit = outputs.units.get(name, "")
-        widest[unit] = max(widest.get(unit, 0.0), float(np.ptp(outputs[name])))
-
-    def span(name: str) -> float:
-        magnitude = float(np.abs(outputs[name]).max())
-        return abs(nominals[name] or max(magnitude, widest.get(outputs.units.get(name, ""), 0.0)) or 1.0)
-
-    return {name: span(name) for name in outputs.signals if name not in varying}
+    varying = ranges(outputs, nominals)
+    constant = {n: float(np.abs(values).max()) for n, values in outputs.items() if n not in varying}
+    widest = widest_of_unit({**dict.fromkeys(constant, 0.0), **varying}, outputs.units)
+    return {n: abs(nominals[n] or max(magnitude, widest[n]) or 1.0) for n, magnitude in constant.items()}

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.text import brief, first_names
+from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
@@ -117,10 +117,7 @@ class Validation:
     @property
     def groups(self) -> dict[str, list[ValidatedSignal]]:
         """The rows by group, in the order of the reference."""
-        groups: dict[str, list[ValidatedSignal]] = {}
-        for row in self.rows:
-            groups.setdefault(row.group, []).append(row)
-        return groups
+        return grouped(self.rows, lambda row: row.group)
 
     @property
     def judged(self) -> tuple[ValidatedSignal, ...]:
