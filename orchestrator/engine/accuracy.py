@@ -3,7 +3,7 @@
 Runs follow each other until the estimated error of one is small enough. The first settings follow from the
 accuracy and from what the FMUs can do, later ones from the error of the last run:
 
-- FMUs with directional derivatives: each run estimates its error (`error_propagation`). Equal steps come
+- FMUs with directional derivatives: each run estimates its error (`ErrorPropagation`). Equal steps come
   first. If their error is too large, shorter ones follow that the order of convergence gives, and adaptive
   steps by `hermite` after equal ones by `hermite`, or where these would be very short.
 - other FMUs: equal steps, halved until the change by halving is small enough.

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding
-from orchestrator.engine.component import calls_by_type
-from orchestrator.fmi.calls import Call, Slave, function_type
+from orchestrator.fmi.calls import Call, Slave, calls_by_type, function_type
 from orchestrator.ssp.dependencies import DependencyCycle
 from orchestrator.ssp.system import Port
 

@@ -355,7 +355,7 @@ def main(channel: Channel) -> None:
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
     from orchestrator.data.trace_writer import TraceSink
-    from orchestrator.engine import simulation_loop
+    from orchestrator.engine import open_job
     from orchestrator.engine.job import open_slave
     from orchestrator.engine.open_job import run_job
     from orchestrator.fmi.calls import Slave
@@ -363,7 +363,7 @@ def _run(channel: Channel, task: RunTask) -> None:
 
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    simulation_loop.CORES, reported = task.cores, 0.0
+    open_job.CORES, reported = task.cores, 0.0
 
     class Sender(TraceSink):
         """Sends points to the parent."""

@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace_writer import Points, RowLayout, TraceSink
 from orchestrator.engine.c_library import Binding
-from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import BondEnergy
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.calls import Call
+from orchestrator.fmi.calls import Call, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.power_bonds import Bond
 from orchestrator.ssp.system import Port

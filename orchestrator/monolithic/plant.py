@@ -27,11 +27,10 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.component import calls_by_type
-from orchestrator.engine.linear_prediction import Linearisation
+from orchestrator.engine.linear_system import Linearisation
 from orchestrator.engine.network import initialise
 from orchestrator.engine.scenario import DrivenInputs, Scenario
-from orchestrator.fmi.calls import Slave
+from orchestrator.fmi.calls import Slave, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.ssp.system import Connection, Inlet, Port, System

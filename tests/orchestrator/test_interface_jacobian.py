@@ -9,7 +9,7 @@ from orchestrator.base.files import Location
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
-from orchestrator.engine.linear_prediction import Linearisation
+from orchestrator.engine.linear_system import Linearisation
 from orchestrator.engine.masters import interface_jacobian_plan
 from orchestrator.engine.open_job import opened as opened_job
 from orchestrator.engine.time_grid import Grid
