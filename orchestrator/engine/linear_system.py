@@ -97,6 +97,21 @@ class Linearisation:
         )
 
 
+Entry = tuple[int, int, float]  # index in the result of a column, index in the matrices, factor
+
+
+def column_structs(binding: Binding, columns: Sequence[tuple[JacobianColumn, Sequence[Entry]]]) -> Any:
+    """An array of `JacobianColumn` of engine.h."""
+    structs = binding.array(binding.h.JacobianColumn, [binding.h.JacobianColumn()] * len(columns))
+    for struct, (column, entries) in zip(structs, columns, strict=False):
+        binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
+        from_, to, factor = zip(*entries, strict=True)
+        struct.to, struct.factor = binding.at(np.array(to, np.int64)), binding.at(np.array(factor, float))
+        setattr(struct, "from", binding.at(np.array(from_, np.int32)))  # `from` is a keyword of Python
+        struct.entries = len(entries)
+    return structs
+
+
 @dataclass(frozen=True)
 class LinearInput:
     """One input of the linear system.
@@ -135,7 +150,7 @@ class LinearSystem:
         self.closed_loop = np.zeros((n, wide))
         self.pivots = np.zeros(max(n, m), np.int32)
         self.linearised: list[Linearisation] = []
-        self._columns: list[tuple[JacobianColumn, list[tuple[int, int, float]]]] = []
+        self._columns: list[tuple[JacobianColumn, list[Entry]]] = []
 
     def connect(
         self, network: Network, members: Sequence[int], inputs: Sequence[LinearInput], f: Buffer, x: Buffer
@@ -160,11 +175,8 @@ class LinearSystem:
         column: JacobianColumn,
         first: int,
         inputs: Sequence[LinearInput],
-    ) -> Iterator[tuple[int, int, float]]:
-        """Entries of a column: index in its result, index in `matrices`, factor.
-
-        first   index of the first state of the component
-        """
+    ) -> Iterator[Entry]:
+        """Entries of a column; first: index of the first state of the component."""
         n, targets = len(linear.states), [u.target for u in inputs]
         for i, j in column.entries:
             of_input, known, result = j >= n, first + j, column.rows.index(i)
@@ -186,19 +198,11 @@ class LinearSystem:
 
     def system_struct(self, binding: Binding) -> Any:
         """`LinearSystem` of engine.h with these arrays."""
-        h, at = binding.h, binding.at
-        columns = binding.array(h.JacobianColumn, [h.JacobianColumn()] * len(self._columns))
-        for struct, (column, entries) in zip(columns, self._columns, strict=False):
-            binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
-            from_, to, factor = zip(*entries, strict=True)
-            struct.to, struct.factor = at(np.array(to, np.int64)), at(np.array(factor, float))
-            setattr(struct, "from", at(np.array(from_, np.int32)))  # `from` is a keyword of Python
-            struct.entries = len(entries)
         sizes = ("n", "m", "n_padded", "m_padded", "has_feedthrough")
-        return h.LinearSystem(
+        return binding.h.LinearSystem(
             **binding.all_at(self, "matrices k kc closed_loop pivots"),
             **{name: getattr(self, name) for name in sizes},
-            columns=binding.pointer(columns),
+            columns=binding.pointer(column_structs(binding, self._columns)),
             column_count=len(self._columns),
         )
 
@@ -414,7 +418,7 @@ class ErrorPropagation:
         h = binding.h
         self._struct = h.ErrorPropagation(
             system=self._system.system_struct(binding),
-            members=binding.pointer(binding.array(h.ErrorMember, list(self._member_structs(binding)))),
+            members=binding.pointer(self._member_structs(binding)),
             inputs=binding.pointer(
                 binding.array(h.ErrorInput, [self._input_struct(h, u) for u in self._inputs])
             ),
@@ -437,18 +441,19 @@ class ErrorPropagation:
         target = self._network.components[u.target.component]
         return h.ErrorInput(input=u.coupling_input, substeps=2 if target.halved else target.substeps)
 
-    def _member_structs(self, binding: Binding) -> Iterator[Any]:
-        """An `ErrorMember` of engine.h for each component."""
-        index = {p: i for i, p in enumerate(self._outputs)}
+    def _member_structs(self, binding: Binding) -> Any:
+        """An array with an `ErrorMember` of engine.h for each component."""
+        index, member = {p: i for i, p in enumerate(self._outputs)}, binding.h.ErrorMember
         first_state = first_input = first_output = 0
-        for k in self._members:
+        structs = binding.array(member, [member()] * len(self._members))
+        for i, k in enumerate(self._members):
             slave = self._slaves[k]
             states, inputs = list(slave.interface.states), self._inputs_of(slave.name)
             others = self._other_connections(slave.name, set(inputs), index)
             outputs = [p.variable for p in self._outputs if p.component == slave.name]
             knowns = [*states, *inputs, *(c.target.variable for c in others)]
             seed, result = np.zeros(len(knowns)), self.y[first_output : first_output + len(outputs)]
-            struct = binding.h.ErrorMember(
+            structs[i] = member(
                 first_state=first_state,
                 state_count=len(states),
                 first_input=first_input,
@@ -457,13 +462,13 @@ class ErrorPropagation:
                 to=binding.at(np.arange(len(knowns) - len(others), len(knowns), dtype=np.int32)),
                 factors=binding.at(np.array([c.map.factor for c in others])),
             )
-            setattr(struct, "from", binding.at(np.array([index[c.source] for c in others], np.int32)))
+            setattr(structs[i], "from", binding.at(np.array([index[c.source] for c in others], np.int32)))
             call = slave.directional_derivative(outputs, knowns, seed, result)
-            binding.fill_derivative(struct.outputs, call, seed, result)
-            yield struct
+            binding.fill_derivative(structs[i].outputs, call, seed, result)
             first_state += len(states)
             first_input += len(inputs)
             first_output += len(outputs)
+        return structs
 
     def _inputs_of(self, component: str) -> list[str]:
         return [u.target.variable for u in self._inputs if u.target.component == component]

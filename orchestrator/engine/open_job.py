@@ -38,23 +38,6 @@ FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so
 FEWEST_STEPS = 2  # between two evaluations of the estimated errors
 
 
-@dataclass
-class OpenJob:
-    """The objects of a run whose FMUs are initialised.
-
-    errors   the estimate of errors during the run; None if there is none
-    notes    remarks on its master
-    """
-
-    network: Network
-    recorder: Recorder
-    energy: EnergyMonitor
-    loop: SimulationLoop
-    times: Grid
-    errors: ErrorPropagation | None
-    notes: tuple[str, ...]
-
-
 def run_job(
     job: Job,
     times: Grid,
@@ -70,22 +53,22 @@ def run_job(
     at_end     called before the FMUs are closed
     allocate   see `Binding`
     """
-    with opened(job, times, sink, allocate) as running:
+    with opened(job, times, sink, allocate) as loop:
         began = time.perf_counter()
         problem, interrupted = None, False
         try:
-            _step_to_end(running, sink, between)
+            _step_to_end(loop, sink, between)
         except KeyboardInterrupt:
             interrupted = True
         except Ended as ended:
-            running.notes += (f"{ENDS_EARLY}{ended}",)
-            _record_end(job, running, ended.reached)
+            loop.notes += (f"{ENDS_EARLY}{ended}",)
+            _record_end(job, loop, ended.reached)
         except Problem as raised:
             problem = raised
-        running.recorder.finish()
-        if running.errors:
-            running.errors.collect(sink)
-        state, network = running.loop.state, running.network
+        loop.recorder.finish()
+        if loop.errors:
+            loop.errors.collect(sink)
+        state, network = loop.state, loop.network
         end = RunEnd(
             t=state.t,
             steps=state.steps,
@@ -93,11 +76,11 @@ def run_job(
             repeated=state.repeated,
             lengths=(state.shortest, state.longest),
             wall=time.perf_counter() - began,
-            bonds=tuple(running.energy.energies()),
-            errors=running.errors.errors() if running.errors else {},
-            inside=running.loop.busy_seconds,
+            bonds=tuple(loop.energy.energies()),
+            errors=loop.errors.errors() if loop.errors else {},
+            inside={name: component.busy_seconds for name, component in network.components.items()},
             logs=tuple(copy(s.log) for s in network.slaves.values()),
-            notes=network.notes + times.notes + running.notes,
+            notes=network.notes + times.notes + loop.notes,
             problem=problem,
             interrupted=interrupted,
         )
@@ -105,37 +88,37 @@ def run_job(
     return end
 
 
-def _step_to_end(opened: OpenJob, sink: TraceSink, between: Callable[[float], None]) -> None:
+def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float], None]) -> None:
     """Step from the start to the stop time."""
-    loop = opened.loop
     with DeferredInterrupts() as interrupts:
         loop.begin()
-        while loop.state.done < opened.times.steps:
+        while loop.state.done < loop.times.steps:
             interrupts.check()
             try:
                 loop.advance()
             except Problem:
-                opened.recorder.collect()  # raises if a value is not finite: the cause of the failure
+                loop.recorder.collect()  # raises if a value is not finite: the cause of the failure
                 raise
-            if opened.errors:
-                opened.errors.collect(sink)
+            if loop.errors:
+                loop.errors.collect(sink)
             between(loop.state.t)
 
 
-def _record_end(job: Job, opened: OpenJob, t: float) -> None:
+def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
     """Record the time [s] at which an FMU ended the run inside a step (FMI 2.0.5, 4.2.2: fmi2Terminated).
 
     In a system of several FMUs the others are not there, so its last row is the last communication point.
     """
-    state = opened.loop.state
-    if len(opened.network.slaves) == 1 and t > state.t:
-        opened.recorder.collect()
-        opened.recorder.end_at(t, job.scenario.initial(job.system, t) if job.scenario else {})
-        state.t = t
+    if len(loop.network.slaves) == 1 and t > loop.state.t:
+        loop.recorder.collect()
+        loop.recorder.end_at(t, job.scenario.initial(job.system, t) if job.scenario else {})
+        loop.state.t = t
 
 
 @contextmanager
-def opened(job: Job, times: Grid, sink: TraceSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
+def opened(
+    job: Job, times: Grid, sink: TraceSink, allocate: Allocate = bytearray_of
+) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.record.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]
@@ -168,28 +151,15 @@ def opened(job: Job, times: Grid, sink: TraceSink, allocate: Allocate = bytearra
         control = step_control(job, inputs, times)
         stack.callback(network.free_saved_states)
         loop = SimulationLoop(network, plan, inputs, prediction, times, recorder, energy, control)
-        errors = _error_propagation(job, network, inputs, times)
+        if job.execution.error_estimate:
+            errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
+            if not errors.missing:
+                errors.fill(binding)
+                loop.errors = errors
         stack.callback(loop.close)
-        notes = (
-            *plan.notes,
-            *_rollback_notes(job),
-            *inputs.notes,
-            *(prediction.notes if prediction else ()),
-        )
-        yield OpenJob(network, recorder, energy, loop, times, errors, notes)
-
-
-def _error_propagation(
-    job: Job, network: Network, inputs: CouplingInputs, times: Grid
-) -> ErrorPropagation | None:
-    """The estimate of errors during the run, filled; None if not wanted, or if an FMU prevents it."""
-    if not job.execution.error_estimate:
-        return None
-    errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
-    if errors.missing:
-        return None
-    errors.fill(network.binding)
-    return errors
+        of_prediction = prediction.notes if prediction else ()
+        loop.notes = (*plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
+        yield loop
 
 
 def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl | None:
@@ -284,11 +254,16 @@ class StepControl:
 
 
 class SimulationLoop:
-    """A run from its start to its end, in blocks of recorded points.
+    """A run whose FMUs are initialised, from its start to its end, in blocks of recorded points.
 
-    state   `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may increase
-            `total`
+    state    `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may increase
+             `total`
+    errors   the estimate of errors during the run; None if there is none
+    notes    remarks on its master
     """
+
+    errors: ErrorPropagation | None = None
+    notes: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -301,9 +276,9 @@ class SimulationLoop:
         energy: EnergyMonitor,
         control: StepControl | None = None,
     ) -> None:
-        """network: all FMUs are initialised; control: None if all steps are equal."""
-        self._network, self._plan, self._inputs = network, plan, inputs
-        self._recorder, self._control = recorder, control
+        """control: None if all steps are equal."""
+        self.network, self.times, self.recorder, self.energy = network, times, recorder, energy
+        self._plan, self._inputs, self._control = plan, inputs, control
         self._binding, self.state = network.binding, network.binding.simulation
         self._components = [*network.components.values()]
         self._threads_undecided = not plan.sequential and len(self._components) > 1
@@ -312,7 +287,11 @@ class SimulationLoop:
         network.fill()
         if driven := network.driven:
             driven.fill(self._binding, [inputs.ports.index(p) for p in driven.continuous])
-        order = self._begin_prediction(prediction, times.start) if prediction else plan.order
+        order = plan.order
+        if prediction:
+            self._binding.call("simulation_exchange", c_double(times.start))
+            order = prediction.begin()
+            prediction.fill(self._binding)
         self._fill_plan(order, prediction)
         recorder.fill(self._binding)
         energy.fill(self._binding)
@@ -323,12 +302,12 @@ class SimulationLoop:
     def begin(self) -> None:
         """Exchange all values at the start, and record them."""
         self._binding.call("simulation_begin")
-        self._recorder.collect()
+        self.recorder.collect()
 
     def advance(self) -> None:
         """Step until a block of points or estimated errors is full, for ADVANCE_TIME, or to the end."""
         self._binding.call("simulation_advance")
-        self._recorder.collect()
+        self.recorder.collect()
         if self._threads_undecided and self.state.steps >= TIMED_STEPS:
             self._decide_about_threads()
 
@@ -342,16 +321,11 @@ class SimulationLoop:
     def close(self) -> None:
         """End the threads and free saved states."""
         self._binding.call("simulation_close")
-        self._network.free_saved_states()
-
-    @property
-    def busy_seconds(self) -> dict[str, float]:
-        """Wall time in the steps of each component [s]."""
-        return {name: component.busy_seconds for name, component in self._network.components.items()}
+        self.network.free_saved_states()
 
     def _withdraw_messages(self) -> None:
         """Withdraw messages and statuses of the FMUs in a step that is going to be repeated."""
-        for slave in self._network.slaves.values():
+        for slave in self.network.slaves.values():
             slave.log.time = self.state.t
             slave.after_rollback()
 
@@ -381,16 +355,9 @@ class SimulationLoop:
         self.state.saves = saves
         self.state.rollback = all(c.rollback and not c.fixed_step for c in self._components)
 
-    def _begin_prediction(self, prediction: LinearPrediction, t: float) -> list[int]:
-        """Exchange all values, linearise the components; returns the order in which they step."""
-        self._binding.call("simulation_exchange", c_double(t))
-        order = prediction.begin()
-        prediction.fill(self._binding)
-        return order
-
     def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
         """Fill the plan, the coupling inputs, and the calls between the steps of two components."""
-        sim, plan, network, inputs = self.state, self._plan, self._network, self._inputs
+        sim, plan, network, inputs = self.state, self._plan, self.network, self._inputs
         held = inputs.held(order) if plan.sequential else [[] for _ in order]
         for k, (name, component) in enumerate(network.components.items()):
             # of the last one no component uses the outputs in the same step

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.linear_system import Linearisation
+from orchestrator.engine.linear_system import Entry, JacobianColumn, Linearisation, column_structs
 from orchestrator.engine.network import initialise
 from orchestrator.engine.scenario import DrivenInputs, Scenario
 from orchestrator.fmi.calls import Slave, calls_by_type
@@ -217,7 +217,7 @@ class Plant:
             residual=at(self._residual),
             results=at(self._completed),
             **{name: at(np.zeros(n)) for name in ("expected", "magnitude")},
-            columns=binding.pointer(binding.array(h.JacobianColumn, columns)),
+            columns=binding.pointer(column_structs(binding, columns)),
             member_count=len(self.members),
             input_count=n,
             connection_count=len(rows),
@@ -258,19 +258,14 @@ class Plant:
             if member.slave.interface.completed_step:
                 yield member.slave.exchange_call("CompletedIntegratorStep", results)
 
-    def _columns(self) -> Iterator[Any]:
-        """`JacobianColumn` of engine.h for each directional derivative."""
+    def _columns(self) -> Iterator[tuple[JacobianColumn, list[Entry]]]:
+        """All directional derivatives, with the places of their results in the Jacobian."""
         width = self._jacobian.shape[1]
         for member in self.members:
             rows, columns = member.indices(len(self.x))
             for column in member.columns:
-                struct = self._binding.h.JacobianColumn(entries=len(column.entries))
-                self._binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
-                to = np.array([rows[i] * width + columns[j] for i, j in column.entries], np.int64)
-                struct.to, struct.factor = self._binding.at(to), self._binding.at(np.ones(len(to)))
-                results = np.array([column.rows.index(i) for i, _ in column.entries], np.int32)
-                setattr(struct, "from", self._binding.at(results))  # `from` is a keyword of Python
-                yield struct
+                places = [(column.rows.index(i), rows[i] * width + columns[j]) for i, j in column.entries]
+                yield column, [(index, int(place), 1.0) for index, place in places]
 
     def _call(self, function: str, *arguments: int) -> None:
         self._finish(getattr(library(), function)(*self._arguments, *arguments))

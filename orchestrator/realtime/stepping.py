@@ -241,11 +241,10 @@ class FrameStepper:
         job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
         latest = LatestValues()
         with ExitStack() as stack:
-            running = stack.enter_context(opened(job, times, latest))
-            self._loop = running.loop
+            self._loop = stack.enter_context(opened(job, times, latest))
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
-            self.notes = (*system.notes, *system.warnings, *suggested, *running.network.notes)
+            self.notes = (*system.notes, *system.warnings, *suggested, *self._loop.network.notes)
             self._exit = stack.pop_all()
         self.values = latest.values[: len(setup.signals)]
 
