@@ -151,12 +151,7 @@ class Description:
 
 def read_description(path: Path) -> Description:
     """Read and check the TOML file of a recording or a reference."""
-    try:
-        table = toml.read(path, path.read_bytes())
-    except FileNotFoundError:
-        raise Problem(f"{path}: expected a TOML file that describes the columns, got no such file") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    table = toml.read_file(path, "expected a TOML file that describes the columns, got no such file")
     if not table.data.get("signals"):
         table.allow_only(Description.__dataclass_fields__)
         raise Problem(f"{path}: expected at least one table [signals.NAME], got none")

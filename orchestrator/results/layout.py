@@ -140,13 +140,7 @@ class _File:
 
 def read_layout(path: Path) -> Layout:
     """Read a layout; raises a Problem if a key is unknown, missing or of the wrong type."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise Problem(f"{path}: no such file") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
-    file = toml.read_dataclass(_File, toml.read(path, data))
+    file = toml.read_dataclass(_File, toml.read_file(path))
     for figure in file.figure:
         if not figure.panels:
             raise Problem(f"{path}: figure {figure.title!r}: panels: expected at least one, got none")
