@@ -258,6 +258,7 @@ class _Supervision:
     def _ended_by_fmu(self) -> RunEnd:
         """The outcome of a run whose process ended: by a call into an FMU, by an interrupt, or at a limit."""
         from orchestrator.base.errors import Problem
+        from orchestrator.base.text import grouped
         from orchestrator.engine.job import RunEnd
         from orchestrator.fmi.messages import Log
 
@@ -268,9 +269,7 @@ class _Supervision:
         outcome = self._outcome or RunEnd(self._times.start)
         if self._outcome is None:
             self._rescue(outcome, self._layout)
-            by_component: dict[str, list[LogMessage]] = {}
-            for logged in self._messages:
-                by_component.setdefault(logged.component, []).append(logged)
+            by_component = grouped(self._messages, lambda message: message.component)
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
         outcome.interrupted, outcome.died = interrupted, True
         first = f"{outcome.problem}; then " if outcome.problem else ""  # many FMUs crash when they are freed

@@ -334,10 +334,9 @@ class CouplingInputs:
         connected = [s for s in self.inputs if s.source_component != h.DRIVEN and s.requested_degree]
         needed = [self._plan.needs_slopes_of(name) for name in self._network.slaves]
         differences = [s.source for s in connected if not s.source_slope and needed[s.source_component]]
+        reason = "because the FMUs provide no output derivatives"
         notes = {
-            (
-                "input derivatives from differences of values, because the FMUs provide no output derivatives"
-            ): differences,
+            f"input derivatives from differences of values, {reason}": differences,
             "inputs held at their mean over a step, because the FMUs accept no input derivatives": [
                 s.target for s in connected if s.fmu_degree == 0
             ],
@@ -345,11 +344,8 @@ class CouplingInputs:
                 s.target for s in connected if 0 < s.fmu_degree < s.requested_degree
             ],
         }
-        return tuple(
-            f"{note}: {first_names([names[i] for i in indices])}"
-            for note, indices in notes.items()
-            if indices
-        )
+        named = {note: first_names(names[i] for i in found) for note, found in notes.items()}
+        return tuple(f"{note}: {inputs}" for note, inputs in named.items() if inputs)
 
     # ---- selection
 
@@ -418,20 +414,12 @@ class CouplingInputs:
         connection = self._connections.get(port)
         nominal = self._network.system.variable(port).nominal or 1.0  # 1 if not declared, by the standard
         target = self._network.reals.index[port]
-        return self._h.CouplingInput(
-            target=target,
-            scale=abs(nominal),
-            **(self._from_output(port, connection) if connection else self._from_scenario(port)),
-        )
-
-    def _from_scenario(self, port: Port) -> dict[str, Any]:
-        degree = self._network.slaves[port.component].input_degree(port.variable, 1)
-        return {
-            "source": -1,
-            "source_component": self._h.DRIVEN,
-            "fmu_degree": degree,
-            "requested_degree": 1,
-        }
+        if connection:
+            members = self._from_output(port, connection)
+        else:  # from the scenario
+            degree = self._network.slaves[port.component].input_degree(port.variable, 1)
+            members = {"source_component": self._h.DRIVEN, "fmu_degree": degree, "requested_degree": 1}
+        return self._h.CouplingInput(**{"target": target, "scale": abs(nominal), "source": -1, **members})
 
     def _from_output(self, port: Port, connection: Connection) -> dict[str, Any]:
         network, plan, varied = self._network, self._plan, port in self._varied

@@ -21,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import grouped
 from orchestrator.engine.algebraic_loop import AlgebraicLoop, solver
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.scenario import DrivenInputs, Scenario
 from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type, function_type
-from orchestrator.fmi.description import FmuInterface, Value
+from orchestrator.fmi.description import Value
 from orchestrator.ssp.dependencies import (
     DependencyCycle,
     Feedthrough,
@@ -212,12 +213,12 @@ class SignalArray:
 
     def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
         """Append ports, grouped into blocks."""
-        groups: dict[tuple[str, str, tuple[int, ...]], list[Port]] = {}
-        for port, port_stages in stages.items():
-            group = port.component, function_type(system.variable(port)), port_stages
-            groups.setdefault(group, []).append(port)
+
+        def group_of(port: Port) -> tuple[str, str, tuple[int, ...]]:
+            return port.component, function_type(system.variable(port)), stages[port]
+
         blocks = []
-        for group, ports in groups.items():
+        for group, ports in grouped(stages, group_of).items():
             blocks.append(Block(*group, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
@@ -438,7 +439,8 @@ def initialise(
     after        called when one FMU has been called several times
     """
     for name, slave in slaves.items():
-        stop = _announced_stop(slave.interface, span[1])
+        # the sum of equal steps may be carried by rounding beyond the true stop time
+        stop = span[1] if slave.interface.variable_step else span[1] + 4.0 * math.ulp(span[1])
         slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
@@ -454,11 +456,6 @@ def initialise(
         after(slave)
 
 
-def _announced_stop(interface: FmuInterface, stop: float) -> float:
-    """The stop time for the FMU [s]: rounding may carry the sum of equal steps beyond the true one."""
-    return stop if interface.variable_step else stop + 4.0 * math.ulp(stop)
-
-
 def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:
     for port, value in values.items():
         slaves[port.component].set(port.variable, value)
@@ -470,9 +467,7 @@ def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
     Algebraic loops are solved as in the run, see `AlgebraicLoop`.
     """
     feedthrough = Feedthrough(system, initially=True)
-    connections: dict[Port, list[Connection]] = {}
-    for c in system.connections:
-        connections.setdefault(c.source, []).append(c)
+    connections = grouped(system.connections, lambda c: c.source)
     for group in strongly_connected(feedthrough.graph):
         outputs, cycle = [y for y in group if y in connections], feedthrough.cycle(group)
         if cycle:

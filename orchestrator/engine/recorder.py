@@ -97,17 +97,14 @@ class Recorder:
         for outlet in system.outputs.values():
             if outlet.source in column:
                 sources[outlet.name] = (outlet.source, outlet.map.factor, outlet.map.offset, outlet.unit)
-        scaled = [k for k, name in enumerate(sources) if name in system.outputs]
-        maps = np.array([(factor, offset) for _, factor, offset, _ in sources.values()]).reshape(-1, 2)[
-            scaled
-        ]
+        maps = [s[1:3] for name, s in sources.items() if name in system.outputs]
         return RowLayout(
             names=tuple(sources),
-            units={name: unit.name for name, (_, _, _, unit) in sources.items() if unit},
+            units={name: unit.name for name, (*_, unit) in sources.items() if unit},
             columns=np.array([column[port] for port, *_ in sources.values()], np.intp),
-            scaled=scaled,
-            factors=maps[:, 0].tolist(),
-            offsets=maps[:, 1].tolist(),
+            scaled=[k for k, name in enumerate(sources) if name in system.outputs],
+            factors=[factor for factor, _ in maps],
+            offsets=[offset for _, offset in maps],
             reals=len(self._reals),
             integers=len(self._integers),
             every=every,
