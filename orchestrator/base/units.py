@@ -184,8 +184,7 @@ def reader_unit(unit: str) -> str:
 
 def in_reader_unit(value: float, unit: str) -> float:
     """A value in the unit that `reader_unit` gives; unchanged if the unit is unknown."""
-    shown = reader_unit(unit)
-    factor, offset = (1.0, 0.0) if shown == unit else factor_and_offset(unit, shown, "value")
+    factor, offset = factor_and_offset(unit, reader_unit(unit), "value")
     return factor * value + offset
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -111,10 +112,9 @@ def _available(panels: Sequence[PanelSpec], trace: Trace) -> tuple[PanelSpec, ..
     """The panels with the signals that the trace has; panels without signals are left out."""
     available = []
     for panel in panels:
-        indices = [k for k, signal in enumerate(panel.signals) if signal in trace.signals]
-        signals = tuple(panel.signals[k] for k in indices)
-        names = tuple(panel.names[k] for k in indices if k < len(panel.names))
-        available += [replace(panel, signals=signals, names=names)] if indices else []
+        kept = [signal in trace.signals for signal in panel.signals]
+        signals, names = (tuple(compress(texts, kept)) for texts in (panel.signals, panel.names))
+        available += [replace(panel, signals=signals, names=names)] if signals else []
     return tuple(available)
 
 

@@ -107,13 +107,8 @@ def measure(
     is_constant = not moves(reference, recording)
     if is_constant and moves(recording):
         notes = (*notes, "the reference is constant in this window: no fit, VAF or ISO rating")
-    iso = Rating(reason="not requested")
-    if rate:
-        iso = (
-            Rating(reason="the reference is constant")
-            if is_constant
-            else iso_rating(time, simulation, reference)
-        )
+    not_rated = "the reference is constant" if is_constant else ""
+    reason = not_rated if rate else "not requested"
     return Metrics(
         maximum_error=float(abs(error[largest])),
         time_of_maximum=float(time[largest]),
@@ -123,7 +118,7 @@ def measure(
         normalised_by=denominator,
         fit=None if is_constant else 100 * (1 - float(np.linalg.norm(error)) / norm),
         vaf=None if is_constant else 100 * (1 - float(np.var(error) / np.var(reference))),
-        iso=iso,
+        iso=Rating(reason=reason) if reason else iso_rating(time, simulation, reference),
         notes=notes,
     )
 
