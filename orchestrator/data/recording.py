@@ -115,9 +115,8 @@ class Recording:
         """One signal, shape (n,)."""
         if name not in self.signals:
             purpose = f" for {self.procedure}" if self.procedure else ""
-            raise Problem(
-                f"{self.source}: expected the signal {name}{purpose}, got {', '.join(self.signals)}"
-            )
+            got = ", ".join(self.signals)
+            raise Problem(f"{self.source}: expected the signal {name}{purpose}, got {got}")
         return self.signals[name]
 
     def __repr__(self) -> str:
@@ -199,9 +198,8 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         for name, value in description.experiment.items()
     }
     origin = description.reference
-    about = {f.name: getattr(origin, f.name) for f in fields(origin)} | {
-        "date": origin.date and str(origin.date)
-    }
+    about = {f.name: getattr(origin, f.name) for f in fields(origin)}
+    about |= {"date": origin.date and str(origin.date)}
     return Recording(
         source=file,
         title=origin.title or file.stem,
@@ -264,9 +262,9 @@ def _seconds(columns: Columns, description: Description) -> Array:
     for k in np.flatnonzero(np.isnan(raw))[:1]:
         raise Problem(f"{columns.location(k)}: column {spec.column!r}: expected a time, got none")
     for k in np.flatnonzero(np.diff(raw) <= 0)[:1]:
+        got = f"{raw[k + 1]:.10g} after {raw[k]:.10g}"
         raise Problem(
-            f"{columns.location(k + 1)}: column {spec.column!r}:"
-            f" expected increasing times, got {raw[k + 1]:.10g} after {raw[k]:.10g}"
+            f"{columns.location(k + 1)}: column {spec.column!r}: expected increasing times, got {got}"
         )
     time: Array = parse_unit(spec.unit).factor * raw + spec.offset
     return time

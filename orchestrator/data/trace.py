@@ -261,9 +261,8 @@ def _checked(columns: Columns, jumps: bool) -> Trace:
         raise Problem(f"{row}: expected {len(columns.values)} cells, got an empty row")
     for name, values in columns.values.items():
         if (missing := np.isnan(values)).any():
-            raise Problem(
-                f"{columns.location(int(missing.argmax()))}: column {name!r}: expected a number, got none"
-            )
+            location = columns.location(int(missing.argmax()))
+            raise Problem(f"{location}: column {name!r}: expected a number, got none")
     equal = jumps & (np.diff(time) == 0)
     for k in np.flatnonzero(
         equal & ~np.append(equal[1:], False)

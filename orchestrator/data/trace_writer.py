@@ -81,9 +81,8 @@ class RowLayout:
         """Do all parts refer to values that a point has?"""
         scales = {len(self.scaled), len(self.factors), len(self.offsets)}
         scaled = all(0 <= k < len(self.names) for k in self.scaled)
-        valid = min(self.reals, self.integers, self.every - 1) >= 0 and len(set(self.names)) == len(
-            self.names
-        )
+        once = len(set(self.names)) == len(self.names)
+        valid = min(self.reals, self.integers, self.every - 1) >= 0 and once
         order = self.order
         inside = order.shape == (len(self.names),) and bool(((order >= 0) & (order < self.width)).all())
         return len(scales) == 1 and scaled and valid and inside
@@ -300,9 +299,8 @@ class TraceFile(TraceSink):
     @property
     def trace(self) -> Trace:
         """All rows: those in memory, or, if they are too many, those in the file when they are needed."""
-        return (
-            self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(self._read, self.layout.units)
-        )
+        complete = self._kept.rows == self.rows
+        return self._kept.trace if complete else TraceOnDisk(self._read, self.layout.units)
 
     def _read(self) -> Trace:
         self.close()

@@ -92,9 +92,8 @@ class Linearisation:
         rows, columns = sorted({i for i, _ in entries}), sorted({j for _, j in entries})
         unknowns, knowns = [self._unknowns[i] for i in rows], [self._knowns[j] for j in columns]
         seed, result = np.ones(len(knowns)), np.zeros(len(rows))
-        return JacobianColumn(
-            slave.directional_derivative(unknowns, knowns, seed, result), seed, result, rows, entries
-        )
+        call = slave.directional_derivative(unknowns, knowns, seed, result)
+        return JacobianColumn(call, seed, result, rows, entries)
 
 
 Entry = tuple[int, int, float]  # index in the result of a column, index in the matrices, factor
@@ -161,8 +160,9 @@ class LinearSystem:
             last = first + len(slaves[k].interface.states)
             linear = linearisation(slaves[k], k, inputs, f[first:last], x[first:last])
             self.linearised.append(linear)
+            name = slaves[k].name
             self._columns += [
-                (c, list(self._entries(slaves[k].name, linear, c, first, inputs))) for c in linear.columns
+                (c, list(self._entries(name, linear, c, first, inputs))) for c in linear.columns
             ]
             first = last
         start_of_d = self.matrix_index(True, 0, True, 0)

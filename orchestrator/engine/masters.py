@@ -107,12 +107,7 @@ def gauss_seidel_order(system: System) -> list[str]:
     first in the system.
     """
     connected = {c.target for c in system.connections}
-    with_rate = {
-        Port(c.name, u)
-        for c in system.components.values()
-        for u, rate in c.interface.rate_inputs.items()
-        if Port(c.name, rate) in connected
-    }
+    with_rate = {port for port, rate in system.rate_ports.items() if rate in connected}
     with_feedthrough = {
         Port(c.name, u)
         for c in system.components.values()
@@ -366,13 +361,12 @@ class CouplingInputs:
         connected = {c.target for c in network.connections}
         power = {p for bond in find_bonds(network.system) for p in (bond.effort, bond.flow)}
         rate_driven = set[Port]()
-        for name, slave in network.slaves.items():
-            for u, rate in slave.interface.rate_inputs.items():
-                port, rate_port = Port(name, u), Port(name, rate)
-                if u not in slave.interface.ramp_inputs and rate_port in connected:
-                    rate_driven.add(port)
-                if port in candidates and port not in rate_driven and rate_port not in power:
-                    rate_driven.add(rate_port)
+        for port, rate in network.system.rate_ports.items():
+            ramps = network.slaves[port.component].interface.ramp_inputs
+            if port.variable not in ramps and rate in connected:
+                rate_driven.add(port)
+            if port in candidates and port not in rate_driven and rate not in power:
+                rate_driven.add(rate)
         return rate_driven
 
     # ---- slopes of their sources
@@ -380,9 +374,9 @@ class CouplingInputs:
     def _find_rate_wires(self) -> dict[Port, Connection]:
         """Connections of rate inputs that come from the FMU that feeds the input itself."""
         incoming, wires = {c.target: c for c in self._network.connections}, {}
+        rates = self._network.system.rate_ports
         for port, connection in self._connections.items():
-            rates = self._network.slaves[port.component].interface.rate_inputs
-            wire = incoming.get(Port(port.component, rates.get(port.variable, "")))
+            wire = incoming.get(rates[port]) if port in rates else None
             if wire and wire.source.component == connection.source.component and not wire.map.offset:
                 wires[port] = wire
         return wires
@@ -439,11 +433,10 @@ class CouplingInputs:
 
     def _rate_wire_count(self, port: Port) -> int:
         """The degree at which an FMU varies a held input by its rate input, the rate input of that ..."""
-        rates = self._network.slaves[port.component].interface.rate_inputs
-        connected = {c.target for c in self._network.connections}
-        rate, count = port, 0
-        while (rate := Port(port.component, rates.get(rate.variable, ""))) in connected and count < 3:
-            count += 1
+        rates, connected = self._network.system.rate_ports, {c.target for c in self._network.connections}
+        rate, count = rates.get(port), 0
+        while rate in connected and count < 3:
+            rate, count = rates.get(rate), count + 1
         return count
 
     def _slope(self, port: Port, connection: Connection) -> dict[str, Any]:
@@ -455,10 +448,7 @@ class CouplingInputs:
             values, index, factor = self.slopes, self.slope_outputs[connection.source], connection.map.factor
         else:
             return {}
-        return {
-            "source_slope": self._network.binding.at(values) + values.itemsize * index,
-            "slope_factor": factor,
-        }
+        return {"source_slope": self._network.binding.at(values[index:]), "slope_factor": factor}
 
     # ---- the components
 

@@ -89,11 +89,8 @@ class RunningComponent:
             with_values = [n for n, s in zip(names, inputs, strict=True) if s.requested_degree]
             self.values = np.zeros(len(with_values))
             self.input_writes += calls_by_type(self.slave, with_values, self.values, self.slave.writer)
-        derivatives = [
-            (n, k + 1)
-            for n, s in zip(names, inputs, strict=True)
-            for k in range(min(s.fmu_degree, s.requested_degree))
-        ]
+        degrees = {n: min(s.fmu_degree, s.requested_degree) for n, s in zip(names, inputs, strict=True)}
+        derivatives = [(name, k + 1) for name, degree in degrees.items() for k in range(degree)]
         self.derivatives = np.zeros(len(derivatives))
         self._add_derivative_writes(derivatives)
 
@@ -112,9 +109,8 @@ class RunningComponent:
         for _, group in groupby(derivatives, key=rate_type):
             names, orders = zip(*group, strict=True)
             values = self.derivatives[first : first + len(names)]
-            write = self.slave.input_derivative_writer(
-                names, values, orders if interface.can_interpolate_inputs else ()
-            )
+            orders = orders if interface.can_interpolate_inputs else ()
+            write = self.slave.input_derivative_writer(names, values, orders)
             self.input_writes.append(write)
             first += len(names)
 
@@ -297,9 +293,8 @@ class Network:
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
         self.rates = scenario.rates(system) if scenario else {}
-        output_blocks, input_blocks = self._allocate(
-            recorded, [*scenario.columns, *self.rates] if scenario else ()
-        )
+        driven = [*scenario.columns, *self.rates] if scenario else []
+        output_blocks, input_blocks = self._allocate(recorded, driven)
         self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
         self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)
@@ -410,9 +405,8 @@ class Network:
         sim.exchange = binding.program(self.exchange_calls)
         sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
         sim.loop_count = len(self.loops)
-        sim.initial_rounds = (
-            self.order.count + 1
-        )  # slopes of outputs of each stage need those of the one before
+        # slopes of outputs of each stage need those of the one before
+        sim.initial_rounds = self.order.count + 1
 
     def free_saved_states(self) -> None:
         """Free the states that were saved for a rollback."""

@@ -174,9 +174,8 @@ def _is_applied(network: Network, port: Port) -> bool:
         *(outlet.source for outlet in system.outputs.values()),
     ):
         return True
-    return all(
-        port.variable not in c.interface.variables for n, c in system.components.items() if n != port[0]
-    )
+    others = (component.interface for name, component in system.components.items() if name != port.component)
+    return all(port.variable not in interface.variables for interface in others)
 
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:
@@ -201,9 +200,8 @@ class EnergyMonitor:
         self.indices = network.reals.indices(ports)
         self.varied = np.array([p in varying for p in ports], dtype=np.uint8)
         self._read = sorted((p for p in ports if p not in varying), key=lambda p: p.component)
-        self.read_indices = np.array(
-            [self._read.index(p) if p in self._read else -1 for p in ports], dtype=np.int64
-        )
+        index = {port: i for i, port in enumerate(self._read)}
+        self.read_indices = np.array([index.get(p, -1) for p in ports], dtype=np.int64)
         self.read_values = np.zeros(len(self._read))
         self.start, self.used_start, self.used_end = (np.zeros(len(ports)) for _ in range(3))
         self.sums = np.zeros((3, len(bonds)))

@@ -141,10 +141,8 @@ class Result(Mapping[str, NDArray[np.float64]]):
             return None
         from scipy.ndimage import maximum_filter1d
 
-        signals = {
-            name: BAND * maximum_filter1d(np.abs(values), 2 * NEARBY + 1)
-            for name, values in self.errors.signals.items()
-        }
+        largest = {n: maximum_filter1d(np.abs(e), 2 * NEARBY + 1) for n, e in self.errors.signals.items()}
+        signals = {name: BAND * values for name, values in largest.items()}
         return Trace(self.errors.time, signals, self.errors.units).at(self.trace.time)
 
 
@@ -388,9 +386,8 @@ def compare(
         largest, size = float(np.max(np.abs(changes[name]))), rms(changes[name])
         larger = rms(before[name]) if name in before else 0.0  # the change from 2h to h
         order = float(np.log2(larger / size)) if size >= 1e-11 * span and larger > 0 else None
-        errors.append(
-            SignalError(name, largest / span, size / span, order, fine.units.get(name, ""), largest)
-        )
+        unit = fine.units.get(name, "")
+        errors.append(SignalError(name, largest / span, size / span, order, unit, largest))
     return tuple(errors)
 
 
@@ -417,9 +414,8 @@ def ranges(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, floa
     """The range of each signal that is not constant."""
     spans = {name: float(np.ptp(values)) for name, values in trace.signals.items()}
     widest = widest_of_unit(spans, trace.units)
-    least = {
-        n: CONSTANT * (nominals.get(n) or 0.0) or max(CONSTANT_IN_UNIT * widest[n], FLOOR) for n in spans
-    }
+    least = {name: CONSTANT * (nominals.get(name) or 0.0) for name in spans}
+    least = {n: size or max(CONSTANT_IN_UNIT * widest[n], FLOOR) for n, size in least.items()}
     return {name: span for name, span in spans.items() if span > abs(least[name])}
 
 
@@ -507,9 +503,8 @@ def metadata(
     signals = signals or RowLayout(tuple(result.trace.signals), result.trace.units)
     system, card = result.system, result.card
     inputs = [p for p in system.ports("input") if str(p) in signals.names]
-    computed = {
-        c.target for c in system.connections if system.components[c.source.component].interface.of("input")
-    }
+    interfaces = {name: component.interface for name, component in system.components.items()}
+    computed = {c.target for c in system.connections if interfaces[c.source.component].of("input")}
     ports = [p for p in (*system.ports("output"), *inputs) if str(p) in signals.names]
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
@@ -571,10 +566,9 @@ def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
         data = json.loads(text)
         digest = data.pop("sha256")
         data.pop("names", None)  # of a MATLAB file
-        values = {n: tuple(data.get(n, ())) for n in ("inputs", "warnings", "sources")} | {
-            "provenance": Provenance.of(data.get("provenance", {}))
-        }
-        return RunMetadata(**{**data, **values}), digest
+        tuples = {name: tuple(data.get(name, ())) for name in ("inputs", "warnings", "sources")}
+        origins = Provenance.of(data.get("provenance", {}))
+        return RunMetadata(**{**data, **tuples, "provenance": origins}), digest
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
 
@@ -586,10 +580,7 @@ def read_run(path: Path) -> tuple[Trace, RunMetadata | None]:
 
 def newest_trace(folder: Path) -> Path | None:
     """The trace in a folder that a run wrote last, known by the metadata next to it; None without one."""
-    traces = [
-        file.with_name(file.name.removesuffix(METADATA_SUFFIX) + suffix)
-        for file in folder.glob(f"*{METADATA_SUFFIX}")
-        for suffix in SUFFIXES
-    ]
+    stems = [file.name.removesuffix(METADATA_SUFFIX) for file in folder.glob(f"*{METADATA_SUFFIX}")]
+    traces = [folder / f"{stem}{suffix}" for stem in stems for suffix in SUFFIXES]
     complete = [t for t in traces if t.is_file() and not t.stem.endswith(".partial")]
     return max(complete, key=lambda trace: trace.stat().st_mtime, default=None)

@@ -144,10 +144,8 @@ class Plant:
     def _wire(self) -> None:
         """Set L, M and the constant part of v."""
         at, of = ({p: i for i, p in enumerate(ports)} for ports in (self.inputs, self.outputs))
-        self.connections, self.input_map = (
-            np.zeros((len(at), len(of))),
-            np.zeros((len(at), len(self.inlets))),
-        )
+        self.connections = np.zeros((len(at), len(of)))
+        self.input_map = np.zeros((len(at), len(self.inlets)))
         self.constant, self.connected = np.zeros(len(at)), np.zeros(len(at), bool)
         self._discrete: list[Connection] = []
         for c in self.system.connections:
@@ -278,9 +276,8 @@ class Plant:
             self._struct.inverse_state = h.RENEWED
             outcome = library().plant_iterate(*self._arguments)
         if outcome == h.NOT_CONVERGED:
-            raise Problem(
-                f"{self.system.name}: the equations of the connections did not converge: {self._worst()}"
-            )
+            reason = f"the equations of the connections did not converge: {self._worst()}"
+            raise Problem(f"{self.system.name}: {reason}")
         if outcome:
             raise self._binding.problem or Problem("the run stopped")
 
@@ -433,10 +430,8 @@ class Plant:
             if not self._copied_discrete() and updated:
                 break
             if iterations == MAX_EVENT_ITERATIONS:
-                raise Problem(
-                    f"{self.system.name}: expected at most {MAX_EVENT_ITERATIONS} event iterations, got more:"
-                    " the discrete states do not settle"
-                )
+                expected = f"expected at most {MAX_EVENT_ITERATIONS} event iterations, got more"
+                raise Problem(f"{self.system.name}: {expected}: the discrete states do not settle")
             again, self.next_event, iterations = False, np.inf, iterations + 1
             for name, slave in self.slaves.items():
                 needed, ends, next_event = slave.fmu.update_discrete_states()

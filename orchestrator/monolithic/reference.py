@@ -155,11 +155,8 @@ class _Integration:
         self._problem: BaseException | None = None
         self._at: tuple[float, bytes] = (np.nan, b"")
         ports = plant.system.ports("output")
-        self._discrete = [
-            p
-            for p in ports
-            if not plant.system.variable(p).is_continuous and plant.system.variable(p).kind != "String"
-        ]
+        variables = {port: plant.system.variable(port) for port in ports}
+        self._discrete = [p for p, v in variables.items() if not v.is_continuous and v.kind != "String"]
         columns = scenario.columns if scenario else {}
         self._sampled = [p for p in columns if not plant.system.variable(p).is_continuous]
 
@@ -230,9 +227,8 @@ class _Integration:
                 event |= self._equal(t, plant.next_event) or bool(self._sampled and t in changes)
                 repeated = 1 if self._before(begin, t) else repeated + 1
                 if repeated > MAX_EVENTS:
-                    raise Problem(
-                        f"{system.name}: t = {t:.9g} s: expected at most {MAX_EVENTS} events at one time"
-                    )
+                    expected = f"expected at most {MAX_EVENTS} events at one time"
+                    raise Problem(f"{system.name}: t = {t:.9g} s: {expected}")
                 if event:
                     x = self._event(t, x)
                 self._record(t, x)

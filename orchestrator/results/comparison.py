@@ -148,9 +148,8 @@ class Comparison:
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, including signals at rest."""
         rows = self.against[label].groups[quantity]
-        return max(
-            rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, rows[0].unit, r.signal)[0]
-        )
+        unit = rows[0].unit
+        return max(rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, unit, r.signal)[0])
 
 
 def compare(
@@ -170,9 +169,8 @@ def compare(
     signals = (signals,) if isinstance(signals, str) else signals
     runs = gather(sources, against)
     requested = str(against) if isinstance(sources, Mapping) else str(Path(against or ""))
-    reference = (
-        runs[0] if against is None else next((r for r in runs if requested in (r.label, r.file)), None)
-    )
+    named = (run for run in runs if requested in (run.label, run.file))
+    reference = runs[0] if against is None else next(named, None)
     if reference is None:
         raise Problem(f"compare: against {against}: expected one of {', '.join(r.label for r in runs)}")
     common = _common(runs, reference)
@@ -194,11 +192,8 @@ def _other_experiment(reference: Run, run: Run) -> str:
     sources = {*(reference.metadata.sources if reference.metadata else ())}
     common = [n for n in (run.metadata.sources if run.metadata else ()) if n in sources and n in a.signals]
     time = a.time[(a.time >= b.time[0]) & (a.time <= b.time[-1])]
-    differ = [
-        n
-        for n in common
-        if n in b.signals and _differ(np.interp(time, a.time, a[n]), np.interp(time, b.time, b[n]))
-    ]
+    at = {n: (np.interp(time, a.time, a[n]), np.interp(time, b.time, b[n])) for n in common if n in b.signals}
+    differ = [name for name, values in at.items() if _differ(*values)]
     if differ := [n for n in differ if n.removesuffix("_rate") == n or n.removesuffix("_rate") not in differ]:
         differences.append(f"other commands ({first_names(differ, 3)})")
     poses = [n for n in a.signals if n in b.signals and quantity(a.units.get(n, "")) in ("angle", "position")]
@@ -208,11 +203,8 @@ def _other_experiment(reference: Run, run: Run) -> str:
         differences.append(f"begins at {b.time[0]:g} s, not {a.time[0]:g} s")
     if abs(a.time[-1] - b.time[-1]) > OTHER_TIME * np.ptp(a.time):
         differences.append(f"ends at {b.time[-1]:g} s, not {a.time[-1]:g} s")
-    return (
-        f"{run.label} is another experiment than {reference.label}: {', '.join(differences)}"
-        if differences
-        else ""
-    )
+    other = f"{run.label} is another experiment than {reference.label}"
+    return f"{other}: {', '.join(differences)}" if differences else ""
 
 
 def _differ(a: Array, b: Array) -> bool:

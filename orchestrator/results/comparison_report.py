@@ -85,9 +85,8 @@ def _same_curve(row: ValidatedSignal, other: ValidatedSignal) -> bool:
     """Whether the rows are of one signal, or of two signals with the same curves."""
     if row.signal == other.signal or len(row.time) != len(other.time):
         return row.signal == other.signal
-    differences = [
-        np.abs(a - b).max() for a, b in ((row.reference, other.reference), (row.simulation, other.simulation))
-    ]
+    pairs = (row.reference, other.reference), (row.simulation, other.simulation)
+    differences = [np.abs(a - b).max() for a, b in pairs]
     return bool(max(differences) < SAME_CURVE * np.ptp(row.reference))
 
 
@@ -149,10 +148,8 @@ def tables(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
 def _different_values(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     """Table of the parameters in which the runs differ, with their origins; and FMUs that differ."""
     runs, values = comparison.runs, different_values(comparison.runs)
-    rows = [
-        [name, reader_unit(unit), *(_value_cell(cell, unit) for cell in cells)]
-        for (name, unit), cells in list(values.items())[:MOST_VALUES]
-    ]
+    shown = list(values.items())[:MOST_VALUES]
+    rows = [[name, reader_unit(u), *(_value_cell(cell, u) for cell in cells)] for (name, u), cells in shown]
     head = ["parameters that differ", "unit", *(run.label for run in runs)]
     below = []
     if len(values) > MOST_VALUES:
@@ -190,12 +187,8 @@ def _costs(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     head = ["run", "master", "step", "real-time factor", "total [us/ms]", "in FMUs [us/ms]"]
     head.append("in FMUs, relative")
     rows = [_cost(run, reference) for run in runs]
-    swaps = [
-        f"{run.label}: swapped {component} for {Path(file).stem}"
-        for run in runs
-        if run.metadata
-        for component, file in run.metadata.swapped.items()
-    ]
+    swapped = {run.label: run.metadata.swapped for run in runs if run.metadata}
+    swaps = [f"{n}: swapped {c} for {Path(file).stem}" for n, of in swapped.items() for c, file in of.items()]
     note = f"us/ms: computing time per simulated millisecond; relative: in FMUs, {reference.label} is 1"
     yield TextTable(head, rows, left=(0, 1)), [*swaps, note]
     inside = {run.label: _inside(run.metadata) for run in runs}

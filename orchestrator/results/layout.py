@@ -99,12 +99,12 @@ class Layout:
         def values(source: str | float) -> NDArray[np.float64]:
             return trace[source] if isinstance(source, str) else np.full(trace.time.shape, float(source))
 
-        points = {
-            p.label: np.column_stack(
-                (values(p.radius) * np.cos(angle), values(p.radius) * np.sin(angle), values(p.height))
+        points = {}
+        for p in self.points:
+            radius = values(p.radius)
+            points[p.label] = np.column_stack(
+                (radius * np.cos(angle), radius * np.sin(angle), values(p.height))
             )
-            for p in self.points
-        }
         return MachineMotion(trace.time, points, self.lines, self.tip, bool(self.angle), self.ground)
 
 

@@ -143,17 +143,13 @@ def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
 def _check(time: Array, simulation: Array, reference: Array, where: str) -> None:
     """Refuse different lengths, fewer than two samples, and values that are not finite."""
     if not len(time) == len(simulation) == len(reference) or len(time) < 2:
-        lengths = f"{len(time)}, {len(simulation)}, {len(reference)}"
-        raise Problem(
-            f"{where}: expected equal numbers of samples, at least 2, got {lengths} of time, simulation and"
-            " reference"
-        )
+        got = f"{len(time)}, {len(simulation)}, {len(reference)} of time, simulation and reference"
+        raise Problem(f"{where}: expected equal numbers of samples, at least 2, got {got}")
     for name, values in (("time", time), ("simulation", simulation), ("reference", reference)):
         bad = np.flatnonzero(~(np.abs(values) < HUGE))
         if len(bad):
-            raise Problem(
-                f"{where}: expected finite numbers, got {values[bad[0]]} in the {name} at sample {bad[0]}"
-            )
+            got = f"{values[bad[0]]} in the {name} at sample {bad[0]}"
+            raise Problem(f"{where}: expected finite numbers, got {got}")
 
 
 def _denominator(reference: Array, span: float | None, floor: float = 0.0) -> tuple[float, tuple[str, ...]]:

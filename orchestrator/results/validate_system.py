@@ -348,9 +348,8 @@ def _refuse_contradictions(
     if play and (scenario or not reference):
         raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
     if limit is not None and not monolithic:
-        raise Problem(
-            f"--limit {limit:g}: expected --monolithic; the limits of a --reference are in its TOML file"
-        )
+        reason = "the limits of a --reference are in its TOML file"
+        raise Problem(f"--limit {limit:g}: expected --monolithic; {reason}")
     if limit is not None and not 0 < limit < np.inf:
         raise Problem(f"--limit: expected a positive number, got {limit:g}")
 

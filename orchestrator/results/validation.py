@@ -36,11 +36,8 @@ def by_variable(trace: Trace, requested: Iterable[str]) -> Trace:
     count = Counter(_variable(name) for name in names)
     new = {_variable(name): name for name in names if count[_variable(name)] == 1}
     renamed = {name: new.get(_variable(name), name) for name in trace.signals}
-    return Trace(
-        trace.time,
-        {renamed[name]: values for name, values in trace.signals.items()},
-        {renamed[name]: unit for name, unit in trace.units.items()},
-    )
+    signals = {renamed[name]: values for name, values in trace.signals.items()}
+    return Trace(trace.time, signals, {renamed[name]: unit for name, unit in trace.units.items()})
 
 
 def without_repetitions(reference: Recording) -> Recording:
@@ -140,9 +137,8 @@ class Validation:
         if not self.judged:
             return "not judged: the reference has no limits"
         inside = len(self.judged) - len(self.failed)
-        return (
-            f"{'pass' if self.passed else 'fail'}: {inside} of {len(self.judged)} signals within their limits"
-        )
+        outcome, count = "pass" if self.passed else "fail", len(self.judged)
+        return f"{outcome}: {inside} of {count} signals within their limits"
 
     def __getitem__(self, signal: str) -> ValidatedSignal:
         return next(row for row in self.rows if row.signal == signal)
@@ -224,10 +220,8 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
         ends = {"begins": reference.start, "ends": reference.stop}
         limits = [f"{verb} at {t:g} s" for verb, t in ends.items() if np.isfinite(t)]
         window = f"; the requested window {' and '.join(limits)}" if limits else ""
-        raise Problem(
-            f"{reference.source}: expected two or more samples in a common window, "
-            f"got {len(grid)}; {spans}{window}"
-        )
+        expected = "expected two or more samples in a common window"
+        raise Problem(f"{reference.source}: {expected}, got {len(grid)}; {spans}{window}")
     notes = [f"compared at the {len(grid)} samples of the {coarse}, {grid[0]:g} to {grid[-1]:g} s"]
     fine = "reference" if coarse == "run" else "run"
     if between := _between(grid, sides[fine]):
