@@ -17,12 +17,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, pi
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 
+Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 MAX_LENGTH = 200  # characters of a unit string, which limits the depth of brackets
 
@@ -181,8 +183,8 @@ def reader_unit(unit: str) -> str:
         return unit
 
 
-def in_reader_unit(value: float, unit: str) -> float:
-    """A value in the unit that `reader_unit` gives; unchanged if the unit is unknown."""
+def in_reader_unit(value: Numbers, unit: str) -> Numbers:
+    """A number or an array in the unit that `reader_unit` gives; unchanged if the unit is unknown."""
     factor, offset = factor_and_offset(unit, reader_unit(unit), "value")
     return factor * value + offset
 

@@ -101,7 +101,12 @@ def reference(
         other = opened(system, given)
     except Problem as problem:
         raise Problem(f"neither a monolithic solution ({reason}) nor a co-simulation ({problem})") from None
-    return _co_simulate(other, scenario, record_step, tolerance, rest, reason)
+    rest |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
+
+    def co_simulated(step: float, master: Coupling) -> Result:
+        return run(other, scenario, master=master, step=step, **rest)
+
+    return tightened(co_simulated, first_step(record_step, step_length(other, None)), tolerance, reason)
 
 
 def _solve(
@@ -116,23 +121,6 @@ def _solve(
         return replace(result, provenance=job.provenance)
     finally:
         plant.close()
-
-
-def _co_simulate(
-    system: System,
-    scenario: ScenarioSource,
-    record_step: float,
-    bound: float,
-    options: dict[str, Any],
-    reason: str,
-) -> Result:
-    """The tight co-simulation."""
-    options |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
-
-    def co_simulated(step: float, master: Coupling) -> Result:
-        return run(system, scenario, master=master, step=step, **options)
-
-    return tightened(co_simulated, first_step(record_step, step_length(system, None)), bound, reason)
 
 
 def _inlets(system: System, scenario: Scenario | None) -> Iterator[Inlet]:

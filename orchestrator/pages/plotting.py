@@ -28,7 +28,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from orchestrator.base.text import MINUS, grouped, short_names, typeset
-from orchestrator.base.units import convert, pretty, quantity, reader_unit, superscript
+from orchestrator.base.units import in_reader_unit, pretty, quantity, reader_unit, superscript
 from orchestrator.pages.figures import (
     PALETTE,
     Style,
@@ -249,15 +249,14 @@ def signal_figure(
         for k, name in enumerate(names):
             for i, (time, signals) in enumerate(runs.values()):
                 if name in signals:
-                    values = convert(signals[name], units.get(name, ""), unit, name)
+                    of_signal = units.get(name, "")
+                    values = in_reader_unit(signals[name], of_signal)
                     dashes = i if len(runs) > 1 else k // len(PALETTE.series)
                     style = styles.get(name) or curve_style(i if single else k, dashes)
                     lines.append(TraceLine(time, values, style, "" if i or single else labels[name]))
                     if bands and name in bands and not i:
-                        low, high = (
-                            convert(signals[name] + sign * bands[name], units.get(name, ""), unit, name)
-                            for sign in (-1, 1)
-                        )
+                        edges = (signals[name] - bands[name], signals[name] + bands[name])
+                        low, high = (in_reader_unit(edge, of_signal) for edge in edges)
                         areas.append(TraceArea(time, low, high, style["color"]))
         height = max(3.8, (LEGEND_ROW * len(names) + 0.25) / ROW_HEIGHT)
         label = "" if (word := quantity(units.get(names[0], ""))).startswith(("[", "without")) else word

@@ -35,11 +35,6 @@ class Run:
 
     __repr__ = brief
 
-    @property
-    def inputs(self) -> frozenset[str]:
-        """The signals that are inputs of components."""
-        return frozenset(self.metadata.inputs if self.metadata else ())
-
 
 def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Path | None = None) -> list[Run]:
     """Read the runs of files, or of a mapping with traces, results and files; `more`: a further file."""
@@ -52,12 +47,12 @@ def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Pat
             labelled = _labelled([*files, Path(more)])
     if len(labelled) < 2:
         raise Problem(f"compare: expected two or more traces, got {', '.join(map(str, labelled)) or 'none'}")
-    return _with_units([_run(label, source) for label, source in labelled.items()])
+    return _runs(labelled)
 
 
 def read_runs(files: Sequence[Path]) -> list[Run]:
     """The runs of one or more files, with units and short labels."""
-    return _with_units([_run(label, source) for label, source in _labelled(files).items()])
+    return _runs(_labelled(files))
 
 
 def _labelled(files: Sequence[Path]) -> dict[str, Source]:
@@ -78,9 +73,9 @@ def _run(label: str, source: Source) -> Run:
     return Run(label, trace, run_metadata, str(path))
 
 
-def _with_units(runs: list[Run]) -> list[Run]:
-    """Give a signal without unit the unit of the first run that declares one."""
-    declared: dict[str, str] = {}
+def _runs(labelled: Mapping[str, Source]) -> list[Run]:
+    """The runs; a signal without unit gets the unit of the first run that declares one."""
+    runs, declared = [_run(label, source) for label, source in labelled.items()], dict[str, str]()
     for run in reversed(runs):
         declared |= {name: unit for name, unit in run.trace.units.items() if unit}
     complete = []
@@ -239,12 +234,8 @@ def different_values(runs: Sequence[Run]) -> dict[tuple[str, str], list[Cell | N
 def _has(meta: RunMetadata, runs: Sequence[Run], listed: Sequence[Mapping[str, object]], name: str) -> bool:
     """Has a run the FMU of a run that lists the variable?"""
     owner = next((c for c in sorted(meta.fmus, key=len, reverse=True) if name.startswith(f"{c}.")), None)
-    models = (
-        {r.metadata.fmus.get(owner) for r, v in zip(runs, listed, strict=True) if r.metadata and name in v}
-        if owner
-        else set()
-    )
-    return owner is not None and meta.fmus[owner] in models
+    others = [r.metadata for r, values in zip(runs, listed, strict=True) if r.metadata and name in values]
+    return owner is not None and any(meta.fmus[owner] == other.fmus.get(owner) for other in others)
 
 
 def different_fmus(runs: Sequence[Run]) -> list[str]:
@@ -309,7 +300,7 @@ def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str])
             raise Problem(f"compare: signals {pattern}: no common signal matches{near}")
     if requested:
         return tuple(name for name in common if any(fnmatchcase(name, p) for p in requested))
-    units, inputs = runs[0].trace.units, frozenset[str]().union(*(run.inputs for run in runs))
+    units, inputs = runs[0].trace.units, {n for run in runs if run.metadata for n in run.metadata.inputs}
     outputs = [name for name in common if name not in inputs]
     default = [n for q in DEFAULT_QUANTITIES for n in outputs if quantity(units.get(n, "")) == q]
     return tuple(default or outputs or common)
