@@ -121,9 +121,9 @@ class DisplayUnit:
         """A value for a terminal, without its unit."""
         return number(self.factor * value, digits)
 
-    def ascii(self, value: float, digits: int = 3) -> str:
+    def ascii(self, value: float) -> str:
         """A value for a terminal, such as `0.12 bar`."""
-        return f"{self.plain(value, digits)} {self.display}".rstrip()
+        return f"{self.plain(value)} {self.display}".rstrip()
 
     def text(self, value: float, digits: int = 3, *, with_unit: bool = True) -> str:
         """A value for a page, such as `173 bar`."""

@@ -266,8 +266,7 @@ def _seconds(columns: Columns, description: Description) -> Array:
         raise Problem(
             f"{columns.location(k + 1)}: column {spec.column!r}: expected increasing times, got {got}"
         )
-    time: Array = parse_unit(spec.unit).factor * raw + spec.offset
-    return time
+    return np.asarray(parse_unit(spec.unit).factor * raw + spec.offset)
 
 
 def _si(value: Any, unit: str) -> Any:

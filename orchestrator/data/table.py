@@ -340,8 +340,7 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
 
     column_type, types = column.type, pyarrow.types
     if types.is_integer(column_type) or types.is_floating(column_type) or types.is_decimal(column_type):
-        values: Array = np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
-        return values
+        return np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
     if types.is_string(column_type) or types.is_large_string(column_type):
         cells = [text or "" for text in column.to_pylist()]
         numbers = [_number(cell) for cell in cells]

@@ -537,11 +537,9 @@ def metadata_text(
     return json.dumps(data, indent=1, ensure_ascii=False, default=str) + "\n"
 
 
-def write_metadata(
-    result: Result, trace: Path, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
-) -> Path:
+def write_metadata(result: Result, trace: Path) -> Path:
     """Write the metadata of a run next to its trace, which exists."""
-    text = metadata_text(result, Location(trace).sha256, options, signals)
+    text = metadata_text(result, Location(trace).sha256)
     metadata_file(trace).write_text(text, encoding="utf-8", newline="\n")
     return metadata_file(trace)
 

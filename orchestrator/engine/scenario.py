@@ -49,8 +49,7 @@ class ScenarioTable:
     def at(self, t: float) -> NDArray[np.float64]:
         """All columns at time t [s], shape (k,)."""
         k = self.interval(t)
-        values: NDArray[np.float64] = self._base[k] + (t - self.arrays[3][k]) * self._slopes[k]
-        return values
+        return np.asarray(self._base[k] + (t - self.arrays[3][k]) * self._slopes[k])
 
     def corners(self) -> list[float]:
         """Times [s] at which the slope of a column jumps.
@@ -71,13 +70,11 @@ class ScenarioTable:
 
     def slope(self, t: float) -> NDArray[np.float64]:
         """The slopes just after t, shape (k,)."""
-        values: NDArray[np.float64] = self._slopes[self.interval(t)]
-        return values
+        return np.asarray(self._slopes[self.interval(t)])
 
     def sample(self, t: float) -> NDArray[np.float64]:
         """The last sample at or before t, for inputs that are not continuous, shape (k,)."""
-        values: NDArray[np.float64] = self._base[self.interval(t)]
-        return values
+        return np.asarray(self._base[self.interval(t)])
 
 
 @dataclass(frozen=True)

@@ -138,12 +138,13 @@ class Plant:
         self.inputs = [Port(m.slave.name, u) for m in self.members for u in m.inputs]
         self.outputs = [Port(m.slave.name, y) for m in self.members for y in m.outputs]
         self.indicator_count = sum(slave.interface.event_indicators for slave in self.slaves.values())
+        self._index = {p: i for i, p in enumerate(self.inputs)}
         self._wire()
         self._binding = Binding()
 
     def _wire(self) -> None:
         """Set L, M and the constant part of v."""
-        at, of = ({p: i for i, p in enumerate(ports)} for ports in (self.inputs, self.outputs))
+        at, of = self._index, {p: i for i, p in enumerate(self.outputs)}
         self.connections = np.zeros((len(at), len(of)))
         self.input_map = np.zeros((len(at), len(self.inlets)))
         self.constant, self.connected = np.zeros(len(at)), np.zeros(len(at), bool)
@@ -174,7 +175,7 @@ class Plant:
 
     def _count_substitutions(self) -> int:
         """How many substitutions solve the connections, by the declared dependencies; 0: a loop."""
-        index = {p: i for i, p in enumerate(self.inputs)}
+        index = self._index
         through = np.zeros((len(self.outputs), len(self.inputs)), bool)
         for row, port in enumerate(self.outputs):
             direct = self.slaves[port.component].interface.direct_inputs(port.variable)
@@ -307,14 +308,13 @@ class Plant:
     def drive(self, scenario: Scenario) -> None:
         """Let a scenario drive its continuous inputs from now on, whenever the plant is settled."""
         columns = {p: c for p, c in scenario.columns.items() if self.system.variable(p).is_continuous}
-        index = {p: i for i, p in enumerate(self.inputs)}
-        driven = DrivenInputs(replace(scenario, columns=columns), self.system, index, {}, ())
+        driven = DrivenInputs(replace(scenario, columns=columns), self.system, self._index, {}, ())
         driven.fill(self._binding, ())
 
     @property
     def u(self) -> Array:
         """The current values of the external inputs; raises Problem if the targets of one differ."""
-        at, result = {p: i for i, p in enumerate(self.inputs)}, list[float]()
+        at, result = self._index, list[float]()
         for inlet in self.inlets:
             found = {str(p): (self.v[at[p]] - linear.offset) / linear.factor for p, linear in inlet.targets}
             low, high = min(found.values()), max(found.values())
@@ -446,7 +446,7 @@ class Plant:
 
     def _copied_discrete(self) -> bool:
         """Copy values along the connections of variables that are not continuous; False if none changed."""
-        changed, at = False, {p: i for i, p in enumerate(self.inputs)}
+        changed, at = False, self._index
         for c in self._discrete:
             value = self.slaves[c.source.component].get(c.source.variable)
             if isinstance(value, float) or self.system.variable(c.target).is_real:

@@ -169,14 +169,8 @@ class _Integration:
             self._problem = problem
             into[:] = np.nan
 
-    def _rates(self, t: float, x: Array, into: Array) -> None:
-        self._guarded("evaluations", lambda: self.plant.f, t, x, into)
-
     def _jacobian(self, t: float, x: Array, _: Array, into: Array) -> None:
         self._guarded("Jacobians", lambda: self.plant.matrices().a, t, x, into)
-
-    def _indicators(self, t: float, x: Array, into: Array) -> None:
-        self._guarded("indicators", self.plant.indicators, t, x, into)
 
     # ---- the integration
 
@@ -238,10 +232,10 @@ class _Integration:
         from sksundae.cvode import CVODE
 
         count = self.plant.indicator_count
-        indicators = partial(self._indicators)  # CVODE sets attributes of the function
+        indicators = partial(self._guarded, "indicators", self.plant.indicators)
         options: dict[str, Any] = {"eventsfn": indicators, "num_events": count} if count else {}
         solver = CVODE(
-            self._rates,
+            partial(self._guarded, "evaluations", lambda: self.plant.f),
             jacfn=self._jacobian,
             rtol=self.tolerance,
             atol=self.tolerance * self.plant.magnitudes(),

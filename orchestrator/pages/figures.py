@@ -30,14 +30,8 @@ Style = Mapping[str, Any]
 DOTS: tuple[float, tuple[float, float]] = (0, (1, 1.4))
 DASHES: tuple[float, tuple[float, float]] = (0, (5, 2))
 # Line styles that differ without colour.
-LINE_STYLES: tuple[Any, ...] = (
-    "-",
-    (0, (4, 2)),
-    (0, (1, 1.2)),
-    (0, (6, 1.5, 1, 1.5)),
-    (0, (3, 1)),
-    (0, (8, 2)),
-)
+_STROKES = (4, 2), (1, 1.2), (6, 1.5, 1, 1.5), (3, 1), (8, 2)
+LINE_STYLES: tuple[Any, ...] = ("-", *((0, strokes) for strokes in _STROKES))
 
 
 @dataclass(frozen=True)

@@ -234,8 +234,7 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
 def _inside(time: Array, start: float, stop: float) -> NDArray[np.bool_]:
     """Whether each sample is in a window [s], with a tolerance for the rounding of times in a text file."""
     tolerance = 1e-9 * max([1.0, *(abs(t) for t in (start, stop) if np.isfinite(t))])
-    inside: NDArray[np.bool_] = (time >= start - tolerance) & (time <= stop + tolerance)
-    return inside
+    return np.asarray((time >= start - tolerance) & (time <= stop + tolerance))
 
 
 def _between(grid: Array, time: Array) -> int:
