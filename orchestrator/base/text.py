@@ -84,13 +84,12 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list
 
 def brief(record: Any) -> str:
     """A dataclass in one line of at most 500 characters, with collections by their size: for `__repr__`."""
-    entries = ((entry.name, getattr(record, entry.name)) for entry in fields(record))
-    texts = (
-        f"{name}=<{len(v)} items>"
-        if isinstance(v, Sized) and not isinstance(v, str)
-        else f"{name}={shorten(repr(v), 60, placeholder=' ...')}"
-        for name, v in entries
-    )
+
+    def shown(value: Any) -> str:
+        is_collection = isinstance(value, Sized) and not isinstance(value, str)
+        return f"<{len(value)} items>" if is_collection else shorten(repr(value), 60, placeholder=" ...")
+
+    texts = (f"{entry.name}={shown(getattr(record, entry.name))}" for entry in fields(record))
     return f"{type(record).__name__}({shorten(', '.join(texts), 480, placeholder=' ...')})"
 
 

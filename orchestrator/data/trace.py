@@ -213,14 +213,11 @@ def as_trace(data: Data, name: str = "data", jumps: bool = False) -> Trace:
             raise Problem(f"{name}: column {column!r}: expected numbers: {error}") from None
     for column, samples in values.items():
         for k in np.flatnonzero(np.isinf(samples))[:1]:
-            raise Problem(
-                f"{name}: row {k + 1}: column {column!r}: expected a finite number, got {samples[k]:g}"
-            )
+            where = f"{name}: row {k + 1}: column {column!r}"
+            raise Problem(f"{where}: expected a finite number, got {samples[k]:g}")
         if samples.shape != (expected := values[TIME].shape) or samples.ndim != 1:
-            got = f"shape {samples.shape}, and {expected} of the time"
-            raise Problem(
-                f"{name}: column {column!r}: expected a vector of one number for each time, got {got}"
-            )
+            told = f"expected a vector of one number for each time, got shape {samples.shape}"
+            raise Problem(f"{name}: column {column!r}: {told}, and {expected} of the time")
     return _checked(Columns(name, values, range(1, 1 + len(values[TIME]))), jumps)
 
 

@@ -411,11 +411,8 @@ class _Parquet:
 
         self._folder, self._blocks = path, list[Array]()
         self._parts, self._rows, self._written, self.end = 0, 0, time.monotonic(), float("nan")
-        units = {TIME: "s", **units}
-        fields = [
-            pa.field(n, pa.float64(), nullable=False, metadata={"unit": units[n]} if n in units else None)
-            for n in (TIME, *names)
-        ]
+        declared = {name: {"unit": unit} for name, unit in {TIME: "s", **units}.items()}
+        fields = [pa.field(n, pa.float64(), False, declared.get(n)) for n in (TIME, *names)]
         self._schema = pa.schema(fields)
         path.mkdir()
         self._mark = path / f"_{secrets.token_hex(8)}"
@@ -607,13 +604,10 @@ def write_trace(trace: Trace, path: str | Path, origin: str = "") -> Path:
     try:
         units = {name: unit for name, unit in trace.units.items() if name in trace.signals}
         file.begin(RowLayout(tuple(trace.signals), units))
-        columns = [*trace.signals.values()]
+        columns = [trace.time, *trace.signals.values()]
         for first in range(0, len(trace.time), CHUNK):
-            last = min(first + CHUNK, len(trace.time))
-            rows = np.zeros((last - first, len(columns)))
-            for k, column in enumerate(columns):
-                rows[:, k] = column[first:last]
-            file.append(trace.time[first:last], rows)
+            rows = np.column_stack([column[first : first + CHUNK] for column in columns])
+            file.append(rows[:, 0], rows[:, 1:])
         file.publish(file.finish()[0])
     except BaseException:
         with suppress(Problem):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.base.text import first_names
+from orchestrator.base.text import first_names, grouped
 from orchestrator.engine.c_library import Binding, engine_h
 from orchestrator.engine.network import Network
 from orchestrator.ssp.coupling import Coupling
@@ -143,12 +143,9 @@ def unsettled_components(system: System, order: Sequence[int]) -> frozenset[int]
     """
     names, connections = list(system.components), system.connections
     position = {names[k]: i for i, k in enumerate(order)}
-    unsettled = {
-        c.target.component
-        for c in connections
-        if position[c.source.component] >= position[c.target.component]
-    }
-    while fed := {c.target.component for c in connections if c.source.component in unsettled} - unsettled:
+    ends = [(c.source.component, c.target.component) for c in connections]
+    unsettled = {target for source, target in ends if position[source] >= position[target]}
+    while fed := {target for source, target in ends if source in unsettled} - unsettled:
         unsettled |= fed
     return frozenset(map(names.index, unsettled))
 
@@ -296,9 +293,8 @@ class CouplingInputs:
         self.rate_wires = self._find_rate_wires()
         self.slope_outputs = {p: i for i, p in enumerate(self._find_slope_outputs())}
         self.slopes = np.zeros(len(self.slope_outputs))
-        self.ports = [
-            p for name in network.slaves for p in (*self._connections, *self.driven) if p.component == name
-        ]
+        by_component = grouped((*self._connections, *self.driven), lambda port: port.component)
+        self.ports = [port for name in network.slaves for port in by_component.get(name, ())]
         self.inputs = [self._input(p) for p in self.ports]
         self._connect_components()
 

@@ -249,11 +249,9 @@ class ConnectionCopy:
     def instruction(self, binding: Binding) -> Any:
         """The instruction for C; it has no factors and offsets if all are 1 and 0."""
         identity = np.all(self.factor == 1) and np.all(self.offset == 0)
-        struct = binding.h.ConnectionCopy(
-            **binding.all_at(self, "source target" if identity else "source target factor offset"),
-            count=len(self.source),
-            array=binding.array_of(self.values),
-        )
+        arrays = binding.all_at(self, "source target" if identity else "source target factor offset")
+        array = binding.array_of(self.values)
+        struct = binding.h.ConnectionCopy(**arrays, count=len(self.source), array=array)
         return binding.h.Instruction(binding.h.COPY, 0, binding.pointer(struct))
 
 
@@ -343,11 +341,9 @@ class Network:
         return self.slaves[block.component].writer([p.variable for p in block.ports], array.slice(block))
 
     def _copies(self, connections: Iterable[Connection]) -> list[Call]:
-        by_array = [
-            (array, [c for c in connections if self._array(c.source) is array])
-            for array in (self.reals, self.integers)
-        ]
-        return [ConnectionCopy(array, group) for array, group in by_array if group]
+        by_type = grouped(connections, lambda c: not self.system.variable(c.source).is_real)
+        arrays = {False: self.reals, True: self.integers}
+        return [ConnectionCopy(arrays[whole], by_type[whole]) for whole in sorted(by_type)]
 
     def _allocate(self, recorded: Iterable[Port] | None, driven: Iterable[Port]) -> tuple[Blocks, Blocks]:
         """Assign indices to outputs, recorded ports and fed inputs; returns the blocks to read and to set."""

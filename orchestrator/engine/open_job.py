@@ -178,11 +178,9 @@ def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl |
         got = f"{', '.join(fixed)}: the FMU has a fixed step"
         raise Problem(f"adaptive steps: expected FMUs with a variable step, got {got}")
     repeats = all(interface.rollback for interface in interfaces.values())
-    first = times.first if repeats else FIRST_FRACTION * times.first
-    smallest, largest = c.step_limits
-    return StepControl(
-        first, max(smallest, times.shortest_step), largest, c.adaptive, c.controls_energy, repeats
-    )
+    first, (smallest, largest) = times.first if repeats else FIRST_FRACTION * times.first, c.step_limits
+    smallest = max(smallest, times.shortest_step)
+    return StepControl(first, smallest, largest, c.adaptive, c.controls_energy, repeats)
 
 
 def _rollback_notes(job: Job) -> tuple[str, ...]:

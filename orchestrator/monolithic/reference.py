@@ -183,9 +183,8 @@ class _Integration:
 
         began, plant, times = wall_time.perf_counter(), self.plant, self.times
         system = plant.system
-        plant.start(
-            (times.start, times.stop), self.scenario.initial(system, times.start) if self.scenario else {}
-        )
+        driven = self.scenario.initial(system, times.start) if self.scenario else {}
+        plant.start((times.start, times.stop), driven)
         if self.scenario:
             plant.drive(self.scenario)
         check_room(times.rows, len([*plant.outputs, *plant.inputs, *plant.states, *self._discrete]))

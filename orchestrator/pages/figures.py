@@ -238,9 +238,8 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
 
 def _unit_text(unit: str, power: int = 0) -> str:
     """The unit in brackets with a common power of ten."""
-    return (
-        f"[{' '.join(filter(None, (f'10{superscript(str(power))}' if power else '', pretty(unit)))) or '1'}]"
-    )
+    parts = [f"10{superscript(str(power))}" if power else "", pretty(unit)]
+    return f"[{' '.join(filter(None, parts)) or '1'}]"
 
 
 # ---- SVG
