@@ -208,9 +208,8 @@ def _compiler_version() -> str:
     try:
         return version("ziglang")
     except PackageNotFoundError:
-        raise CompilerError(
-            f"no C compiler: the package ziglang is not installed; install with: {install('build')}"
-        ) from None
+        reason = "the package ziglang is not installed"
+        raise CompilerError(f"no C compiler: {reason}; install with: {install('build')}") from None
 
 
 def _compile(

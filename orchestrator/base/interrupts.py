@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
 POLL_INTERVAL = 0.01  # [s] between two checks for an interrupt: short beside a run of some milliseconds
@@ -62,9 +62,7 @@ class DeferredInterrupts:
                 signal.signal(number, self._delay)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         if kind is None:

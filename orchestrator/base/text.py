@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Sequence, Sized
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence, Sized
 from dataclasses import dataclass, fields
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from markupsafe import Markup, escape
 
@@ -20,6 +21,8 @@ from orchestrator.base.units import factor_and_offset, pretty, reader_unit, supe
 if TYPE_CHECKING:
     from rich.console import Console
 
+Key = TypeVar("Key")
+Item = TypeVar("Item")
 NO_VALUE, DASH, MINUS = "-", "\N{EN DASH}", "\N{MINUS SIGN}"
 ERROR_UNITS = {"m": "mm", "m/s": "mm/s"}  # unit of a quantity -> unit of its errors, which are smaller
 SMALL_LENGTH = 0.1  # [m] or [m/s]; quantities whose values are all smaller are shown in mm or mm/s
@@ -64,15 +67,29 @@ def first_names(names: Iterable[str], limit: int = 4) -> str:
     return f"{', '.join(unique[:limit])}{more}"
 
 
+def short_names(names: Iterable[str]) -> dict[str, str]:
+    """Name of each signal -> its name without component, if no other one has the same."""
+    bare = {name: name.rpartition(".")[2] for name in names}
+    count = Counter(bare.values())
+    return {name: short if count[short] == 1 else name for name, short in bare.items()}
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """The items by their keys, in the order in which they come first."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
 def brief(record: Any) -> str:
     """A dataclass in one line of at most 500 characters, with collections by their size: for `__repr__`."""
-    entries = ((entry.name, getattr(record, entry.name)) for entry in fields(record))
-    texts = (
-        f"{name}=<{len(v)} items>"
-        if isinstance(v, Sized) and not isinstance(v, str)
-        else f"{name}={shorten(repr(v), 60, placeholder=' ...')}"
-        for name, v in entries
-    )
+
+    def shown(value: Any) -> str:
+        is_collection = isinstance(value, Sized) and not isinstance(value, str)
+        return f"<{len(value)} items>" if is_collection else shorten(repr(value), 60, placeholder=" ...")
+
+    texts = (f"{entry.name}={shown(getattr(record, entry.name))}" for entry in fields(record))
     return f"{type(record).__name__}({shorten(', '.join(texts), 480, placeholder=' ...')})"
 
 
@@ -103,9 +120,9 @@ class DisplayUnit:
         """A value for a terminal, without its unit."""
         return number(self.factor * value, digits)
 
-    def ascii(self, value: float, digits: int = 3) -> str:
+    def ascii(self, value: float) -> str:
         """A value for a terminal, such as `0.12 bar`."""
-        return f"{self.plain(value, digits)} {self.display}".rstrip()
+        return f"{self.plain(value)} {self.display}".rstrip()
 
     def text(self, value: float, digits: int = 3, *, with_unit: bool = True) -> str:
         """A value for a page, such as `173 bar`."""

@@ -134,6 +134,16 @@ class Table:
         return Table(f"{self.where}: {key}", value)
 
 
+def read_file(path: Path, missing: str = "no such file") -> Table:
+    """A TOML file as a table; missing: the message for a file that does not exist."""
+    try:
+        return read(path, path.read_bytes())
+    except FileNotFoundError:
+        raise Problem(f"{path}: {missing}") from None
+    except OSError as error:
+        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+
+
 def read(file: Path | Location, data: bytes) -> Table:
     """The content `data` of a TOML file as a table."""
     if len(data) > MAX_BYTES:

@@ -17,12 +17,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, pi
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 
+Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 MAX_LENGTH = 200  # characters of a unit string, which limits the depth of brackets
 
@@ -120,9 +122,8 @@ def parse_unit(text: str, where: str = "unit") -> Unit:
         known = {**DISPLAY, **_DERIVED, **_OTHER, **dict.fromkeys(DISPLAY.values())}
         meant = _WORDS.get(plain.lower())
         near = f"; did you mean {meant}?" if meant else suggest(plain, known)
-        raise Problem(
-            f"{where}: unit {text!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm{near}"
-        ) from None
+        expected = "expected one like bar, psi, L/min, deg/s, kN or mm"
+        raise Problem(f"{where}: unit {text!r} is unknown, {expected}{near}") from None
     return Unit(unit.exponents, unit.factor, _OFFSETS.get(plain, 0.0))
 
 
@@ -182,10 +183,9 @@ def reader_unit(unit: str) -> str:
         return unit
 
 
-def in_reader_unit(value: float, unit: str) -> float:
-    """A value in the unit that `reader_unit` gives; unchanged if the unit is unknown."""
-    shown = reader_unit(unit)
-    factor, offset = (1.0, 0.0) if shown == unit else factor_and_offset(unit, shown, "value")
+def in_reader_unit(value: Numbers, unit: str) -> Numbers:
+    """A number or an array in the unit that `reader_unit` gives; unchanged if the unit is unknown."""
+    factor, offset = factor_and_offset(unit, reader_unit(unit), "value")
     return factor * value + offset
 
 
@@ -435,13 +435,10 @@ def conversion(
     if source.exponents is None or target.exponents is None:
         return IDENTITY, f"{where}: {source} and {target} are not both defined; the value is passed unchanged"
     if source.dimension != target.dimension:
-        raise Problem(
-            f"{where}: the units cannot be converted,"
-            f" {_with_base_units(source)} and {_with_base_units(target)}"
-        )
-    linear = LinearTransformation(
-        source.factor / target.factor, (source.offset - target.offset) / target.factor
-    )
+        names = f"{_with_base_units(source)} and {_with_base_units(target)}"
+        raise Problem(f"{where}: the units cannot be converted, {names}")
+    offset = (source.offset - target.offset) / target.factor
+    linear = LinearTransformation(source.factor / target.factor, offset)
     if not (linear.factor and isfinite(linear.factor) and isfinite(linear.offset)):
         message = f"expected a finite factor other than 0, got {linear.factor:g}"
         raise Problem(f"{where}: {source} and {target} are too far apart: {message}")
@@ -472,9 +469,8 @@ def from_user_unit(unit: str, target: DeclaredUnit | None, where: str) -> Linear
         shown = reader_unit(target.name)
         expected = f"a unit like {target.name}" + (f" or {shown}" if shown != target.name else "")
     if declared is None or declared.exponents is None or declared.fault:
-        raise Problem(
-            f"{where}: expected a number without unit: the FMU does not define a unit, got {unit!r}"
-        )
+        got = f"the FMU does not define a unit, got {unit!r}"
+        raise Problem(f"{where}: expected a number without unit: {got}")
     same_name = _with_definition(DeclaredUnit(declared.name)).exponents  # rad, declared without base unit
     if given.exponents not in (declared.exponents, same_name):
         raise Problem(f"{where}: expected {expected}, got {unit!r}")

@@ -102,15 +102,7 @@ def parse(file: Location, expected: str) -> Element:
 
 
 def parse_text(text: bytes, file: Location, expected: str) -> Element:
-    """The root of the content of a file, as `parse` does it."""
-    root = _root(text, file)
-    if local_name(root) != expected:
-        raise Problem(f"{file}: expected the element {expected}, got {local_name(root)}")
-    return root
-
-
-def _root(text: bytes, file: Location) -> Element:
-    """The root of a file with this content; undeclared prefixes are accepted, as some tools write them."""
+    """The root of the content of a file; undeclared prefixes are accepted, as some tools write them."""
     from lxml import etree
 
     safe = {"resolve_entities": False, "no_network": True}
@@ -128,6 +120,8 @@ def _root(text: bytes, file: Location) -> Element:
     for entity in root.iter(etree.Entity):  # entities are not resolved, so their content would be missing
         message = f"expected the content itself, got the entity {entity.text}"
         raise XmlElement(file, entity.getparent()).problem(message)
+    if local_name(root) != expected:
+        raise Problem(f"{file}: expected the element {expected}, got {local_name(root)}")
     return root
 
 

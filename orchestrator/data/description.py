@@ -21,17 +21,8 @@ from orchestrator.base.toml import NOT_NEGATIVE, POSITIVE, Rule
 from orchestrator.base.units import parse_unit
 from orchestrator.data.table import TextFormat
 
-# Metric -> True if smaller values are better. `maximum` and `rmse` are in the unit of the signal, `fit` and
-# `vaf` in percent, the others are dimensionless. orchestrator/results/metrics.py contains the formulas.
-METRICS = {
-    "nrmse": True,
-    "rmse": True,
-    "maximum": True,
-    "maximum_relative": True,
-    "fit": False,
-    "vaf": False,
-    "iso": False,
-}
+# `maximum` and `rmse` are in the unit of the signal, `fit` and `vaf` in percent, the others are
+# dimensionless. orchestrator/results/metrics.py contains the formulas.
 Metric = Literal["nrmse", "rmse", "maximum", "maximum_relative", "fit", "vaf", "iso"]
 
 
@@ -45,7 +36,7 @@ class Tolerance:
     @property
     def upper(self) -> bool:
         """True for an upper limit, False for a lower limit."""
-        return METRICS[self.metric]
+        return self.metric not in ("fit", "vaf", "iso")
 
     @property
     def in_unit(self) -> bool:
@@ -160,12 +151,7 @@ class Description:
 
 def read_description(path: Path) -> Description:
     """Read and check the TOML file of a recording or a reference."""
-    try:
-        table = toml.read(path, path.read_bytes())
-    except FileNotFoundError:
-        raise Problem(f"{path}: expected a TOML file that describes the columns, got no such file") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    table = toml.read_file(path, "expected a TOML file that describes the columns, got no such file")
     if not table.data.get("signals"):
         table.allow_only(Description.__dataclass_fields__)
         raise Problem(f"{path}: expected at least one table [signals.NAME], got none")

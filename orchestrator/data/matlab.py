@@ -31,14 +31,8 @@ MAX_SHOWN = 40  # characters of a name or a cell in a message
 
 # what h5py and the reader of version 4 raise for damaged files, which they do not document
 ERRORS = (
-    ValueError,
-    TypeError,
-    OSError,
-    LookupError,
-    ArithmeticError,
-    AttributeError,
-    RuntimeError,
-    MemoryError,
+    *(ValueError, TypeError, OSError, LookupError),
+    *(ArithmeticError, AttributeError, RuntimeError, MemoryError),
 )
 
 # version 5: types of elements, classes of arrays (MAT-File Format, MathWorks, tables 1-1 and 1-3)

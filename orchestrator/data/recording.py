@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import require, write_columns
 from orchestrator.base.units import convert, parse_unit, si_unit
 from orchestrator.data.description import (
-    Condition,
     Description,
     Origin,
     SignalDescription,
@@ -116,9 +115,8 @@ class Recording:
         """One signal, shape (n,)."""
         if name not in self.signals:
             purpose = f" for {self.procedure}" if self.procedure else ""
-            raise Problem(
-                f"{self.source}: expected the signal {name}{purpose}, got {', '.join(self.signals)}"
-            )
+            got = ", ".join(self.signals)
+            raise Problem(f"{self.source}: expected the signal {name}{purpose}, got {got}")
         return self.signals[name]
 
     def __repr__(self) -> str:
@@ -152,18 +150,16 @@ class Recording:
     def numeric_condition(self, name: str) -> float:
         """The value of a numeric condition, in SI units."""
         value = self.conditions.get(name)
-        if not isinstance(value, float):
-            got = "nothing" if value is None else repr(value)
-            raise Problem(f"{self.source}: experiment: {name}: expected a number with its unit, got {got}")
-        return value
+        return value if isinstance(value, float) else self._refuse(name, "a number with its unit")
 
     def text_condition(self, name: str) -> str:
         """The text of a condition without a unit."""
         value = self.conditions.get(name)
-        if not isinstance(value, str):
-            got = "nothing" if value is None else repr(value)
-            raise Problem(f"{self.source}: experiment: {name}: expected a text, got {got}")
-        return value
+        return value if isinstance(value, str) else self._refuse(name, "a text")
+
+    def _refuse(self, name: str, expected: str) -> NoReturn:
+        got = "nothing" if (value := self.conditions.get(name)) is None else repr(value)
+        raise Problem(f"{self.source}: experiment: {name}: expected {expected}, got {got}")
 
     def select(self, names: Sequence[str]) -> Recording:
         """The recording with only these signals."""
@@ -197,11 +193,13 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
     specs = description.signals.items()
-    conditions = {name: _condition(value) for name, value in description.experiment.items()}
-    origin = description.reference
-    about = {f.name: getattr(origin, f.name) for f in fields(origin)} | {
-        "date": origin.date and str(origin.date)
+    conditions = {
+        name: value if isinstance(value, str) else float(_si(value.value, value.unit))
+        for name, value in description.experiment.items()
     }
+    origin = description.reference
+    about = {f.name: getattr(origin, f.name) for f in fields(origin)}
+    about |= {"date": origin.date and str(origin.date)}
     return Recording(
         source=file,
         title=origin.title or file.stem,
@@ -209,7 +207,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         use=str(conditions.pop("use", "train")),
         conditions=conditions,
         time=_seconds(columns, description),
-        signals={name: _in_si(columns.values[column[name]], spec) for name, spec in specs},
+        signals={n: _si(s.factor * columns.values[column[n]] + s.offset, s.unit) for n, s in specs},
         units={name: si_unit(spec.unit) for name, spec in specs},
         sensors={name: sensor for name, spec in specs if (sensor := _sensor(spec))},
         kind=origin.kind,
@@ -264,55 +262,38 @@ def _seconds(columns: Columns, description: Description) -> Array:
     for k in np.flatnonzero(np.isnan(raw))[:1]:
         raise Problem(f"{columns.location(k)}: column {spec.column!r}: expected a time, got none")
     for k in np.flatnonzero(np.diff(raw) <= 0)[:1]:
+        got = f"{raw[k + 1]:.10g} after {raw[k]:.10g}"
         raise Problem(
-            f"{columns.location(k + 1)}: column {spec.column!r}:"
-            f" expected increasing times, got {raw[k + 1]:.10g} after {raw[k]:.10g}"
+            f"{columns.location(k + 1)}: column {spec.column!r}: expected increasing times, got {got}"
         )
-    time: Array = parse_unit(spec.unit).factor * raw + spec.offset
-    return time
+    return np.asarray(parse_unit(spec.unit).factor * raw + spec.offset)
 
 
-def _in_si(values: Array, spec: SignalDescription) -> Array:
-    """Values of a column in SI units: calibration, then conversion from the unit of the file."""
-    scale = parse_unit(spec.unit)
-    result: Array = scale.factor * (spec.factor * values + spec.offset) + scale.offset
-    return result
+def _si(value: Any, unit: str) -> Any:
+    """A number or an array in SI units."""
+    scale = parse_unit(unit)
+    return scale.factor * value + scale.offset
 
 
 def _sensor(spec: SignalDescription) -> Sensor | None:
     """The instrument in SI units, None if none is described; only the span is subject to a unit's offset."""
-    scale = parse_unit(spec.unit)
-    low, high = spec.span or (-math.inf, math.inf)
-    sensor = Sensor(
-        text=spec.sensor,
-        noise=scale.factor * spec.noise,
-        resolution=scale.factor * spec.resolution,
-        low=scale.factor * low + scale.offset,
-        high=scale.factor * high + scale.offset,
-        dead_zone=scale.factor * spec.dead_zone,
-        zero_error=None if spec.zero_error is None else scale.factor * spec.zero_error,
-    )
+    factor = parse_unit(spec.unit).factor
+    low, high = (_si(limit, spec.unit) for limit in spec.span or (-math.inf, math.inf))
+    sizes = {name: getattr(spec, name) for name in ("noise", "resolution", "dead_zone", "zero_error")}
+    sizes = {name: size and factor * size for name, size in sizes.items()}
+    sensor = Sensor(text=spec.sensor, low=low, high=high, **sizes)
     return None if sensor == Sensor() else sensor
 
 
 def _criterion(spec: SignalDescription, description: Description) -> Criterion:
     """Presentation and limit in a comparison, in SI units."""
-    factor = parse_unit(spec.unit).factor
-    tolerance = spec.tolerance_of(description.tolerances)
+    factor, tolerance = parse_unit(spec.unit).factor, spec.tolerance_of(description.tolerances)
     return Criterion(
         label=spec.label,
         group=spec.group,
-        span=None if spec.range is None else factor * spec.range,
-        tolerance=None if tolerance is None else tolerance.scaled(factor),
+        span=spec.range and factor * spec.range,
+        tolerance=tolerance and tolerance.scaled(factor),
     )
-
-
-def _condition(value: str | Condition) -> str | float:
-    """A text, or a value in SI units."""
-    if isinstance(value, str):
-        return value
-    scale = parse_unit(value.unit)
-    return float(scale.factor * value.value + scale.offset)
 
 
 def write_recording(
@@ -335,13 +316,10 @@ def write_recording(
     csv = Path(path)
     rows = np.column_stack([trace.time, *trace.signals.values()])
     write_columns(csv, ["time", *trace.signals], rows, digits)
+    units, labels = trace.units, labels or {}
     signals = {
-        name: SignalDescription(
-            unit=trace.units.get(name, "1"),
-            group=groups.get(name, ""),
-            label=(labels or {}).get(name, ""),
-        )
-        for name in trace.signals
+        n: SignalDescription(unit=units.get(n, "1"), group=groups.get(n, ""), label=labels.get(n, ""))
+        for n in trace.signals
     }
     limits: dict[str, Tolerance | Literal["none"]] = dict.fromkeys(sorted(groups.values()), "none")
     description = csv.with_suffix(".toml")

@@ -212,18 +212,15 @@ class _Text:
             expected = "expected one character such as ';'"
             raise Problem(f"{self.file}: [file] delimiter: {expected}, got {self.delimiter!r}")
         if self.delimiter == self.decimal:
-            raise Problem(
-                f"{self.file}: [file] delimiter: expected another character than the decimal mark,"
-                f' got {self.delimiter!r} ({origin}): set delimiter = ";" in [file]'
-            )
+            got = f'{self.delimiter!r} ({origin}): set delimiter = ";" in [file]'
+            expected = "expected another character than the decimal mark"
+            raise Problem(f"{self.file}: [file] delimiter: {expected}, got {got}")
         other = next((mark for mark in ";\t," if mark in line), "")
         if self.mark and self.mark not in line and other:
             escaped = other.replace("\t", r"\t")
             hint = f': set delimiter = "{escaped}" in [file]' if self.has_description else ""
-            raise Problem(
-                f"{self.file}: line {number}: expected cells separated by {self.delimiter!r} ({origin}),"
-                f" got {other!r}{hint}"
-            )
+            expected = f"expected cells separated by {self.delimiter!r} ({origin})"
+            raise Problem(f"{self.file}: line {number}: {expected}, got {other!r}{hint}")
 
     def check_widths(self, rows: Mapping[int, str], width: int) -> None:
         """Refuse a row with fewer or more cells than the row of names."""
@@ -343,8 +340,7 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
 
     column_type, types = column.type, pyarrow.types
     if types.is_integer(column_type) or types.is_floating(column_type) or types.is_decimal(column_type):
-        values: Array = np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
-        return values
+        return np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
     if types.is_string(column_type) or types.is_large_string(column_type):
         cells = [text or "" for text in column.to_pylist()]
         numbers = [_number(cell) for cell in cells]

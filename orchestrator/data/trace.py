@@ -8,7 +8,6 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 from __future__ import annotations
 
 import fnmatch
-import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -214,14 +213,11 @@ def as_trace(data: Data, name: str = "data", jumps: bool = False) -> Trace:
             raise Problem(f"{name}: column {column!r}: expected numbers: {error}") from None
     for column, samples in values.items():
         for k in np.flatnonzero(np.isinf(samples))[:1]:
-            raise Problem(
-                f"{name}: row {k + 1}: column {column!r}: expected a finite number, got {samples[k]:g}"
-            )
+            where = f"{name}: row {k + 1}: column {column!r}"
+            raise Problem(f"{where}: expected a finite number, got {samples[k]:g}")
         if samples.shape != (expected := values[TIME].shape) or samples.ndim != 1:
-            got = f"shape {samples.shape}, and {expected} of the time"
-            raise Problem(
-                f"{name}: column {column!r}: expected a vector of one number for each time, got {got}"
-            )
+            told = f"expected a vector of one number for each time, got shape {samples.shape}"
+            raise Problem(f"{name}: column {column!r}: {told}, and {expected} of the time")
     return _checked(Columns(name, values, range(1, 1 + len(values[TIME]))), jumps)
 
 
@@ -248,10 +244,9 @@ def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
     """Units in the metadata next to the file of a trace, if they are those of this file."""
     try:
         metadata = json.loads(file.with_suffix(METADATA_SUFFIX).read_bytes())
-        with file.open("rb") as opened:
-            written = hashlib.file_digest(opened, "sha256").hexdigest() == metadata["sha256"]
+        written = Location(file).sha256 == metadata["sha256"]
         return {n: str(u) for n, u in metadata["units"].items() if n in trace.signals} if written else {}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (Problem, OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}
 
 
@@ -263,9 +258,8 @@ def _checked(columns: Columns, jumps: bool) -> Trace:
         raise Problem(f"{row}: expected {len(columns.values)} cells, got an empty row")
     for name, values in columns.values.items():
         if (missing := np.isnan(values)).any():
-            raise Problem(
-                f"{columns.location(int(missing.argmax()))}: column {name!r}: expected a number, got none"
-            )
+            location = columns.location(int(missing.argmax()))
+            raise Problem(f"{location}: column {name!r}: expected a number, got none")
     equal = jumps & (np.diff(time) == 0)
     for k in np.flatnonzero(
         equal & ~np.append(equal[1:], False)
@@ -316,5 +310,5 @@ def span(signal: Array) -> float:
 
 
 def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    """Root mean square; 0 without values."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0

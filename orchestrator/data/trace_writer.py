@@ -17,12 +17,12 @@ import secrets
 import shutil
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,9 +81,8 @@ class RowLayout:
         """Do all parts refer to values that a point has?"""
         scales = {len(self.scaled), len(self.factors), len(self.offsets)}
         scaled = all(0 <= k < len(self.names) for k in self.scaled)
-        valid = min(self.reals, self.integers, self.every - 1) >= 0 and len(set(self.names)) == len(
-            self.names
-        )
+        once = len(set(self.names)) == len(self.names)
+        valid = min(self.reals, self.integers, self.every - 1) >= 0 and once
         order = self.order
         inside = order.shape == (len(self.names),) and bool(((order >= 0) & (order < self.width)).all())
         return len(scales) == 1 and scaled and valid and inside
@@ -97,23 +96,8 @@ class RowLayout:
         return values
 
 
-class PointSink(Protocol):
-    """Receives the recorded points of a run.
-
-    begin           receives the layout and the expected number of points
-    append_points   receives times [s], shape (n,), Real and Integer values, shape (n, ...); the arrays are
-                    overwritten later
-    append_errors   receives names of outputs, times [s], shape (n,), and estimated errors, shape
-                    (n, outputs); the arrays are overwritten later
-    """
-
-    def begin(self, layout: RowLayout, rows: int) -> None: ...
-    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None: ...
-    def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None: ...
-
-
 class TraceSink:
-    """Receives the rows of a trace.
+    """Receives the points of a run, or the rows of a trace; arrays are overwritten later.
 
     layout   the signals, from `begin` on
     rows     number of rows until now
@@ -125,16 +109,16 @@ class TraceSink:
     keeps_errors = False
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
-        """Receive the signals; `rows`: the expected number of rows."""
+        """Receive the signals; `rows`: the expected number of points or rows."""
         del rows
         self.layout, self.rows, self.last = layout, 0, float("nan")
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
-        """Receive points of a run."""
+        """Receive points of a run: times [s], shape (n,), Real and Integer values, shape (n, ...)."""
         self.append(times, self.layout.values(reals, integers))
 
     def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
-        """Receive estimated errors of outputs; only a sink in memory keeps them."""
+        """Receive estimated errors of outputs, shape (n, outputs); only a sink in memory keeps them."""
 
     @property
     def errors(self) -> Trace | None:
@@ -273,7 +257,7 @@ class TraceFile(TraceSink):
         suffix = ".csv" if self.path.suffix.lower() == ".mat" else self.path.suffix
         self.partial = self.path.with_name(f"{self.path.stem}.partial{suffix}")
         self.origin = origin
-        self._format: _Format | None = None
+        self._format: _Csv | _Parquet | None = None
         self.accept: Callable[[RowLayout], None] = lambda _: None
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
@@ -315,9 +299,8 @@ class TraceFile(TraceSink):
     @property
     def trace(self) -> Trace:
         """All rows: those in memory, or, if they are too many, those in the file when they are needed."""
-        return (
-            self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(self._read, self.layout.units)
-        )
+        complete = self._kept.rows == self.rows
+        return self._kept.trace if complete else TraceOnDisk(self._read, self.layout.units)
 
     def _read(self) -> Trace:
         self.close()
@@ -362,26 +345,12 @@ class TraceFile(TraceSink):
                 self._format.close()
 
 
-class _Format(Protocol):
-    """How rows are written to a partial file or folder.
+class _Csv:
+    """CSV: each value is the shortest decimal that is read back as the same float64.
 
     end      time of the last row that is written [s]
     sha256   of the partial file
     """
-
-    end: float
-
-    @property
-    def sha256(self) -> str: ...
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None: ...
-    def append(self, times: Array, values: Array) -> None: ...
-    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]: ...
-    def close(self) -> None: ...
-    def check_alone(self) -> None: ...
-
-
-class _Csv:
-    """CSV: each value is the shortest decimal that is read back as the same float64."""
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         del units
@@ -442,11 +411,8 @@ class _Parquet:
 
         self._folder, self._blocks = path, list[Array]()
         self._parts, self._rows, self._written, self.end = 0, 0, time.monotonic(), float("nan")
-        units = {TIME: "s", **units}
-        fields = [
-            pa.field(n, pa.float64(), nullable=False, metadata={"unit": units[n]} if n in units else None)
-            for n in (TIME, *names)
-        ]
+        declared = {name: {"unit": unit} for name, unit in {TIME: "s", **units}.items()}
+        fields = [pa.field(n, pa.float64(), False, declared.get(n)) for n in (TIME, *names)]
         self._schema = pa.schema(fields)
         path.mkdir()
         self._mark = path / f"_{secrets.token_hex(8)}"
@@ -545,11 +511,10 @@ class _Mat(_Csv):
         except (ValueError, OverflowError, struct.error) as error:  # more than 4 GB
             whole.unlink(missing_ok=True)
             raise Problem(f"{whole}: expected at most 4 GB in a MATLAB file: {error}") from None
-        with whole.open("rb") as file:
-            return whole, hashlib.file_digest(file, "sha256").hexdigest()
+        return whole, Location(whole).sha256
 
 
-FORMATS: Mapping[str, type[_Format]] = {".csv": _Csv, ".parquet": _Parquet, ".mat": _Mat}
+FORMATS: Mapping[str, type[_Csv] | type[_Parquet]] = {".csv": _Csv, ".parquet": _Parquet, ".mat": _Mat}
 LONGEST_NAME = 63  # characters of a name in MATLAB
 RESERVED = (TIME, "units", "run")  # variables of a MATLAB file that are no components
 KEYWORDS = (  # of MATLAB
@@ -607,19 +572,13 @@ def read_origin(path: Path) -> str:
     return str(metadata.get(ORIGIN.encode(), b"").decode())
 
 
-class _naming:
+@contextmanager
+def _naming(file: Path, remark: str = "") -> Iterator[None]:
     """Context in which an OSError becomes a Problem that names a file."""
-
-    def __init__(self, file: Path, remark: str = "") -> None:
-        self._file, self._remark = file, remark
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, OSError):
-            reason = error.strerror or str(error)
-            raise Problem(f"{self._file}: cannot be written: {reason}{self._remark}") from error
+    try:
+        yield
+    except OSError as error:
+        raise Problem(f"{file}: cannot be written: {error.strerror or error}{remark}") from error
 
 
 def remove_partial(partial: Path) -> None:
@@ -645,13 +604,10 @@ def write_trace(trace: Trace, path: str | Path, origin: str = "") -> Path:
     try:
         units = {name: unit for name, unit in trace.units.items() if name in trace.signals}
         file.begin(RowLayout(tuple(trace.signals), units))
-        columns = [*trace.signals.values()]
+        columns = [trace.time, *trace.signals.values()]
         for first in range(0, len(trace.time), CHUNK):
-            last = min(first + CHUNK, len(trace.time))
-            rows = np.zeros((last - first, len(columns)))
-            for k, column in enumerate(columns):
-                rows[:, k] = column[first:last]
-            file.append(trace.time[first:last], rows)
+            rows = np.column_stack([column[first : first + CHUNK] for column in columns])
+            file.append(rows[:, 0], rows[:, 1:])
         file.publish(file.finish()[0])
     except BaseException:
         with suppress(Problem):

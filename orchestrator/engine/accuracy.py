@@ -3,7 +3,7 @@
 Runs follow each other until the estimated error of one is small enough. The first settings follow from the
 accuracy and from what the FMUs can do, later ones from the error of the last run:
 
-- FMUs with directional derivatives: each run estimates its error (`error_propagation`). Equal steps come
+- FMUs with directional derivatives: each run estimates its error (`ErrorPropagation`). Equal steps come
   first. If their error is too large, shorter ones follow that the order of convergence gives, and adaptive
   steps by `hermite` after equal ones by `hermite`, or where these would be very short.
 - other FMUs: equal steps, halved until the change by halving is small enough.
@@ -27,7 +27,7 @@ from orchestrator.engine.time_grid import step_length
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.dependencies import influential_inputs
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
-from orchestrator.ssp.system import Port, System
+from orchestrator.ssp.system import System
 
 RANGE = 1e-6, 0.1  # of an accuracy
 MOST_RUNS = 10
@@ -87,9 +87,8 @@ class Settings:
     @property
     def text(self) -> str:
         """Master and step."""
-        step = (
-            f"a step of {self.step:.3g} s" if self.step else f"adaptive steps, {self.coupling.adaptive:.2g}"
-        )
+        adaptive = self.coupling.adaptive
+        step = f"a step of {self.step:.3g} s" if self.step else f"adaptive steps, {adaptive:.2g}"
         return f"{self.coupling.text}, {step}"
 
     @property
@@ -129,11 +128,8 @@ class AccuracySearch:
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
         targets = {connection.target for connection in system.connections}
-        rates = [
-            Port(c.name, r) for c in system.components.values() for r in c.interface.rate_inputs.values()
-        ]
         self._causes = list(self._possible_jumps(system))
-        self._has_rate_wires = not targets.isdisjoint(rates)
+        self._has_rate_wires = not targets.isdisjoint(system.rate_ports.values())
         self.settings = self._best = self._first()
 
     def _possible_jumps(self, system: System) -> Iterator[str]:
@@ -178,9 +174,8 @@ class AccuracySearch:
             if jumping := [name for name in self._causes if _jumps(result.trace, name)]:
                 reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
             tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
-            return result.noted(
-                f"accuracy {self.accuracy:g} of {_named(self.decisive)}: {reached}, {tolerance}"
-            )
+            goal = f"accuracy {self.accuracy:g} of {first_names(self.decisive, 1)}"
+            return result.noted(f"{goal}: {reached}, {tolerance}")
         self._continue(error if known else math.inf, result)
         return None
 
@@ -272,15 +267,10 @@ def _jumps(trace: Trace, name: str) -> bool:
     return bool((changes > np.maximum(JUMP * around, LEAST_JUMP * np.ptp(trace[name]))).any())
 
 
-def _named(signals: Sequence[str]) -> str:
-    return signals[0] if len(signals) == 1 else f"{signals[0]} and {len(signals) - 1} more"
-
-
 def estimates_errors(system: System) -> bool:
     """Do the FMUs declare what the estimate of errors during a run needs?"""
-    fed = {port.component for port in influential_inputs(system)} & {
-        c.target.component for c in system.connections
-    }
+    wired = {connection.target.component for connection in system.connections}
+    fed = wired & {port.component for port in influential_inputs(system)}
     return bool(fed) and all(system.components[name].interface.linearisable for name in fed)
 
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding
-from orchestrator.engine.component import calls_by_type
-from orchestrator.fmi.calls import Call, Slave, function_type
+from orchestrator.fmi.calls import Call, Slave, calls_by_type, function_type
 from orchestrator.ssp.dependencies import DependencyCycle
 from orchestrator.ssp.system import Port
 
@@ -70,10 +69,8 @@ class AlgebraicLoop:
     def _fill_members(self) -> Iterator[Any]:
         """Fill a structure for each component: calls that set inputs and read outputs, and the derivative."""
         binding, u, y = self._binding, self._arrays["u"], self._arrays["y"]
-        groups = [
-            (name, [p.variable for p in group])
-            for name, group in groupby(self.inputs, key=lambda p: p.component)
-        ]
+        by_component = groupby(self.inputs, key=lambda port: port.component)
+        groups = [(name, [p.variable for p in group]) for name, group in by_component]
         members = binding.array(binding.h.LoopMember, [binding.h.LoopMember()] * len(groups))
         self.struct.members, self.struct.member_count = binding.pointer(members), len(groups)
         first = first_output = 0
@@ -98,10 +95,8 @@ class AlgebraicLoop:
 
     def set_indices(self, inputs: NDArray[np.int64], outputs: NDArray[np.int64]) -> None:
         """Set the indices of its ports in the array of Real values."""
-        self.struct.input_indices, self.struct.output_indices = (
-            self._binding.at(inputs),
-            self._binding.at(outputs),
-        )
+        at = self._binding.at
+        self.struct.input_indices, self.struct.output_indices = at(inputs), at(outputs)
 
     def instruction(self, binding: Binding) -> Any:
         """The instruction that solves the loop."""

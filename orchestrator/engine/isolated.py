@@ -258,6 +258,7 @@ class _Supervision:
     def _ended_by_fmu(self) -> RunEnd:
         """The outcome of a run whose process ended: by a call into an FMU, by an interrupt, or at a limit."""
         from orchestrator.base.errors import Problem
+        from orchestrator.base.text import grouped
         from orchestrator.engine.job import RunEnd
         from orchestrator.fmi.messages import Log
 
@@ -268,9 +269,7 @@ class _Supervision:
         outcome = self._outcome or RunEnd(self._times.start)
         if self._outcome is None:
             self._rescue(outcome, self._layout)
-            by_component: dict[str, list[LogMessage]] = {}
-            for logged in self._messages:
-                by_component.setdefault(logged.component, []).append(logged)
+            by_component = grouped(self._messages, lambda message: message.component)
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
         outcome.interrupted, outcome.died = interrupted, True
         first = f"{outcome.problem}; then " if outcome.problem else ""  # many FMUs crash when they are freed
@@ -354,7 +353,8 @@ def main(channel: Channel) -> None:
 
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
-    from orchestrator.engine import simulation_loop
+    from orchestrator.data.trace_writer import TraceSink
+    from orchestrator.engine import open_job
     from orchestrator.engine.job import open_slave
     from orchestrator.engine.open_job import run_job
     from orchestrator.fmi.calls import Slave
@@ -362,13 +362,13 @@ def _run(channel: Channel, task: RunTask) -> None:
 
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    simulation_loop.CORES, reported = task.cores, 0.0
+    open_job.CORES, reported = task.cores, 0.0
 
-    class Sender:
+    class Sender(TraceSink):
         """Sends points to the parent."""
 
-        def begin(self, layout: RowLayout, rows: int) -> None:
-            del rows
+        def begin(self, layout: RowLayout, rows: int = 0) -> None:
+            super().begin(layout, rows)
             channel.put("begin", layout)
 
         def append_points(self, *points: Any) -> None:

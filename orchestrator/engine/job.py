@@ -79,9 +79,8 @@ class Execution:
 
     def begun(self) -> Execution:
         """These options from now on: the time limit ends all runs that follow."""
-        time_limit, memory_limit = (
-            math.inf if limit is None else limit for limit in (self.time_limit, self.memory_limit)
-        )
+        time_limit = math.inf if self.time_limit is None else self.time_limit
+        memory_limit = math.inf if self.memory_limit is None else self.memory_limit
         deadline = time.monotonic() + time_limit
         return replace(self, time_limit=time_limit, memory_limit=memory_limit, deadline=deadline)
 
@@ -116,10 +115,8 @@ class Execution:
             if not limit > 0:
                 raise Problem(f"{name}: expected a positive number, got {limit:g}")
             if limit < math.inf and not self.isolated:
-                raise Problem(
-                    f"{name}: expected a run in its own process, got one in the calling process "
-                    "(isolate=False)"
-                )
+                got = "got one in the calling process (isolate=False)"
+                raise Problem(f"{name}: expected a run in its own process, {got}")
 
 
 @dataclass
@@ -171,26 +168,18 @@ class Job:
     def card(self, times: Grid, end: RunEnd, sink: TraceSink) -> Card:
         """The accuracy card of a run that has ended."""
         adaptive, simulated = self.coupling.adaptive, end.t - times.start
-        left_out = tuple(
-            f"{name}: {c.interface.unsupported_note}"
-            for name, c in self.system.components.items()
-            if c.interface.unsupported
-        )
+        interfaces = {name: component.interface for name, component in self.system.components.items()}
+        left_out = (f"{n}: {i.unsupported_note}" for n, i in interfaces.items() if i.unsupported)
+        same = ("steps", "passes", "repeated", "lengths", "wall", "bonds", "inside")
         return Card(
             master=self.coupling.text,
             step=times.step if adaptive is None else simulated / max(end.steps, 1),
             record_step=times.every * times.step if not times.free else 0.0,
-            steps=end.steps,
             simulated=simulated,
-            passes=end.passes,
-            repeated=end.repeated,
-            lengths=end.lengths,
             adaptive=adaptive,
-            wall=end.wall,
-            bonds=end.bonds,
             warnings=(*self.system.warnings, *(line for log in end.logs for line in log.warnings(sink))),
-            inside=end.inside,
-            notes=self.system.notes + left_out + end.notes,
+            notes=(*self.system.notes, *left_out, *end.notes),
+            **{name: getattr(end, name) for name in same},
         )
 
     def stricter(self) -> Job:

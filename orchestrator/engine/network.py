@@ -1,29 +1,32 @@
-"""The values of all signals of a running system, and the calls that exchange them at a communication point.
+"""A running system: its components, the values of all signals, and the calls that exchange them.
 
-All Real variables that are exchanged or recorded are in one float64 array, all Integer, Enumeration and
-Boolean variables in one int32 array. A component's variables that are read (or set) together are contiguous,
-so that each get or set is one call into the FMU on a slice. The exchange at a communication point runs
-through the stages of `dependencies.output_order`: read the outputs of the stage, copy them along the
-connections, set the inputs that they feed. `initialise` makes the values consistent before the run.
+A component is an FMU with the calls that step it, set its inputs and read its outputs. All Real variables
+that are exchanged or recorded are in one float64 array, all Integer, Enumeration and Boolean variables in one
+int32 array. A component's variables that are read (or set) together are contiguous, so that each get or set
+is one call into the FMU on a slice. The exchange at a communication point runs through the stages of
+`dependencies.output_order`: read the outputs of the stage, copy them along the connections, set the inputs
+that they feed. `initialise` makes the values consistent before the run.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import grouped
 from orchestrator.engine.algebraic_loop import AlgebraicLoop, solver
 from orchestrator.engine.c_library import Binding
-from orchestrator.engine.component import RunningComponent
 from orchestrator.engine.scenario import DrivenInputs, Scenario
-from orchestrator.fmi.calls import Buffer, Call, Slave, function_type
-from orchestrator.fmi.description import FmuInterface, Value
+from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type, function_type
+from orchestrator.fmi.description import Value
 from orchestrator.ssp.dependencies import (
     DependencyCycle,
     Feedthrough,
@@ -33,6 +36,145 @@ from orchestrator.ssp.dependencies import (
     strongly_connected,
 )
 from orchestrator.ssp.system import Connection, Port, System
+
+
+class RunningComponent:
+    """A component as a master uses it: the Python side of `Component` in engine.h.
+
+    slave               the FMU
+    inputs              indices of its coupling inputs, which are contiguous
+    values              of the coupling inputs that are set as values; empty if only derivatives are set
+    derivatives         of the coupling inputs, those of one input by ascending order
+    input_writes        calls that set `values`, if there are any, and `derivatives`
+    output_reads        calls that read the outputs that other components use
+    slope_reads         calls that read the slopes of those outputs, if the FMU gives them
+    held_inputs         calls that set the inputs that cannot change inside a step to the newest value of
+                        their source, for sequential masters
+    substeps            how many steps the FMU takes in one communication step
+    fixed_step          length of each of these steps [s] if it must be the same to the last bit, else 0
+    halved              it takes two steps, and its outputs between them are read
+    rollback            its state is saved at the beginning of every step
+    simplifies_inputs   some coupling inputs have a lower degree than the master asks for
+    struct              `Component` of engine.h
+    """
+
+    def __init__(self, slave: Slave, substeps: int) -> None:
+        self.slave, self.substeps = slave, substeps
+        self.inputs = range(0)
+        self.output_reads: Sequence[Call] = ()
+        self.slope_reads: Sequence[Call] = ()
+        self.held_inputs: Sequence[Call] = ()
+        self.fixed_step, self.halved, self.rollback, self.simplifies_inputs = 0.0, False, False, False
+        self.values, self.derivatives = np.zeros(0), np.zeros(0)
+        self.input_writes: list[Call] = []
+        self._saved_state: Any = None
+        self._stepping: StepCalls | None = None
+        self.struct: Any = None
+
+    def make_input_writes(self, first: int, names: Sequence[str], inputs: Sequence[Any], jumps: bool) -> None:
+        """Make the calls that set its coupling inputs.
+
+        first    index of its first coupling input among those of all components
+        names    the variables
+        inputs   the `CouplingInput` of engine.h of each variable
+        jumps    the inputs may be discontinuous at the start of a step of the FMU, so that values must be
+                 set, not only derivatives
+        """
+        self.inputs = range(first, first + len(inputs))
+        if not inputs:
+            return
+        self.simplifies_inputs = any(s.fmu_degree < s.requested_degree for s in inputs)
+        if self.substeps > 1 or self.simplifies_inputs or jumps:
+            # degree 0: the input is only watched and held over the step; other calls set it
+            with_values = [n for n, s in zip(names, inputs, strict=True) if s.requested_degree]
+            self.values = np.zeros(len(with_values))
+            self.input_writes += calls_by_type(self.slave, with_values, self.values, self.slave.writer)
+        degrees = {n: min(s.fmu_degree, s.requested_degree) for n, s in zip(names, inputs, strict=True)}
+        derivatives = [(name, k + 1) for name, degree in degrees.items() for k in range(degree)]
+        self.derivatives = np.zeros(len(derivatives))
+        self._add_derivative_writes(derivatives)
+
+    def _add_derivative_writes(self, derivatives: Sequence[tuple[str, int]]) -> None:
+        """Add calls that set derivatives, given by name and order.
+
+        If rate inputs take the derivatives, those of different FMI types need separate calls.
+        """
+        interface, first = self.slave.interface, 0
+
+        def rate_type(derivative: tuple[str, int]) -> str:
+            if interface.can_interpolate_inputs:
+                return ""
+            return function_type(interface.variables[interface.rate_inputs[derivative[0]]])
+
+        for _, group in groupby(derivatives, key=rate_type):
+            names, orders = zip(*group, strict=True)
+            values = self.derivatives[first : first + len(names)]
+            orders = orders if interface.can_interpolate_inputs else ()
+            write = self.slave.input_derivative_writer(names, values, orders)
+            self.input_writes.append(write)
+            first += len(names)
+
+    # ---- the structure of the C engine
+
+    def fill_stepping(self, binding: Binding, struct: Any) -> None:
+        """Fill the members for stepping the FMU. Python steps it if its class has no `stepping`."""
+        self.struct = struct
+        make: Callable[[bool], StepCalls] | None = getattr(self.slave, "stepping", None)
+        if make:
+            self._stepping = step = make(self.rollback)
+            struct.call = binding.pointer(step.slot)
+            for name, value in step.members.items():
+                setattr(struct, name, value)
+        struct.clock = binding.at(np.asarray(self.slave.log.clock))
+        struct.never_restored, struct.rollback = not self.rollback, self.rollback
+        struct.halved = self.halved
+        struct.fixed_step, struct.substeps = self.fixed_step, self.substeps
+
+    def fill_inputs_and_outputs(self, binding: Binding) -> None:
+        """Fill the members for inputs and outputs."""
+        struct = self.struct
+        struct.first_input, struct.input_count = self.inputs.start, len(self.inputs)
+        struct.sets_values, struct.simplifies_inputs = len(self.values) > 0, self.simplifies_inputs
+        struct.values, struct.derivatives = binding.at(self.values), binding.at(self.derivatives)
+        for name in ("input_writes", "output_reads", "held_inputs", "slope_reads"):
+            setattr(struct, name, binding.program(getattr(self, name)))
+
+    @property
+    def stepped_in_c(self) -> bool:
+        """Does C step the FMU, not Python?"""
+        return self._stepping is not None
+
+    @property
+    def busy_seconds(self) -> float:
+        """Wall time in its steps, with the calls that set its coupling inputs [s]."""
+        return float(self.struct.busy) if self.struct else 0.0
+
+    def check_status(self, function: int | None, status: int) -> None:
+        """Raise the Problem for a status that is not OK.
+
+        function   address of the FMI function that returned it: get state or set state; None: a step
+        """
+        assert self._stepping is not None
+        self._stepping.checks[function or 0](status)
+
+    # ---- saved state; C saves and restores that of a component that it steps
+
+    def save(self) -> None:
+        """Save the state of a component that Python steps."""
+        self._saved_state = self.slave.save(self._saved_state)
+
+    def restore(self) -> None:
+        """Restore the saved state."""
+        self.slave.restore(self._saved_state)
+
+    def free_saved_state(self) -> None:
+        """Free the state that C or Python saved, if there is one."""
+        if self.struct is not None and self.struct.state:
+            self._saved_state, self.struct.state = ctypes.c_void_p(self.struct.state), None
+        if self._saved_state is not None:
+            self.slave.free_state(self._saved_state)
+            self._saved_state = None
+
 
 SCENARIO_STAGE = -1  # stage of the inputs that a scenario sets, before all others
 LOOP_STAGE = -2  # ports of algebraic loop i have the stage LOOP_STAGE - i
@@ -63,12 +205,12 @@ class SignalArray:
 
     def add(self, system: System, stages: Mapping[Port, tuple[int, ...]]) -> list[Block]:
         """Append ports, grouped into blocks."""
-        groups: dict[tuple[str, str, tuple[int, ...]], list[Port]] = {}
-        for port, port_stages in stages.items():
-            group = port.component, function_type(system.variable(port)), port_stages
-            groups.setdefault(group, []).append(port)
+
+        def group_of(port: Port) -> tuple[str, str, tuple[int, ...]]:
+            return port.component, function_type(system.variable(port)), stages[port]
+
         blocks = []
-        for group, ports in groups.items():
+        for group, ports in grouped(stages, group_of).items():
             blocks.append(Block(*group, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
@@ -103,11 +245,9 @@ class ConnectionCopy:
     def instruction(self, binding: Binding) -> Any:
         """The instruction for C; it has no factors and offsets if all are 1 and 0."""
         identity = np.all(self.factor == 1) and np.all(self.offset == 0)
-        struct = binding.h.ConnectionCopy(
-            **binding.all_at(self, "source target" if identity else "source target factor offset"),
-            count=len(self.source),
-            array=binding.array_of(self.values),
-        )
+        arrays = binding.all_at(self, "source target" if identity else "source target factor offset")
+        array = binding.array_of(self.values)
+        struct = binding.h.ConnectionCopy(**arrays, count=len(self.source), array=array)
         return binding.h.Instruction(binding.h.COPY, 0, binding.pointer(struct))
 
 
@@ -147,9 +287,8 @@ class Network:
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
         self.rates = scenario.rates(system) if scenario else {}
-        output_blocks, input_blocks = self._allocate(
-            recorded, [*scenario.columns, *self.rates] if scenario else ()
-        )
+        driven = [*scenario.columns, *self.rates] if scenario else []
+        output_blocks, input_blocks = self._allocate(recorded, driven)
         self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
         self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)
@@ -198,11 +337,9 @@ class Network:
         return self.slaves[block.component].writer([p.variable for p in block.ports], array.slice(block))
 
     def _copies(self, connections: Iterable[Connection]) -> list[Call]:
-        by_array = [
-            (array, [c for c in connections if self._array(c.source) is array])
-            for array in (self.reals, self.integers)
-        ]
-        return [ConnectionCopy(array, group) for array, group in by_array if group]
+        by_type = grouped(connections, lambda c: not self.system.variable(c.source).is_real)
+        arrays = {False: self.reals, True: self.integers}
+        return [ConnectionCopy(arrays[whole], by_type[whole]) for whole in sorted(by_type)]
 
     def _allocate(self, recorded: Iterable[Port] | None, driven: Iterable[Port]) -> tuple[Blocks, Blocks]:
         """Assign indices to outputs, recorded ports and fed inputs; returns the blocks to read and to set."""
@@ -260,9 +397,8 @@ class Network:
         sim.exchange = binding.program(self.exchange_calls)
         sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
         sim.loop_count = len(self.loops)
-        sim.initial_rounds = (
-            self.order.count + 1
-        )  # slopes of outputs of each stage need those of the one before
+        # slopes of outputs of each stage need those of the one before
+        sim.initial_rounds = self.order.count + 1
 
     def free_saved_states(self) -> None:
         """Free the states that were saved for a rollback."""
@@ -289,7 +425,8 @@ def initialise(
     after        called when one FMU has been called several times
     """
     for name, slave in slaves.items():
-        stop = _announced_stop(slave.interface, span[1])
+        # the sum of equal steps may be carried by rounding beyond the true stop time
+        stop = span[1] if slave.interface.variable_step else span[1] + 4.0 * math.ulp(span[1])
         slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
@@ -305,11 +442,6 @@ def initialise(
         after(slave)
 
 
-def _announced_stop(interface: FmuInterface, stop: float) -> float:
-    """The stop time for the FMU [s]: rounding may carry the sum of equal steps beyond the true one."""
-    return stop if interface.variable_step else stop + 4.0 * math.ulp(stop)
-
-
 def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:
     for port, value in values.items():
         slaves[port.component].set(port.variable, value)
@@ -321,9 +453,7 @@ def propagate(system: System, slaves: Mapping[str, Slave]) -> None:
     Algebraic loops are solved as in the run, see `AlgebraicLoop`.
     """
     feedthrough = Feedthrough(system, initially=True)
-    connections: dict[Port, list[Connection]] = {}
-    for c in system.connections:
-        connections.setdefault(c.source, []).append(c)
+    connections = grouped(system.connections, lambda c: c.source)
     for group in strongly_connected(feedthrough.graph):
         outputs, cycle = [y for y in group if y in connections], feedthrough.cycle(group)
         if cycle:

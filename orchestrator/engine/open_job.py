@@ -1,28 +1,33 @@
-"""One run of a system in this process, from opening to closing the FMUs."""
+"""One run of a system in this process: opening the FMUs, the loop over communication steps, closing them.
+
+The loop runs in blocks of recorded points. native/simulation_loop.c has it, native/communication_step.c takes
+one communication step according to the plan of the master.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
+from ctypes import c_double
 from dataclasses import dataclass
 from functools import partial
+
+import numpy as np
 
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.files import archive_kept_open
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
-from orchestrator.data.trace_writer import PointSink
+from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
-from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.error_propagation import ErrorPropagation
 from orchestrator.engine.job import ENDS_EARLY, Job, RunEnd, guarded
-from orchestrator.engine.linear_prediction import LinearPrediction
-from orchestrator.engine.masters import MASTERS
+from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
+from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
 from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
-from orchestrator.engine.simulation_loop import SimulationLoop, StepControl
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.messages import WARNING
@@ -33,27 +38,10 @@ FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so
 FEWEST_STEPS = 2  # between two evaluations of the estimated errors
 
 
-@dataclass
-class OpenJob:
-    """The objects of a run whose FMUs are initialised.
-
-    errors   the estimate of errors during the run; None if there is none
-    notes    remarks on its master
-    """
-
-    network: Network
-    recorder: Recorder
-    energy: EnergyMonitor
-    loop: SimulationLoop
-    times: Grid
-    errors: ErrorPropagation | None
-    notes: tuple[str, ...]
-
-
 def run_job(
     job: Job,
     times: Grid,
-    sink: PointSink,
+    sink: TraceSink,
     between: Callable[[float], None] = lambda _: None,
     at_end: Callable[[RunEnd], None] = lambda _: None,
     allocate: Allocate = bytearray_of,
@@ -65,22 +53,22 @@ def run_job(
     at_end     called before the FMUs are closed
     allocate   see `Binding`
     """
-    with opened(job, times, sink, allocate) as running:
+    with opened(job, times, sink, allocate) as loop:
         began = time.perf_counter()
         problem, interrupted = None, False
         try:
-            _step_to_end(running, sink, between)
+            _step_to_end(loop, sink, between)
         except KeyboardInterrupt:
             interrupted = True
         except Ended as ended:
-            running.notes += (f"{ENDS_EARLY}{ended}",)
-            _record_end(job, running, ended.reached)
+            loop.notes += (f"{ENDS_EARLY}{ended}",)
+            _record_end(job, loop, ended.reached)
         except Problem as raised:
             problem = raised
-        running.recorder.finish()
-        if running.errors:
-            running.errors.collect(sink)
-        state, network = running.loop.state, running.network
+        loop.recorder.finish()
+        if loop.errors:
+            loop.errors.collect(sink)
+        state, network = loop.state, loop.network
         end = RunEnd(
             t=state.t,
             steps=state.steps,
@@ -88,11 +76,11 @@ def run_job(
             repeated=state.repeated,
             lengths=(state.shortest, state.longest),
             wall=time.perf_counter() - began,
-            bonds=tuple(running.energy.energies()),
-            errors=running.errors.errors() if running.errors else {},
-            inside=running.loop.busy_seconds,
+            bonds=tuple(loop.energy.energies()),
+            errors=loop.errors.errors() if loop.errors else {},
+            inside={name: component.busy_seconds for name, component in network.components.items()},
             logs=tuple(copy(s.log) for s in network.slaves.values()),
-            notes=network.notes + times.notes + running.notes,
+            notes=network.notes + times.notes + loop.notes,
             problem=problem,
             interrupted=interrupted,
         )
@@ -100,37 +88,37 @@ def run_job(
     return end
 
 
-def _step_to_end(opened: OpenJob, sink: PointSink, between: Callable[[float], None]) -> None:
+def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float], None]) -> None:
     """Step from the start to the stop time."""
-    loop = opened.loop
     with DeferredInterrupts() as interrupts:
         loop.begin()
-        while loop.state.done < opened.times.steps:
+        while loop.state.done < loop.times.steps:
             interrupts.check()
             try:
                 loop.advance()
             except Problem:
-                opened.recorder.collect()  # raises if a value is not finite: the cause of the failure
+                loop.recorder.collect()  # raises if a value is not finite: the cause of the failure
                 raise
-            if opened.errors:
-                opened.errors.collect(sink)
+            if loop.errors:
+                loop.errors.collect(sink)
             between(loop.state.t)
 
 
-def _record_end(job: Job, opened: OpenJob, t: float) -> None:
+def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
     """Record the time [s] at which an FMU ended the run inside a step (FMI 2.0.5, 4.2.2: fmi2Terminated).
 
     In a system of several FMUs the others are not there, so its last row is the last communication point.
     """
-    state = opened.loop.state
-    if len(opened.network.slaves) == 1 and t > state.t:
-        opened.recorder.collect()
-        opened.recorder.end_at(t, job.scenario.initial(job.system, t) if job.scenario else {})
-        state.t = t
+    if len(loop.network.slaves) == 1 and t > loop.state.t:
+        loop.recorder.collect()
+        loop.recorder.end_at(t, job.scenario.initial(job.system, t) if job.scenario else {})
+        loop.state.t = t
 
 
 @contextmanager
-def opened(job: Job, times: Grid, sink: PointSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
+def opened(
+    job: Job, times: Grid, sink: TraceSink, allocate: Allocate = bytearray_of
+) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.record.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]
@@ -163,28 +151,15 @@ def opened(job: Job, times: Grid, sink: PointSink, allocate: Allocate = bytearra
         control = step_control(job, inputs, times)
         stack.callback(network.free_saved_states)
         loop = SimulationLoop(network, plan, inputs, prediction, times, recorder, energy, control)
-        errors = _error_propagation(job, network, inputs, times)
+        if job.execution.error_estimate:
+            errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
+            if not errors.missing:
+                errors.fill(binding)
+                loop.errors = errors
         stack.callback(loop.close)
-        notes = (
-            *plan.notes,
-            *_rollback_notes(job),
-            *inputs.notes,
-            *(prediction.notes if prediction else ()),
-        )
-        yield OpenJob(network, recorder, energy, loop, times, errors, notes)
-
-
-def _error_propagation(
-    job: Job, network: Network, inputs: CouplingInputs, times: Grid
-) -> ErrorPropagation | None:
-    """The estimate of errors during the run, filled; None if not wanted, or if an FMU prevents it."""
-    if not job.execution.error_estimate:
-        return None
-    errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
-    if errors.missing:
-        return None
-    errors.fill(network.binding)
-    return errors
+        of_prediction = prediction.notes if prediction else ()
+        loop.notes = (*plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
+        yield loop
 
 
 def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl | None:
@@ -203,11 +178,9 @@ def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl |
         got = f"{', '.join(fixed)}: the FMU has a fixed step"
         raise Problem(f"adaptive steps: expected FMUs with a variable step, got {got}")
     repeats = all(interface.rollback for interface in interfaces.values())
-    first = times.first if repeats else FIRST_FRACTION * times.first
-    smallest, largest = c.step_limits
-    return StepControl(
-        first, max(smallest, times.shortest_step), largest, c.adaptive, c.controls_energy, repeats
-    )
+    first, (smallest, largest) = times.first if repeats else FIRST_FRACTION * times.first, c.step_limits
+    smallest = max(smallest, times.shortest_step)
+    return StepControl(first, smallest, largest, c.adaptive, c.controls_energy, repeats)
 
 
 def _rollback_notes(job: Job) -> tuple[str, ...]:
@@ -251,3 +224,151 @@ def _check_instances(system: System) -> None:
             other = single.setdefault((interface.guid, interface.identifier), name)
             if other != name:
                 raise Problem(f"{other} and {name}: expected one instance of their FMU at most, got two")
+
+
+TIMED_STEPS = 20  # number of steps whose times decide about threads
+MIN_SAVING = 2e-5  # [s] of wall time per step; with less, threads are not used: waking one takes about 5e-6 s
+CORES = os.cpu_count() or 1  # number of threads for the components of one run, at most
+ADVANCE_TIME = 0.1  # [s] of wall time that one call of `advance` takes, at most
+
+
+@dataclass(frozen=True)
+class StepControl:
+    """Parameters of adaptive steps, whose length follows from their estimated error.
+
+    first       first step to try [s]
+    smallest    shortest step [s]; it is accepted with any error
+    largest     longest step [s], except for the rounding of times: 1e-9 of it
+    tolerance   of the error, relative to the magnitude of each signal; by_energy: to the power of each bond
+    repeats     the components can go back to the beginning of a step
+    """
+
+    first: float
+    smallest: float
+    largest: float
+    tolerance: float
+    by_energy: bool = False
+    repeats: bool = True
+
+
+class SimulationLoop:
+    """A run whose FMUs are initialised, from its start to its end, in blocks of recorded points.
+
+    state    `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may increase
+             `total`
+    errors   the estimate of errors during the run; None if there is none
+    notes    remarks on its master
+    """
+
+    errors: ErrorPropagation | None = None
+    notes: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        network: Network,
+        plan: Plan,
+        inputs: CouplingInputs,
+        prediction: LinearPrediction | None,
+        times: Grid,
+        recorder: Recorder,
+        energy: EnergyMonitor,
+        control: StepControl | None = None,
+    ) -> None:
+        """control: None if all steps are equal."""
+        self.network, self.times, self.recorder, self.energy = network, times, recorder, energy
+        self._plan, self._inputs, self._control = plan, inputs, control
+        self._binding, self.state = network.binding, network.binding.simulation
+        self._components = [*network.components.values()]
+        self._threads_undecided = not plan.sequential and len(self._components) > 1
+        self._fill_times(times)
+        self._plan_rollback(times)
+        network.fill()
+        if driven := network.driven:
+            driven.fill(self._binding, [inputs.ports.index(p) for p in driven.continuous])
+        order = plan.order
+        if prediction:
+            self._binding.call("simulation_exchange", c_double(times.start))
+            order = prediction.begin()
+            prediction.fill(self._binding)
+        self._fill_plan(order, prediction)
+        recorder.fill(self._binding)
+        energy.fill(self._binding)
+        self._binding.withdraw = self._withdraw_messages
+
+    # ---- the run
+
+    def begin(self) -> None:
+        """Exchange all values at the start, and record them."""
+        self._binding.call("simulation_begin")
+        self.recorder.collect()
+
+    def advance(self) -> None:
+        """Step until a block of points or estimated errors is full, for ADVANCE_TIME, or to the end."""
+        self._binding.call("simulation_advance")
+        self.recorder.collect()
+        if self._threads_undecided and self.state.steps >= TIMED_STEPS:
+            self._decide_about_threads()
+
+    def _decide_about_threads(self) -> None:
+        """Use threads for the components if they save more time than they cost."""
+        self._threads_undecided = False
+        times = [c.busy_seconds / self.state.steps for c in self._components]
+        if sum(times) - max(times) > MIN_SAVING and all(c.stepped_in_c for c in self._components):
+            self.state.threads = min(CORES, len(times))
+
+    def close(self) -> None:
+        """End the threads and free saved states."""
+        self._binding.call("simulation_close")
+        self.network.free_saved_states()
+
+    def _withdraw_messages(self) -> None:
+        """Withdraw messages and statuses of the FMUs in a step that is going to be repeated."""
+        for slave in self.network.slaves.values():
+            slave.log.time = self.state.t
+            slave.after_rollback()
+
+    # ---- structures for C
+
+    def _fill_times(self, times: Grid) -> None:
+        sim = self.state
+        sim.start, sim.step, sim.t, sim.total = times.start, times.step, times.start, times.steps
+        sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
+        sim.events, sim.event_count = self._binding.at(np.array(times.events, float)), len(times.events)
+        if c := self._control:
+            first = min(max(c.first, c.smallest), c.largest)
+            limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": c.repeats}
+            struct = self._binding.h.StepSize(**limits, power=self._inputs.power)
+            sim.step_size, sim.error_tolerance = self._binding.pointer(struct), c.tolerance
+            sim.by_energy = c.by_energy
+
+    def _plan_rollback(self, times: Grid) -> None:
+        """Decide which components save their states or step in halves, and whether all can go back."""
+        iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
+        saves = iterates or (self._control is not None and self._control.repeats)
+        for c in self._components:
+            interface = c.slave.interface
+            c.rollback = saves and interface.rollback
+            c.fixed_step = 0.0 if interface.variable_step else times.step / c.substeps
+            c.halved = self._plan.halves and c.substeps == 1 and interface.variable_step
+        self.state.saves = saves
+        self.state.rollback = all(c.rollback and not c.fixed_step for c in self._components)
+
+    def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
+        """Fill the plan, the coupling inputs, and the calls between the steps of two components."""
+        sim, plan, network, inputs = self.state, self._plan, self.network, self._inputs
+        held = inputs.held(order) if plan.sequential else [[] for _ in order]
+        for k, (name, component) in enumerate(network.components.items()):
+            # of the last one no component uses the outputs in the same step
+            last = prediction is not None and k == order[-1] and not component.halved
+            component.held_inputs = network.copy_and_set_calls(held[k])
+            reads_outputs = plan.sequential and not last
+            component.output_reads = network.get_output_calls(name) if reads_outputs else []
+            component.fill_inputs_and_outputs(self._binding)
+            component.struct.repeated = k in plan.repeated
+        at = self._binding.at
+        sim.inputs = self._binding.pointer(inputs.array(self._binding))
+        sim.input_count = len(inputs.inputs)
+        sim.order, sim.has_stepped = at(np.array(order, np.int32)), at(np.zeros(len(order), np.uint8))
+        sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.corrected
+        sim.sequential, sim.tolerance = plan.sequential, plan.tolerance
+        sim.bonds, sim.bond_count = at(np.array(inputs.bonds, np.int32).reshape(-1)), len(inputs.bonds)

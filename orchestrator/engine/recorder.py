@@ -22,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace_writer import Points, PointSink, RowLayout
+from orchestrator.data.trace_writer import Points, RowLayout, TraceSink
 from orchestrator.engine.c_library import Binding
-from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import BondEnergy
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.calls import Call
+from orchestrator.fmi.calls import Call, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.power_bonds import Bond
 from orchestrator.ssp.system import Port
@@ -77,7 +76,7 @@ class Recorder:
     """
 
     def __init__(
-        self, network: Network, times: Grid, sink: PointSink, selected: Sequence[Port] | None = None
+        self, network: Network, times: Grid, sink: TraceSink, selected: Sequence[Port] | None = None
     ) -> None:
         self._network, self._sink = network, sink
         all_ports = [*network.reals.index, *network.integers.index]
@@ -98,17 +97,14 @@ class Recorder:
         for outlet in system.outputs.values():
             if outlet.source in column:
                 sources[outlet.name] = (outlet.source, outlet.map.factor, outlet.map.offset, outlet.unit)
-        scaled = [k for k, name in enumerate(sources) if name in system.outputs]
-        maps = np.array([(factor, offset) for _, factor, offset, _ in sources.values()]).reshape(-1, 2)[
-            scaled
-        ]
+        maps = [s[1:3] for name, s in sources.items() if name in system.outputs]
         return RowLayout(
             names=tuple(sources),
-            units={name: unit.name for name, (_, _, _, unit) in sources.items() if unit},
+            units={name: unit.name for name, (*_, unit) in sources.items() if unit},
             columns=np.array([column[port] for port, *_ in sources.values()], np.intp),
-            scaled=scaled,
-            factors=maps[:, 0].tolist(),
-            offsets=maps[:, 1].tolist(),
+            scaled=[k for k, name in enumerate(sources) if name in system.outputs],
+            factors=[factor for factor, _ in maps],
+            offsets=[offset for _, offset in maps],
             reals=len(self._reals),
             integers=len(self._integers),
             every=every,
@@ -178,9 +174,8 @@ def _is_applied(network: Network, port: Port) -> bool:
         *(outlet.source for outlet in system.outputs.values()),
     ):
         return True
-    return all(
-        port.variable not in c.interface.variables for n, c in system.components.items() if n != port[0]
-    )
+    others = (component.interface for name, component in system.components.items() if name != port.component)
+    return all(port.variable not in interface.variables for interface in others)
 
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:
@@ -205,9 +200,8 @@ class EnergyMonitor:
         self.indices = network.reals.indices(ports)
         self.varied = np.array([p in varying for p in ports], dtype=np.uint8)
         self._read = sorted((p for p in ports if p not in varying), key=lambda p: p.component)
-        self.read_indices = np.array(
-            [self._read.index(p) if p in self._read else -1 for p in ports], dtype=np.int64
-        )
+        index = {port: i for i, port in enumerate(self._read)}
+        self.read_indices = np.array([index.get(p, -1) for p in ports], dtype=np.int64)
         self.read_values = np.zeros(len(self._read))
         self.start, self.used_start, self.used_end = (np.zeros(len(ports)) for _ in range(3))
         self.sums = np.zeros((3, len(bonds)))

@@ -6,7 +6,6 @@ the signals, are in trace.run.json next to trace.csv; `harvester compare` reads 
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -18,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
 from orchestrator.base.options import Seconds
-from orchestrator.base.text import TextTable
+from orchestrator.base.text import TextTable, grouped
 from orchestrator.data.table import SUFFIXES
-from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
+from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace, rms
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.coupling import Coupling
@@ -141,10 +141,8 @@ class Result(Mapping[str, NDArray[np.float64]]):
             return None
         from scipy.ndimage import maximum_filter1d
 
-        signals = {
-            name: BAND * maximum_filter1d(np.abs(values), 2 * NEARBY + 1)
-            for name, values in self.errors.signals.items()
-        }
+        largest = {n: maximum_filter1d(np.abs(e), 2 * NEARBY + 1) for n, e in self.errors.signals.items()}
+        signals = {name: BAND * values for name, values in largest.items()}
         return Trace(self.errors.time, signals, self.errors.units).at(self.trace.time)
 
 
@@ -278,11 +276,8 @@ class Card:
     @property
     def worst(self) -> list[SignalError]:
         """The largest change of a signal in each unit."""
-        worst: dict[str, SignalError] = {}
-        for e in self.errors:
-            if e.unit not in worst or e.change > worst[e.unit].change:
-                worst[e.unit] = e
-        return list(worst.values())
+        groups = grouped(self.errors, lambda e: e.unit).values()
+        return [max(errors, key=lambda e: e.change) for errors in groups]
 
     @property
     def all_warnings(self) -> list[str]:
@@ -387,11 +382,12 @@ def compare(
     errors = []
     changes = _changes(fine, trace)
     before = _changes(trace, coarse.select(trace.signals)) if coarse else {}
-    for name, span in _ranges(fine.select(trace.signals), nominals or {}).items():
-        largest, rms = float(np.max(np.abs(changes[name]))), _rms(changes[name])
-        larger = _rms(before[name]) if name in before else 0.0  # the change from 2h to h
-        order = float(np.log2(larger / rms)) if rms >= 1e-11 * span and larger > 0 else None
-        errors.append(SignalError(name, largest / span, rms / span, order, fine.units.get(name, ""), largest))
+    for name, span in ranges(fine.select(trace.signals), nominals or {}).items():
+        largest, size = float(np.max(np.abs(changes[name]))), rms(changes[name])
+        larger = rms(before[name]) if name in before else 0.0  # the change from 2h to h
+        order = float(np.log2(larger / size)) if size >= 1e-11 * span and larger > 0 else None
+        unit = fine.units.get(name, "")
+        errors.append(SignalError(name, largest / span, size / span, order, unit, largest))
     return tuple(errors)
 
 
@@ -409,35 +405,30 @@ def relative_errors(
     recorded = trace.select(name for name in errors if name in trace.signals)
     return tuple(
         SignalError(name, e.largest / span, e.rms / span, None, trace.units.get(name, ""), e.largest)
-        for name, span in _ranges(recorded, nominals).items()
+        for name, span in ranges(recorded, nominals).items()
         if (e := errors[name]).largest
     )
 
 
-def _ranges(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:
+def ranges(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:
     """The range of each signal that is not constant."""
     spans = {name: float(np.ptp(values)) for name, values in trace.signals.items()}
-    widest: dict[str, float] = {}
-    for name, span in spans.items():
-        unit = trace.units.get(name, "")
-        widest[unit] = max(span, widest.get(unit, 0.0))
-    least = {
-        name: CONSTANT * nominal
-        if (nominal := nominals.get(name))
-        else max(CONSTANT_IN_UNIT * widest[unit], FLOOR)
-        for name, unit in ((name, trace.units.get(name, "")) for name in spans)
-    }
+    widest = widest_of_unit(spans, trace.units)
+    least = {name: CONSTANT * (nominals.get(name) or 0.0) for name in spans}
+    least = {n: size or max(CONSTANT_IN_UNIT * widest[n], FLOOR) for n, size in least.items()}
     return {name: span for name, span in spans.items() if span > abs(least[name])}
+
+
+def widest_of_unit(spans: Mapping[str, float], units: Mapping[str, str]) -> dict[str, float]:
+    """Signal -> the largest of the ranges of all signals in its unit."""
+    groups = grouped(spans, lambda name: units.get(name, "")).values()
+    return {name: max(spans[n] for n in names) for names in groups for name in names}
 
 
 def _changes(fine: Trace, trace: Trace) -> dict[str, NDArray[np.float64]]:
     """Finer less coarser run, for each signal; halving a step keeps the common times bit-identical."""
     _, a, b = np.intersect1d(fine.time, trace.time, assume_unique=True, return_indices=True)
     return {name: fine[name][a] - values[b] for name, values in trace.signals.items()}
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
 
 
 def _error_row(e: SignalError) -> list[str]:
@@ -490,6 +481,21 @@ class RunMetadata:
         return "adaptive" in self.coupling
 
 
+# members of a card that are metadata, too
+OF_CARD = (
+    "master",
+    "step",
+    "simulated",
+    "wall",
+    "inside",
+    "steps",
+    "passes",
+    "repeated",
+    "lengths",
+    "warnings",
+)
+
+
 def metadata(
     result: Result, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
 ) -> RunMetadata:
@@ -497,30 +503,20 @@ def metadata(
     signals = signals or RowLayout(tuple(result.trace.signals), result.trace.units)
     system, card = result.system, result.card
     inputs = [p for p in system.ports("input") if str(p) in signals.names]
-    computed = {
-        c.target for c in system.connections if system.components[c.source.component].interface.of("input")
-    }
+    interfaces = {name: component.interface for name, component in system.components.items()}
+    computed = {c.target for c in system.connections if interfaces[c.source.component].of("input")}
     ports = [p for p in (*system.ports("output"), *inputs) if str(p) in signals.names]
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
-        master=card.master,
-        step=card.step,
-        simulated=card.simulated,
-        wall=card.wall,
+        **{name: getattr(card, name) for name in OF_CARD},
         complete=result.complete,
         fmus={c.name: c.interface.identifier for c in system.components.values()},
         swapped={c.name: str(c.source) for c in system.components.values() if c.replaced},
         given={name: value for name, value in (options or {}).items() if value},
-        inside=card.inside,
         units=signals.units,
         inputs=tuple(map(str, inputs)),
         coupling=result.coupling.settings,
-        steps=card.steps,
-        passes=card.passes,
-        repeated=card.repeated,
-        lengths=card.lengths,
         provenance=result.provenance,
-        warnings=card.warnings,
         sources=tuple(str(p) for p in inputs if p not in computed),
         nominals={
             str(p): n for p in ports if (n := system.components[p.component].interface.nominal(p.variable))
@@ -541,30 +537,22 @@ def metadata_text(
     return json.dumps(data, indent=1, ensure_ascii=False, default=str) + "\n"
 
 
-def write_metadata(
-    result: Result, trace: Path, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
-) -> Path:
+def write_metadata(result: Result, trace: Path) -> Path:
     """Write the metadata of a run next to its trace, which exists."""
-    text = metadata_text(result, _digest(trace), options, signals)
+    text = metadata_text(result, Location(trace).sha256)
     metadata_file(trace).write_text(text, encoding="utf-8", newline="\n")
     return metadata_file(trace)
-
-
-def _digest(trace: Path) -> str:
-    """The checksum that relates metadata to their trace, also if both are renamed."""
-    with trace.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_metadata(path: Path) -> RunMetadata | None:
     """The metadata of the run that made a trace, next to it, else inside; None if there are none.
 
-    Metadata next to a trace with another checksum are those of another trace.
+    Metadata next to a trace with another checksum are those of another trace; both may be renamed.
     """
     file = metadata_file(path)
     if file.is_file():
         loaded, digest = _parsed(file, file.read_text(encoding="utf-8"))
-        if digest == _digest(path):
+        if digest == Location(path).sha256:
             return loaded
     inside = read_origin(path)
     return _parsed(path, inside)[0] if inside else None
@@ -576,10 +564,9 @@ def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
         data = json.loads(text)
         digest = data.pop("sha256")
         data.pop("names", None)  # of a MATLAB file
-        values = {n: tuple(data.get(n, ())) for n in ("inputs", "warnings", "sources")} | {
-            "provenance": Provenance.of(data.get("provenance", {}))
-        }
-        return RunMetadata(**{**data, **values}), digest
+        tuples = {name: tuple(data.get(name, ())) for name in ("inputs", "warnings", "sources")}
+        origins = Provenance.of(data.get("provenance", {}))
+        return RunMetadata(**{**data, **tuples, "provenance": origins}), digest
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
 
@@ -591,10 +578,7 @@ def read_run(path: Path) -> tuple[Trace, RunMetadata | None]:
 
 def newest_trace(folder: Path) -> Path | None:
     """The trace in a folder that a run wrote last, known by the metadata next to it; None without one."""
-    traces = [
-        file.with_name(file.name.removesuffix(METADATA_SUFFIX) + suffix)
-        for file in folder.glob(f"*{METADATA_SUFFIX}")
-        for suffix in SUFFIXES
-    ]
+    stems = [file.name.removesuffix(METADATA_SUFFIX) for file in folder.glob(f"*{METADATA_SUFFIX}")]
+    traces = [folder / f"{stem}{suffix}" for stem in stems for suffix in SUFFIXES]
     complete = [t for t in traces if t.is_file() and not t.stem.endswith(".partial")]
     return max(complete, key=lambda trace: trace.stat().st_mtime, default=None)

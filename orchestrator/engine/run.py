@@ -8,10 +8,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeAlias, TypeVar, Unpack
 
 from orchestrator.base.errors import Problem, Stopped
@@ -37,7 +36,7 @@ from orchestrator.engine.result import (
     metadata_text,
     relative_errors,
 )
-from orchestrator.engine.scenario import Scenario, drive
+from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import (
     RECORD_STEP,
     Grid,
@@ -151,15 +150,19 @@ class Request:
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
         system = with_sets(system, self.parameters).with_start(self.set)
         system = replace(system, notes=system.notes + built_notes(system))
+        trace, driving, label = None, None, "scenario"
         if isinstance(scenario, str | Path):
             scenario = find(scenario, SUFFIXES)
-        trace, driving = _scenario(system, scenario)
-        if driving:
+        if isinstance(scenario, Path | Location):
+            trace, label = read_trace(scenario, jumps=True), str(scenario)
+        elif scenario is not None:
+            trace = as_trace(scenario, "scenario", jumps=True)
+        if trace is not None:
+            driving = drive(system, trace, label)
             system = driving.released(system)
             system = replace(system, notes=system.notes + driving.overruled(system, self.set))
         system = with_doubts(system, doubtful_starts(system))
         if driving and trace is not None:
-            label = "scenario" if isinstance(scenario, Trace | Mapping) else str(scenario)
             if self.execution.progress and (doubt := doubtful_end(system, trace, label)):
                 tell_once(f"warning: {doubt}")  # before a long run, not only on its card
             system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
@@ -173,7 +176,7 @@ class Request:
         else:
             times = free_grid(system, trace, *span, record.step, corners)
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
-        files = [*ssv, *([scenario] if isinstance(scenario, str | Path | Location) else [])]
+        files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
         return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
 
 
@@ -301,16 +304,6 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
     return result
 
 
-def _scenario(system: System, scenario: ScenarioSource) -> tuple[Trace | None, Scenario | None]:
-    if scenario is None:
-        return None, None
-    if isinstance(scenario, str | Path | Location):
-        trace = read_trace(scenario, jumps=True)
-        return trace, drive(system, trace, str(scenario))
-    trace = as_trace(scenario, "scenario", jumps=True)
-    return trace, drive(system, trace)
-
-
 def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
     """A complete run with error estimates on its card, or with a note if a further run fails.
 
@@ -343,7 +336,7 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
     return result.noted(*notes, errors=errors)
 
 
-class ProgressBar:
+class ProgressBar(AbstractContextManager["ProgressBar"]):
     """Shows on a terminal or in a notebook how much of `total` [s] is simulated, if it takes long.
 
     delay   wall time until it appears [s]
@@ -356,12 +349,7 @@ class ProgressBar:
         self._began = time.perf_counter()
         self._line: Doing | None = None
 
-    def __enter__(self) -> ProgressBar:
-        return self
-
-    def __exit__(
-        self, type_: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._line is not None:
             self._line.end()
 

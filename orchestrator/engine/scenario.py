@@ -23,9 +23,8 @@ MAX_INTEGER = 2**31 - 1
 # Change of slope at a sample, times the shorter interval next to it, over the range of the column:
 ALWAYS_CORNER = 1e-3  # above this value the sample is a corner
 NEVER_CORNER = 1e-6  # below this value the sample is not a corner
-CORNER_RATIO = (
-    10.0  # between them it is a corner if the change exceeds those at both neighbours by this factor
-)
+# between them it is a corner if the change exceeds those at both neighbours by this factor
+CORNER_RATIO = 10.0
 
 
 class ScenarioTable:
@@ -50,8 +49,7 @@ class ScenarioTable:
     def at(self, t: float) -> NDArray[np.float64]:
         """All columns at time t [s], shape (k,)."""
         k = self.interval(t)
-        values: NDArray[np.float64] = self._base[k] + (t - self.arrays[3][k]) * self._slopes[k]
-        return values
+        return np.asarray(self._base[k] + (t - self.arrays[3][k]) * self._slopes[k])
 
     def corners(self) -> list[float]:
         """Times [s] at which the slope of a column jumps.
@@ -72,13 +70,11 @@ class ScenarioTable:
 
     def slope(self, t: float) -> NDArray[np.float64]:
         """The slopes just after t, shape (k,)."""
-        values: NDArray[np.float64] = self._slopes[self.interval(t)]
-        return values
+        return np.asarray(self._slopes[self.interval(t)])
 
     def sample(self, t: float) -> NDArray[np.float64]:
         """The last sample at or before t, for inputs that are not continuous, shape (k,)."""
-        values: NDArray[np.float64] = self._base[self.interval(t)]
-        return values
+        return np.asarray(self._base[self.interval(t)])
 
 
 @dataclass(frozen=True)
@@ -110,11 +106,8 @@ class Scenario:
 
     def rates(self, system: System) -> dict[Port, Port]:
         """The inputs that are declared as time derivatives of driven inputs, and these inputs."""
-        found = dict[Port, Port]()
-        for port in self.columns:
-            rates = system.components[port.component].interface.rate_inputs
-            if port.variable in rates and system.variable(port).is_continuous:
-                found[Port(port.component, rates[port.variable])] = port
+        rates, continuous = system.rate_ports, [p for p in self.columns if system.variable(p).is_continuous]
+        found = {rates[port]: port for port in continuous if port in rates}
         return {rate: port for rate, port in found.items() if rate not in self.columns}
 
     def _slopes(self, system: System) -> Iterator[Port]:
@@ -187,16 +180,15 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
         inputs = system.ports("input")
         names = dict.fromkeys([*system.inputs, *(p.variable for p in inputs)])
         suggestion = suggest(name, [*names, *map(str, inputs)])
+        found = f"inputs: {', '.join(names) or 'none'}"
         raise Problem(
-            f"{label}: column {name!r} is not an input of the system{suggestion};"
-            f" inputs: {', '.join(names) or 'none'}"
+            f"{label}: column {name!r} is not an input of the system{suggestion}; {found}"
         ) from None
     for port, _ in () if name in system.inputs else targets:
         variable = system.variable(port)
         if variable.causality != "input" or variable.kind == "String":
-            raise Problem(
-                f"{label}: column {name!r}: expected an input, got a {variable.kind} {variable.causality}"
-            )
+            got = f"{variable.kind} {variable.causality}"
+            raise Problem(f"{label}: column {name!r}: expected an input, got a {got}")
     return targets
 
 

@@ -150,9 +150,8 @@ def step_length(system: System, step: float | None) -> float:
         raise Problem(f"{system.refusal}; {OVERRIDE_HINT}")
     if system.step is not None:
         return system.step
-    return min(
-        (c.interface.step for c in system.components.values() if c.interface.step), default=DEFAULT_STEP
-    )
+    steps = (component.interface.step for component in system.components.values())
+    return min(filter(None, steps), default=DEFAULT_STEP)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ Float64 and Int32 are converted.
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Protocol
 
 import numpy as np
@@ -72,6 +73,22 @@ class Slave(Protocol):
 def function_type(variable: FmuVariable) -> str:
     """The type in the name of the FMI functions that get and set a variable, such as Real or Float64."""
     return variable.fmi_type or ("Integer" if variable.kind == "Enumeration" else variable.kind)
+
+
+MakeCall = Callable[[Sequence[str], Buffer], Call]
+
+
+def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: MakeCall) -> list[Call]:
+    """Calls for `names`, one for each run of consecutive names of the same FMI type.
+
+    values   shape (n,), in the order of the names
+    """
+    calls, first = list[Call](), 0
+    for _, group in groupby(names, key=lambda name: function_type(slave.interface.variables[name])):
+        of_type = list(group)
+        calls.append(make(of_type, values[first : first + len(of_type)]))
+        first += len(of_type)
+    return calls
 
 
 def address(values: Buffer) -> ctypes.c_void_p:

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.processes import available_cores
-from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import Job
-from orchestrator.engine.masters import MASTERS, Plan
+from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
 from orchestrator.engine.network import Network
 from orchestrator.engine.open_job import step_control
 from orchestrator.engine.scenario import DrivenInputs

@@ -27,11 +27,10 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.component import calls_by_type
-from orchestrator.engine.linear_prediction import Linearisation
+from orchestrator.engine.linear_system import Entry, JacobianColumn, Linearisation, column_structs
 from orchestrator.engine.network import initialise
 from orchestrator.engine.scenario import DrivenInputs, Scenario
-from orchestrator.fmi.calls import Slave
+from orchestrator.fmi.calls import Slave, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.ssp.system import Connection, Inlet, Port, System
@@ -139,16 +138,15 @@ class Plant:
         self.inputs = [Port(m.slave.name, u) for m in self.members for u in m.inputs]
         self.outputs = [Port(m.slave.name, y) for m in self.members for y in m.outputs]
         self.indicator_count = sum(slave.interface.event_indicators for slave in self.slaves.values())
+        self._index = {p: i for i, p in enumerate(self.inputs)}
         self._wire()
         self._binding = Binding()
 
     def _wire(self) -> None:
         """Set L, M and the constant part of v."""
-        at, of = ({p: i for i, p in enumerate(ports)} for ports in (self.inputs, self.outputs))
-        self.connections, self.input_map = (
-            np.zeros((len(at), len(of))),
-            np.zeros((len(at), len(self.inlets))),
-        )
+        at, of = self._index, {p: i for i, p in enumerate(self.outputs)}
+        self.connections = np.zeros((len(at), len(of)))
+        self.input_map = np.zeros((len(at), len(self.inlets)))
         self.constant, self.connected = np.zeros(len(at)), np.zeros(len(at), bool)
         self._discrete: list[Connection] = []
         for c in self.system.connections:
@@ -177,7 +175,7 @@ class Plant:
 
     def _count_substitutions(self) -> int:
         """How many substitutions solve the connections, by the declared dependencies; 0: a loop."""
-        index = {p: i for i, p in enumerate(self.inputs)}
+        index = self._index
         through = np.zeros((len(self.outputs), len(self.inputs)), bool)
         for row, port in enumerate(self.outputs):
             direct = self.slaves[port.component].interface.direct_inputs(port.variable)
@@ -218,7 +216,7 @@ class Plant:
             residual=at(self._residual),
             results=at(self._completed),
             **{name: at(np.zeros(n)) for name in ("expected", "magnitude")},
-            columns=binding.pointer(binding.array(h.JacobianColumn, columns)),
+            columns=binding.pointer(column_structs(binding, columns)),
             member_count=len(self.members),
             input_count=n,
             connection_count=len(rows),
@@ -259,19 +257,14 @@ class Plant:
             if member.slave.interface.completed_step:
                 yield member.slave.exchange_call("CompletedIntegratorStep", results)
 
-    def _columns(self) -> Iterator[Any]:
-        """`JacobianColumn` of engine.h for each directional derivative."""
+    def _columns(self) -> Iterator[tuple[JacobianColumn, list[Entry]]]:
+        """All directional derivatives, with the places of their results in the Jacobian."""
         width = self._jacobian.shape[1]
         for member in self.members:
             rows, columns = member.indices(len(self.x))
             for column in member.columns:
-                struct = self._binding.h.JacobianColumn(entries=len(column.entries))
-                self._binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
-                to = np.array([rows[i] * width + columns[j] for i, j in column.entries], np.int64)
-                struct.to, struct.factor = self._binding.at(to), self._binding.at(np.ones(len(to)))
-                results = np.array([column.rows.index(i) for i, _ in column.entries], np.int32)
-                setattr(struct, "from", self._binding.at(results))  # `from` is a keyword of Python
-                yield struct
+                places = [(column.rows.index(i), rows[i] * width + columns[j]) for i, j in column.entries]
+                yield column, [(index, int(place), 1.0) for index, place in places]
 
     def _call(self, function: str, *arguments: int) -> None:
         self._finish(getattr(library(), function)(*self._arguments, *arguments))
@@ -284,9 +277,8 @@ class Plant:
             self._struct.inverse_state = h.RENEWED
             outcome = library().plant_iterate(*self._arguments)
         if outcome == h.NOT_CONVERGED:
-            raise Problem(
-                f"{self.system.name}: the equations of the connections did not converge: {self._worst()}"
-            )
+            reason = f"the equations of the connections did not converge: {self._worst()}"
+            raise Problem(f"{self.system.name}: {reason}")
         if outcome:
             raise self._binding.problem or Problem("the run stopped")
 
@@ -316,14 +308,13 @@ class Plant:
     def drive(self, scenario: Scenario) -> None:
         """Let a scenario drive its continuous inputs from now on, whenever the plant is settled."""
         columns = {p: c for p, c in scenario.columns.items() if self.system.variable(p).is_continuous}
-        index = {p: i for i, p in enumerate(self.inputs)}
-        driven = DrivenInputs(replace(scenario, columns=columns), self.system, index, {}, ())
+        driven = DrivenInputs(replace(scenario, columns=columns), self.system, self._index, {}, ())
         driven.fill(self._binding, ())
 
     @property
     def u(self) -> Array:
         """The current values of the external inputs; raises Problem if the targets of one differ."""
-        at, result = {p: i for i, p in enumerate(self.inputs)}, list[float]()
+        at, result = self._index, list[float]()
         for inlet in self.inlets:
             found = {str(p): (self.v[at[p]] - linear.offset) / linear.factor for p, linear in inlet.targets}
             low, high = min(found.values()), max(found.values())
@@ -439,10 +430,8 @@ class Plant:
             if not self._copied_discrete() and updated:
                 break
             if iterations == MAX_EVENT_ITERATIONS:
-                raise Problem(
-                    f"{self.system.name}: expected at most {MAX_EVENT_ITERATIONS} event iterations, got more:"
-                    " the discrete states do not settle"
-                )
+                expected = f"expected at most {MAX_EVENT_ITERATIONS} event iterations, got more"
+                raise Problem(f"{self.system.name}: {expected}: the discrete states do not settle")
             again, self.next_event, iterations = False, np.inf, iterations + 1
             for name, slave in self.slaves.items():
                 needed, ends, next_event = slave.fmu.update_discrete_states()
@@ -457,7 +446,7 @@ class Plant:
 
     def _copied_discrete(self) -> bool:
         """Copy values along the connections of variables that are not continuous; False if none changed."""
-        changed, at = False, {p: i for i, p in enumerate(self.inputs)}
+        changed, at = False, self._index
         for c in self._discrete:
             value = self.slaves[c.source.component].get(c.source.variable)
             if isinstance(value, float) or self.system.variable(c.target).is_real:

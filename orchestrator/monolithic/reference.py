@@ -101,7 +101,12 @@ def reference(
         other = opened(system, given)
     except Problem as problem:
         raise Problem(f"neither a monolithic solution ({reason}) nor a co-simulation ({problem})") from None
-    return _co_simulate(other, scenario, record_step, tolerance, rest, reason)
+    rest |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
+
+    def co_simulated(step: float, master: Coupling) -> Result:
+        return run(other, scenario, master=master, step=step, **rest)
+
+    return tightened(co_simulated, first_step(record_step, step_length(other, None)), tolerance, reason)
 
 
 def _solve(
@@ -116,23 +121,6 @@ def _solve(
         return replace(result, provenance=job.provenance)
     finally:
         plant.close()
-
-
-def _co_simulate(
-    system: System,
-    scenario: ScenarioSource,
-    record_step: float,
-    bound: float,
-    options: dict[str, Any],
-    reason: str,
-) -> Result:
-    """The tight co-simulation."""
-    options |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
-
-    def co_simulated(step: float, master: Coupling) -> Result:
-        return run(system, scenario, master=master, step=step, **options)
-
-    return tightened(co_simulated, first_step(record_step, step_length(system, None)), bound, reason)
 
 
 def _inlets(system: System, scenario: Scenario | None) -> Iterator[Inlet]:
@@ -155,11 +143,8 @@ class _Integration:
         self._problem: BaseException | None = None
         self._at: tuple[float, bytes] = (np.nan, b"")
         ports = plant.system.ports("output")
-        self._discrete = [
-            p
-            for p in ports
-            if not plant.system.variable(p).is_continuous and plant.system.variable(p).kind != "String"
-        ]
+        variables = {port: plant.system.variable(port) for port in ports}
+        self._discrete = [p for p, v in variables.items() if not v.is_continuous and v.kind != "String"]
         columns = scenario.columns if scenario else {}
         self._sampled = [p for p in columns if not plant.system.variable(p).is_continuous]
 
@@ -184,14 +169,8 @@ class _Integration:
             self._problem = problem
             into[:] = np.nan
 
-    def _rates(self, t: float, x: Array, into: Array) -> None:
-        self._guarded("evaluations", lambda: self.plant.f, t, x, into)
-
     def _jacobian(self, t: float, x: Array, _: Array, into: Array) -> None:
         self._guarded("Jacobians", lambda: self.plant.matrices().a, t, x, into)
-
-    def _indicators(self, t: float, x: Array, into: Array) -> None:
-        self._guarded("indicators", self.plant.indicators, t, x, into)
 
     # ---- the integration
 
@@ -204,9 +183,8 @@ class _Integration:
 
         began, plant, times = wall_time.perf_counter(), self.plant, self.times
         system = plant.system
-        plant.start(
-            (times.start, times.stop), self.scenario.initial(system, times.start) if self.scenario else {}
-        )
+        driven = self.scenario.initial(system, times.start) if self.scenario else {}
+        plant.start((times.start, times.stop), driven)
         if self.scenario:
             plant.drive(self.scenario)
         check_room(times.rows, len([*plant.outputs, *plant.inputs, *plant.states, *self._discrete]))
@@ -230,9 +208,8 @@ class _Integration:
                 event |= self._equal(t, plant.next_event) or bool(self._sampled and t in changes)
                 repeated = 1 if self._before(begin, t) else repeated + 1
                 if repeated > MAX_EVENTS:
-                    raise Problem(
-                        f"{system.name}: t = {t:.9g} s: expected at most {MAX_EVENTS} events at one time"
-                    )
+                    expected = f"expected at most {MAX_EVENTS} events at one time"
+                    raise Problem(f"{system.name}: t = {t:.9g} s: {expected}")
                 if event:
                     x = self._event(t, x)
                 self._record(t, x)
@@ -254,10 +231,10 @@ class _Integration:
         from sksundae.cvode import CVODE
 
         count = self.plant.indicator_count
-        indicators = partial(self._indicators)  # CVODE sets attributes of the function
+        indicators = partial(self._guarded, "indicators", self.plant.indicators)
         options: dict[str, Any] = {"eventsfn": indicators, "num_events": count} if count else {}
         solver = CVODE(
-            self._rates,
+            partial(self._guarded, "evaluations", lambda: self.plant.f),
             jacfn=self._jacobian,
             rtol=self.tolerance,
             atol=self.tolerance * self.plant.magnitudes(),

@@ -30,14 +30,8 @@ Style = Mapping[str, Any]
 DOTS: tuple[float, tuple[float, float]] = (0, (1, 1.4))
 DASHES: tuple[float, tuple[float, float]] = (0, (5, 2))
 # Line styles that differ without colour.
-LINE_STYLES: tuple[Any, ...] = (
-    "-",
-    (0, (4, 2)),
-    (0, (1, 1.2)),
-    (0, (6, 1.5, 1, 1.5)),
-    (0, (3, 1)),
-    (0, (8, 2)),
-)
+_STROKES = (4, 2), (1, 1.2), (6, 1.5, 1, 1.5), (3, 1), (8, 2)
+LINE_STYLES: tuple[Any, ...] = ("-", *((0, strokes) for strokes in _STROKES))
 
 
 @dataclass(frozen=True)
@@ -84,6 +78,14 @@ class Palette:
 PALETTE = Palette()
 REFERENCE = {"color": PALETTE.faint, "linewidth": 2.6}
 SIMULATION = {"color": PALETTE.ink, "linewidth": 1.3, "linestyle": DOTS}
+
+
+def curve_style(colour: int, dashes: int) -> dict[str, Any]:
+    """A colour and a line style by their numbers, in cyclic order."""
+    pattern = LINE_STYLES[dashes % len(LINE_STYLES)]
+    return {"color": PALETTE.colour(colour), "linewidth": 1.3, "linestyle": pattern}
+
+
 # Two samples per bucket are about the width of a screen in pixels: no visible peak is lost.
 BUCKETS = 600
 
@@ -236,9 +238,8 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
 
 def _unit_text(unit: str, power: int = 0) -> str:
     """The unit in brackets with a common power of ten."""
-    return (
-        f"[{' '.join(filter(None, (f'10{superscript(str(power))}' if power else '', pretty(unit)))) or '1'}]"
-    )
+    parts = [f"10{superscript(str(power))}" if power else "", pretty(unit)]
+    return f"[{' '.join(filter(None, parts)) or '1'}]"
 
 
 # ---- SVG

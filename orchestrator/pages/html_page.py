@@ -6,13 +6,14 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from orchestrator.base.text import number, typeset
+from orchestrator.base.text import grouped, number, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
 
@@ -43,20 +44,12 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
         typeset=typeset,
         pretty=pretty,
         upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",
-        groupby_order=_groups,
+        groupby_order=lambda rows, name: grouped(rows, attrgetter(name)).items(),
     )
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles if path.is_file()))
     scripts = plot_scripts() if plots else ""
     return environment.get_template(template.name).render(title=title, style=style, plots=scripts, **content)
-
-
-def _groups(rows: Iterable[Any], name: str) -> list[tuple[Any, list[Any]]]:
-    """Rows by an attribute, groups in the order of their first row."""
-    groups: dict[Any, list[Any]] = {}
-    for row in rows:
-        groups.setdefault(getattr(row, name), []).append(row)
-    return list(groups.items())
 
 
 def write_text(path: Path, text: str) -> Path:

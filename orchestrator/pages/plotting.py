@@ -27,16 +27,16 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from orchestrator.base.text import MINUS, typeset
-from orchestrator.base.units import convert, pretty, quantity, reader_unit, superscript
+from orchestrator.base.text import MINUS, grouped, short_names, typeset
+from orchestrator.base.units import in_reader_unit, pretty, quantity, reader_unit, superscript
 from orchestrator.pages.figures import (
-    LINE_STYLES,
     PALETTE,
     Style,
     TraceArea,
     TraceFigure,
     TraceLine,
     TracePanel,
+    curve_style,
     decimate,
     power_of_ten,
     still,
@@ -238,10 +238,8 @@ def signal_figure(
     bands   signal of the first run -> half width of a band around it, in the unit of the signal
     """
     first = next(iter(runs.values()))[1]
-    panels: dict[str, list[str]] = {}
-    for name in first:
-        panels.setdefault(reader_unit(units.get(name, "")), []).append(name)
-    labels = _labels(list(first))
+    panels = grouped(first, lambda name: reader_unit(units.get(name, "")))
+    labels = short_names(first)
     styles = _styles(list(panels.values()), labels) if len(runs) == 1 else {}
     # then colours distinguish runs, too, and the signal is the title of its panel
     single = len(runs) > 1 and max(map(len, panels.values()), default=0) == 1
@@ -251,15 +249,14 @@ def signal_figure(
         for k, name in enumerate(names):
             for i, (time, signals) in enumerate(runs.values()):
                 if name in signals:
-                    values = convert(signals[name], units.get(name, ""), unit, name)
+                    of_signal = units.get(name, "")
+                    values = in_reader_unit(signals[name], of_signal)
                     dashes = i if len(runs) > 1 else k // len(PALETTE.series)
-                    style = styles.get(name) or _style(i if single else k, dashes)
+                    style = styles.get(name) or curve_style(i if single else k, dashes)
                     lines.append(TraceLine(time, values, style, "" if i or single else labels[name]))
                     if bands and name in bands and not i:
-                        low, high = (
-                            convert(signals[name] + sign * bands[name], units.get(name, ""), unit, name)
-                            for sign in (-1, 1)
-                        )
+                        edges = (signals[name] - bands[name], signals[name] + bands[name])
+                        low, high = (in_reader_unit(edge, of_signal) for edge in edges)
                         areas.append(TraceArea(time, low, high, style["color"]))
         height = max(3.8, (LEGEND_ROW * len(names) + 0.25) / ROW_HEIGHT)
         label = "" if (word := quantity(units.get(names[0], ""))).startswith(("[", "without")) else word
@@ -269,7 +266,7 @@ def signal_figure(
         )
     ends = [t for time, _ in runs.values() for t in (float(time[0]), float(time[-1]))]
     colours = {} if single else {"color": PALETTE.ink}
-    key = [(n, {**_style(i, i), **colours}) for i, n in enumerate(runs)] if len(runs) > 1 else []
+    key = [(n, {**curve_style(i, i), **colours}) for i, n in enumerate(runs)] if len(runs) > 1 else []
     return TraceFigure(drawn, (min(ends), max(ends)), title, below, key)
 
 
@@ -284,17 +281,6 @@ def small_figure(time: Array, signals: Mapping[str, Array], units: Mapping[str, 
     return f'<div style="max-width: 60em; {SMALL}">{still(replace(figure, panels=panels), "signals")}</div>'
 
 
-def _labels(names: Sequence[str]) -> dict[str, str]:
-    """Names without component where that is unambiguous, for the legend."""
-    bare = [name.rpartition(".")[2] for name in names]
-    return {name: short if bare.count(short) == 1 else name for name, short in zip(names, bare, strict=True)}
-
-
-def _style(colour: int, dashes: int) -> Style:
-    pattern = LINE_STYLES[dashes % len(LINE_STYLES)]
-    return {"color": PALETTE.colour(colour), "linewidth": 1.3, "linestyle": pattern}
-
-
 def _styles(panels: Sequence[Sequence[str]], labels: Mapping[str, str]) -> dict[str, Style]:
     """One colour for each first word of the names (swing, boom, stick) in all panels, if that suffices.
 
@@ -305,12 +291,12 @@ def _styles(panels: Sequence[Sequence[str]], labels: Mapping[str, str]) -> dict[
     largest = max(sum(words[n] == word for n in panel) for panel in panels for word in order)
     if not 1 < len(order) <= len(PALETTE.series) or largest > MAX_DASHES:
         return {}
-    styles = {}
+    styles = dict[str, Style]()
     for panel in panels:
         used: dict[str, int] = {}
         for name in panel:
             word = words[name]
-            styles[name] = _style(order.index(word), used.get(word, 0))
+            styles[name] = curve_style(order.index(word), used.get(word, 0))
             used[word] = used.get(word, 0) + 1
     return styles
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.data.trace_writer import RowLayout
+from orchestrator.data.trace_writer import RowLayout, TraceSink
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
 from orchestrator.engine.open_job import opened
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
@@ -198,21 +198,18 @@ class RestDelay:
         return np.where(resting & (self._left >= 0), now, commanded)
 
 
-class LatestValues:
+class LatestValues(TraceSink):
     """A sink that keeps only the values of the latest communication point, shape (signals,)."""
 
-    def begin(self, layout: RowLayout, rows: int) -> None:
+    def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Allocate the values."""
-        del rows
-        self._layout, self.values = layout, np.zeros(len(layout.names))
+        super().begin(layout, rows)
+        self.values = np.zeros(len(layout.names))
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
         """Keep the last of the points."""
         if len(times):
-            self.values[:] = self._layout.values(reals[-1:], integers[-1:])[0]
-
-    def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
-        """Keep none."""
+            self.values[:] = self.layout.values(reals[-1:], integers[-1:])[0]
 
 
 class FrameStepper:
@@ -244,11 +241,10 @@ class FrameStepper:
         job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
         latest = LatestValues()
         with ExitStack() as stack:
-            running = stack.enter_context(opened(job, times, latest))
-            self._loop = running.loop
+            self._loop = stack.enter_context(opened(job, times, latest))
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
-            self.notes = (*system.notes, *system.warnings, *suggested, *running.network.notes)
+            self.notes = (*system.notes, *system.warnings, *suggested, *self._loop.network.notes)
             self._exit = stack.pop_all()
         self.values = latest.values[: len(setup.signals)]
 

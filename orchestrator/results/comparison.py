@@ -35,11 +35,6 @@ class Run:
 
     __repr__ = brief
 
-    @property
-    def inputs(self) -> frozenset[str]:
-        """The signals that are inputs of components."""
-        return frozenset(self.metadata.inputs if self.metadata else ())
-
 
 def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Path | None = None) -> list[Run]:
     """Read the runs of files, or of a mapping with traces, results and files; `more`: a further file."""
@@ -52,12 +47,12 @@ def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Pat
             labelled = _labelled([*files, Path(more)])
     if len(labelled) < 2:
         raise Problem(f"compare: expected two or more traces, got {', '.join(map(str, labelled)) or 'none'}")
-    return _with_units([_run(label, source) for label, source in labelled.items()])
+    return _runs(labelled)
 
 
 def read_runs(files: Sequence[Path]) -> list[Run]:
     """The runs of one or more files, with units and short labels."""
-    return _with_units([_run(label, source) for label, source in _labelled(files).items()])
+    return _runs(_labelled(files))
 
 
 def _labelled(files: Sequence[Path]) -> dict[str, Source]:
@@ -78,9 +73,9 @@ def _run(label: str, source: Source) -> Run:
     return Run(label, trace, run_metadata, str(path))
 
 
-def _with_units(runs: list[Run]) -> list[Run]:
-    """Give a signal without unit the unit of the first run that declares one."""
-    declared: dict[str, str] = {}
+def _runs(labelled: Mapping[str, Source]) -> list[Run]:
+    """The runs; a signal without unit gets the unit of the first run that declares one."""
+    runs, declared = [_run(label, source) for label, source in labelled.items()], dict[str, str]()
     for run in reversed(runs):
         declared |= {name: unit for name, unit in run.trace.units.items() if unit}
     complete = []
@@ -131,17 +126,15 @@ class Comparison:
 
     def quantities(self) -> dict[str, list[str]]:
         """All common signals by quantity."""
-        signals: dict[str, list[str]] = {}
-        for row in next(iter(self.against.values())).rows:
-            signals.setdefault(row.group, []).append(row.signal)
-        return signals
+        groups = next(iter(self.against.values())).groups
+        return {group: [row.signal for row in rows] for group, rows in groups.items()}
 
     def worst(self, label: str, quantity: str) -> ValidatedSignal | None:
         """The signal of a quantity with the largest NRMSE, of those that are not at rest in both runs.
 
         If the reference is at rest, NRMSE is over the range of the other run, and CONSTANT is a note.
         """
-        rows = [row for row in self.against[label].rows if row.group == quantity]
+        rows = self.against[label].groups.get(quantity, [])
         ranges = [span(values) for row in rows for values in (row.reference, row.simulation)]
         least = max(AT_REST * max(ranges, default=0.0), FLOOR)
         moving = [moved for row in rows if (moved := _moving(row, least))]
@@ -149,10 +142,9 @@ class Comparison:
 
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, including signals at rest."""
-        rows = [row for row in self.against[label].rows if row.group == quantity]
-        return max(
-            rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, rows[0].unit, r.signal)[0]
-        )
+        rows = self.against[label].groups[quantity]
+        unit = rows[0].unit
+        return max(rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, unit, r.signal)[0])
 
 
 def compare(
@@ -172,9 +164,8 @@ def compare(
     signals = (signals,) if isinstance(signals, str) else signals
     runs = gather(sources, against)
     requested = str(against) if isinstance(sources, Mapping) else str(Path(against or ""))
-    reference = (
-        runs[0] if against is None else next((r for r in runs if requested in (r.label, r.file)), None)
-    )
+    named = (run for run in runs if requested in (run.label, run.file))
+    reference = runs[0] if against is None else next(named, None)
     if reference is None:
         raise Problem(f"compare: against {against}: expected one of {', '.join(r.label for r in runs)}")
     common = _common(runs, reference)
@@ -196,11 +187,8 @@ def _other_experiment(reference: Run, run: Run) -> str:
     sources = {*(reference.metadata.sources if reference.metadata else ())}
     common = [n for n in (run.metadata.sources if run.metadata else ()) if n in sources and n in a.signals]
     time = a.time[(a.time >= b.time[0]) & (a.time <= b.time[-1])]
-    differ = [
-        n
-        for n in common
-        if n in b.signals and _differ(np.interp(time, a.time, a[n]), np.interp(time, b.time, b[n]))
-    ]
+    at = {n: (np.interp(time, a.time, a[n]), np.interp(time, b.time, b[n])) for n in common if n in b.signals}
+    differ = [name for name, values in at.items() if _differ(*values)]
     if differ := [n for n in differ if n.removesuffix("_rate") == n or n.removesuffix("_rate") not in differ]:
         differences.append(f"other commands ({first_names(differ, 3)})")
     poses = [n for n in a.signals if n in b.signals and quantity(a.units.get(n, "")) in ("angle", "position")]
@@ -210,11 +198,8 @@ def _other_experiment(reference: Run, run: Run) -> str:
         differences.append(f"begins at {b.time[0]:g} s, not {a.time[0]:g} s")
     if abs(a.time[-1] - b.time[-1]) > OTHER_TIME * np.ptp(a.time):
         differences.append(f"ends at {b.time[-1]:g} s, not {a.time[-1]:g} s")
-    return (
-        f"{run.label} is another experiment than {reference.label}: {', '.join(differences)}"
-        if differences
-        else ""
-    )
+    other = f"{run.label} is another experiment than {reference.label}"
+    return f"{other}: {', '.join(differences)}" if differences else ""
 
 
 def _differ(a: Array, b: Array) -> bool:
@@ -249,12 +234,8 @@ def different_values(runs: Sequence[Run]) -> dict[tuple[str, str], list[Cell | N
 def _has(meta: RunMetadata, runs: Sequence[Run], listed: Sequence[Mapping[str, object]], name: str) -> bool:
     """Has a run the FMU of a run that lists the variable?"""
     owner = next((c for c in sorted(meta.fmus, key=len, reverse=True) if name.startswith(f"{c}.")), None)
-    models = (
-        {r.metadata.fmus.get(owner) for r, v in zip(runs, listed, strict=True) if r.metadata and name in v}
-        if owner
-        else set()
-    )
-    return owner is not None and meta.fmus[owner] in models
+    others = [r.metadata for r, values in zip(runs, listed, strict=True) if r.metadata and name in values]
+    return owner is not None and any(meta.fmus[owner] == other.fmus.get(owner) for other in others)
 
 
 def different_fmus(runs: Sequence[Run]) -> list[str]:
@@ -319,7 +300,7 @@ def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str])
             raise Problem(f"compare: signals {pattern}: no common signal matches{near}")
     if requested:
         return tuple(name for name in common if any(fnmatchcase(name, p) for p in requested))
-    units, inputs = runs[0].trace.units, frozenset[str]().union(*(run.inputs for run in runs))
+    units, inputs = runs[0].trace.units, {n for run in runs if run.metadata for n in run.metadata.inputs}
     outputs = [name for name in common if name not in inputs]
     default = [n for q in DEFAULT_QUANTITIES for n in outputs if quantity(units.get(n, "")) == q]
     return tuple(default or outputs or common)

@@ -18,6 +18,7 @@ from orchestrator.base.text import (
     TextTable,
     error_display_unit,
     first_names,
+    grouped,
     join_words,
     number,
     percentage,
@@ -26,7 +27,7 @@ from orchestrator.base.text import (
 from orchestrator.base.units import convert, factor_and_offset, pretty, reader_unit
 from orchestrator.engine.result import RunMetadata
 from orchestrator.pages import html_page
-from orchestrator.pages.figures import LINE_STYLES, PALETTE, TraceFigure, TraceLine, TracePanel, plot
+from orchestrator.pages.figures import REFERENCE, Style, TraceFigure, TraceLine, TracePanel, curve_style, plot
 from orchestrator.results.comparison import (
     CONSTANT,
     DEFAULT_QUANTITIES,
@@ -49,20 +50,26 @@ WIDTH = 100  # characters of a line in a terminal
 MOST_PANELS = 6  # of a figure on one page
 MOST_OF_QUANTITY = 3  # panels
 MOST_VALUES = 15  # rows of parameters in which runs differ
+# metadata of a run in comparison.json -> unit
+WRITTEN = {
+    **dict.fromkeys(("system", "fmus", "swapped", "given", "provenance", "master", "coupling"), ""),
+    **{"step": "s", "steps": "", "passes": "", "repeated": "", "simulated": "s", "wall": "s", "inside": "s"},
+}
 FLOORED = " *"  # after an NRMSE over the floor
 SAME_CURVE = 0.01  # relative to the range: curves that are closer cannot be distinguished in the figure
 
 
 def chosen(comparison: Comparison) -> list[str]:
     """The signals of the figure: of each quantity those with the largest differences, in their order."""
-    groups: dict[str, list[ValidatedSignal]] = {}
-    for validation in comparison.against.values():
-        for row in validation.rows:
-            if row.signal in comparison.signals:
-                groups.setdefault(row.group, []).append(row)
+    groups = grouped(_shown(comparison), lambda row: row.group)
     most = MOST_OF_QUANTITY if len(groups) > 1 else MOST_PANELS
     shown = {row.signal for rows in groups.values() for row in _distinct(rows, most)}
     return [signal for signal in comparison.signals if signal in shown][:MOST_PANELS]
+
+
+def _shown(comparison: Comparison) -> list[ValidatedSignal]:
+    """The rows of the signals to show, of all runs."""
+    return [row for v in comparison.against.values() for row in v.rows if row.signal in comparison.signals]
 
 
 def _distinct(rows: Sequence[ValidatedSignal], most: int) -> list[ValidatedSignal]:
@@ -78,9 +85,8 @@ def _same_curve(row: ValidatedSignal, other: ValidatedSignal) -> bool:
     """Whether the rows are of one signal, or of two signals with the same curves."""
     if row.signal == other.signal or len(row.time) != len(other.time):
         return row.signal == other.signal
-    differences = [
-        np.abs(a - b).max() for a, b in ((row.reference, other.reference), (row.simulation, other.simulation))
-    ]
+    pairs = (row.reference, other.reference), (row.simulation, other.simulation)
+    differences = [np.abs(a - b).max() for a, b in pairs]
     return bool(max(differences) < SAME_CURVE * np.ptp(row.reference))
 
 
@@ -93,44 +99,29 @@ def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure
 
 def traces(comparison: Comparison, signals: Sequence[str] | None = None) -> TraceFigure:
     """The figure; default signals: those of the comparison with the largest differences."""
-    reference = comparison.reference
-    styles = {reference.label: {"color": PALETTE.faint, "linewidth": 2.8, "alpha": 0.6}}
+    reference, broad = comparison.reference, {**REFERENCE, "linewidth": 2.8, "alpha": 0.6}
+    shown: list[tuple[Run, str, Style]] = [(reference, f"{reference.label} (reference)", broad)]
     for i, run in enumerate(run for run in comparison.runs if run.label in comparison.against):
-        dashes = LINE_STYLES[i % len(LINE_STYLES)]
-        styles[run.label] = {"color": PALETTE.colour(i), "linewidth": 1.2, "linestyle": dashes}
-    names = list(signals) if signals is not None else chosen(comparison)
-    key = [
-        (f"{label} (reference)" if label == reference.label else label, style)
-        for label, style in styles.items()
-    ]
-    labels = dict(zip(styles, (text for text, _ in key), strict=True))
-    panels = [_panel(comparison, styles, labels, name) for name in names]
-    return TraceFigure(panels, comparison.window, key=key)
+        shown.append((run, run.label, {**curve_style(i, i), "linewidth": 1.2}))
+    names = chosen(comparison) if signals is None else signals
+    panels = [_panel(comparison, shown, name) for name in names]
+    return TraceFigure(panels, comparison.window, key=[(label, style) for _, label, style in shown])
 
 
-def _panel(
-    comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], labels: Mapping[str, str], name: str
-) -> TracePanel:
+def _panel(comparison: Comparison, shown: Sequence[tuple[Run, str, Style]], name: str) -> TracePanel:
     """A signal of all runs, and below it its differences from the reference."""
     unit = comparison.reference.trace.units.get(name, "")
-    runs = {run.label: run.trace for run in comparison.runs}
-    lines = []
-    for label, style in styles.items():
-        trace = runs[label]
-        in_window = (trace.time >= comparison.window[0]) & (trace.time <= comparison.window[1])
-        values = convert(trace[name][in_window], trace.units.get(name, unit), reader_unit(unit), name)
-        lines.append(TraceLine(trace.time[in_window], values, style, key=labels[label]))
-    rows = {label: validation[name] for label, validation in comparison.against.items()}
-    error_unit = error_display_unit(next(iter(rows.values())).unit).display if rows else ""
-    errors = [
-        TraceLine(
-            row.time,
-            factor_and_offset(row.unit, error_unit, name)[0] * (row.simulation - row.reference),
-            styles[label],
-            key=labels[label],
-        )
-        for label, row in rows.items()
-    ]
+    lines, errors, error_unit = list[TraceLine](), list[TraceLine](), ""
+    for run, label, style in shown:
+        time, values = run.trace.time, run.trace[name]
+        inside = (time >= comparison.window[0]) & (time <= comparison.window[1])
+        converted = convert(values[inside], run.trace.units.get(name, unit), reader_unit(unit), name)
+        lines.append(TraceLine(time[inside], converted, style, key=label))
+        if run is not comparison.reference:
+            row = comparison.against[run.label][name]
+            error_unit = error_unit or error_display_unit(row.unit).display
+            factor, _ = factor_and_offset(row.unit, error_unit, name)
+            errors.append(TraceLine(row.time, factor * (row.simulation - row.reference), style, key=label))
     return TracePanel(
         reader_unit(unit), lines, "", name, errors, "difference", error_unit, heights=(2.5, 1.2)
     )
@@ -157,10 +148,8 @@ def tables(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
 def _different_values(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     """Table of the parameters in which the runs differ, with their origins; and FMUs that differ."""
     runs, values = comparison.runs, different_values(comparison.runs)
-    rows = [
-        [name, reader_unit(unit), *(_value_cell(cell, unit) for cell in cells)]
-        for (name, unit), cells in list(values.items())[:MOST_VALUES]
-    ]
+    shown = list(values.items())[:MOST_VALUES]
+    rows = [[name, reader_unit(u), *(_value_cell(cell, u) for cell in cells)] for (name, u), cells in shown]
     head = ["parameters that differ", "unit", *(run.label for run in runs)]
     below = []
     if len(values) > MOST_VALUES:
@@ -181,39 +170,25 @@ def _value_cell(cell: Cell | None, unit: str) -> str:
 def _notes(comparison: Comparison) -> Iterator[str]:
     """Notes on all runs first, then on single runs."""
     yield from comparison.notes
-    labels_by_note: dict[str, list[str]] = {}
-    for label, validation in comparison.against.items():
-        for note in validation.notes:
-            labels_by_note.setdefault(note, []).append(label)
     rows = (comparison.worst(label, q) for label in comparison.against for q in comparison.quantities())
     if any(row and CONSTANT in row.notes for row in rows):
         yield f"{CONSTANT}: its NRMSE is over the range of the other run"
-    shown = (row for v in comparison.against.values() for row in v.rows if row.signal in comparison.signals)
-    if any(note.startswith(HARDLY_MOVES) for row in shown for note in row.metrics.notes):
+    if any(note.startswith(HARDLY_MOVES) for row in _shown(comparison) for note in row.metrics.notes):
         yield f"{FLOORED.strip()} {HARDLY_MOVES}: NRMSE over {percentage(AT_REST)} of the nominal value"
-    for note, labels in labels_by_note.items():
+    notes = {label: validation.notes for label, validation in comparison.against.items()}
+    for note in dict.fromkeys(note for of_run in notes.values() for note in of_run):
+        labels = [label for label, of_run in notes.items() if note in of_run]
         yield note if len(labels) == len(comparison.against) else f"{', '.join(labels)}: {note}"
 
 
 def _costs(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     """Table of masters, steps and times of the runs, and table of the times inside each FMU."""
     runs, reference = comparison.runs, comparison.reference
-    head = [
-        "run",
-        "master",
-        "step",
-        "real-time factor",
-        "total [us/ms]",
-        "in FMUs [us/ms]",
-        "in FMUs, relative",
-    ]
+    head = ["run", "master", "step", "real-time factor", "total [us/ms]", "in FMUs [us/ms]"]
+    head.append("in FMUs, relative")
     rows = [_cost(run, reference) for run in runs]
-    swaps = [
-        f"{run.label}: swapped {component} for {Path(file).stem}"
-        for run in runs
-        if run.metadata
-        for component, file in run.metadata.swapped.items()
-    ]
+    swapped = {run.label: run.metadata.swapped for run in runs if run.metadata}
+    swaps = [f"{n}: swapped {c} for {Path(file).stem}" for n, of in swapped.items() for c, file in of.items()]
     note = f"us/ms: computing time per simulated millisecond; relative: in FMUs, {reference.label} is 1"
     yield TextTable(head, rows, left=(0, 1)), [*swaps, note]
     inside = {run.label: _inside(run.metadata) for run in runs}
@@ -358,24 +333,9 @@ def _run_data(run: Run) -> dict[str, Any]:
     meta = run.metadata
     if meta is None:
         return {"file": run.file}
-    return {
-        "file": run.file,
-        "system": meta.system,
-        "fmus": dict(meta.fmus),
-        "swapped": dict(meta.swapped),
-        "given": dict(meta.given),
-        "provenance": meta.provenance.as_dict(),
-        "master": meta.master,
-        "coupling": dict(meta.coupling),
-        "step [s]": meta.step,
-        "steps": meta.steps,
-        "passes": meta.passes,
-        "repeated": meta.repeated,
-        "simulated [s]": meta.simulated,
-        "wall [s]": meta.wall,
-        "inside [s]": dict(meta.inside),
-        "times real time": meta.simulated / meta.wall if meta.wall else None,
-    }
+    written = {f"{name}{f' [{unit}]' if unit else ''}": getattr(meta, name) for name, unit in WRITTEN.items()}
+    speed = meta.simulated / meta.wall if meta.wall else None
+    return {"file": run.file, **written, "provenance": meta.provenance.as_dict(), "times real time": speed}
 
 
 def _difference_data(comparison: Comparison, label: str) -> dict[str, Any]:

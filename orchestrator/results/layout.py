@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -98,12 +99,12 @@ class Layout:
         def values(source: str | float) -> NDArray[np.float64]:
             return trace[source] if isinstance(source, str) else np.full(trace.time.shape, float(source))
 
-        points = {
-            p.label: np.column_stack(
-                (values(p.radius) * np.cos(angle), values(p.radius) * np.sin(angle), values(p.height))
+        points = {}
+        for p in self.points:
+            radius = values(p.radius)
+            points[p.label] = np.column_stack(
+                (radius * np.cos(angle), radius * np.sin(angle), values(p.height))
             )
-            for p in self.points
-        }
         return MachineMotion(trace.time, points, self.lines, self.tip, bool(self.angle), self.ground)
 
 
@@ -111,10 +112,9 @@ def _available(panels: Sequence[PanelSpec], trace: Trace) -> tuple[PanelSpec, ..
     """The panels with the signals that the trace has; panels without signals are left out."""
     available = []
     for panel in panels:
-        indices = [k for k, signal in enumerate(panel.signals) if signal in trace.signals]
-        signals = tuple(panel.signals[k] for k in indices)
-        names = tuple(panel.names[k] for k in indices if k < len(panel.names))
-        available += [replace(panel, signals=signals, names=names)] if indices else []
+        kept = [signal in trace.signals for signal in panel.signals]
+        signals, names = (tuple(compress(texts, kept)) for texts in (panel.signals, panel.names))
+        available += [replace(panel, signals=signals, names=names)] if signals else []
     return tuple(available)
 
 
@@ -140,13 +140,7 @@ class _File:
 
 def read_layout(path: Path) -> Layout:
     """Read a layout; raises a Problem if a key is unknown, missing or of the wrong type."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise Problem(f"{path}: no such file") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
-    file = toml.read_dataclass(_File, toml.read(path, data))
+    file = toml.read_dataclass(_File, toml.read_file(path))
     for figure in file.figure:
         if not figure.panels:
             raise Problem(f"{path}: figure {figure.title!r}: panels: expected at least one, got none")

@@ -107,13 +107,8 @@ def measure(
     is_constant = not moves(reference, recording)
     if is_constant and moves(recording):
         notes = (*notes, "the reference is constant in this window: no fit, VAF or ISO rating")
-    iso = Rating(reason="not requested")
-    if rate:
-        iso = (
-            Rating(reason="the reference is constant")
-            if is_constant
-            else iso_rating(time, simulation, reference)
-        )
+    not_rated = "the reference is constant" if is_constant else ""
+    reason = not_rated if rate else "not requested"
     return Metrics(
         maximum_error=float(abs(error[largest])),
         time_of_maximum=float(time[largest]),
@@ -123,7 +118,7 @@ def measure(
         normalised_by=denominator,
         fit=None if is_constant else 100 * (1 - float(np.linalg.norm(error)) / norm),
         vaf=None if is_constant else 100 * (1 - float(np.var(error) / np.var(reference))),
-        iso=iso,
+        iso=Rating(reason=reason) if reason else iso_rating(time, simulation, reference),
         notes=notes,
     )
 
@@ -148,17 +143,13 @@ def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
 def _check(time: Array, simulation: Array, reference: Array, where: str) -> None:
     """Refuse different lengths, fewer than two samples, and values that are not finite."""
     if not len(time) == len(simulation) == len(reference) or len(time) < 2:
-        lengths = f"{len(time)}, {len(simulation)}, {len(reference)}"
-        raise Problem(
-            f"{where}: expected equal numbers of samples, at least 2, got {lengths} of time, simulation and"
-            " reference"
-        )
+        got = f"{len(time)}, {len(simulation)}, {len(reference)} of time, simulation and reference"
+        raise Problem(f"{where}: expected equal numbers of samples, at least 2, got {got}")
     for name, values in (("time", time), ("simulation", simulation), ("reference", reference)):
         bad = np.flatnonzero(~(np.abs(values) < HUGE))
         if len(bad):
-            raise Problem(
-                f"{where}: expected finite numbers, got {values[bad[0]]} in the {name} at sample {bad[0]}"
-            )
+            got = f"{values[bad[0]]} in the {name} at sample {bad[0]}"
+            raise Problem(f"{where}: expected finite numbers, got {got}")
 
 
 def _denominator(reference: Array, span: float | None, floor: float = 0.0) -> tuple[float, tuple[str, ...]]:

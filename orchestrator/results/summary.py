@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 
 from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
-from orchestrator.base.text import NO_VALUE, error_display_unit, number, percentage
-from orchestrator.data.description import METRICS
+from orchestrator.base.text import NO_VALUE, error_display_unit, grouped, number, percentage, short_names
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 NAMES = {
@@ -63,7 +62,7 @@ def limit_text(row: ValidatedSignal) -> str:
     """The limit with its metric, such as `NRMSE ≤ 0.5 %`."""
     if row.tolerance is None:
         return NO_VALUE
-    sign = "≤" if METRICS[row.tolerance.metric] else "≥"
+    sign = "≤" if row.tolerance.upper else "≥"
     return f"{NAMES[row.tolerance.metric]} {sign} {judged_text(row, row.tolerance.limit)}"
 
 
@@ -80,11 +79,6 @@ def miss_text(row: ValidatedSignal) -> str:
         return f"{metric} {judged_text(row, value)}, {limits} ({judged_text(row, allowed - value)} short)"
     ratio = value / allowed
     return f"{metric} {judged_text(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
-
-
-def outcome(row: ValidatedSignal) -> str:
-    """`pass`, `fail` or a dash."""
-    return {True: "pass", False: "fail", None: NO_VALUE}[row.passed]
 
 
 _COLOUR = {True: "green", False: "bold red", None: "dim"}
@@ -131,14 +125,8 @@ def _table(validation: Validation, width: int) -> Iterator[Text]:
     Signals of a group have the same unit and limit; signals without limit are last. The name of the component
     is only written if another signal has the same variable.
     """
-    short = {row.signal: row.signal.rpartition(".")[2] for row in validation.rows}
-    count = Counter(short.values())
-    names = {signal: name if count[name] == 1 else signal for signal, name in short.items()}
-    sections: dict[str, list[ValidatedSignal]] = {}
-    for row in sorted(validation.rows, key=lambda row: row.tolerance is None):
-        limit = limit_text(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
-        title = f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {limit}"
-        sections.setdefault(title, []).append(row)
+    names = short_names(row.signal for row in validation.rows)
+    sections = grouped(sorted(validation.rows, key=lambda row: row.tolerance is None), _section)
     name_width = min(
         max(map(len, names.values()), default=0), max(width - sum(_WIDTHS) - len(_WIDTHS) - 2, 12)
     )
@@ -151,13 +139,16 @@ def _table(validation: Validation, width: int) -> Iterator[Text]:
             yield Text(_line(mark, names[row.signal], name_width, _cells(row)), colour)
 
 
+def _section(row: ValidatedSignal) -> str:
+    """Group, unit and limit of a signal, the title of its section."""
+    limit = limit_text(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
+    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {limit}"
+
+
 def _remarks(validation: Validation) -> list[str]:
     """Each note with its signals."""
-    signals_by_note: dict[str, list[str]] = {}
-    for row in validation.rows:
-        for note in row.notes:
-            signals_by_note.setdefault(note, []).append(row.signal)
-    return [f"{note}: {', '.join(signals)}" for note, signals in signals_by_note.items()]
+    notes = grouped(((note, row.signal) for row in validation.rows for note in row.notes), itemgetter(0))
+    return [f"{note}: {', '.join(signal for _, signal in pairs)}" for note, pairs in notes.items()]
 
 
 def _cells(row: ValidatedSignal) -> tuple[str, ...]:
@@ -172,7 +163,7 @@ def _cells(row: ValidatedSignal) -> tuple[str, ...]:
         percentage(m.nrmse).removesuffix(" %"),
         *fits,
         NO_VALUE if m.iso.overall is None else f"{m.iso.overall:.3f}",
-        outcome(row).replace("fail", "FAIL"),
+        {True: "pass", False: "FAIL", None: NO_VALUE}[row.passed],
     )
 
 

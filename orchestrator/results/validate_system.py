@@ -1,7 +1,7 @@
 """`harvester validate`: run a system, compare it with a reference, write the report.
 
 Without a scenario the commands in the reference are the scenario. The monolithic solution of the same FMUs
-can replace a reference.
+can replace a reference, with the limits of its signals.
 """
 
 from __future__ import annotations
@@ -19,21 +19,22 @@ from rich.console import Console
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
+from orchestrator.base.options import declarations
 from orchestrator.base.progress import doing
 from orchestrator.base.units import convert
-from orchestrator.data.recording import Recording, fill_gaps, read_recording
+from orchestrator.data.description import Tolerance
+from orchestrator.data.recording import Criterion, Recording, fill_gaps, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
 from orchestrator.drive.page import Replayed, fragment
-from orchestrator.engine.arguments import RunArguments
-from orchestrator.engine.result import Card, Result
+from orchestrator.engine.arguments import RunArguments, SystemArguments
+from orchestrator.engine.result import Card, Result, ranges, widest_of_unit
 from orchestrator.engine.run import run_to_file
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.description import FmuVariable
+from orchestrator.monolithic.reference import SOLVER, reference
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
-from orchestrator.results.monolithic_recording import monolithic_recording, solve_as_run
 from orchestrator.results.summary import summary
 from orchestrator.results.validation import (
     Validation,
@@ -59,20 +60,14 @@ def start_note(run: Trace, reference: Recording) -> str:
     Commands do not determine the start position of a machine, and its response depends on that position.
     """
     recorded = reference.trace()
+    names = [n for n, unit in recorded.units.items() if unit in POSITIONS and run.units.get(n, "") == unit]
+    names = [name for name in names if name in run.signals]
+    least = START_TOLERANCE * max((float(np.ptp(recorded[name])) for name in names), default=0.0)
     start = recorded.at(run.time[:1])
-    offsets, largest_range = {}, 0.0
-    for name, values in recorded.signals.items():
-        unit = run.units.get(name, "")
-        if name in run.signals and unit in POSITIONS and unit == recorded.units[name]:
-            offset = float(run[name][0] - start[name][0])
-            offsets[f"{name} by {offset:.3g} {unit}"] = abs(offset)
-            largest_range = max(largest_range, float(np.ptp(values)))
-    large = ", ".join(text for text, size in offsets.items() if size > START_TOLERANCE * largest_range)
-    return (
-        (f"the start of the run differs from the reference: {large}; --set changes the start values")
-        if large
-        else ""
-    )
+    offsets = {name: float(run[name][0] - start[name][0]) for name in names}
+    large = ", ".join(f"{n} by {x:.3g} {run.units[n]}" for n, x in offsets.items() if abs(x) > least)
+    note = f"the start of the run differs from the reference: {large}; --set changes the start values"
+    return note if large else ""
 
 
 def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Trace | None:
@@ -91,9 +86,10 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
     sources = {n for n, c in system.components.items() if not c.interface.of("input")}
     external = {str(p) for p in system.exposed}
     external |= {str(c.target) for c in system.connections if c.source.component in sources}
-    columns = {}
+    columns, (first, *others) = {}, system.components
     for name in reference.signals:
-        port = _name_in_system(system, name)
+        # a system of one FMU has only one component
+        port = name if others else str(Port(first, name.partition(".")[2]))
         requested = any(fnmatchcase(name, pattern) for pattern in also)
         if requested and port not in inputs:
             raise Problem(f"--play: expected an input of {system.name}, got {name}")
@@ -103,13 +99,6 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
         target = unit.name if unit else reference.file_units.get(name, reference.units[name])
         columns[port] = convert(fill_gaps(reference, name), reference.units[name], target, name)
     return Trace(reference.time, columns) if columns else None
-
-
-def _name_in_system(system: System, name: str) -> str:
-    """Name of a signal in the system; a system of one FMU has only one component."""
-    if len(system.components) > 1:
-        return name
-    return str(Port(next(iter(system.components)), name.partition(".")[2]))
 
 
 def judge(
@@ -123,6 +112,7 @@ def judge(
 ) -> tuple[Validation, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
+    layout  without figures there is one, with a row per compared signal
     facts   settings of the run, in the order of the report
     rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
     machine the machine that replays the run, as HTML
@@ -130,10 +120,11 @@ def judge(
     with doing(f"comparing {len(reference.signals)} signals"):
         validation = validate(result.trace, reference, rate=rate)
     layout.check(result.trace)
+    panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
     report = reporting.Report(
         title=layout.title or f"Validation of {result.system.name}",
         validation=validation,
-        figures=layout.figures or _figures(validation),
+        figures=layout.figures or ((FigureSpec("Signals", panels),) if panels else ()),
         trace=result.trace,
         facts=facts,
         components=[describe(c) for c in result.system.components.values()],
@@ -156,10 +147,8 @@ def another_model(system: System, reference: Recording) -> str:
     if not swapped or reference.metadata.get("kind") != "simulation":
         return ""
     verb = "is" if len(swapped) == 1 else "are"
-    return (
-        f"{', '.join(swapped)} {verb} swapped: the reference was computed with another model, so "
-        "expect differences"
-    )
+    cause = "the reference was computed with another model"
+    return f"{', '.join(swapped)} {verb} swapped: {cause}, so expect differences"
 
 
 def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str, Any]) -> str:
@@ -173,7 +162,7 @@ def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str,
     built, own = built_notes(loaded), chosen_note(chosen)
     if shipped is None:
         return "\n".join(built)
-    reason = "; ".join([*built, *([own] if own else [])])
+    reason = "; ".join(filter(None, [*built, own]))
     consequence = f"{shipped.heading} was computed with the shipped parameter values: expect differences"
     return f"{reason}\n{consequence}" if reason else ""
 
@@ -218,16 +207,11 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
                 text=v.description,
                 source=str(provenance.get("source", "")),
                 note=str(provenance.get("note", "")),
-                changed=_changed(v, component),
+                changed=v.name in component.start
+                and (v.start is None or coerce(v.name, v, v.start) != component.start[v.name]),
                 shipped=None if other is None else other.shipped,
                 origin=other.origin if other else "",
             )
-
-
-def _changed(v: FmuVariable, component: Component) -> bool:
-    """Does the value of a parameter differ from its start value in the FMU?"""
-    value = component.start.get(v.name)
-    return value is not None and (v.start is None or coerce(v.name, v, v.start) != value)
 
 
 def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
@@ -259,12 +243,6 @@ def card(result: Result) -> Mapping[str, Any]:
 def _bond(residual: str, exchanged: str, share: str) -> str:
     joules = f"{residual} J of {exchanged} J"
     return share if not exchanged else joules if share == "-" else f"{share} ({joules})"
-
-
-def _figures(validation: Validation) -> tuple[FigureSpec, ...]:
-    """The default layout: one figure, a row per compared signal."""
-    panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
-    return (FigureSpec("Signals", panels),) if panels else ()
 
 
 def validate_system(
@@ -325,30 +303,27 @@ def validate_system(
         default_accuracy=default_accuracy,
         **options,
     )
-    of_reference: list[str] = []
+    notes: list[str] = []
     if monolithic:
         solved = solve_as_run(system, scenario, result, options)
         against = monolithic_recording(solved, against, [signal for _, signal in page.signals], limit)
-        of_reference = [f"reference: {n}" for n in solved.card.notes if n not in result.card.notes]
-    missing = _lost(result.system, against, result.trace)
+        notes += [f"reference: {n}" for n in solved.card.notes if n not in result.card.notes]
+    elif scenario and not reference:
+        other = f"which may have another scenario than {scenario}"
+        notes.append(f"no --reference given: judged against {against.heading}, {other}")
+    if reference and not scenario:
+        taken = f"{', '.join(commands.signals)} is taken from the reference" if commands else ""
+        notes.append(f"no --scenario given: {taken or 'the inputs are those of the system'}")
+    notes.append(another_model(result.system, against))
+    if missing := _lost(result.system, against, result.trace):
+        names = ", ".join(sorted(missing))
+        notes.append(f"not compared, because the swapped FMU has no such signal: {names}")
     # in memory, also if the run is long
     against, recorded = _comparable(result.system, result.trace.select(result.trace.signals), against, page)
-    notes = [
-        *of_reference,
-        _input_note(commands) if reference and not scenario else "",
-        _default_reference_note(scenario, against) if scenario and not reference and not monolithic else "",
-        another_model(result.system, against),
-        f"not compared, because the swapped FMU has no such signal: {', '.join(sorted(missing))}"
-        if missing
-        else "",
-        start_note(recorded, against) if commands else "",
-    ]
+    notes.append(start_note(recorded, against) if commands else "")
+    result = result.noted(*filter(None, notes))
     warnings = with_doubts(result.system, doubts).warnings[len(result.system.warnings) :]
-    card = replace(
-        result.card,
-        notes=(*result.card.notes, *filter(None, notes)),
-        warnings=(*result.card.warnings, *warnings),
-    )
+    card = replace(result.card, warnings=(*result.card.warnings, *warnings))
     result = replace(result, card=card)
     if not layout:
         default_title = page.title if reference is None and scenario is None and not monolithic else ""
@@ -356,8 +331,7 @@ def validate_system(
         page = replace(page.within(recorded), title=title)
     facts = _facts(system, scenario, against.heading, card, options)
     machine, reason = _machine(system, result, against)
-    if reason:
-        result = replace(result, card=replace(result.card, notes=(*result.card.notes, reason)))
+    result = result.noted(reason) if reason else result
     validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate, machine)
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
@@ -374,9 +348,8 @@ def _refuse_contradictions(
     if play and (scenario or not reference):
         raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
     if limit is not None and not monolithic:
-        raise Problem(
-            f"--limit {limit:g}: expected --monolithic; the limits of a --reference are in its TOML file"
-        )
+        reason = "the limits of a --reference are in its TOML file"
+        raise Problem(f"--limit {limit:g}: expected --monolithic; {reason}")
     if limit is not None and not 0 < limit < np.inf:
         raise Problem(f"--limit: expected a positive number, got {limit:g}")
 
@@ -415,43 +388,92 @@ def _machine(system: Path, result: Result, reference: Recording) -> tuple[Markup
         return Markup(), f"no machine in the report: {problem}"
 
 
-def _input_note(commands: Trace | None) -> str:
-    """Note on the inputs of a run without a scenario."""
-    if commands is None:
-        return "no --scenario given: the inputs are those of the system"
-    return f"no --scenario given: {', '.join(commands.signals)} is taken from the reference"
-
-
-def _default_reference_note(scenario: Path, against: Recording) -> str:
-    """Note on the default reference, which may not fit."""
-    other = f"which may have another scenario than {scenario}"
-    return f"no --reference given: judged against {against.heading}, {other}"
-
-
 def _facts(
     system: Path, scenario: Path | None, reference: str, card: Card, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Settings of the run, in the order of the report."""
-    facts = {
+    facts: dict[str, Any] = {
         "system": str(system),
         "scenario": str(scenario) if scenario else "none: the inputs are those of the system",
         "reference": reference,
         "master": card.master,
-        **_steps(card),
-        "simulated [s]": card.simulated,
     }
+    if card.adaptive is None:
+        facts |= {"communication step [s]": card.step, "record step [s]": card.record_step}
+    else:
+        shortest, longest = card.lengths
+        facts["tolerance of a step"] = card.adaptive
+        facts["communication step [s]"] = f"{shortest:.3g} to {longest:.3g}, on average {card.step:.3g}"
+        facts["record step [s]"] = card.record_step or "every communication step"
+    facts["simulated [s]"] = card.simulated
     for name in ("parameters", "cut"):
         facts |= {name: ", ".join(options[name])} if options.get(name) else {}
     facts |= {f"swap {name}": chosen for name, chosen in (options.get("swap") or {}).items()}
     return facts | {f"set {name}": value for name, value in options.get("set", {}).items()}
 
 
-def _steps(card: Card) -> dict[str, Any]:
-    if card.adaptive is None:
-        return {"communication step [s]": card.step, "record step [s]": card.record_step}
-    shortest, longest = card.lengths
-    return {
-        "tolerance of a step": card.adaptive,
-        "communication step [s]": f"{shortest:.3g} to {longest:.3g}, on average {card.step:.3g}",
-        "record step [s]": card.record_step or "every communication step",
-    }
+LIMIT = 0.01  # of NRMSE, as for pressures, flows and forces of the machine
+
+
+def solve_as_run(system: Path, scenario: Path | None, run: Result, options: Mapping[str, Any]) -> Result:
+    """The monolithic solution over the times of a run, which had these options."""
+    same = {name: value for name, value in options.items() if name in declarations(SystemArguments)}
+    start, stop = (float(run.trace.time[k]) for k in (0, -1))
+    record_step = run.card.record_step or run.card.step
+    with doing("computing the monolithic solution"):
+        return reference(system, scenario, start=start, stop=stop, record_step=record_step, **same)
+
+
+def monolithic_recording(
+    solved: Result, shipped: Recording, names: Sequence[str] = (), limit: float | None = None
+) -> Recording:
+    """A monolithic solution as a reference.
+
+    shipped   its signals, labels and limits apply if the solution has one of its signals; else all outputs
+              have LIMIT
+    names     further names that the signals of a system of one FMU may get, see `by_variable`
+    limit     of the NRMSE of each signal that has a limit
+
+    The NRMSE of a constant output is over its nominal value, else over its magnitude or the largest range in
+    its unit, else over 1.
+    """
+    trace, spans = solved.trace, _spans_of_constants(solved)
+    if len(solved.system.components) == 1:
+        trace = by_variable(trace, (*shipped.signals, *names))
+    own = dict(zip(trace.signals, solved.trace.signals, strict=True))
+    criteria = {name: shipped.criterion(name) for name in shipped.signals if name in own}
+    if not criteria:
+        outputs = {str(port) for port in solved.system.ports("output")}
+        every = Criterion(tolerance=Tolerance("nrmse", LIMIT))
+        criteria = {name: every for name in trace.signals if own[name] in outputs}
+    monolithic = solved.card.master == SOLVER
+    return Recording(
+        Path("monolithic solution"),
+        trace.time,
+        {name: trace[name] for name in criteria},
+        {name: trace.units.get(name, "") for name in criteria},
+        criteria={name: _adapted(c, limit, spans.get(own[name])) for name, c in criteria.items()},
+        metadata={
+            "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small step",
+            "kind": "simulation of the same FMUs",
+            "solver": solved.card.master,
+        },
+    )
+
+
+def _adapted(criterion: Criterion, limit: float | None, span: float | None) -> Criterion:
+    """A criterion with another limit, if it has one, and another span."""
+    tolerance = criterion.tolerance
+    if limit is not None and tolerance is not None:
+        tolerance = Tolerance("nrmse", limit)
+    return replace(criterion, tolerance=tolerance, span=criterion.span if span is None else span)
+
+
+def _spans_of_constants(solved: Result) -> dict[str, float]:
+    """What replaces the range of outputs that are constant but for rounding."""
+    nominals = solved.system.nominals
+    outputs = solved.trace.select(name for name in nominals if name in solved.trace.signals)
+    varying = ranges(outputs, nominals)
+    constant = {n: float(np.abs(values).max()) for n, values in outputs.items() if n not in varying}
+    widest = widest_of_unit({**dict.fromkeys(constant, 0.0), **varying}, outputs.units)
+    return {n: abs(nominals[n] or max(magnitude, widest[n]) or 1.0) for n, magnitude in constant.items()}

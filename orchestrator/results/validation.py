@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.text import brief, first_names
+from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
@@ -36,11 +36,8 @@ def by_variable(trace: Trace, requested: Iterable[str]) -> Trace:
     count = Counter(_variable(name) for name in names)
     new = {_variable(name): name for name in names if count[_variable(name)] == 1}
     renamed = {name: new.get(_variable(name), name) for name in trace.signals}
-    return Trace(
-        trace.time,
-        {renamed[name]: values for name, values in trace.signals.items()},
-        {renamed[name]: unit for name, unit in trace.units.items()},
-    )
+    signals = {renamed[name]: values for name, values in trace.signals.items()}
+    return Trace(trace.time, signals, {renamed[name]: unit for name, unit in trace.units.items()})
 
 
 def without_repetitions(reference: Recording) -> Recording:
@@ -117,10 +114,7 @@ class Validation:
     @property
     def groups(self) -> dict[str, list[ValidatedSignal]]:
         """The rows by group, in the order of the reference."""
-        groups: dict[str, list[ValidatedSignal]] = {}
-        for row in self.rows:
-            groups.setdefault(row.group, []).append(row)
-        return groups
+        return grouped(self.rows, lambda row: row.group)
 
     @property
     def judged(self) -> tuple[ValidatedSignal, ...]:
@@ -143,9 +137,8 @@ class Validation:
         if not self.judged:
             return "not judged: the reference has no limits"
         inside = len(self.judged) - len(self.failed)
-        return (
-            f"{'pass' if self.passed else 'fail'}: {inside} of {len(self.judged)} signals within their limits"
-        )
+        outcome, count = "pass" if self.passed else "fail", len(self.judged)
+        return f"{outcome}: {inside} of {count} signals within their limits"
 
     def __getitem__(self, signal: str) -> ValidatedSignal:
         return next(row for row in self.rows if row.signal == signal)
@@ -227,10 +220,8 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
         ends = {"begins": reference.start, "ends": reference.stop}
         limits = [f"{verb} at {t:g} s" for verb, t in ends.items() if np.isfinite(t)]
         window = f"; the requested window {' and '.join(limits)}" if limits else ""
-        raise Problem(
-            f"{reference.source}: expected two or more samples in a common window, "
-            f"got {len(grid)}; {spans}{window}"
-        )
+        expected = "expected two or more samples in a common window"
+        raise Problem(f"{reference.source}: {expected}, got {len(grid)}; {spans}{window}")
     notes = [f"compared at the {len(grid)} samples of the {coarse}, {grid[0]:g} to {grid[-1]:g} s"]
     fine = "reference" if coarse == "run" else "run"
     if between := _between(grid, sides[fine]):
@@ -243,8 +234,7 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
 def _inside(time: Array, start: float, stop: float) -> NDArray[np.bool_]:
     """Whether each sample is in a window [s], with a tolerance for the rounding of times in a text file."""
     tolerance = 1e-9 * max([1.0, *(abs(t) for t in (start, stop) if np.isfinite(t))])
-    inside: NDArray[np.bool_] = (time >= start - tolerance) & (time <= stop + tolerance)
-    return inside
+    return np.asarray((time >= start - tolerance) & (time <= stop + tolerance))
 
 
 def _between(grid: Array, time: Array) -> int:

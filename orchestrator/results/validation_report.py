@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import NO_VALUE, display_unit, error_display_unit, number, percentage, typeset
-from orchestrator.base.units import convert, reader_unit
+from orchestrator.base.units import in_reader_unit, reader_unit
 from orchestrator.data.trace import Trace
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import (
@@ -217,38 +217,29 @@ def traces(spec: FigureSpec, validation: Validation, trace: Trace | None = None)
 def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Trace | None) -> TracePanel:
     """Signals of a panel, from the comparison, or from the trace if they were not compared."""
     rows = {row.signal: row for row in validation.rows}
-    lines, errors, compared, units = (
-        list[TraceLine](),
-        list[TraceLine](),
-        list[tuple[str, ValidatedSignal]](),
-        set[str](),
-    )
+    lines, errors, units = list[TraceLine](), list[TraceLine](), set[str]()
+    compared: list[tuple[str, ValidatedSignal]] = []
     for i, signal in enumerate(panel.signals):
         light, dark = PALETTE.pair(i)
         name = panel.names[i] if i < len(panel.names) else ""
         if signal in rows:
             row = rows[signal]
             units.add(reader_unit(row.unit))
-            simulation, reference = (
-                convert(y, row.unit, reader_unit(row.unit), signal) for y in (row.simulation, row.reference)
-            )
-            lines.append(
-                TraceLine(row.time, reference, {"color": light, "linewidth": 2.6}, name, "reference")
-            )
-            style = {**SIMULATION, "color": dark}
-            lines.append(TraceLine(row.time, simulation, style, key="simulation"))
+            simulation, reference = (in_reader_unit(y, row.unit) for y in (row.simulation, row.reference))
+            broad, dotted = {**REFERENCE, "color": light}, {**SIMULATION, "color": dark}
+            lines.append(TraceLine(row.time, reference, broad, name, "reference"))
+            lines.append(TraceLine(row.time, simulation, dotted, key="simulation"))
             if row.passed is not None or not validation.judged:
                 errors.append(TraceLine(row.time, simulation - reference, {"color": dark}, name))
             compared.append((name, row))
         elif trace is not None and signal in trace.signals:
             unit = trace.units.get(signal, "")
             units.add(reader_unit(unit))
-            values = convert(trace[signal], unit, reader_unit(unit), signal)
+            values = in_reader_unit(trace[signal], unit)
             lines.append(TraceLine(trace.time, values, {"color": dark, "linewidth": 1.2}, name))
         else:
-            raise Problem(
-                f"figure {spec.title!r}: expected a signal of the comparison or of the run, got {signal!r}"
-            )
+            expected = "expected a signal of the comparison or of the run"
+            raise Problem(f"figure {spec.title!r}: {expected}, got {signal!r}")
     return TracePanel(
         unit=", ".join(sorted(units)),
         lines=lines,

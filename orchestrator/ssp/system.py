@@ -284,6 +284,12 @@ class System:
         return [Port(c.name, v.name) for c in self.components.values() for v in c.interface.of(causality)]
 
     @property
+    def rate_ports(self) -> Mapping[Port, Port]:
+        """The declared rate input of each input that has one."""
+        rates = {name: component.interface.rate_inputs for name, component in self.components.items()}
+        return {Port(name, u): Port(name, rate) for name, of in rates.items() for u, rate in of.items()}
+
+    @property
     def nominals(self) -> Mapping[str, float | None]:
         """The nominal value of each output, by its name."""
         return {str(port): self.variable(port).nominal for port in self.ports("output")}

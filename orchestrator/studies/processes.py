@@ -28,7 +28,7 @@ from orchestrator.base.files import Location
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
-from orchestrator.engine import simulation_loop
+from orchestrator.engine import open_job
 from orchestrator.engine.c_library import library
 from orchestrator.lanes.one_by_one import unpacked, with_originals
 from orchestrator.studies.cases import Options, StudyCase, Unit
@@ -232,7 +232,7 @@ def run_units(
 
 def main(channel: Channel) -> None:
     """Child process: read the study, then samples that are run together, and send their outcomes."""
-    simulation_loop.CORES = 1  # there is a process on every core
+    open_job.CORES = 1  # there is a process on every core
     study, cases = channel.get()
     missing = ""
     try:

@@ -334,11 +334,7 @@ KEYS = ("title", "system", "method", "runs", "seed", *RUN, "band_step", *OPTIONS
 def read(file: str | Path) -> Study:
     """The study in a TOML file; paths in it are relative to the file."""
     file = require(file, (".toml",))
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise Problem(f"{file}: cannot be read: {error.strerror}") from None
-    table = toml.read(file, data).allow_only(KEYS)
+    table = toml.read_file(file).allow_only(KEYS)
     table.require("system", "an .ssp, .ssd or .fmu file")
     method = table.one_of("method", METHODS)
     if method != "grid":

@@ -8,10 +8,9 @@ from kit.any_fmu.models import RAMP, RATES, STATES, V, oscillator_of, telling
 from scipy.linalg import expm
 
 from orchestrator import Coupling, RunFailed, Trace, assemble, run
-from orchestrator.engine import error_propagation
+from orchestrator.engine import linear_system
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.error_propagation import STAGES
-from orchestrator.engine.linear_prediction import LinearSystem
+from orchestrator.engine.linear_system import STAGES, LinearSystem
 
 MASTERS = [
     *((Coupling("jacobi"), 1e-3), (Coupling("jacobi", order=1), 1e-3), (Coupling("gauss-seidel"), 1e-3)),
@@ -52,7 +51,7 @@ def test_no_estimated_error_is_lost_where_a_block_of_them_is_full(open_oscillato
     # in this process, where BLOCK is changed
     options = {"master": "gauss-seidel", "step": 1e-3, "stop": 1.0, "error_estimate": True, "isolate": False}
     many = run(open_oscillator, **options).errors
-    monkeypatch.setattr(error_propagation, "BLOCK", 4)
+    monkeypatch.setattr(linear_system, "BLOCK", 4)
     few = run(open_oscillator, **options).errors
     assert len(many.time) > 50
     np.testing.assert_array_equal(few.time, many.time)

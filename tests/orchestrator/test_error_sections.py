@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.error_propagation import STAGES
-from orchestrator.engine.linear_prediction import LinearSystem
+from orchestrator.engine.linear_system import STAGES, LinearSystem
 
 
 class Estimate(LinearSystem):

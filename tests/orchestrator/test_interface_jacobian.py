@@ -9,7 +9,7 @@ from orchestrator.base.files import Location
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
-from orchestrator.engine.linear_prediction import Linearisation
+from orchestrator.engine.linear_system import Linearisation
 from orchestrator.engine.masters import interface_jacobian_plan
 from orchestrator.engine.open_job import opened as opened_job
 from orchestrator.engine.time_grid import Grid
@@ -82,15 +82,15 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
         job = Job(open_oscillator, None, coupling)
         sink = TraceInMemory()
         with opened_job(job, Grid(0.0, 0.5, 1, first=1e-2, free=True), sink) as opened:
-            state, tries = opened.loop.state, 0
+            state, tries = opened.state, 0
             size = engine_h().StepSize.from_address(state.step_size)
             state.patience = 0.0  # one step at a time
-            opened.loop.begin()
+            opened.begin()
             while state.done < 1:
                 size.h = 1e-2
                 state.error_tolerance = 1e-300 if tries % (rejected + 1) < rejected else 1e300
                 tries += 1
-                opened.loop.advance()
+                opened.advance()
             return (state.steps, state.repeated), sink.trace["a.x"]
 
     (counts, once), (more, thrice) = ends(0), ends(2)

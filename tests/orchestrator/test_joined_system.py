@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm, lu_factor
 
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.linear_prediction import JoinedSystem
+from orchestrator.engine.linear_system import JoinedSystem
 from orchestrator.fmi.calls import address
 
 

@@ -17,7 +17,7 @@ from kit.shards import few, thinned
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base import compiler
-from orchestrator.engine import c_library, simulation_loop
+from orchestrator.engine import c_library, open_job
 from orchestrator.ssp.coupling import Coupling
 
 STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
@@ -153,14 +153,14 @@ def test_chosen_signals_and_coarse_records(alike, oscillator):
 @pytest.mark.parametrize("order", [0, 2])
 def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
     """Threads for the components of Jacobi do not change the results."""
-    monkeypatch.setattr(simulation_loop, "CORES", 3)
+    monkeypatch.setattr(open_job, "CORES", 3)
     parts = oscillators()
     files = {name: part.source.path for name, part in parts.components.items()}
     files |= {"s": fmus["source"], "k": fmus.make("spring", "third", interpolates=True)}
     system = assemble(files, [*map(str, parts.connections), "b.v -> k.v"])
     results = []
     for saving in (np.inf, -1.0):
-        monkeypatch.setattr(simulation_loop, "MIN_SAVING", saving)
+        monkeypatch.setattr(open_job, "MIN_SAVING", saving)
         results.append(run(system, master=Coupling("jacobi", order), **STEPS))
     for name, values in results[0].trace.signals.items():
         np.testing.assert_array_equal(results[1].trace[name], values, err_msg=name)
@@ -243,8 +243,8 @@ system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "
 LONG = (
     START
     + """
-from orchestrator.engine import simulation_loop
-simulation_loop.MIN_SAVING = float(sys.argv[5])
+from orchestrator.engine import open_job
+open_job.MIN_SAVING = float(sys.argv[5])
 if len(sys.argv) > 7:
     system = assemble({"talks": sys.argv[7]}, [], {"talks.when": 0.0, "talks.how": 9, "talks.where": -1})
 main = threading.main_thread().ident
@@ -288,7 +288,7 @@ def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, wo
 
     C checks for an interrupt every 0.1 s.
     """
-    assert simulation_loop.ADVANCE_TIME <= 0.1
+    assert open_job.ADVANCE_TIME <= 0.1
     files = [part.source.path for part in moving.components.values()]
     rows, reached, steps, complete = interrupted(*files, master, in_c, worth)
     assert int(steps) > 1000

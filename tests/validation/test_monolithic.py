@@ -11,7 +11,7 @@ from orchestrator.data.recording import Criterion, Recording
 from orchestrator.engine.result import Card
 from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.monolithic.reference import SOLVER
-from orchestrator.results.monolithic_recording import LIMIT, monolithic_recording
+from orchestrator.results.validate_system import LIMIT, monolithic_recording
 from orchestrator.results.validation import validate
 from orchestrator.ssp.system import Component, System
 

@@ -13,7 +13,7 @@ from machine import solve  # of the example, see conftest.py
 from fmus.machine.build import data
 from orchestrator import RunFailed, Trace, run
 from orchestrator.data.recording import read_recording
-from orchestrator.engine.linear_prediction import LinearPrediction
+from orchestrator.engine.linear_system import LinearPrediction
 from orchestrator.results.validation import validate
 from orchestrator.ssp.coupling import Coupling
 
