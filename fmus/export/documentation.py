@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from latex2mathml.converter import convert
 from lxml import etree
 from markdown_it import MarkdownIt
@@ -25,11 +24,11 @@ from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
 from fmus.export.ls_ref import PAGE, ls_ref_files
-from fmus.export.model_description import LOG_CATEGORIES
+from fmus.export.model_description import LOG_CATEGORIES, TEMPLATES
 from fmus.package_files import project_file
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import typeset
+from orchestrator.base.text import rendered, typeset
 from orchestrator.base.units import display_conversion, pretty
 from orchestrator.base.xml import package_version
 
@@ -288,20 +287,8 @@ def _ports(sub: Subsystem, rows: Mapping[str, DocumentedVariable]) -> list[Varia
 # ---- page ------------------------------------------------------------------------------------------
 
 
-@cache
-def _environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("fmus.export"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-
-
 def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float, icon: bytes | None) -> str:
     """One self-contained HTML page; step and stop are the default experiment [s]."""
-    environment = _environment()
     text, sections = prose(sub.folder / "README.md", sub.variant)
     has_file = sub.numbers is not None or sub.values is None or sub.values.is_file()
     sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}
@@ -316,7 +303,9 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
     ]
     with_value = [*(rows[v.name] for v in interface.parameters), *start]
     used_sources = {row.number.source for row in with_value if row.number}
-    return environment.get_template("page.html.j2").render(
+    return rendered(
+        TEMPLATES / "page.html.j2",
+        escaped=True,
         sub=sub,
         fmi=fmi,
         version=package_version(),
@@ -326,7 +315,7 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         stiff=interface.stiff,
         rates=any(v.quantity.rate for v in interface.inputs),
         icon=b64encode(icon).decode() if icon else "",
-        style=Markup(environment.get_template("page.css").render()),
+        style=Markup(rendered(TEMPLATES / "page.css")),
         text=text,
         sections=sections,
         ports=_ports(sub, rows),

@@ -6,14 +6,13 @@ parameter values that the FMU is built with, because the experiment sets all par
 """
 
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
-from typing import NamedTuple
 
 from lxml import etree
 
 from fmus.contract import Subsystem, quantities
-from orchestrator.base.xml import shortest_decimal, xml_text
+from orchestrator.base.text import rendered
+from orchestrator.base.xml import rendered_xml
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.ssp.common_elements import NAMESPACES
 from orchestrator.ssp.write import parameter_set
@@ -26,27 +25,20 @@ TOLERANCE = 1e-9  # relative, of the FMU's solver; 1000 times tighter than its d
 # the solver gives hundreds of times more
 NRMSE_LIMIT = 1e-5
 _PARAMETER = f"{{{NAMESPACES['ssv']}}}Parameter"
-_LS = "http://fmi-standard.org/fmi-ls-manifest"
+TEMPLATES = Path(__file__).with_name("templates")
 
 
-class RelatedFile(NamedTuple):
-    """How the manifest describes a file."""
-
-    mime_type: str
-    role: str
-    description: str
-
-
+# how the manifest describes a file: MIME type, role, description
 _RELATED = {
-    "parameters.ssv": RelatedFile(
-        "application/x-ssp-parameter-set", "parameter", "Parameters and start values of the experiment"
+    "parameters.ssv": (
+        "application/x-ssp-parameter-set",
+        "parameter",
+        "Parameters and start values of the experiment",
     ),
-    "experiment.exp": RelatedFile(
-        "application/x-ma-hs-experiments", "experiment/validation", "Part of a work cycle"
-    ),
-    "input.csv": RelatedFile("text/csv", "other", f"Inputs, set every {1e3 * COMMUNICATION_STEP:g} ms"),
-    "result.csv": RelatedFile("text/csv", "result", "Result, computed with CVODES from the equations"),
-    f"../../{PAGE}": RelatedFile("text/html", "document", "Description of the experiment"),
+    "experiment.exp": ("application/x-ma-hs-experiments", "experiment/validation", "Part of a work cycle"),
+    "input.csv": ("text/csv", "other", f"Inputs, set every {1e3 * COMMUNICATION_STEP:g} ms"),
+    "result.csv": ("text/csv", "result", "Result, computed with CVODES from the equations"),
+    f"../../{PAGE}": ("text/html", "document", "Description of the experiment"),
 }
 
 
@@ -67,10 +59,22 @@ def ls_ref_files(sub: Subsystem) -> dict[str, bytes]:
         return {}
     lines = files["result.csv"].decode().strip().splitlines()
     stop = float(lines[-1].partition(",")[0])
-    has_inputs = "input.csv" in files
-    files["experiment.exp"] = _experiment(sub, stop, has_inputs)
-    files["fmi-ls-manifest.xml"] = _manifest([n for n in _RELATED if n in files or n.startswith("..")])
-    page = _page(sub, stop, lines[0].split(",")[1:], has_inputs)
+    content = {
+        "name": sub.name,
+        "stop": stop,
+        "step": COMMUNICATION_STEP,
+        "tolerance": TOLERANCE,
+        "limit": NRMSE_LIMIT,
+        "folder": f"../{FOLDER}",
+        "description": _RELATED["experiment.exp"][2],
+        "signals": lines[0].split(",")[1:],
+        "has_inputs": "input.csv" in files,
+    }
+    # in the experiments format of the Modelica Association (draft of 2026)
+    files["experiment.exp"] = rendered_xml(TEMPLATES / "experiment.exp.j2", **content)
+    related = {name: file for name, file in _RELATED.items() if name in files or name.startswith("..")}
+    files["fmi-ls-manifest.xml"] = rendered_xml(TEMPLATES / "fmi-ls-manifest.xml.j2", related=related)
+    page = rendered(TEMPLATES / "fmi-ls-ref.html.j2", escaped=True, **content)
     return {f"{FOLDER}/{name}": content for name, content in files.items()} | {PAGE: page.encode()}
 
 
@@ -81,70 +85,7 @@ def _variables(files: Mapping[str, bytes]) -> set[str]:
     return columns | {str(e.get("name")) for e in etree.fromstring(files["parameters.ssv"]).iter(_PARAMETER)}
 
 
-def _manifest(names: list[str]) -> bytes:
-    element = etree.Element("fmiReferences", nsmap={"fmi-ls": _LS})
-    attributes = {
-        "name": "org.fmi-standard.fmi-ls-ref",
-        "version": "1.0.0-alpha.1",
-        "description": "Layered Standard providing information on related files included in an FMU.",
-    }
-    for key, value in attributes.items():
-        element.set(f"{{{_LS}}}fmi-ls-{key}", value)
-    for name in names:
-        file = _RELATED[name]
-        attributes = {"type": file.mime_type, "source": name, "role": file.role}
-        etree.SubElement(element, "Related", attributes | {"description": file.description})
-    return xml_text(element)
-
-
-def _experiment(sub: Subsystem, stop: float, has_inputs: bool) -> bytes:
-    """experiment.exp, in the experiments format of the Modelica Association (draft of 2026)."""
-    element = etree.Element("Experiments", name=sub.name, description=f"Reference experiment of {sub.name}")
-    experiment = etree.SubElement(element, "Experiment", name="work_cycle", tolerance=f"{TOLERANCE:g}")
-    experiment.set("description", _RELATED["experiment.exp"].description)
-    times = {"startTime": 0.0, "stopTime": stop, "stepSize": COMMUNICATION_STEP}
-    etree.SubElement(
-        experiment, "TransientSimulation", {name: shortest_decimal(value) for name, value in times.items()}
-    )
-    etree.SubElement(experiment, "Parameters", source="parameters.ssv")
-    if has_inputs:
-        etree.SubElement(experiment, "Stimuli", source="input.csv")
-    etree.SubElement(experiment, "References", source="result.csv")
-    return xml_text(element)
-
-
 def reference_parameters(sub: Subsystem, values: Mapping[str, float]) -> bytes:
     """parameters.ssv, in the units of the variables; equal values give equal bytes in all versions."""
     parameters = {name: (FmuVariable(name), value) for name, value in values.items()}
     return parameter_set(f"{sub.name} reference experiment", parameters)
-
-
-def _page(sub: Subsystem, stop: float, signals: list[str], has_inputs: bool) -> str:
-    names = ", ".join(f"<code>{escape(name)}</code>" for name in signals)
-    folder = f"../{FOLDER}"
-    inputs = (
-        f'<p>The inputs in <a href="{folder}/input.csv">input.csv</a> are set at each communication point '
-        "and held by the importer until the next one. Between these points the FMU extrapolates each input "
-        "by means of the inputs that are its time derivatives. A tool that interpolates inputs by itself "
-        "must not do so here.</p>"
-    )
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head><meta charset="utf-8"><title>{escape(sub.name)}: reference experiment</title></head>
-<body>
-<h1>{escape(sub.name)}: reference experiment</h1>
-<p>Co-simulation from 0 to {stop:g} s with a communication step of {COMMUNICATION_STEP:g} s, after all values
-of <a href="{folder}/parameters.ssv">parameters.ssv</a> were set. An FMU that was built with other parameter
-values contains the same experiment; once these values are set, it must reproduce the result.</p>
-{inputs if has_inputs else "<p>There are no inputs.</p>"}
-<p>The result in <a href="{folder}/result.csv">result.csv</a> was not computed with this FMU: CVODES solved
-the symbolic equations of this subsystem alone, to a relative tolerance of 1e-11. A row contains the values
-at the end of a step, before the next inputs are set. The root mean square deviation of each signal should be
-below {NRMSE_LIMIT:g} of its range at the tolerance of {TOLERANCE:g} that the experiment specifies. The
-deviation is the error of the FMU's solver and is proportional to the tolerance.</p>
-<p>Signals: {names}.</p>
-<p>The files conform to the layered standard FMI-LS-REF (draft 1.0.0-alpha.1);
-<code>harvester check {escape(sub.name)}.fmu</code> runs the experiment.</p>
-</body>
-</html>
-"""
