@@ -1,4 +1,4 @@
-"""Terminals of the subsystems: variables of a connection, with the same names on both sides.
+"""Ports of the subsystems: declarations of shared signals, and terminals with the same names on both sides.
 
 drives: True for the terminal of a hydraulic drive, False for that of the mechanics. Force and torque flow out
 of the drive and into the mechanics.
@@ -6,7 +6,43 @@ of the drive and into the mechanics.
 
 from typing import Literal
 
-from fmus.contract import Member, Terminal
+from fmus.contract import Group, Member, Quantity, Scalar, Terminal
+
+# of a drive without the pressure of the line: its compensators hold their setting whatever is left
+NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
+
+
+def rate_input(name: str, unit: str, nominal: float = 1.0) -> Quantity:
+    """Declaration of an input that carries the exact time derivative of another one."""
+    return Quantity(unit, f"Rate port: time derivative of {name}, may stay unconnected", nominal)
+
+
+def rate_output(name: str, unit: str, nominal: float = 1.0) -> Quantity:
+    """Declaration of an output that is the exact time derivative of another one."""
+    return Quantity(unit, f"Rate port: exact time derivative of {name}", nominal)
+
+
+def command(valve: str, meaning: str, rate: str) -> Quantity:
+    """Declaration of the command to a valve as an input; rate: name of its rate input."""
+    text = f"Command to the {valve} valve, positive {meaning}"
+    return Quantity("V", text, 10.0, rate=rate, warn_above=10.0)
+
+
+class LineInputs(Group):
+    """Pressures of the lines to a drive; the rate inputs are exact time derivatives."""
+
+    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7, rate="supply_pressure_rate")
+    supply_pressure_rate: Scalar = rate_input("supply_pressure", "Pa/s", 1e8)
+    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5, rate="tank_pressure_rate")
+    tank_pressure_rate: Scalar = rate_input("tank_pressure", "Pa/s", 1e7)
+    load_sensing_pressure: Scalar = Quantity(
+        "Pa",
+        "Pressure of the load-sensing line, only used by compensated drives",
+        1e7,
+        rate="load_sensing_pressure_rate",
+        optional=NOT_SHARED,
+    )
+    load_sensing_pressure_rate: Scalar = rate_input("load_sensing_pressure", "Pa/s", 1e8)
 
 
 def _direction(drives: bool) -> Literal["in", "out"]:

@@ -26,10 +26,11 @@ from pathlib import Path
 from typing import Any
 
 from fmus.boom_stick import drive, lumped
-from fmus.boom_stick.drive import DriveInterface, Pair
+from fmus.boom_stick.drive import Pair
 from fmus.boom_stick.variables import (
     AXES,
     SIDES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickOutputs,
     Preload,
@@ -161,7 +162,7 @@ class CompensatedDrive:
     counterbalance: Counterbalance
     oil: AeratedOil
     x: AxisState
-    u: DriveInterface
+    u: AxisInputs
     sides: tuple[Side, Side]
 
     @property
@@ -264,7 +265,7 @@ def _drives(
     """Boom and stick drive from the variables of the subsystem."""
     counterbalance = Counterbalance.of(p, "counterbalance")
     relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
-    for axis, inputs in zip(AXES, drive.interfaces(u), strict=True):
+    for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
         state, line, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
         tank = inputs.tank_pressure
         around = Restriction(

@@ -20,10 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from fmus.boom_stick import compensated, drive, lumped
-from fmus.boom_stick.drive import DriveInterface, Pair
+from fmus.boom_stick.drive import Pair
 from fmus.boom_stick.variables import (
     AXES,
     SIDES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickState,
     DetailedBoomStickOutputs,
@@ -75,7 +76,7 @@ class DetailedDrive:
     curves: OpeningCurves
     full_command: Scalar
     x: DriveState
-    u: DriveInterface
+    u: AxisInputs
     ports: tuple[EdgeFlows, EdgeFlows]
     relief: Pair
     anti_cavitation: Pair
@@ -173,7 +174,7 @@ def _drives(
     """Boom and stick drive from the variables of the subsystem."""
     edges, spool, curves = Edges.of(p, "valve"), Spool.of(p, "spool"), OpeningCurves.of(p, "valve")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
-    for (axis, n), inputs in zip(names.items(), drive.interfaces(u), strict=True):
+    for (axis, n), inputs in zip(names.items(), drive.inputs(u), strict=True):
         head, rod = (line_names.apply(partial(getattr, x)) for line_names in n.lines)
         state = DriveState(
             SpoolState(getattr(x, n.spool.position), getattr(x, n.spool.speed)),

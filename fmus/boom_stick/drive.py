@@ -15,12 +15,12 @@ Signs: line flows are positive into the cylinder; x from the closed end; x' and 
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from fmus import ports
-from fmus.boom_stick.variables import AXES, BoomStickInputs, OilState
+from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveInputs, OilState
 from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
@@ -28,6 +28,7 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Terminal
+from fmus.ports import LineInputs
 
 Pair = tuple[Scalar, Scalar]  # (head side, rod side)
 
@@ -42,23 +43,6 @@ class CylinderDrive:
     curves: OpeningCurves
     density: Scalar
     bulk_modulus: Scalar
-
-
-@dataclass(frozen=True)
-class DriveInterface:
-    """Inputs of a drive.
-
-    Command [V] and its rate, supply and tank pressure [Pa], rate of the latter, piston position [m] and
-    velocity [m/s].
-    """
-
-    command: Scalar
-    command_rate: Scalar
-    supply_pressure: Scalar
-    tank_pressure: Scalar
-    tank_pressure_rate: Scalar
-    position: Scalar
-    velocity: Scalar
 
 
 def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDrive]:
@@ -77,17 +61,10 @@ def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDr
     return boom, stick
 
 
-def interfaces(u: BoomStickInputs) -> tuple[DriveInterface, DriveInterface]:
+def inputs(u: BoomStickInputs) -> Iterator[AxisInputs]:
     """Inputs of the boom drive and of the stick drive."""
-    line_pressures = (u.supply_pressure, u.tank_pressure, u.tank_pressure_rate)
-    return (
-        DriveInterface(
-            u.boom_command, u.boom_command_rate, *line_pressures, u.boom_position, u.boom_velocity
-        ),
-        DriveInterface(
-            u.stick_command, u.stick_command_rate, *line_pressures, u.stick_position, u.stick_velocity
-        ),
-    )
+    for axis in AXES:
+        yield AxisInputs(**vars(DriveInputs.of(u, axis)), **vars(LineInputs.of(u)))
 
 
 def derive(hose_group: type[Hose], p: Any) -> dict[str, Scalar]:
@@ -116,7 +93,7 @@ def capacitances(d: CylinderDrive, position: Scalar) -> Pair:
     )
 
 
-def valve_ports(d: CylinderDrive, x: OilState, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
+def valve_ports(d: CylinderDrive, x: OilState, u: AxisInputs) -> tuple[EdgeFlows, EdgeFlows]:
     """Ports of the valve: A at the head side, B at the rod side."""
     return spool_valve.ports_from_flow(
         *(d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density),
@@ -124,7 +101,7 @@ def valve_ports(d: CylinderDrive, x: OilState, u: DriveInterface) -> tuple[EdgeF
     )
 
 
-def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
+def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: AxisInputs) -> tuple[EdgeFlows, EdgeFlows]:
     """Ports of the valve without line dynamics, from the pressures of the chambers."""
     return spool_valve.ports_from_pressure(
         *(d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance),
@@ -132,7 +109,7 @@ def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: DriveInterface) -> 
     )
 
 
-def pressure_rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> Pair:
+def pressure_rates(d: CylinderDrive, x: OilState, u: AxisInputs) -> Pair:
     """Time derivatives of the pressures [Pa/s]."""
     head, rod = d.cylinder.areas
     c_head, c_rod = capacitances(d, u.position)
@@ -142,7 +119,7 @@ def pressure_rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> Pair:
     )
 
 
-def rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> OilState:
+def rates(d: CylinderDrive, x: OilState, u: AxisInputs) -> OilState:
     """Time derivative of the state."""
     port_a, port_b = valve_ports(d, x, u)
     head, rod = pressure_rates(d, x, u)
@@ -168,7 +145,7 @@ def observe(
     x: OilState,
     pressure_rates: Pair,
     ports: Iterable[EdgeFlows],
-    u: DriveInterface,
+    u: AxisInputs,
     hose_heat: Scalar,
 ) -> dict[str, Any]:
     """Outputs of one drive by name without prefix, for `joint_outputs`.
@@ -196,9 +173,7 @@ def observe(
     }
 
 
-def _load_pressure(
-    d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: DriveInterface
-) -> LoadPressure:
+def _load_pressure(d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: AxisInputs) -> LoadPressure:
     """Load pressure of the section."""
     bands = opening_curve.meter_in_dead_bands(d.curves, d.valve.dead_band, d.valve.dead_band)
     curve = (bands, d.valve.full_command)

@@ -24,7 +24,7 @@ from fmus.contract import Scalar, Subsystem, quantities
 def dynamics(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> BoomStickState:
     """Time derivative of the state."""
     states = (OilState.of(x, axis) for axis in AXES)
-    boom, stick = map(drive.rates, drive.drives(p), states, drive.interfaces(u))
+    boom, stick = map(drive.rates, drive.drives(p), states, drive.inputs(u))
     return BoomStickState(**drive.prefixed(vars(boom), vars(stick)))
 
 
@@ -40,7 +40,7 @@ def observe(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> Bo
             drive.hose_heat(d, oil),
         )
         for d, oil, inputs in zip(
-            drive.drives(p), (OilState.of(x, axis) for axis in AXES), drive.interfaces(u), strict=True
+            drive.drives(p), (OilState.of(x, axis) for axis in AXES), drive.inputs(u), strict=True
         )
     )
     return BoomStickOutputs(**drive.joint_outputs(boom, stick))

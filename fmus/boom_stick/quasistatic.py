@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from fmus.boom_stick import drive
-from fmus.boom_stick.drive import CylinderDrive, DriveInterface
+from fmus.boom_stick.drive import CylinderDrive
 from fmus.boom_stick.variables import (
     AXES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickOutputs,
     OilState,
@@ -31,10 +32,10 @@ def _hose(p: QuasistaticBoomStickParameters, prefix: str) -> LumpedHose:
 
 def _evaluated(
     x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], DriveInterface]]:
+) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], AxisInputs]]:
     """For each drive: parameters, pressures with the line flows that follow from them, ports, inputs."""
     result = []
-    for axis, d, inputs in zip(AXES, drive.drives(p, _hose), drive.interfaces(u), strict=True):
+    for axis, d, inputs in zip(AXES, drive.drives(p, _hose), drive.inputs(u), strict=True):
         pressures = Pressures.of(x, axis)
         ports = drive.direct_valve_ports(d, (pressures.head_pressure, pressures.rod_pressure), inputs)
         oil = OilState(**vars(pressures), head_flow=ports[0].line, rod_flow=ports[1].line)

@@ -33,8 +33,6 @@ from fmus.components.smooth import lowest, ramp, s_curve
 from fmus.contract import Scalar
 
 SHUTTLE_ROUNDING = 5e4  # W [Pa]: at most 0.05 bar above the higher pressure
-# of a drive without the pressure of the line: its compensators hold their setting whatever is left
-NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
 LEAST_DEAD_BAND = 1e-3  # of full command; keeps w defined for a valve without dead band
 
 

@@ -26,7 +26,13 @@ from fmus.components.pressure_compensator import Compensator, Section, SectionPo
 from fmus.contract import Group, Quantity, Scalar, Subsystem, family, quantities
 from fmus.swing import drive, lumped
 from fmus.swing.drive import Pair
-from fmus.swing.variables import DriveParameters, QuasistaticSwingParameters, SwingInputs, SwingOutputs
+from fmus.swing.variables import (
+    DriveParameters,
+    LinePressures,
+    QuasistaticSwingParameters,
+    SwingInputs,
+    SwingOutputs,
+)
 
 
 class CompensatedSwingParameters(
@@ -56,11 +62,8 @@ class BrakeState(Group):
     swing_brake_applied: Scalar = Quantity("1", "Part of its torque that the swing brake can hold")
 
 
-class CompensatedSwingState(BrakeState):
+class CompensatedSwingState(LinePressures, BrakeState):
     """State of the compensated drive: pressures at the motor, brake."""
-
-    swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
-    swing_pressure_b: Scalar = chamber.pressure("Pressure of swing line B")
 
 
 class CompensatedSwingOutputs(BrakeState, SwingOutputs):

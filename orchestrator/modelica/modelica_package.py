@@ -145,7 +145,6 @@ def _check_unchanged(folder: Path) -> None:
 def _package(name: str, blocks: PackageBlocks, systems: Sequence[tuple[System, dict[str, FmuBlock]]]) -> str:
     connected = {c.source.variable for system, _ in systems for c in system.connections}
     fmus, scope = list(blocks.blocks.values()), Scope()
-    wired = [(system, parts) for system, parts in systems if system.connections]
     internal = (TEMPLATES / "Internal.mo").read_text(encoding="utf-8")
     return rendered(
         TEMPLATES / "package.mo.j2",
