@@ -70,7 +70,7 @@ class AxisParameters(QuasistaticDriveParameters):
     )
 
 
-class CompensatedBoomStickParameters(
+class Parameters(
     AeratedOil,
     Preload,
     ReferenceHose,
@@ -111,7 +111,7 @@ class AxisState(Pressures, Lines):
         return getattr(self, f"head_{name}"), getattr(self, f"rod_{name}")
 
 
-class CompensatedBoomStickState(Group, boom=AxisState, stick=AxisState):
+class State(Group, boom=AxisState, stick=AxisState):
     """State of both drives."""
 
 
@@ -127,7 +127,7 @@ class AxisOutputs(Lines):
     anti_cavitation_flow: Scalar = Quantity("m3/s", "Flow of both anti-cavitation valves of the {}", 1e-3)
 
 
-class CompensatedBoomStickOutputs(BoomStickOutputs, boom=AxisOutputs, stick=AxisOutputs):
+class Outputs(BoomStickOutputs, boom=AxisOutputs, stick=AxisOutputs):
     """Outputs of every variant, and signals of sections and valves."""
 
 
@@ -247,7 +247,7 @@ class CompensatedDrive:
         }
 
 
-def section(p: CompensatedBoomStickParameters, axis: str) -> Section:
+def section(p: Parameters, axis: str) -> Section:
     """Parameters of the section of a drive."""
     return Section(
         SectionValve.of(p, "valve"),
@@ -259,9 +259,7 @@ def section(p: CompensatedBoomStickParameters, axis: str) -> Section:
     )
 
 
-def _drives(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> Iterator[CompensatedDrive]:
+def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CompensatedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
     counterbalance = Counterbalance.of(p, "counterbalance")
     relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
@@ -297,25 +295,19 @@ def _drives(
         )
 
 
-def dynamics(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> CompensatedBoomStickState:
+def dynamics(x: State, u: BoomStickInputs, p: Parameters) -> State:
     """Time derivative of the state."""
     boom, stick = (vars(d.rates()) for d in _drives(x, u, p))
-    return CompensatedBoomStickState(**drive.prefixed(boom, stick))
+    return State(**drive.prefixed(boom, stick))
 
 
-def observe(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> CompensatedBoomStickOutputs:
+def observe(x: State, u: BoomStickInputs, p: Parameters) -> Outputs:
     """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
     boom, stick = (d.observe() for d in _drives(x, u, p))
-    return CompensatedBoomStickOutputs(**drive.joint_outputs(boom, stick))
+    return Outputs(**drive.joint_outputs(boom, stick))
 
 
-def initial(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> dict[str, Scalar]:
+def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: chambers in balance with the holding forces, hoses drained by the neutral position."""
     state = drive.holding_pressures(u, p)
     for prefix in (f"{axis}_{side}" for axis in AXES for side in SIDES):
@@ -323,9 +315,7 @@ def initial(
     return state
 
 
-def require(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> dict[str, Scalar]:
+def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Requirements of cylinders, valves, compensators and counterbalance valves."""
     return {
         **compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator")),
@@ -337,10 +327,10 @@ def _subsystem() -> Subsystem:
     sub = Subsystem(
         name="boom_stick",
         text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
-        parameters=CompensatedBoomStickParameters,
-        states=CompensatedBoomStickState,
+        parameters=Parameters,
+        states=State,
         inputs=BoomStickInputs,
-        outputs=CompensatedBoomStickOutputs,
+        outputs=Outputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,

@@ -16,22 +16,38 @@ from fmus.boom_stick.variables import (
     BoomStickInputs,
     BoomStickOutputs,
     OilState,
+    Preload,
     Pressures,
-    QuasistaticBoomStickParameters,
-    QuasistaticBoomStickState,
+    QuasistaticDriveParameters,
 )
-from fmus.components.hose import LumpedHose, VolumeHose
+from fmus.components.chamber import Oil
+from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
 from fmus.components.oil import at_temperature
-from fmus.components.spool_valve import EdgeFlows
-from fmus.contract import Scalar, Subsystem
+from fmus.components.spool_valve import CurvedValve, EdgeFlows
+from fmus.contract import Group, Scalar, Subsystem
 
 
-def _hose(p: QuasistaticBoomStickParameters, prefix: str) -> LumpedHose:
+class Parameters(
+    Oil,
+    Preload,
+    ReferenceHose,
+    valve=CurvedValve,
+    boom=QuasistaticDriveParameters,
+    stick=QuasistaticDriveParameters,
+):
+    """Parameters of the quasistatic drives; values and sources are in parameters.toml."""
+
+
+class State(Group, boom=Pressures, stick=Pressures):
+    """State of the quasistatic drives: pressures."""
+
+
+def _hose(p: Parameters, prefix: str) -> LumpedHose:
     return LumpedHose(**vars(VolumeHose.of(p, prefix)), inertance=0.0)
 
 
 def _evaluated(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
+    x: State, u: BoomStickInputs, p: Parameters
 ) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], AxisInputs]]:
     """For each drive: parameters, pressures with the line flows that follow from them, ports, inputs."""
     result = []
@@ -43,18 +59,14 @@ def _evaluated(
     return result
 
 
-def dynamics(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> QuasistaticBoomStickState:
+def dynamics(x: State, u: BoomStickInputs, p: Parameters) -> State:
     """Time derivative of the state."""
     rates = (drive.pressure_rates(d, oil, inputs) for d, oil, _, inputs in _evaluated(x, u, p))
     boom, stick = ({"head_pressure": head, "rod_pressure": rod} for head, rod in rates)
-    return QuasistaticBoomStickState(**drive.prefixed(boom, stick))
+    return State(**drive.prefixed(boom, stick))
 
 
-def observe(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> BoomStickOutputs:
+def observe(x: State, u: BoomStickInputs, p: Parameters) -> BoomStickOutputs:
     """Outputs; forces depend only on the state, their rates and the flows also on the inputs.
 
     The heat of the edges includes that of the hoses, because the pressures of the ports are those of the
@@ -67,9 +79,7 @@ def observe(
     return BoomStickOutputs(**drive.joint_outputs(boom, stick))
 
 
-def initial(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> dict[str, Scalar]:
+def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: pressures in balance with the holding forces."""
     return drive.holding_pressures(u, p)
 
@@ -78,8 +88,8 @@ BOOM_STICK = at_temperature(
     Subsystem(
         name="boom_stick",
         text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
-        parameters=QuasistaticBoomStickParameters,
-        states=QuasistaticBoomStickState,
+        parameters=Parameters,
+        states=State,
         inputs=BoomStickInputs,
         outputs=BoomStickOutputs,
         dynamics=dynamics,

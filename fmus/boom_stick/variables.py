@@ -39,17 +39,6 @@ class DetailedDriveParameters(Cylinder, hose=(Hose, "{} hose")):
     """Cylinder and hoses of one drive, each hose a line."""
 
 
-class QuasistaticBoomStickParameters(
-    Oil,
-    Preload,
-    ReferenceHose,
-    valve=CurvedValve,
-    boom=QuasistaticDriveParameters,
-    stick=QuasistaticDriveParameters,
-):
-    """Parameters of the quasistatic drives; values and sources are in parameters.toml."""
-
-
 class BoomStickParameters(
     Oil, Preload, ReferenceHose, valve=CurvedValve, boom=LumpedDriveParameters, stick=LumpedDriveParameters
 ):
@@ -68,10 +57,6 @@ class OilState(Pressures):
 
     head_flow: Scalar = Quantity("m3/s", "Flow into the head side of the {} cylinder", 1e-3)
     rod_flow: Scalar = Quantity("m3/s", "Flow into the rod side of the {} cylinder", 1e-3)
-
-
-class QuasistaticBoomStickState(Group, boom=Pressures, stick=Pressures):
-    """State of the quasistatic drives: pressures."""
 
 
 class BoomStickState(Group, boom=OilState, stick=OilState):

@@ -35,7 +35,7 @@ from fmus.swing.variables import (
 )
 
 
-class CompensatedSwingParameters(
+class Parameters(
     DriveParameters,
     ReliefParameters,
     HoseWall,
@@ -62,11 +62,11 @@ class BrakeState(Group):
     swing_brake_applied: Scalar = Quantity("1", "Part of its torque that the swing brake can hold")
 
 
-class CompensatedSwingState(LinePressures, BrakeState):
+class State(LinePressures, BrakeState):
     """State of the compensated drive: pressures at the motor, brake."""
 
 
-class CompensatedSwingOutputs(BrakeState, SwingOutputs):
+class Outputs(BrakeState, SwingOutputs):
     """Outputs of every variant, and signals of section, relief valves and brake."""
 
     swing_meter_in_flow: Scalar = Quantity("m3/s", "Flow of the swing section from the supply line", 1e-3)
@@ -92,7 +92,7 @@ class _Evaluated:
     anti: Pair
 
 
-def section(p: CompensatedSwingParameters) -> Section:
+def section(p: Parameters) -> Section:
     """Parameters of the section."""
     return Section(
         SectionValve.of(p, "valve"),
@@ -105,13 +105,13 @@ def section(p: CompensatedSwingParameters) -> Section:
     )
 
 
-def _release(u: SwingInputs, p: CompensatedSwingParameters) -> Scalar:
+def _release(u: SwingInputs, p: Parameters) -> Scalar:
     """f of the brake."""
     in_use = 1 - section(p).neutral(u.swing_command)
     return Brake.of(p, "brake").released(in_use, u.supply_pressure - u.tank_pressure)
 
 
-def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> _Evaluated:
+def _evaluate(x: State, u: SwingInputs, p: Parameters) -> _Evaluated:
     a, b, tank = x.swing_pressure_a, x.swing_pressure_b, u.tank_pressure
     anti = PressureValve.of(p, "anti_cavitation")
     displaced = drive.displacement(p) * u.swing_speed
@@ -128,12 +128,12 @@ def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParam
     )
 
 
-def _volume(p: CompensatedSwingParameters) -> Scalar:
+def _volume(p: Parameters) -> Scalar:
     """Volume [m3] of a line with its motor side."""
     return hose.area(p.line_bore) * p.line_length + p.motor_volume
 
 
-def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameters) -> CompensatedSwingState:
+def _rates(n: _Evaluated, x: State, p: Parameters) -> State:
     (a, b), volume = n.ports, _volume(p)
     c_a, c_b = (
         p.line_capacitance + volume * chamber.air_compliance(p, pressure)
@@ -141,7 +141,7 @@ def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameter
     )
     net_a = a.edges.line - n.nodes.flow_1 - n.cross + n.anti[0]
     net_b = b.edges.line - n.nodes.flow_2 + n.cross + n.anti[1]
-    return CompensatedSwingState(
+    return State(
         swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c_a),
         swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c_b),
         swing_brake_torque=n.brake.rate,
@@ -149,16 +149,12 @@ def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameter
     )
 
 
-def dynamics(
-    x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters
-) -> CompensatedSwingState:
+def dynamics(x: State, u: SwingInputs, p: Parameters) -> State:
     """Time derivative of the state, field by field."""
     return _rates(_evaluate(x, u, p), x, p)
 
 
-def observe(
-    x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters
-) -> CompensatedSwingOutputs:
+def observe(x: State, u: SwingInputs, p: Parameters) -> Outputs:
     """Outputs; the torque depends only on states."""
     n = _evaluate(x, u, p)
     dx, pressures = _rates(n, x, p), (x.swing_pressure_a, x.swing_pressure_b)
@@ -178,7 +174,7 @@ def observe(
         + _volume(p) * chamber.air_energy_density(p, pressure)
         for pressure in pressures
     )
-    return CompensatedSwingOutputs(
+    return Outputs(
         **outputs,
         stored_energy=compression + n.brake.stored,
         swing_brake_torque=x.swing_brake_torque,
@@ -191,7 +187,7 @@ def observe(
     )
 
 
-def initial(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> dict[str, Scalar]:
+def initial(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, the brake as the command has it, without torque."""
     preload = u.tank_pressure + p.initial_preload
     return {
@@ -202,7 +198,7 @@ def initial(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParamet
     }
 
 
-def require(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> dict[str, Scalar]:
+def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     """Requirements of valve and compensator."""
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
@@ -211,10 +207,10 @@ def _subsystem() -> Subsystem:
     sub = Subsystem(
         name="swing",
         text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
-        parameters=CompensatedSwingParameters,
-        states=CompensatedSwingState,
+        parameters=Parameters,
+        states=State,
         inputs=SwingInputs,
-        outputs=CompensatedSwingOutputs,
+        outputs=Outputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
