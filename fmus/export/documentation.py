@@ -23,8 +23,7 @@ from markupsafe import Markup
 from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
-from fmus.export.ls_ref import PAGE, ls_ref_files
-from fmus.export.model_description import LOG_CATEGORIES, TEMPLATES
+from fmus.export.model_description import LOG_CATEGORIES, PAGE, TEMPLATES, ls_ref_files
 from fmus.package_files import project_file
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.errors import Problem

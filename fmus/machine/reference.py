@@ -34,8 +34,8 @@ from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.controller import CONTROLLER
 from fmus.controller.paths import experiment_inputs
 from fmus.export.interface import interface_of
-from fmus.export.ls_ref import COMMUNICATION_STEP as STEP
-from fmus.export.ls_ref import data_file, reference_parameters
+from fmus.export.model_description import COMMUNICATION_STEP as STEP
+from fmus.export.model_description import data_file, reference_parameters
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import (
     COMMAND_WIRES,

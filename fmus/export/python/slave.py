@@ -33,8 +33,7 @@ from fmus.export.python.subsystem_model import (
     fingerprint,
     import_subsystem,
 )
-from fmus.export.python.user_file import load, message
-from fmus.export.python.user_model import UserModel
+from fmus.export.python.user_model import UserModel, load, message
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 from orchestrator.base.xml import package_version

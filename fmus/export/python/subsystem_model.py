@@ -7,6 +7,8 @@ Also the origin of a subsystem: the name under which an FMU imports it. An origi
 "module:name.key" for an entry of a mapping such as VARIANTS.
 """
 
+from __future__ import annotations
+
 import hashlib
 import importlib
 import sys
@@ -14,7 +16,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -23,6 +25,9 @@ from fmus.contract import Subsystem
 from fmus.export.interface import Interface
 from fmus.solver import Array, InputPolynomials, solve
 from orchestrator.base.errors import Problem
+
+if TYPE_CHECKING:
+    from fmus.export.python.instance import InstanceState
 
 
 class RunnableModel(Protocol):
@@ -47,16 +52,7 @@ class RunnableModel(Protocol):
     def start(self, x: Array, u: Array, p: Array) -> Array: ...
     def rate(self, x: Array, u: Array, p: Array) -> Array: ...
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]: ...
-    def advance(
-        self,
-        x: Array,
-        p: Array,
-        inputs: InputPolynomials,
-        t: float,
-        length: float,
-        tolerance: float,
-        memory: Array,
-    ) -> tuple[Array, Array]: ...
+    def advance(self, s: InstanceState, inputs: InputPolynomials, length: float) -> tuple[Array, Array]: ...
     def forward(
         self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]: ...
@@ -151,21 +147,12 @@ class SubsystemModel:
         y, require = self._observe(x, u, p)
         return y.copy(), require.copy()
 
-    def advance(
-        self,
-        x: Array,
-        p: Array,
-        inputs: InputPolynomials,
-        t: float,
-        length: float,
-        tolerance: float,
-        memory: Array,
-    ) -> tuple[Array, Array]:
+    def advance(self, s: InstanceState, inputs: InputPolynomials, length: float) -> tuple[Array, Array]:
         """See `RunnableModel`."""
-        if not x.size:
-            return x, memory
-        self._p[:] = p
-        return solve(self, x, inputs, length, tolerance, memory)
+        if not s.x.size:
+            return s.x, s.memory
+        self._p[:] = s.p
+        return solve(self, s.x, inputs, length, s.tolerance, s.memory)
 
     def forward(
         self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
