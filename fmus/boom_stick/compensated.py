@@ -22,7 +22,6 @@ open in motion.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from fmus.boom_stick import drive, lumped
@@ -47,7 +46,7 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.components.oil import at_temperature
 from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
-from fmus.contract import Group, Quantity, Scalar, Subsystem, family
+from fmus.contract import Group, Quantity, Scalar, family
 
 
 class AxisParameters(QuasistaticDriveParameters):
@@ -323,25 +322,19 @@ def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     }
 
 
-def _subsystem() -> Subsystem:
-    sub = Subsystem(
-        name="boom_stick",
+_COMPENSATED = at_temperature(
+    drive.variant(
         text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
         parameters=Parameters,
         states=State,
-        inputs=BoomStickInputs,
         outputs=Outputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=require,
         derive=partial(drive.derive, VolumeHose),
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
         " no spool dynamics",
-        terminals=drive.TERMINALS,
     )
-    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=at_temperature(sub))["compensated"]
-
-
-BOOM_STICK = _subsystem()
+)
+BOOM_STICK = family("boom_stick", lumped=lumped.BOOM_STICK, compensated=_COMPENSATED)["compensated"]

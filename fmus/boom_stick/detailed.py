@@ -268,21 +268,17 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         boom, stick = (d.observe() for d in _drives(names, x, u, p))
         return DetailedBoomStickOutputs(**drive.joint_outputs(boom, stick))
 
-    sub = Subsystem(
-        name="boom_stick",
+    sub = drive.variant(
         text="Detailed hydraulic drives of boom and stick: spool dynamics, lines, air, relief valves",
         parameters=DetailedBoomStickParameters,
         states=state,
-        inputs=BoomStickInputs,
         outputs=DetailedBoomStickOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=partial(_initial, names),
         require=drive.require_tables_and_cylinders,
         derive=partial(drive.derive, Hose),
-        values=PARAMETERS,
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
-        terminals=drive.TERMINALS,
     )
     others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}
     return family("boom_stick", **others, detailed=at_temperature(sub))["detailed"]

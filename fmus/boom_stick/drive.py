@@ -17,6 +17,8 @@ Signs: line flows are positive into the cylinder; x from the closed end; x' and 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from fmus import ports
@@ -27,7 +29,7 @@ from fmus.components.hose import Hose, LumpedHose
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Group, Scalar, Terminal
+from fmus.contract import Group, Scalar, Subsystem, Terminal
 from fmus.ports import LineInputs
 
 Pair = tuple[Scalar, Scalar]  # (head side, rod side)
@@ -248,4 +250,13 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.supply_line(),
     ports.return_line(),
     ports.load_sensing_line("boom_stick"),
+)
+
+# a variant with its own equations and groups
+variant = partial(
+    Subsystem,
+    name="boom_stick",
+    inputs=BoomStickInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
 )

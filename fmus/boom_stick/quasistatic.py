@@ -6,7 +6,6 @@ states but follow from the pressures.
 """
 
 from functools import partial
-from pathlib import Path
 
 from fmus.boom_stick import drive
 from fmus.boom_stick.drive import CylinderDrive
@@ -24,7 +23,7 @@ from fmus.components.chamber import Oil
 from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
 from fmus.components.oil import at_temperature
 from fmus.components.spool_valve import CurvedValve, EdgeFlows
-from fmus.contract import Group, Scalar, Subsystem
+from fmus.contract import Group, Scalar
 
 
 class Parameters(
@@ -85,22 +84,18 @@ def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
 
 
 BOOM_STICK = at_temperature(
-    Subsystem(
-        name="boom_stick",
+    drive.variant(
         text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
         parameters=Parameters,
         states=State,
-        inputs=BoomStickInputs,
         outputs=BoomStickOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=drive.require,
         derive=partial(drive.derive, VolumeHose),
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
         " spool faster than the motion",
-        terminals=drive.TERMINALS,
         stiff=False,
     )
 )

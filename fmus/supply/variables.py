@@ -1,11 +1,14 @@
 """Common variables of all variants of the supply: parameters, inputs, outputs; signs as in ideal.py."""
 
+from functools import partial
+from pathlib import Path
+
 import casadi as ca
 
 from fmus import ports
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.load_sensing import LoadPressure, highest, relieved
-from fmus.contract import Group, Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar, Subsystem
 
 CONSUMERS = ("swing", "boom_stick")
 
@@ -105,4 +108,13 @@ TERMINALS = tuple(
     line(name)
     for name in CONSUMERS
     for line in (ports.supply_line_to, ports.return_line_from, ports.load_sensing_line_from)
+)
+
+# a variant with its own equations and groups
+variant = partial(
+    Subsystem,
+    name="supply",
+    inputs=SupplyInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
 )

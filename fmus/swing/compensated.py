@@ -12,7 +12,6 @@ no oil columns. C has elastic walls and the air of `chamber`. The torque depends
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from fmus.components import chamber, hose, motor, orifice
 from fmus.components import pressure_compensator as compensator
@@ -23,7 +22,7 @@ from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
-from fmus.contract import Group, Quantity, Scalar, Subsystem, family, quantities
+from fmus.contract import Group, Quantity, Scalar, family, quantities
 from fmus.swing import drive, lumped
 from fmus.swing.drive import Pair
 from fmus.swing.variables import (
@@ -203,25 +202,19 @@ def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-def _subsystem() -> Subsystem:
-    sub = Subsystem(
-        name="swing",
+_COMPENSATED = at_temperature(
+    drive.variant(
         text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
         parameters=Parameters,
         states=State,
-        inputs=SwingInputs,
         outputs=Outputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=require,
         derive=drive.derive_capacitance,
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
         " no spool dynamics",
-        terminals=drive.TERMINALS,
     )
-    return family("swing", lumped=lumped.SWING, compensated=at_temperature(sub))["compensated"]
-
-
-SWING = _subsystem()
+)
+SWING = family("swing", lumped=lumped.SWING, compensated=_COMPENSATED)["compensated"]

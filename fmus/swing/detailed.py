@@ -194,20 +194,16 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
     )
     names = (a, b)
     state = make_group("DetailedSwingState", dict(_states(names)))
-    sub = Subsystem(
-        name="swing",
+    sub = drive.variant(
         text="Detailed hydraulic swing drive: spool dynamics, lines, motor and gear, air, relief valves",
         parameters=DetailedSwingParameters,
         states=state,
-        inputs=SwingInputs,
         outputs=DetailedSwingOutputs,
         dynamics=lambda x, u, p: state(**_rates(names, x, u, p)),
         observe=lambda x, u, p: _observe(names, x, u, p),
         initial=lambda x, u, p: _initial(names, x, u, p),
         require=drive.require_tables,
-        values=PARAMETERS,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
-        terminals=drive.TERMINALS,
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}
     return family("swing", **others, detailed=at_temperature(sub))["detailed"]

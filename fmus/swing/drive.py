@@ -4,6 +4,8 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 """
 
 import math
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from fmus import ports
@@ -12,7 +14,7 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Scalar, Terminal
+from fmus.contract import Scalar, Subsystem, Terminal
 from fmus.swing.variables import SwingInputs
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
@@ -110,4 +112,13 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.supply_line(),
     ports.return_line(),
     ports.load_sensing_line("swing"),
+)
+
+# a variant with its own equations and groups
+variant = partial(
+    Subsystem,
+    name="swing",
+    inputs=SwingInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
 )

@@ -9,14 +9,12 @@ lumped drive for lines without inertance and without laminar resistance, whose d
 pressures are those of the motor ports. The torque depends only on states.
 """
 
-from pathlib import Path
-
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Scalar, Subsystem
+from fmus.contract import Scalar
 from fmus.swing import drive
 from fmus.swing.variables import LinePressures, QuasistaticSwingParameters, SwingInputs, SwingOutputs
 
@@ -68,21 +66,17 @@ def initial(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> 
 
 
 SWING = at_temperature(
-    Subsystem(
-        name="swing",
+    drive.variant(
         text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
         parameters=QuasistaticSwingParameters,
         states=LinePressures,
-        inputs=SwingInputs,
         outputs=SwingOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=drive.require,
         derive=drive.derive_capacitance,
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
-        terminals=drive.TERMINALS,
         stiff=False,
     )
 )
