@@ -94,22 +94,19 @@ def grip() -> Terminal:
 
 def supply_line() -> Terminal:
     """Supply line at the valves of a drive."""
-    members = (
-        Member("pressure", "supply_pressure"),
-        Member("pressure_rate", "supply_pressure_rate"),
-        Member("flow", "supply_flow", "in"),
-    )
-    return Terminal("supply_line", "line", "Supply line: pressure, and flow into the drive", members)
+    text = "Supply line: pressure, and flow into the drive"
+    return _line("supply_line", text, "supply_pressure", "supply_flow", "in")
 
 
 def return_line() -> Terminal:
     """Return line at the valves of a drive."""
-    members = (
-        Member("pressure", "tank_pressure"),
-        Member("pressure_rate", "tank_pressure_rate"),
-        Member("flow", "return_flow", "out"),
-    )
-    return Terminal("return_line", "line", "Return line: pressure, and flow out of the drive", members)
+    text = "Return line: pressure, and flow out of the drive"
+    return _line("return_line", text, "tank_pressure", "return_flow", "out")
+
+
+def _line(name: str, text: str, pressure: str, flow: str, direction: Literal["in", "out"]) -> Terminal:
+    members = (Member("pressure", pressure), Member("pressure_rate", f"{pressure}_rate"))
+    return Terminal(name, "line", text, (*members, Member("flow", flow, direction)))
 
 
 def _load_sensing_members(drive: str) -> tuple[Member, ...]:
@@ -135,19 +132,11 @@ def load_sensing_line_from(drive: str) -> Terminal:
 
 def supply_line_to(drive: str) -> Terminal:
     """Supply line at the pumps, for one of the drives; connects to `supply_line`."""
-    members = (
-        Member("pressure", "supply_pressure"),
-        Member("pressure_rate", "supply_pressure_rate"),
-        Member("flow", f"supply_flow_{drive}", "out"),
-    )
-    return Terminal(f"supply_line_{drive}", "line", f"Supply line to {drive}", members)
+    text, flow = f"Supply line to {drive}", f"supply_flow_{drive}"
+    return _line(f"supply_line_{drive}", text, "supply_pressure", flow, "out")
 
 
 def return_line_from(drive: str) -> Terminal:
     """Return line at the tank, for one of the drives; connects to `return_line`."""
-    members = (
-        Member("pressure", "tank_pressure"),
-        Member("pressure_rate", "tank_pressure_rate"),
-        Member("flow", f"return_flow_{drive}", "in"),
-    )
-    return Terminal(f"return_line_{drive}", "line", f"Return line from {drive}", members)
+    text, flow = f"Return line from {drive}", f"return_flow_{drive}"
+    return _line(f"return_line_{drive}", text, "tank_pressure", flow, "in")

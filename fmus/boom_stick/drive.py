@@ -103,14 +103,6 @@ def valve_ports(d: CylinderDrive, x: OilState, u: AxisInputs) -> tuple[EdgeFlows
     )
 
 
-def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: AxisInputs) -> tuple[EdgeFlows, EdgeFlows]:
-    """Ports of the valve without line dynamics, from the pressures of the chambers."""
-    return spool_valve.ports_from_pressure(
-        *(d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance),
-        curves=d.curves,
-    )
-
-
 def pressure_rates(d: CylinderDrive, x: OilState, u: AxisInputs) -> Pair:
     """Time derivatives of the pressures [Pa/s]."""
     head, rod = d.cylinder.areas

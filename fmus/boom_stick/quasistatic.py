@@ -19,6 +19,7 @@ from fmus.boom_stick.variables import (
     Pressures,
     QuasistaticDriveParameters,
 )
+from fmus.components import spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
 from fmus.components.oil import at_temperature
@@ -52,7 +53,11 @@ def _evaluated(
     result = []
     for axis, d, inputs in zip(AXES, drive.drives(p, _hose), drive.inputs(u), strict=True):
         pressures = Pressures.of(x, axis)
-        ports = drive.direct_valve_ports(d, (pressures.head_pressure, pressures.rod_pressure), inputs)
+        ports = spool_valve.ports_from_pressure(
+            *(d.valve, inputs.command, pressures.head_pressure, pressures.rod_pressure),
+            *(inputs.supply_pressure, inputs.tank_pressure, d.density, d.hose.resistance),
+            curves=d.curves,
+        )
         oil = OilState(**vars(pressures), head_flow=ports[0].line, rod_flow=ports[1].line)
         result.append((d, oil, ports, inputs))
     return result

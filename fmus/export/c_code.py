@@ -29,16 +29,6 @@ from fmus.export.interface import Interface, Variable
 from orchestrator.base import compiler
 from orchestrator.base.text import rendered
 
-
-@dataclass(frozen=True)
-class Equations:
-    """The C functions of a model, those for adjoint derivatives separately, and lengths of their vectors."""
-
-    routines: Sequence[Routine]
-    adjoint: Sequence[Routine]
-    lengths: Mapping[str, int]
-
-
 # name of a C function -> its outputs, and its inputs except states, inputs and parameters of the model
 _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "model_start": (["x0"], []),
@@ -57,8 +47,8 @@ _ADJOINT: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
 }
 
 
-def model_equations(interface: Interface) -> Equations:
-    """The C functions of native/model.h for a model."""
+def model_equations(interface: Interface) -> tuple[list[Routine], list[Routine], dict[str, int]]:
+    """The C functions of native/model.h, those for adjoint derivatives, and the lengths of vectors."""
     sym = interface.equations
     system = eliminate(without_zero_calls(ca.jacobian(sym.dx, sym.x)))
     # directions v of states, inputs, parameters; time derivatives du of inputs; weights w of results
@@ -72,7 +62,7 @@ def model_equations(interface: Interface) -> Equations:
         "y": interface.y,
         "require": sym.require,
         "delay": sym.next_event,
-        **_directional(sym, interface.y, arguments),
+        **directional(sym, interface.y, arguments),
         **_adjoint(sym, interface.y, arguments),
     }
     values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
@@ -98,7 +88,7 @@ def model_equations(interface: Interface) -> Equations:
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
     ]
     lengths = {"NC": c.numel(), "NZ": observed.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
-    return Equations([*others, *main], adjoint, lengths)
+    return [*others, *main], adjoint, lengths
 
 
 def _split_by_inputs(
@@ -130,7 +120,7 @@ def _sparse_column(entries: ca.SX, rows: Sequence[int], length: int) -> ca.SX:
     return ca.SX(ca.Sparsity(length, 1, [0, len(rows)], list(rows)), entries)
 
 
-def _directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+def directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """Directional derivatives; those at the start (vx0, vdx0, vy0) go through the initial states."""
 
     def along(value: ca.SX, *direction: ca.SX) -> ca.SX:
@@ -240,13 +230,10 @@ def printed_equations(interface: Interface) -> PrintedEquations:
 
 def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
     """The fields of `PrintedEquations` as JSON."""
-    equations = model_equations(interface)
-    model, adjoint = (
-        "\n".join(c_function(r, names) for r in routines)
-        for routines in (equations.routines, equations.adjoint)
-    )
+    *parts, lengths = model_equations(interface)
+    model, adjoint = ("\n".join(c_function(r, names) for r in routines) for routines in parts)
     adjoint = adjoint.replace("LOCAL void", "SHARED void")  # see model.h
-    return json.dumps({"model": model, "adjoint": adjoint, "lengths": equations.lengths}).encode()
+    return json.dumps({"model": model, "adjoint": adjoint, "lengths": lengths}).encode()
 
 
 @cache

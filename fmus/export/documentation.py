@@ -8,9 +8,10 @@ neither JavaScript nor a server.
 import re
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from latex2mathml.converter import convert
 from lxml import etree
@@ -167,38 +168,16 @@ SIDES = {"l": "left", "r": "right"}  # which \\left or \\right a fence needs to 
 # ---- variables -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class DocumentedVariable:
-    """Texts of one variable for the tables.
-
-    direction   "in", "out" or empty
-    value       start value; "calculated" if the model calculates it
-    display_unit, display_value   if tools use another unit than the SI unit for display
-    number      source of the value, if known
-    """
-
-    name: str
-    direction: str
-    description: str
-    unit: str
-    value: str
-    display_unit: str
-    display_value: str
-    bounds: str
-    remarks: Sequence[str]
-    number: Number | None
+Row = dict[str, Any]  # texts of one variable for the tables, by the names that the template uses
 
 
-@dataclass(frozen=True)
-class VariableGroup:
+def _group(title: str, rows: Sequence[Row], terminal: str = "") -> dict[str, Any]:
     """Rows of a table with a heading; `terminal` is the name of a terminal."""
-
-    title: str
-    rows: Sequence[DocumentedVariable]
-    terminal: str = ""
+    return {"title": title, "members": rows, "terminal": terminal}
 
 
-def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
+def _row(v: Variable, sources: Mapping[str, Number]) -> Row:
+    """Texts of a variable; those for display are empty if tools use the SI unit for it."""
     q, number = v.quantity, sources.get(v.name)
     if number is not None and number.value != v.start:
         number = None  # the FMU is built with another value
@@ -210,18 +189,18 @@ def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
         display_unit = pretty(customary[0])
         if v.start is not None:
             display_value = f"{printed(float(f'{v.start * customary[1]:.4g}'))} {display_unit}"
-    return DocumentedVariable(
-        name=v.name,
-        direction="in" if v.kind == "INPUT" else "out" if v.output else "",
-        description=q.text,
-        unit=pretty(q.unit),
-        value=value,
-        display_unit=display_unit,
-        display_value=display_value,
-        bounds=_bounds(q.minimum, q.maximum),
-        remarks=list(_remarks(v)),
-        number=number,
-    )
+    return {
+        "name": v.name,
+        "direction": "in" if v.kind == "INPUT" else "out" if v.output else "",
+        "description": q.text,
+        "unit": pretty(q.unit),
+        "value": value,
+        "display_unit": display_unit,
+        "display_value": display_value,
+        "bounds": _bounds(q.minimum, q.maximum),
+        "remarks": list(_remarks(v)),
+        "number": number,  # source of the value, if known
+    }
 
 
 def _by_list(variables: Sequence[Variable]) -> list[list[Variable]]:
@@ -232,18 +211,17 @@ def _by_list(variables: Sequence[Variable]) -> list[list[Variable]]:
     return list(groups.values())
 
 
-def _list_row(group: Sequence[Variable], rows: Mapping[str, DocumentedVariable]) -> DocumentedVariable:
+def _list_row(group: Sequence[Variable], rows: Mapping[str, Row]) -> Row:
     """One row for the entries of a list, or that of the only variable; zeros at the end are left out."""
     first = rows[group[0].name]
     if len(group) == 1:
         return first
     count = max((i for i, v in enumerate(group, 1) if v.start), default=0)
-    return replace(
-        first,
-        name=f"{group[0].name} to {group[-1].name.rpartition('_')[2]}",
-        description=group[0].quantity.listed,
-        value=", ".join(rows[v.name].value for v in group[:count]) or "0",
-    )
+    return first | {
+        "name": f"{group[0].name} to {group[-1].name.rpartition('_')[2]}",
+        "description": group[0].quantity.listed,
+        "value": ", ".join(rows[v.name]["value"] for v in group[:count]) or "0",
+    }
 
 
 def _remarks(v: Variable) -> Iterable[str]:
@@ -271,16 +249,16 @@ def printed(value: float) -> str:
     return typeset(f"{value:.6g}")
 
 
-def _ports(sub: Subsystem, rows: Mapping[str, DocumentedVariable]) -> list[VariableGroup]:
+def _ports(sub: Subsystem, rows: Mapping[str, Row]) -> list[dict[str, Any]]:
     """Inputs and outputs by terminal, then those without a terminal."""
-    ports = {name: row for name, row in rows.items() if row.direction}
+    ports = {name: row for name, row in rows.items() if row["direction"]}
     groups = []
     for terminal in sub.terminals:
         members = [ports.pop(m.variable) for m in terminal.members if m.variable in ports]
-        groups.append(VariableGroup(terminal.text, members, terminal.name))
+        groups.append(_group(terminal.text, members, terminal.name))
     for direction, title in (("in", "Other inputs"), ("out", "Other outputs")):
-        groups.append(VariableGroup(title, [row for row in ports.values() if row.direction == direction]))
-    return [group for group in groups if group.rows]
+        groups.append(_group(title, [row for row in ports.values() if row["direction"] == direction]))
+    return [group for group in groups if group["members"]]
 
 
 # ---- page ------------------------------------------------------------------------------------------
@@ -292,7 +270,7 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
     has_file = sub.numbers is not None or sub.values is None or sub.values.is_file()
     sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}
     rows = {v.name: _row(v, sources) for v in interface.variables}
-    parameters: dict[str, list[DocumentedVariable]] = {}
+    parameters: dict[str, list[Row]] = {}
     for group in _by_list(interface.parameters):
         parameters.setdefault(group[0].quantity.group, []).append(_list_row(group, rows))
     start = [  # states and inputs whose start value has a source or may be set
@@ -301,7 +279,7 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         if v.start is not None and (v.name in sources or v.kind == "STATE")
     ]
     with_value = [*(rows[v.name] for v in interface.parameters), *start]
-    used_sources = {row.number.source for row in with_value if row.number}
+    used_sources = {row["number"].source for row in with_value if row["number"]}
     return rendered(
         TEMPLATES / "page.html.j2",
         escaped=True,
@@ -318,10 +296,10 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         text=text,
         sections=sections,
         ports=_ports(sub, rows),
-        directions={name: row.direction for name, row in rows.items()},
+        directions={name: row["direction"] for name, row in rows.items()},
         not_zero=[rows[v.name] for v in interface.inputs if v.start],
-        parameters=[VariableGroup(title, group) for title, group in parameters.items()],
-        start=[VariableGroup("", start)] if start else [],
+        parameters=[_group(title, group) for title, group in parameters.items()],
+        start=[_group("", start)] if start else [],
         local_states=[rows[v.name] for v in interface.states if not v.output],
         sources={source: meaning for source, meaning in SOURCES.items() if source in used_sources},
         categories=LOG_CATEGORIES,

@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from fmus.contract import Subsystem
+from fmus.export.c_code import directional
 from fmus.export.interface import Interface
 from fmus.solver import Array, InputPolynomials, solve
 from orchestrator.base.errors import Problem
@@ -64,24 +65,19 @@ class SubsystemFunctions:
     def __init__(self, interface: Interface) -> None:
         self.interface, sym = interface, interface.equations
         arguments = [sym.x, sym.u, sym.p]
-        vp = ca.SX.sym("vp", sym.p.numel())  # v...: seeds of the directional derivatives
-        vu = ca.SX.sym("vu", sym.u.numel())
-        vx = ca.SX.sym("vx", sym.x.numel())
+        like = {"vp": sym.p, "vu": sym.u, "vx": sym.x}
+        v = {name: ca.SX.sym(name, symbol.numel()) for name, symbol in like.items()}
         du = ca.SX.sym("du", sym.u.numel())  # time derivatives of the inputs
-        xu, v_xu = ca.vertcat(sym.x, sym.u), ca.vertcat(vx, vu)
-        xup, v_xup = ca.vertcat(sym.x, sym.u, sym.p), ca.vertcat(vx, vu, vp)
-        vx0 = ca.jtimes(sym.start, xup, v_xup)
-        results = ca.vertcat(sym.dx, interface.y)
+        along = directional(sym, interface.y, v)
         self.rate = _function(arguments, [sym.dx])
         self.linearised = _function(
             [*arguments, du], [sym.dx, ca.jacobian(sym.dx, sym.x), ca.jtimes(sym.dx, sym.u, du)]
         )
         self.start = _function(arguments, [sym.start])
         self.observe = _function(arguments, [interface.y, sym.require])
-        self.forward = _function([*arguments, vp, vu, vx], [vx, ca.jtimes(results, xu, v_xu)])
-        self.start_forward = _function(
-            [*arguments, vp, vu, vx], [vx0, ca.jtimes(results, xup, ca.vertcat(vx0, vu, vp))]
-        )
+        seeded = [*arguments, *v.values()]
+        self.forward = _function(seeded, [v["vx"], ca.vertcat(along["vdx"], along["vy"])])
+        self.start_forward = _function(seeded, [along["vx0"], ca.vertcat(along["vdx0"], along["vy0"])])
 
 
 def _function(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
