@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fmus.boom_stick import drive, lumped
+from fmus.boom_stick import drive
 from fmus.boom_stick.drive import Pair
 from fmus.boom_stick.variables import (
     AXES,
@@ -46,7 +46,7 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.components.oil import at_temperature
 from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
-from fmus.contract import Group, Quantity, Scalar, family
+from fmus.contract import Group, Quantity, Scalar
 
 
 class AxisParameters(QuasistaticDriveParameters):
@@ -322,7 +322,7 @@ def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     }
 
 
-_COMPENSATED = at_temperature(
+BOOM_STICK = at_temperature(
     drive.variant(
         text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
         parameters=Parameters,
@@ -337,4 +337,3 @@ _COMPENSATED = at_temperature(
         " no spool dynamics",
     )
 )
-BOOM_STICK = family("boom_stick", lumped=lumped.BOOM_STICK, compensated=_COMPENSATED)["compensated"]

@@ -22,8 +22,8 @@ from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
-from fmus.contract import Group, Quantity, Scalar, family, quantities
-from fmus.swing import drive, lumped
+from fmus.contract import Group, Quantity, Scalar, quantities
+from fmus.swing import drive
 from fmus.swing.drive import Pair
 from fmus.swing.variables import (
     DriveParameters,
@@ -202,7 +202,7 @@ def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-_COMPENSATED = at_temperature(
+SWING = at_temperature(
     drive.variant(
         text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
         parameters=Parameters,
@@ -217,4 +217,3 @@ _COMPENSATED = at_temperature(
         " no spool dynamics",
     )
 )
-SWING = family("swing", lumped=lumped.SWING, compensated=_COMPENSATED)["compensated"]

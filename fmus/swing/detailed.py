@@ -78,12 +78,6 @@ def _evaluate(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) 
     )
 
 
-def _dead_bands(p: DetailedSwingParameters) -> Pair:
-    """Positions of the spool at which the edges P-A and P-B begin to open."""
-    overlaps, curves = (p.spool_overlap_pa, p.spool_overlap_pb), OpeningCurves.of(p, "valve")
-    return opening_curve.meter_in_dead_bands(curves, *overlaps, p.valve_full_command)
-
-
 def _pressure_rates(n: _Evaluated, p: DetailedSwingParameters) -> Pair:
     nets = (
         n.lines[0].flows[-1] - n.nodes.flow_1 - n.cross + n.anti[0],
@@ -116,9 +110,11 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
     n, swing_line, tank = _evaluate(names, x, u, p), line(p), u.tank_pressure
     (p_a, p_b), flows = n.pressures, (n.lines[0].flows[0], n.lines[1].flows[0])
     rates = _pressure_rates(n, p)
+    bands = opening_curve.meter_in_dead_bands(
+        OpeningCurves.of(p, "valve"), p.spool_overlap_pa, p.spool_overlap_pb, p.valve_full_command
+    )
     load = load_sensing.load_pressure(
-        *(n.spool.position, n.spool.speed),
-        *(_dead_bands(p), 1),
+        *(n.spool.position, n.spool.speed, bands, 1),
         *(n.pressures, rates, (tank, u.tank_pressure_rate)),
     )
     outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, rates, load)

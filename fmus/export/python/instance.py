@@ -161,13 +161,6 @@ def current_derivative(s: InstanceState, rates: Sequence[int], i: int) -> float:
     return float(s.end_derivative[i] if rates[i] < 0 or s.had_derivatives[i] else s.u[rates[i]])
 
 
-def set_input_derivative(s: InstanceState, i: int, order: int, value: float) -> None:
-    """Set a derivative of input i for the next step; orders that are not set are zero."""
-    if not s.has_derivatives[i]:
-        s.input_derivatives[i] = 0.0
-    s.has_derivatives[i], s.input_derivatives[i, order - 1] = True, value
-
-
 # ---- instance ----------------------------------------------------------------------------------------
 
 
@@ -475,7 +468,10 @@ class Instance:
             if not math.isfinite(value):
                 raise Refused(f"the derivative of {v.name} is not a finite number")
         for r, order, value in zip(references, orders, values, strict=True):
-            set_input_derivative(self.state, r - self.ends[0], order, value)
+            i, s = r - self.ends[0], self.state
+            if not s.has_derivatives[i]:  # orders that are not set are zero
+                s.input_derivatives[i] = 0.0
+            s.has_derivatives[i], s.input_derivatives[i, order - 1] = True, value
 
     def directional_derivative(
         self, unknown: Sequence[int], known: Sequence[int], seed: Sequence[float]

@@ -52,7 +52,7 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
         self.built = json.loads((self.folder / MODEL_FILE).read_text(encoding="utf-8"))
         self.guid = self.built["guid"]
         self._check_version()
-        self.instance = i = Instance(self.model(), self.guid, self._warn)
+        self.instance = i = Instance(self.model(), self.guid, lambda text: self.log(text, Fmi2Status.warning))
         # what the library of PythonFMU calls; it also calls do_step and saves and restores states
         self.setup_experiment, self.terminate = i.setup, i.terminate
         self.enter_initialization_mode, self.exit_initialization_mode = i.enter, i.exit
@@ -69,9 +69,6 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
                 f"{name}: built with harvester-cosim {built}, the one in {sys.prefix} is {installed}: "
                 f"install {built}, or build the FMU again"
             )
-
-    def _warn(self, text: str) -> None:
-        self.log(text, Fmi2Status.warning)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """See `Instance.step`; logs a message and returns False if it failed."""
