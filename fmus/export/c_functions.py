@@ -32,13 +32,10 @@ _BINARY = {
     ca.OP_NE: "{} != {}",
     ca.OP_AND: "{} != 0.0 && {} != 0.0",
     ca.OP_OR: "{} != 0.0 || {} != 0.0",
-    ca.OP_FMIN: "fmin({}, {})",
-    ca.OP_FMAX: "fmax({}, {})",
-    ca.OP_FMOD: "fmod({}, {})",
-    ca.OP_REMAINDER: "remainder({}, {})",
-    ca.OP_COPYSIGN: "copysign({}, {})",
-    ca.OP_ATAN2: "atan2({}, {})",
-    ca.OP_HYPOT: "hypot({}, {})",
+    **{
+        getattr(ca, f"OP_{name.upper()}"): f"{name}({{}}, {{}})"
+        for name in ("fmin", "fmax", "fmod", "remainder", "copysign", "atan2", "hypot")
+    },
     ca.OP_IF_ELSE_ZERO: "where({} != 0.0, {})",
 }
 _FUNCTIONS = (

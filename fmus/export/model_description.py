@@ -35,17 +35,16 @@ LOG_CATEGORIES = {
     "logStatusError": "Errors",
     "logAll": "All messages",
 }
+_ONE_PROCESS = {"needsExecutionTool": "false", "canBeInstantiatedOnlyOncePerProcess": "false"}
 _COMMON_2 = {
-    "needsExecutionTool": "false",
-    "canBeInstantiatedOnlyOncePerProcess": "false",
+    **_ONE_PROCESS,
     "canNotUseMemoryManagementFunctions": "true",
     "canGetAndSetFMUstate": "true",
     "canSerializeFMUstate": "true",
     "providesDirectionalDerivative": "true",
 }
 _COMMON_3 = {
-    "needsExecutionTool": "false",
-    "canBeInstantiatedOnlyOncePerProcess": "false",
+    **_ONE_PROCESS,
     "canGetAndSetFMUState": "true",
     "canSerializeFMUState": "true",
     "providesDirectionalDerivatives": "true",

@@ -242,12 +242,7 @@ SIGNALS = (
     *("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
     *(f"manipulator.{joint}_{kind}" for kind in ("angle", "speed") for joint in ("swing", "boom", "stick")),
     *("manipulator.boom_position", "manipulator.stick_position"),
-    *(
-        "manipulator.elbow_radius",
-        "manipulator.elbow_height",
-        "manipulator.tip_radius",
-        "manipulator.tip_height",
-    ),
+    *(f"manipulator.{point}_{axis}" for point in ("elbow", "tip") for axis in ("radius", "height")),
     *("swing.swing_pressure_a", "swing.swing_pressure_b", "swing.swing_flow_a", "swing.swing_flow_b"),
     *(
         f"boom_stick.{a}_{side}_{kind}"

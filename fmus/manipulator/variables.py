@@ -5,6 +5,7 @@ docs/rate-ports.md.
 """
 
 from fmus import ports
+from fmus.components import friction
 from fmus.components.mechanics import Point
 from fmus.contract import Group, Quantity, Scalar
 
@@ -41,17 +42,8 @@ class ArmLink(CylinderMount):
     )
     centre_x: Scalar = Quantity("m", "Centre of mass of the {} from its pivot, along the {}")
     centre_z: Scalar = Quantity("m", "Centre of mass of the {} from its pivot, perpendicular to the {}")
-    joint_damping: Scalar = Quantity(
-        "N.m.s/rad",
-        "Viscous friction coefficient of the {} joint",
-        1e2,
-        minimum=0.0,
-        tunable=True,
-        group="Friction",
-    )
-    piston_damping: Scalar = Quantity(
-        "N.s/m", "Viscous friction coefficient of the {} cylinder's piston", 1e4, minimum=0.0, tunable=True
-    )
+    joint_damping: Scalar = friction.damping("N.m.s/rad", "the {} joint", 1e2, "Friction")
+    piston_damping: Scalar = friction.damping("N.s/m", "the {} cylinder's piston", 1e4)
 
     @property
     def centre(self) -> Point:
@@ -93,14 +85,7 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
     payload_grip_time: Scalar = Quantity(
         "s", "Delay of the mass held behind payload_mass, as two lags in series", 0.1, minimum=1e-3
     )
-    swing_damping: Scalar = Quantity(
-        "N.m.s/rad",
-        "Viscous friction coefficient of the swing gear",
-        1e2,
-        minimum=0.0,
-        tunable=True,
-        group="Friction",
-    )
+    swing_damping: Scalar = friction.damping("N.m.s/rad", "the swing gear", 1e2, "Friction")
     stop_stiffness: Scalar = Quantity(
         "N/m", "Stiffness of the cylinders' end stops", 1e8, minimum=1.0, group="End stops"
     )

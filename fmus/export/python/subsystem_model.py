@@ -69,15 +69,16 @@ class SubsystemFunctions:
         v = {name: ca.SX.sym(name, symbol.numel()) for name, symbol in like.items()}
         du = ca.SX.sym("du", sym.u.numel())  # time derivatives of the inputs
         along = directional(sym, interface.y, v)
-        self.rate = _function(arguments, [sym.dx])
-        self.linearised = _function(
-            [*arguments, du], [sym.dx, ca.jacobian(sym.dx, sym.x), ca.jtimes(sym.dx, sym.u, du)]
-        )
-        self.start = _function(arguments, [sym.start])
-        self.observe = _function(arguments, [interface.y, sym.require])
         seeded = [*arguments, *v.values()]
-        self.forward = _function(seeded, [v["vx"], ca.vertcat(along["vdx"], along["vy"])])
-        self.start_forward = _function(seeded, [along["vx0"], ca.vertcat(along["vdx0"], along["vy0"])])
+        rates = [sym.dx, ca.jacobian(sym.dx, sym.x), ca.jtimes(sym.dx, sym.u, du)]
+        self.functions = {
+            "rate": _function(arguments, [sym.dx]),
+            "linearised": _function([*arguments, du], rates),
+            "start": _function(arguments, [sym.start]),
+            "observe": _function(arguments, [interface.y, sym.require]),
+            "forward": _function(seeded, [v["vx"], ca.vertcat(along["vdx"], along["vy"])]),
+            "start_forward": _function(seeded, [along["vx0"], ca.vertcat(along["vdx0"], along["vy0"])]),
+        }
 
 
 def _function(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
@@ -118,29 +119,24 @@ class SubsystemModel:
         self.absolute = np.array([v.quantity.absolute_scale for v in interface.states])
         self.stiff = interface.stiff
         self._p = np.zeros(len(interface.parameters))
-        self._rate, self._linearised = _BoundFunction(functions.rate), _BoundFunction(functions.linearised)
-        self._start, self._observe = _BoundFunction(functions.start), _BoundFunction(functions.observe)
-        self._forward, self._start_forward = (
-            _BoundFunction(functions.forward),
-            _BoundFunction(functions.start_forward),
-        )
+        self._call = {name: _BoundFunction(function) for name, function in functions.functions.items()}
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
         """See `RunnableModel`."""
-        return self._start(x, u, p)[0].copy()  # type: ignore[no-any-return]
+        return self._call["start"](x, u, p)[0].copy()  # type: ignore[no-any-return]
 
     def rate(self, x: Array, u: Array, p: Array | None = None) -> Array:
         """See `RunnableModel` and `solver.OdeSystem`; the next call overwrites the array."""
-        return self._rate(x, u, self._p if p is None else p)[0]  # type: ignore[no-any-return]
+        return self._call["rate"](x, u, self._p if p is None else p)[0]  # type: ignore[no-any-return]
 
     def linearised(self, x: Array, u: Array, du: Array) -> tuple[Array, Array, Array]:
         """See `solver.OdeSystem`; the next call overwrites the arrays."""
-        f, jacobian, ft = self._linearised(x, u, self._p, du)
+        f, jacobian, ft = self._call["linearised"](x, u, self._p, du)
         return f, jacobian, ft
 
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]:
         """See `RunnableModel`."""
-        y, require = self._observe(x, u, p)
+        y, require = self._call["observe"](x, u, p)
         return y.copy(), require.copy()
 
     def advance(self, s: InstanceState, inputs: InputPolynomials, length: float) -> tuple[Array, Array]:
@@ -154,8 +150,7 @@ class SubsystemModel:
         self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]:
         """See `RunnableModel`."""
-        function = self._start_forward if initial else self._forward
-        vx, results = function(x, u, p, *direction)
+        vx, results = self._call["start_forward" if initial else "forward"](x, u, p, *direction)
         return vx.copy(), results[: x.size].copy(), results[x.size :].copy()
 
 
