@@ -73,26 +73,21 @@ def shaft(axis: str, drives: bool) -> Terminal:
         f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics",
         (
             Member("torque", f"{axis}_torque", _direction(drives)),
-            Member("torque_rate", f"{axis}_torque_rate"),
-            Member("speed", f"{axis}_speed"),
-            Member("acceleration", f"{axis}_acceleration"),
+            *(Member(name, f"{axis}_{name}") for name in ("torque_rate", "speed", "acceleration")),
         ),
     )
 
 
 def rod(axis: str, drives: bool) -> Terminal:
     """Piston rod: force and its rate to the mechanics, piston motion and holding force to the drive."""
+    motion = ("force_rate", "position", "velocity", "acceleration", "holding_force")
     return Terminal(
         f"{axis}_rod",
         "rod",
         f"Rod of the {axis} cylinder: force on the mechanics, motion of the piston",
         (
             Member("force", f"{axis}_force", _direction(drives)),
-            Member("force_rate", f"{axis}_force_rate"),
-            Member("position", f"{axis}_position"),
-            Member("velocity", f"{axis}_velocity"),
-            Member("acceleration", f"{axis}_acceleration"),
-            Member("holding_force", f"{axis}_holding_force"),
+            *(Member(name, f"{axis}_{name}") for name in motion),
         ),
     )
 

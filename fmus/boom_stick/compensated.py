@@ -200,7 +200,7 @@ class CompensatedDrive:
             *(self.u.command, self.u.command_rate),
             *(self.section.dead_bands(), self.section.valve.full_command),
             *(self.x.pair("valve_pressure"), rates.pair("valve_pressure")),
-            (self.u.tank_pressure, self.u.tank_pressure_rate),
+            self.u,
         )
 
     def observe(self) -> dict[str, Any]:

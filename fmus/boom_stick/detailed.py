@@ -119,8 +119,7 @@ class DetailedDrive:
         )
         return load_sensing.load_pressure(
             *(self.x.spool.position, self.x.spool.speed, bands, 1),
-            *(self.x.pressures, self.pressure_rates()),
-            (self.u.tank_pressure, self.u.tank_pressure_rate),
+            *(self.x.pressures, self.pressure_rates(), self.u),
         )
 
     def observe(self) -> dict[str, Any]:

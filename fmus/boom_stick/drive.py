@@ -49,15 +49,9 @@ class CylinderDrive:
 
 def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDrive]:
     """Parameters of boom and stick drive; hose: (parameters, prefix) -> hose."""
+    valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
     boom, stick = (
-        CylinderDrive(
-            Cylinder.of(p, axis),
-            hose(p, f"{axis}_hose"),
-            Valve.of(p, "valve"),
-            OpeningCurves.of(p, "valve"),
-            p.density,
-            p.bulk_modulus,
-        )
+        CylinderDrive(Cylinder.of(p, axis), hose(p, f"{axis}_hose"), valve, curves, p.density, p.bulk_modulus)
         for axis in AXES
     )
     return boom, stick
@@ -170,10 +164,8 @@ def observe(
 def _load_pressure(d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: AxisInputs) -> LoadPressure:
     """Load pressure of the section."""
     bands = opening_curve.meter_in_dead_bands(d.curves, d.valve.dead_band, d.valve.dead_band)
-    curve = (bands, d.valve.full_command)
     return load_sensing.load_pressure(
-        *(u.command, u.command_rate, *curve, pressures, pressure_rates),
-        (u.tank_pressure, u.tank_pressure_rate),
+        u.command, u.command_rate, bands, d.valve.full_command, pressures, pressure_rates, u
     )
 
 

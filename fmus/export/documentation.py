@@ -232,10 +232,9 @@ def _remarks(v: Variable) -> Iterable[str]:
         yield f"changes at the rate {v.quantity.rate} inside a step"
     if v.quantity.optional:
         yield f"without it {v.quantity.optional}"
-    if v.quantity.warn_above is not None:
-        yield f"warning above {printed(v.quantity.warn_above)} {pretty(v.quantity.unit)}"
-    if v.quantity.warn_below is not None:
-        yield f"warning below {printed(v.quantity.warn_below)} {pretty(v.quantity.unit)}"
+    for where, limit in (("above", v.quantity.warn_above), ("below", v.quantity.warn_below)):
+        if limit is not None:
+            yield f"warning {where} {printed(limit)} {pretty(v.quantity.unit)}"
 
 
 def _bounds(low: float | None, high: float | None) -> str:

@@ -191,13 +191,9 @@ def dependencies(interface: Interface) -> Dependencies:
 
     A state depends on itself; ModelStructure contains those that are outputs.
     """
-    sym = interface.equations
-    known = ca.vertcat(sym.x, sym.u)
-    variables = [*interface.states, *interface.inputs]
-    unknown = ca.vertcat(sym.dx, interface.y)
-    table = _dependency_table(
-        [*interface.derivatives, *interface.outputs], unknown, known, variables, interface
-    )
+    sym, rows = interface.equations, [*interface.derivatives, *interface.outputs]
+    unknown, known = ca.vertcat(sym.dx, interface.y), ca.vertcat(sym.x, sym.u)
+    table = _dependency_table(rows, unknown, known, [*interface.states, *interface.inputs], interface)
     for v in interface.states:
         table[v.name] = [(v, "constant")]
     return table
@@ -208,13 +204,10 @@ def initial_dependencies(interface: Interface) -> Dependencies:
 
     Every dependenciesKind is "dependent": of the other kinds, FMI allows only "constant" in InitialUnknowns.
     """
-    sym = interface.equations
-    known = ca.vertcat(sym.p, sym.u, sym.x)
+    sym, rows = interface.equations, [*interface.states, *interface.derivatives, *interface.outputs]
     variables = [*interface.parameters, *interface.inputs, *interface.states]
     at_start = ca.substitute(ca.vertcat(sym.x, sym.dx, interface.y), sym.x, sym.start)
-    return _dependency_table(
-        [*interface.states, *interface.derivatives, *interface.outputs], at_start, known, variables, None
-    )
+    return _dependency_table(rows, at_start, ca.vertcat(sym.p, sym.u, sym.x), variables, None)
 
 
 def _dependency_table(

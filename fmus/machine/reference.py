@@ -201,12 +201,8 @@ def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mappin
 def write_experiments() -> None:
     """Write the experiments of all variants, operator, controller and composed machine."""
     empty, loaded = machine_signals(), machine_signals([STEM])
-    for sub in (
-        *(v for variants in FAMILIES.values() for v in variants.values()),
-        OPERATOR,
-        CONTROLLER,
-        HARVESTER,
-    ):
+    variants = [sub for family in FAMILIES.values() for sub in family.values()]
+    for sub in (*variants, OPERATOR, CONTROLLER, HARVESTER):
         write_reference(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)
 
 

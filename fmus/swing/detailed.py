@@ -115,7 +115,7 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
     )
     load = load_sensing.load_pressure(
         *(n.spool.position, n.spool.speed, bands, 1),
-        *(n.pressures, rates, (tank, u.tank_pressure_rate)),
+        *(n.pressures, rates, u),
     )
     outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, rates, load)
     for side, state, port, pressure in zip(SIDES, n.lines, n.ports, n.pressures, strict=True):

@@ -89,11 +89,9 @@ def load_pressure(
     p: Any, u: SwingInputs, pressures: Pair, rates: Pair, curves: OpeningCurves | None = None
 ) -> LoadPressure:
     """Load pressure of a valve without dynamics; pressures of the lines [Pa] and their rates."""
-    command = (u.swing_command, u.swing_command_rate)
     bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
-    curve = (bands, p.valve_full_command)
-    line = (u.tank_pressure, u.tank_pressure_rate)
-    return load_sensing.load_pressure(*command, *curve, pressures, rates, line)
+    command = (u.swing_command, u.swing_command_rate)
+    return load_sensing.load_pressure(*command, bands, p.valve_full_command, pressures, rates, u)
 
 
 def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:

@@ -48,11 +48,8 @@ def dynamics(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingState:
 
 def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     """Outputs."""
-    dx, pressures, flows = (
-        dynamics(x, u, p),
-        (x.swing_pressure_a, x.swing_pressure_b),
-        (x.swing_flow_a, x.swing_flow_b),
-    )
+    dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
+    flows = (x.swing_flow_a, x.swing_flow_b)
     nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
     line_rates = (dx.swing_pressure_a, dx.swing_pressure_b)
     rates = _motor((*line_rates, u.tank_pressure_rate), u.swing_acceleration, p)

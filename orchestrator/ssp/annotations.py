@@ -113,11 +113,8 @@ class Attribute(NamedTuple):
     read: Callable[[str], Any]
 
 
-_TEXT, _WHOLE, _NUMBER = (
-    Attribute("a text", str),
-    Attribute("a whole number", integer),
-    Attribute("a number", finite),
-)
+_TEXT, _WHOLE = Attribute("a text", str), Attribute("a whole number", integer)
+_NUMBER = Attribute("a number", finite)
 ATTRIBUTES: Mapping[str, Attribute] = {
     "master": _TEXT,
     "step": _NUMBER,

@@ -55,16 +55,14 @@ def _exponent(base: XmlElement, name: str) -> int:
     return int(value)
 
 
-def defined_units(units: Iterable[DeclaredUnit | None]) -> dict[str, dict[str, float]]:
-    """The units that have a definition, by name, with the attributes of BaseUnit."""
+def defined_units(units: Iterable[DeclaredUnit | None]) -> dict[str, dict[str, float | None]]:
+    """The units that have a definition, by name, with the attributes of BaseUnit; None for a default."""
     defined = {u.name: u for u in units if u is not None and u.exponents is not None}
-    return {name: _base_unit(u) for name, u in sorted(defined.items())}
-
-
-def _base_unit(u: DeclaredUnit) -> dict[str, float]:
-    base: dict[str, float] = {b: n for b, n in zip(BASES, u.exponents or (), strict=True) if n}
-    more = (("factor", u.factor, 1.0), ("offset", u.offset, 0.0))
-    return base | {name: value for name, value, default in more if value != default}
+    return {
+        name: {base: float(n) or None for base, n in zip(BASES, u.exponents or (), strict=True)}
+        | {"factor": None if u.factor == 1.0 else u.factor, "offset": u.offset or None}
+        for name, u in sorted(defined.items())
+    }
 
 
 # ---- transformations
