@@ -1,4 +1,4 @@
-"""Terminals of the subsystems: variables of a connection, with the same names on both sides.
+"""Ports of the subsystems: declarations of shared signals, and terminals with the same names on both sides.
 
 drives: True for the terminal of a hydraulic drive, False for that of the mechanics. Force and torque flow out
 of the drive and into the mechanics.
@@ -6,7 +6,59 @@ of the drive and into the mechanics.
 
 from typing import Literal
 
-from fmus.contract import Member, Terminal
+from fmus.contract import Group, Member, Quantity, Scalar, Terminal
+
+# of a drive without the pressure of the line: its compensators hold their setting whatever is left
+NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
+
+
+def rate_input(name: str, unit: str, nominal: float = 1.0) -> Quantity:
+    """Declaration of an input that carries the exact time derivative of another one."""
+    return Quantity(unit, f"Rate port: time derivative of {name}, may stay unconnected", nominal)
+
+
+def rate_output(name: str, unit: str, nominal: float = 1.0) -> Quantity:
+    """Declaration of an output that is the exact time derivative of another one."""
+    return Quantity(unit, f"Rate port: exact time derivative of {name}", nominal)
+
+
+def command(valve: str, meaning: str, rate: str) -> Quantity:
+    """Declaration of the command to a valve as an input; rate: name of its rate input."""
+    text = f"Command to the {valve} valve, positive {meaning}"
+    return Quantity("V", text, 10.0, rate=rate, warn_above=10.0)
+
+
+class Commands(Group):
+    """Commands to the valves."""
+
+    swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
+    boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
+    stick_command: Scalar = Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
+
+
+class CommandOutputs(Commands):
+    """Commands to the valves and their exact time derivatives."""
+
+    swing_command_rate: Scalar = rate_output("swing_command", "V/s", 10.0)
+    boom_command_rate: Scalar = rate_output("boom_command", "V/s", 10.0)
+    stick_command_rate: Scalar = rate_output("stick_command", "V/s", 10.0)
+
+
+class LineInputs(Group):
+    """Pressures of the lines to a drive; the rate inputs are exact time derivatives."""
+
+    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7, rate="supply_pressure_rate")
+    supply_pressure_rate: Scalar = rate_input("supply_pressure", "Pa/s", 1e8)
+    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5, rate="tank_pressure_rate")
+    tank_pressure_rate: Scalar = rate_input("tank_pressure", "Pa/s", 1e7)
+    load_sensing_pressure: Scalar = Quantity(
+        "Pa",
+        "Pressure of the load-sensing line, only used by compensated drives",
+        1e7,
+        rate="load_sensing_pressure_rate",
+        optional=NOT_SHARED,
+    )
+    load_sensing_pressure_rate: Scalar = rate_input("load_sensing_pressure", "Pa/s", 1e8)
 
 
 def _direction(drives: bool) -> Literal["in", "out"]:
@@ -21,26 +73,21 @@ def shaft(axis: str, drives: bool) -> Terminal:
         f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics",
         (
             Member("torque", f"{axis}_torque", _direction(drives)),
-            Member("torque_rate", f"{axis}_torque_rate"),
-            Member("speed", f"{axis}_speed"),
-            Member("acceleration", f"{axis}_acceleration"),
+            *(Member(name, f"{axis}_{name}") for name in ("torque_rate", "speed", "acceleration")),
         ),
     )
 
 
 def rod(axis: str, drives: bool) -> Terminal:
     """Piston rod: force and its rate to the mechanics, piston motion and holding force to the drive."""
+    motion = ("force_rate", "position", "velocity", "acceleration", "holding_force")
     return Terminal(
         f"{axis}_rod",
         "rod",
         f"Rod of the {axis} cylinder: force on the mechanics, motion of the piston",
         (
             Member("force", f"{axis}_force", _direction(drives)),
-            Member("force_rate", f"{axis}_force_rate"),
-            Member("position", f"{axis}_position"),
-            Member("velocity", f"{axis}_velocity"),
-            Member("acceleration", f"{axis}_acceleration"),
-            Member("holding_force", f"{axis}_holding_force"),
+            *(Member(name, f"{axis}_{name}") for name in motion),
         ),
     )
 
@@ -58,22 +105,19 @@ def grip() -> Terminal:
 
 def supply_line() -> Terminal:
     """Supply line at the valves of a drive."""
-    members = (
-        Member("pressure", "supply_pressure"),
-        Member("pressure_rate", "supply_pressure_rate"),
-        Member("flow", "supply_flow", "in"),
-    )
-    return Terminal("supply_line", "line", "Supply line: pressure, and flow into the drive", members)
+    text = "Supply line: pressure, and flow into the drive"
+    return _line("supply_line", text, "supply_pressure", "supply_flow", "in")
 
 
 def return_line() -> Terminal:
     """Return line at the valves of a drive."""
-    members = (
-        Member("pressure", "tank_pressure"),
-        Member("pressure_rate", "tank_pressure_rate"),
-        Member("flow", "return_flow", "out"),
-    )
-    return Terminal("return_line", "line", "Return line: pressure, and flow out of the drive", members)
+    text = "Return line: pressure, and flow out of the drive"
+    return _line("return_line", text, "tank_pressure", "return_flow", "out")
+
+
+def _line(name: str, text: str, pressure: str, flow: str, direction: Literal["in", "out"]) -> Terminal:
+    members = (Member("pressure", pressure), Member("pressure_rate", f"{pressure}_rate"))
+    return Terminal(name, "line", text, (*members, Member("flow", flow, direction)))
 
 
 def _load_sensing_members(drive: str) -> tuple[Member, ...]:
@@ -99,19 +143,11 @@ def load_sensing_line_from(drive: str) -> Terminal:
 
 def supply_line_to(drive: str) -> Terminal:
     """Supply line at the pumps, for one of the drives; connects to `supply_line`."""
-    members = (
-        Member("pressure", "supply_pressure"),
-        Member("pressure_rate", "supply_pressure_rate"),
-        Member("flow", f"supply_flow_{drive}", "out"),
-    )
-    return Terminal(f"supply_line_{drive}", "line", f"Supply line to {drive}", members)
+    text, flow = f"Supply line to {drive}", f"supply_flow_{drive}"
+    return _line(f"supply_line_{drive}", text, "supply_pressure", flow, "out")
 
 
 def return_line_from(drive: str) -> Terminal:
     """Return line at the tank, for one of the drives; connects to `return_line`."""
-    members = (
-        Member("pressure", "tank_pressure"),
-        Member("pressure_rate", "tank_pressure_rate"),
-        Member("flow", f"return_flow_{drive}", "in"),
-    )
-    return Terminal(f"return_line_{drive}", "line", f"Return line from {drive}", members)
+    text, flow = f"Return line from {drive}", f"return_flow_{drive}"
+    return _line(f"return_line_{drive}", text, "tank_pressure", flow, "in")

@@ -22,14 +22,14 @@ open in motion.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from fmus.boom_stick import drive, lumped
-from fmus.boom_stick.drive import DriveInterface, Pair
+from fmus.boom_stick import drive
+from fmus.boom_stick.drive import Pair
 from fmus.boom_stick.variables import (
     AXES,
     SIDES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickOutputs,
     Preload,
@@ -46,7 +46,7 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.components.oil import at_temperature
 from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
-from fmus.contract import Group, Quantity, Scalar, Subsystem, family
+from fmus.contract import Group, Quantity, Scalar
 
 
 class AxisParameters(QuasistaticDriveParameters):
@@ -69,7 +69,7 @@ class AxisParameters(QuasistaticDriveParameters):
     )
 
 
-class CompensatedBoomStickParameters(
+class Parameters(
     AeratedOil,
     Preload,
     ReferenceHose,
@@ -110,7 +110,7 @@ class AxisState(Pressures, Lines):
         return getattr(self, f"head_{name}"), getattr(self, f"rod_{name}")
 
 
-class CompensatedBoomStickState(Group, boom=AxisState, stick=AxisState):
+class State(Group, boom=AxisState, stick=AxisState):
     """State of both drives."""
 
 
@@ -126,7 +126,7 @@ class AxisOutputs(Lines):
     anti_cavitation_flow: Scalar = Quantity("m3/s", "Flow of both anti-cavitation valves of the {}", 1e-3)
 
 
-class CompensatedBoomStickOutputs(BoomStickOutputs, boom=AxisOutputs, stick=AxisOutputs):
+class Outputs(BoomStickOutputs, boom=AxisOutputs, stick=AxisOutputs):
     """Outputs of every variant, and signals of sections and valves."""
 
 
@@ -161,7 +161,7 @@ class CompensatedDrive:
     counterbalance: Counterbalance
     oil: AeratedOil
     x: AxisState
-    u: DriveInterface
+    u: AxisInputs
     sides: tuple[Side, Side]
 
     @property
@@ -200,7 +200,7 @@ class CompensatedDrive:
             *(self.u.command, self.u.command_rate),
             *(self.section.dead_bands(), self.section.valve.full_command),
             *(self.x.pair("valve_pressure"), rates.pair("valve_pressure")),
-            (self.u.tank_pressure, self.u.tank_pressure_rate),
+            self.u,
         )
 
     def observe(self) -> dict[str, Any]:
@@ -246,7 +246,7 @@ class CompensatedDrive:
         }
 
 
-def section(p: CompensatedBoomStickParameters, axis: str) -> Section:
+def section(p: Parameters, axis: str) -> Section:
     """Parameters of the section of a drive."""
     return Section(
         SectionValve.of(p, "valve"),
@@ -258,13 +258,11 @@ def section(p: CompensatedBoomStickParameters, axis: str) -> Section:
     )
 
 
-def _drives(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> Iterator[CompensatedDrive]:
+def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CompensatedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
     counterbalance = Counterbalance.of(p, "counterbalance")
     relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
-    for axis, inputs in zip(AXES, drive.interfaces(u), strict=True):
+    for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
         state, line, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
         tank = inputs.tank_pressure
         around = Restriction(
@@ -296,25 +294,19 @@ def _drives(
         )
 
 
-def dynamics(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> CompensatedBoomStickState:
+def dynamics(x: State, u: BoomStickInputs, p: Parameters) -> State:
     """Time derivative of the state."""
     boom, stick = (vars(d.rates()) for d in _drives(x, u, p))
-    return CompensatedBoomStickState(**drive.prefixed(boom, stick))
+    return State(**drive.prefixed(boom, stick))
 
 
-def observe(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> CompensatedBoomStickOutputs:
+def observe(x: State, u: BoomStickInputs, p: Parameters) -> Outputs:
     """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
     boom, stick = (d.observe() for d in _drives(x, u, p))
-    return CompensatedBoomStickOutputs(**drive.joint_outputs(boom, stick))
+    return Outputs(**drive.joint_outputs(boom, stick))
 
 
-def initial(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> dict[str, Scalar]:
+def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: chambers in balance with the holding forces, hoses drained by the neutral position."""
     state = drive.holding_pressures(u, p)
     for prefix in (f"{axis}_{side}" for axis in AXES for side in SIDES):
@@ -322,9 +314,7 @@ def initial(
     return state
 
 
-def require(
-    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
-) -> dict[str, Scalar]:
+def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Requirements of cylinders, valves, compensators and counterbalance valves."""
     return {
         **compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator")),
@@ -332,25 +322,18 @@ def require(
     }
 
 
-def _subsystem() -> Subsystem:
-    sub = Subsystem(
-        name="boom_stick",
+BOOM_STICK = at_temperature(
+    drive.variant(
         text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
-        parameters=CompensatedBoomStickParameters,
-        states=CompensatedBoomStickState,
-        inputs=BoomStickInputs,
-        outputs=CompensatedBoomStickOutputs,
+        parameters=Parameters,
+        states=State,
+        outputs=Outputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=require,
         derive=partial(drive.derive, VolumeHose),
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
         " no spool dynamics",
-        terminals=drive.TERMINALS,
     )
-    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=at_temperature(sub))["compensated"]
-
-
-BOOM_STICK = _subsystem()
+)

@@ -20,10 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from fmus.boom_stick import compensated, drive, lumped
-from fmus.boom_stick.drive import DriveInterface, Pair
+from fmus.boom_stick.drive import Pair
 from fmus.boom_stick.variables import (
     AXES,
     SIDES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickState,
     DetailedBoomStickOutputs,
@@ -75,7 +76,7 @@ class DetailedDrive:
     curves: OpeningCurves
     full_command: Scalar
     x: DriveState
-    u: DriveInterface
+    u: AxisInputs
     ports: tuple[EdgeFlows, EdgeFlows]
     relief: Pair
     anti_cavitation: Pair
@@ -118,8 +119,7 @@ class DetailedDrive:
         )
         return load_sensing.load_pressure(
             *(self.x.spool.position, self.x.spool.speed, bands, 1),
-            *(self.x.pressures, self.pressure_rates()),
-            (self.u.tank_pressure, self.u.tank_pressure_rate),
+            *(self.x.pressures, self.pressure_rates(), self.u),
         )
 
     def observe(self) -> dict[str, Any]:
@@ -173,7 +173,7 @@ def _drives(
     """Boom and stick drive from the variables of the subsystem."""
     edges, spool, curves = Edges.of(p, "valve"), Spool.of(p, "spool"), OpeningCurves.of(p, "valve")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
-    for (axis, n), inputs in zip(names.items(), drive.interfaces(u), strict=True):
+    for (axis, n), inputs in zip(names.items(), drive.inputs(u), strict=True):
         head, rod = (line_names.apply(partial(getattr, x)) for line_names in n.lines)
         state = DriveState(
             SpoolState(getattr(x, n.spool.position), getattr(x, n.spool.speed)),
@@ -267,21 +267,17 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         boom, stick = (d.observe() for d in _drives(names, x, u, p))
         return DetailedBoomStickOutputs(**drive.joint_outputs(boom, stick))
 
-    sub = Subsystem(
-        name="boom_stick",
+    sub = drive.variant(
         text="Detailed hydraulic drives of boom and stick: spool dynamics, lines, air, relief valves",
         parameters=DetailedBoomStickParameters,
         states=state,
-        inputs=BoomStickInputs,
         outputs=DetailedBoomStickOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=partial(_initial, names),
         require=drive.require_tables_and_cylinders,
         derive=partial(drive.derive, Hose),
-        values=PARAMETERS,
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
-        terminals=drive.TERMINALS,
     )
     others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}
     return family("boom_stick", **others, detailed=at_temperature(sub))["detailed"]

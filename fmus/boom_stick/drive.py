@@ -15,19 +15,22 @@ Signs: line flows are positive into the cylinder; x from the closed end; x' and 
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from fmus import ports
-from fmus.boom_stick.variables import AXES, BoomStickInputs, OilState
+from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveInputs, OilState
 from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Group, Scalar, Terminal
+from fmus.contract import Group, Scalar, Subsystem, Terminal
+from fmus.ports import LineInputs
 
 Pair = tuple[Scalar, Scalar]  # (head side, rod side)
 
@@ -44,50 +47,20 @@ class CylinderDrive:
     bulk_modulus: Scalar
 
 
-@dataclass(frozen=True)
-class DriveInterface:
-    """Inputs of a drive.
-
-    Command [V] and its rate, supply and tank pressure [Pa], rate of the latter, piston position [m] and
-    velocity [m/s].
-    """
-
-    command: Scalar
-    command_rate: Scalar
-    supply_pressure: Scalar
-    tank_pressure: Scalar
-    tank_pressure_rate: Scalar
-    position: Scalar
-    velocity: Scalar
-
-
 def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDrive]:
     """Parameters of boom and stick drive; hose: (parameters, prefix) -> hose."""
+    valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
     boom, stick = (
-        CylinderDrive(
-            Cylinder.of(p, axis),
-            hose(p, f"{axis}_hose"),
-            Valve.of(p, "valve"),
-            OpeningCurves.of(p, "valve"),
-            p.density,
-            p.bulk_modulus,
-        )
+        CylinderDrive(Cylinder.of(p, axis), hose(p, f"{axis}_hose"), valve, curves, p.density, p.bulk_modulus)
         for axis in AXES
     )
     return boom, stick
 
 
-def interfaces(u: BoomStickInputs) -> tuple[DriveInterface, DriveInterface]:
+def inputs(u: BoomStickInputs) -> Iterator[AxisInputs]:
     """Inputs of the boom drive and of the stick drive."""
-    line_pressures = (u.supply_pressure, u.tank_pressure, u.tank_pressure_rate)
-    return (
-        DriveInterface(
-            u.boom_command, u.boom_command_rate, *line_pressures, u.boom_position, u.boom_velocity
-        ),
-        DriveInterface(
-            u.stick_command, u.stick_command_rate, *line_pressures, u.stick_position, u.stick_velocity
-        ),
-    )
+    for axis in AXES:
+        yield AxisInputs(**vars(DriveInputs.of(u, axis)), **vars(LineInputs.of(u)))
 
 
 def derive(hose_group: type[Hose], p: Any) -> dict[str, Scalar]:
@@ -116,7 +89,7 @@ def capacitances(d: CylinderDrive, position: Scalar) -> Pair:
     )
 
 
-def valve_ports(d: CylinderDrive, x: OilState, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
+def valve_ports(d: CylinderDrive, x: OilState, u: AxisInputs) -> tuple[EdgeFlows, EdgeFlows]:
     """Ports of the valve: A at the head side, B at the rod side."""
     return spool_valve.ports_from_flow(
         *(d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density),
@@ -124,15 +97,7 @@ def valve_ports(d: CylinderDrive, x: OilState, u: DriveInterface) -> tuple[EdgeF
     )
 
 
-def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
-    """Ports of the valve without line dynamics, from the pressures of the chambers."""
-    return spool_valve.ports_from_pressure(
-        *(d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance),
-        curves=d.curves,
-    )
-
-
-def pressure_rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> Pair:
+def pressure_rates(d: CylinderDrive, x: OilState, u: AxisInputs) -> Pair:
     """Time derivatives of the pressures [Pa/s]."""
     head, rod = d.cylinder.areas
     c_head, c_rod = capacitances(d, u.position)
@@ -142,7 +107,7 @@ def pressure_rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> Pair:
     )
 
 
-def rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> OilState:
+def rates(d: CylinderDrive, x: OilState, u: AxisInputs) -> OilState:
     """Time derivative of the state."""
     port_a, port_b = valve_ports(d, x, u)
     head, rod = pressure_rates(d, x, u)
@@ -168,7 +133,7 @@ def observe(
     x: OilState,
     pressure_rates: Pair,
     ports: Iterable[EdgeFlows],
-    u: DriveInterface,
+    u: AxisInputs,
     hose_heat: Scalar,
 ) -> dict[str, Any]:
     """Outputs of one drive by name without prefix, for `joint_outputs`.
@@ -196,15 +161,11 @@ def observe(
     }
 
 
-def _load_pressure(
-    d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: DriveInterface
-) -> LoadPressure:
+def _load_pressure(d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: AxisInputs) -> LoadPressure:
     """Load pressure of the section."""
     bands = opening_curve.meter_in_dead_bands(d.curves, d.valve.dead_band, d.valve.dead_band)
-    curve = (bands, d.valve.full_command)
     return load_sensing.load_pressure(
-        *(u.command, u.command_rate, *curve, pressures, pressure_rates),
-        (u.tank_pressure, u.tank_pressure_rate),
+        u.command, u.command_rate, bands, d.valve.full_command, pressures, pressure_rates, u
     )
 
 
@@ -273,4 +234,13 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.supply_line(),
     ports.return_line(),
     ports.load_sensing_line("boom_stick"),
+)
+
+# a variant with its own equations and groups
+variant = partial(
+    Subsystem,
+    name="boom_stick",
+    inputs=BoomStickInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
 )

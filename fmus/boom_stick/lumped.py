@@ -5,7 +5,6 @@ and the oil in common and are otherwise independent.
 """
 
 from functools import partial
-from pathlib import Path
 
 from fmus.boom_stick import drive
 from fmus.boom_stick.variables import (
@@ -18,13 +17,13 @@ from fmus.boom_stick.variables import (
 )
 from fmus.components.hose import LumpedHose
 from fmus.components.oil import at_temperature
-from fmus.contract import Scalar, Subsystem, quantities
+from fmus.contract import Scalar, quantities
 
 
 def dynamics(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> BoomStickState:
     """Time derivative of the state."""
     states = (OilState.of(x, axis) for axis in AXES)
-    boom, stick = map(drive.rates, drive.drives(p), states, drive.interfaces(u))
+    boom, stick = map(drive.rates, drive.drives(p), states, drive.inputs(u))
     return BoomStickState(**drive.prefixed(vars(boom), vars(stick)))
 
 
@@ -40,7 +39,7 @@ def observe(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> Bo
             drive.hose_heat(d, oil),
         )
         for d, oil, inputs in zip(
-            drive.drives(p), (OilState.of(x, axis) for axis in AXES), drive.interfaces(u), strict=True
+            drive.drives(p), (OilState.of(x, axis) for axis in AXES), drive.inputs(u), strict=True
         )
     )
     return BoomStickOutputs(**drive.joint_outputs(boom, stick))
@@ -52,20 +51,16 @@ def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> di
 
 
 BOOM_STICK = at_temperature(
-    Subsystem(
-        name="boom_stick",
+    drive.variant(
         text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
         parameters=BoomStickParameters,
         states=BoomStickState,
-        inputs=BoomStickInputs,
         outputs=BoomStickOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=drive.require,
         derive=partial(drive.derive, LumpedHose),
-        values=Path(__file__).with_name("parameters.toml"),
         validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
-        terminals=drive.TERMINALS,
     )
 )

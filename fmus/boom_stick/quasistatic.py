@@ -6,54 +6,71 @@ states but follow from the pressures.
 """
 
 from functools import partial
-from pathlib import Path
 
 from fmus.boom_stick import drive
-from fmus.boom_stick.drive import CylinderDrive, DriveInterface
+from fmus.boom_stick.drive import CylinderDrive
 from fmus.boom_stick.variables import (
     AXES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickOutputs,
     OilState,
+    Preload,
     Pressures,
-    QuasistaticBoomStickParameters,
-    QuasistaticBoomStickState,
+    QuasistaticDriveParameters,
 )
-from fmus.components.hose import LumpedHose, VolumeHose
+from fmus.components import spool_valve
+from fmus.components.chamber import Oil
+from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
 from fmus.components.oil import at_temperature
-from fmus.components.spool_valve import EdgeFlows
-from fmus.contract import Scalar, Subsystem
+from fmus.components.spool_valve import CurvedValve, EdgeFlows
+from fmus.contract import Group, Scalar
 
 
-def _hose(p: QuasistaticBoomStickParameters, prefix: str) -> LumpedHose:
+class Parameters(
+    Oil,
+    Preload,
+    ReferenceHose,
+    valve=CurvedValve,
+    boom=QuasistaticDriveParameters,
+    stick=QuasistaticDriveParameters,
+):
+    """Parameters of the quasistatic drives; values and sources are in parameters.toml."""
+
+
+class State(Group, boom=Pressures, stick=Pressures):
+    """State of the quasistatic drives: pressures."""
+
+
+def _hose(p: Parameters, prefix: str) -> LumpedHose:
     return LumpedHose(**vars(VolumeHose.of(p, prefix)), inertance=0.0)
 
 
 def _evaluated(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], DriveInterface]]:
+    x: State, u: BoomStickInputs, p: Parameters
+) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], AxisInputs]]:
     """For each drive: parameters, pressures with the line flows that follow from them, ports, inputs."""
     result = []
-    for axis, d, inputs in zip(AXES, drive.drives(p, _hose), drive.interfaces(u), strict=True):
+    for axis, d, inputs in zip(AXES, drive.drives(p, _hose), drive.inputs(u), strict=True):
         pressures = Pressures.of(x, axis)
-        ports = drive.direct_valve_ports(d, (pressures.head_pressure, pressures.rod_pressure), inputs)
+        ports = spool_valve.ports_from_pressure(
+            *(d.valve, inputs.command, pressures.head_pressure, pressures.rod_pressure),
+            *(inputs.supply_pressure, inputs.tank_pressure, d.density, d.hose.resistance),
+            curves=d.curves,
+        )
         oil = OilState(**vars(pressures), head_flow=ports[0].line, rod_flow=ports[1].line)
         result.append((d, oil, ports, inputs))
     return result
 
 
-def dynamics(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> QuasistaticBoomStickState:
+def dynamics(x: State, u: BoomStickInputs, p: Parameters) -> State:
     """Time derivative of the state."""
     rates = (drive.pressure_rates(d, oil, inputs) for d, oil, _, inputs in _evaluated(x, u, p))
     boom, stick = ({"head_pressure": head, "rod_pressure": rod} for head, rod in rates)
-    return QuasistaticBoomStickState(**drive.prefixed(boom, stick))
+    return State(**drive.prefixed(boom, stick))
 
 
-def observe(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> BoomStickOutputs:
+def observe(x: State, u: BoomStickInputs, p: Parameters) -> BoomStickOutputs:
     """Outputs; forces depend only on the state, their rates and the flows also on the inputs.
 
     The heat of the edges includes that of the hoses, because the pressures of the ports are those of the
@@ -66,30 +83,24 @@ def observe(
     return BoomStickOutputs(**drive.joint_outputs(boom, stick))
 
 
-def initial(
-    x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> dict[str, Scalar]:
+def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: pressures in balance with the holding forces."""
     return drive.holding_pressures(u, p)
 
 
 BOOM_STICK = at_temperature(
-    Subsystem(
-        name="boom_stick",
+    drive.variant(
         text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
-        parameters=QuasistaticBoomStickParameters,
-        states=QuasistaticBoomStickState,
-        inputs=BoomStickInputs,
+        parameters=Parameters,
+        states=State,
         outputs=BoomStickOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=drive.require,
         derive=partial(drive.derive, VolumeHose),
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
         " spool faster than the motion",
-        terminals=drive.TERMINALS,
         stiff=False,
     )
 )

@@ -4,15 +4,16 @@ Signs: flows are positive into the cylinder; positions are measured from the clo
 are positive if they extend the rod; a positive command extends the rod.
 """
 
+from fmus import ports
 from fmus.components import chamber, spool_valve
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, HoseWall, LumpedHose, ReferenceHose, VolumeHose
-from fmus.components.load_sensing import NOT_SHARED
 from fmus.components.oil import OilTemperature
 from fmus.components.orifice import ReliefParameters
 from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
+from fmus.ports import LineInputs
 
 AXES = ("boom", "stick")
 SIDES = ("head", "rod")
@@ -38,17 +39,6 @@ class DetailedDriveParameters(Cylinder, hose=(Hose, "{} hose")):
     """Cylinder and hoses of one drive, each hose a line."""
 
 
-class QuasistaticBoomStickParameters(
-    Oil,
-    Preload,
-    ReferenceHose,
-    valve=CurvedValve,
-    boom=QuasistaticDriveParameters,
-    stick=QuasistaticDriveParameters,
-):
-    """Parameters of the quasistatic drives; values and sources are in parameters.toml."""
-
-
 class BoomStickParameters(
     Oil, Preload, ReferenceHose, valve=CurvedValve, boom=LumpedDriveParameters, stick=LumpedDriveParameters
 ):
@@ -69,10 +59,6 @@ class OilState(Pressures):
     rod_flow: Scalar = Quantity("m3/s", "Flow into the rod side of the {} cylinder", 1e-3)
 
 
-class QuasistaticBoomStickState(Group, boom=Pressures, stick=Pressures):
-    """State of the quasistatic drives: pressures."""
-
-
 class BoomStickState(Group, boom=OilState, stick=OilState):
     """State of the lumped drives: pressures and line flows, which are outputs of every variant."""
 
@@ -80,64 +66,38 @@ class BoomStickState(Group, boom=OilState, stick=OilState):
 class DriveInputs(Group):
     """Command and motion of the piston of one drive; the rate inputs carry exact time derivatives."""
 
-    command: Scalar = Quantity(
-        "V", "Command to the {} valve, positive extends the rod", 10.0, rate="command_rate", warn_above=10.0
-    )
-    command_rate: Scalar = Quantity(
-        "V/s", "Rate port: time derivative of {}_command, may stay unconnected", 10.0
-    )
+    command: Scalar = ports.command("{}", "extends the rod", "command_rate")
+    command_rate: Scalar = ports.rate_input("{}_command", "V/s", 10.0)
     position: Scalar = Quantity(
         "m", "Piston position of the {} cylinder from its closed end", rate="velocity"
     )
     velocity: Scalar = Quantity("m/s", "Piston velocity of the {} cylinder", 0.1, rate="acceleration")
-    acceleration: Scalar = Quantity("m/s2", "Rate port: time derivative of {}_velocity, may stay unconnected")
+    acceleration: Scalar = ports.rate_input("{}_velocity", "m/s2")
     holding_force: Scalar = Quantity(
         "N", "Force that holds the {} at the start; only used for initialisation", 1e5
     )
 
 
-class BoomStickInputs(Group, boom=DriveInputs, stick=DriveInputs):
+class AxisInputs(LineInputs, DriveInputs):
+    """All inputs of one drive."""
+
+
+class _BothDriveInputs(Group, boom=DriveInputs, stick=DriveInputs):
+    """Inputs of both drives."""
+
+
+class BoomStickInputs(LineInputs, _BothDriveInputs):
     """Commands, motion of the pistons, and supply."""
 
-    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7, rate="supply_pressure_rate")
-    supply_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8
-    )
-    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5, rate="tank_pressure_rate")
-    tank_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: time derivative of tank_pressure, may stay unconnected", 1e7
-    )
-    load_sensing_pressure: Scalar = Quantity(
-        "Pa",
-        "Pressure of the load-sensing line, only used by compensated drives",
-        1e7,
-        rate="load_sensing_pressure_rate",
-        optional=NOT_SHARED,
-    )
-    load_sensing_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: time derivative of load_sensing_pressure, may stay unconnected", 1e8
-    )
-    boom_command: Scalar = Quantity(
-        "V",
-        "Command to the boom valve, positive raises the boom",
-        10.0,
-        rate="boom_command_rate",
-        warn_above=10.0,
-    )
-    stick_command: Scalar = Quantity(
-        "V",
-        "Command to the stick valve, positive folds the stick in",
-        10.0,
-        rate="stick_command_rate",
-        warn_above=10.0,
-    )
+    boom_command: Scalar = ports.command("boom", "raises the boom", "boom_command_rate")
+    stick_command: Scalar = ports.command("stick", "folds the stick in", "stick_command_rate")
 
 
 class DriveOutputs(Group):
     """Force and its rate (to the mechanics), and monitoring outputs."""
 
     force: Scalar = Quantity("N", "Hydraulic force of the {} cylinder", 1e5)
-    force_rate: Scalar = Quantity("N/s", "Rate port: exact time derivative of {}_force", 1e6)
+    force_rate: Scalar = ports.rate_output("{}_force", "N/s", 1e6)
     void_volume: Scalar = chamber.cavity("the {} cylinder")
 
 
@@ -149,9 +109,7 @@ class BoomStickOutputs(BoomStickState, boom=DriveOutputs, stick=DriveOutputs):
     boom_stick_load_pressure: Scalar = Quantity(
         "Pa", "Higher load pressure of boom and stick, to the load-sensing line", 1e7
     )
-    boom_stick_load_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: exact time derivative of boom_stick_load_pressure", 1e8
-    )
+    boom_stick_load_pressure_rate: Scalar = ports.rate_output("boom_stick_load_pressure", "Pa/s", 1e8)
     stored_energy: Scalar = Quantity("J", "Energy of oil compression and of the moving oil columns", 1e3)
     dissipated_power: Scalar = Quantity("W", "Power dissipated by metering edges and hoses", 1e4)
     convected_power: Scalar = Quantity(

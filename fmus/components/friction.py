@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fmus.contract import Scalar
+from fmus.contract import Quantity, Scalar
 
 CREEP = 1e-3  # c, speed at which |v| is rounded over the Stribeck speed
 
@@ -60,6 +60,12 @@ class Resistance:
     heat: Scalar
     stored: Scalar = 0
     deflection_rate: Scalar = 0
+
+
+def damping(unit: str, contact: str, nominal: float = 1.0, group: str = "") -> Quantity:
+    """Declaration of the viscous friction coefficient of a contact."""
+    text = f"Viscous friction coefficient of {contact}"
+    return Quantity(unit, text, nominal, minimum=0.0, tunable=True, group=group)
 
 
 def viscous(v: Scalar, damping: Scalar) -> Resistance:

@@ -379,17 +379,16 @@ def _angle(error: float) -> float:
 
 
 def state_quantities(
-    names: LineState, line: str, first: Quantity | None = None, last: Quantity | None = None
+    names: LineState, line: str, first: Quantity, last: Quantity
 ) -> Iterator[tuple[str, Quantity]]:
     """(name, declaration) of the states of a line.
 
     line          the line in descriptions: "swing line A"
-    first, last   declarations of the flows at its ends, if other than the default
+    first, last   declarations of the flows at its ends
     """
     inner = (f"Flow from lump {k} to {k + 1} of {line}" for k in range(1, len(names.pressures)))
     middle = [Quantity("m3/s", text, 1e-3) for text in inner]
-    ends = (Quantity("m3/s", f"Flow into {line}", 1e-3), Quantity("m3/s", f"Flow out of {line}", 1e-3))
-    yield from zip(names.flows, (first or ends[0], *middle, last or ends[1]), strict=True)
+    yield from zip(names.flows, (first, *middle, last), strict=True)
     for k, name in enumerate(names.pressures, 1):
         yield name, chamber.pressure(f"Pressure of lump {k} of {line}")
     for k, layers in enumerate(names.layers):

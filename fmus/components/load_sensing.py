@@ -26,6 +26,7 @@ Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
@@ -33,8 +34,6 @@ from fmus.components.smooth import lowest, ramp, s_curve
 from fmus.contract import Scalar
 
 SHUTTLE_ROUNDING = 5e4  # W [Pa]: at most 0.05 bar above the higher pressure
-# of a drive without the pressure of the line: its compensators hold their setting whatever is left
-NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
 LEAST_DEAD_BAND = 1e-3  # of full command; keeps w defined for a valve without dead band
 
 
@@ -61,7 +60,7 @@ def load_pressure(
     full: Scalar,
     pressures: tuple[Scalar, Scalar],
     pressure_rates: tuple[Scalar, Scalar],
-    line: tuple[Scalar, Scalar],
+    u: Any,
 ) -> LoadPressure:
     """Load pressure of a section.
 
@@ -69,9 +68,9 @@ def load_pressure(
     dead_bands    of the edges P-A and P-B, in the unit of the command
     full          command at which the valve is fully open
     pressures     of the chambers at A and B [Pa], and their rates [Pa/s]
-    line          pressure of the return line [Pa] and its rate [Pa/s]
+    u             inputs with the pressure of the return line [Pa] and its rate [Pa/s]
     """
-    tank, tank_rate = line
+    tank, tank_rate = u.tank_pressure, u.tank_pressure_rate
     value, rate = tank, tank_rate
     for sign, d, p, p_rate in zip((1, -1), dead_bands, pressures, pressure_rates, strict=True):
         least = ca.fmax(d, LEAST_DEAD_BAND * full)

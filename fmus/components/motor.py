@@ -86,11 +86,8 @@ def nodes_at_port_pressures(
 ) -> MotorNodes:
     """Nodes at given port pressures, eqs. (11), (12), without line resistances."""
     g_in, g_ex = 1 / internal_resistance, 1 / external_resistance
-    cross, drain_1, drain_2 = (
-        g_in * (pressure_1 - pressure_2),
-        g_ex * (pressure_1 - tank),
-        g_ex * (pressure_2 - tank),
-    )
+    cross = g_in * (pressure_1 - pressure_2)
+    drain_1, drain_2 = g_ex * (pressure_1 - tank), g_ex * (pressure_2 - tank)
     flow_1, flow_2 = displaced_flow + cross + drain_1, -displaced_flow - cross + drain_2
     return MotorNodes(pressure_1, pressure_2, flow_1, flow_2, drain_1 + drain_2)
 

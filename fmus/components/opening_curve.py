@@ -64,10 +64,9 @@ def _point(number: int) -> dict[str, Quantity]:
 
 
 def _table() -> dict[str, Quantity]:
-    points = [_point(number) for number in range(1, POINTS + 1)]
-    return {
-        name: point[name] for i in (0, 1) for point in points for name in [list(point)[i]]
-    }  # commands first, as they are listed
+    """Commands of the points, then openings, as they are listed."""
+    points = [list(_point(number).items()) for number in range(1, POINTS + 1)]
+    return dict([command for command, _ in points] + [opening for _, opening in points])
 
 
 OpeningTable: Any = make_group("OpeningTable", _table())

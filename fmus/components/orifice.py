@@ -66,7 +66,7 @@ class PortRelief(PressureValve):
     """Parameters of the relief valves at the ports of a section: a `PressureValve` with bounds."""
 
     pressure: Scalar = Quantity(
-        "Pa", "Pressure at which a {} valve opens", 1e7, minimum=0.0, group="Port relief valves"
+        "Pa", "Pressure at which a {} valve opens", 1e7, minimum=0.0, group="{} valves"
     )
     gain: Scalar = Quantity(
         "m3/(s.Pa)", "Flow of a {} valve per pressure above the opening pressure", 1e-9, minimum=0.0
@@ -95,18 +95,8 @@ class AntiCavitationParameters(Group):
     )
 
 
-class _ActuatorRelief(Group):
+class _ActuatorRelief(Group, relief=PortRelief):
     """Relief valves of an actuator: a `PressureValve`."""
-
-    relief_pressure: Scalar = Quantity(
-        "Pa", "Pressure at which a relief valve opens", 1e7, minimum=0.0, group="Relief valves"
-    )
-    relief_gain: Scalar = Quantity(
-        "m3/(s.Pa)", "Flow of a relief valve per pressure above the opening pressure", 1e-9, minimum=0.0
-    )
-    relief_rounding: Scalar = Quantity(
-        "Pa", "Pressure range over which a relief valve begins to open", 1e5, minimum=1.0
-    )
 
 
 class ReliefParameters(AntiCavitationParameters, _ActuatorRelief):

@@ -210,12 +210,25 @@ def ports_from_flow(
     curves: OpeningCurves | None = None,
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the line flows [m3/s] out of A and B."""
-    full = flow_gain(valve.area, valve.discharge_coefficient, density)
-    gain = {edge: full * share for edge, share in edge_openings(valve, curves, command).items()}
-    edge = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    port_a = edge_flows_from_flow(flow_a, gain["pa"], gain["at"], *edge)
-    port_b = edge_flows_from_flow(flow_b, gain["pb"], gain["bt"], *edge)
-    return port_a, port_b
+    share = edge_openings(valve, curves, command)
+    return _ports(valve, share, (flow_a, flow_b), (supply_pressure, tank_pressure), density)
+
+
+def _ports(
+    edges: Edges,
+    share: Mapping[str, Scalar],
+    flows: tuple[Scalar, Scalar],
+    pressures: tuple[Scalar, Scalar],
+    density: Scalar,
+) -> tuple[EdgeFlows, EdgeFlows]:
+    """Both ports at the openings [1] of the edges; pressures: of supply and tank [Pa]."""
+    full = flow_gain(edges.area, edges.discharge_coefficient, density)
+    gain = {edge: full * opening for edge, opening in share.items()}
+    edge = (edges.leakage, edges.transition_flow, *pressures)
+    return (
+        edge_flows_from_flow(flows[0], gain["pa"], gain["at"], *edge),
+        edge_flows_from_flow(flows[1], gain["pb"], gain["bt"], *edge),
+    )
 
 
 def _square_gains(
@@ -338,20 +351,9 @@ def spool_ports(
 
     A table is one over the position times full command.
     """
-    full = flow_gain(edges.area, edges.discharge_coefficient, density)
+    full = (edges.full_command, edges.command_rounding)
     lines = {
-        edge: StraightOpening(overlap * edges.full_command, edges.full_command, edges.command_rounding)
-        for edge, overlap in (
-            ("pa", spool.overlap_pa),
-            ("at", spool.overlap_at),
-            ("pb", spool.overlap_pb),
-            ("bt", spool.overlap_bt),
-        )
+        edge: StraightOpening(getattr(spool, f"overlap_{edge}") * edges.full_command, *full) for edge in EDGES
     }
     share = _openings(lines, curves, position * edges.full_command)
-    gain = {edge: full * value for edge, value in share.items()}
-    edge = (edges.leakage, edges.transition_flow, supply_pressure, tank_pressure)
-    return (
-        edge_flows_from_flow(flow_a, gain["pa"], gain["at"], *edge),
-        edge_flows_from_flow(flow_b, gain["pb"], gain["bt"], *edge),
-    )
+    return _ports(edges, share, (flow_a, flow_b), (supply_pressure, tank_pressure), density)

@@ -8,6 +8,10 @@ def _section_flow(axis: str, group: str = "") -> Quantity:
     return Quantity("m3/s", text, 1e-3, minimum=0.0, group=group)
 
 
+def _gain(unit: str, text: str, nominal: float, group: str = "") -> Quantity:
+    return Quantity(unit, text, nominal, minimum=0.0, tunable=True, group=group)
+
+
 class Gains(Group):
     """Parameters that only the controller has; geometry and hydraulics come from the machine's subsystems."""
 
@@ -19,42 +23,24 @@ class Gains(Group):
         tunable=True,
         group="Feedback",
     )
-    swing_position_gain: Scalar = Quantity(
-        "1/s", "Commanded swing speed per error of the swing angle", 5.0, minimum=0.0, tunable=True
+    swing_position_gain: Scalar = _gain("1/s", "Commanded swing speed per error of the swing angle", 5.0)
+    swing_integral_gain: Scalar = _gain(
+        "1/s2", "Rate of the commanded speed by the integrator of the swing, per error", 10.0
     )
-    swing_integral_gain: Scalar = Quantity(
-        "1/s2",
-        "Rate of the commanded speed by the integrator of the swing, per error",
-        10.0,
-        minimum=0.0,
-        tunable=True,
-    )
-    swing_damping_rate: Scalar = Quantity(
-        "1/s",
-        "Rate at which pressure feedback damps oscillations of the swing torque",
-        5.0,
-        minimum=0.0,
-        tunable=True,
+    swing_damping_rate: Scalar = _gain(
+        "1/s", "Rate at which pressure feedback damps oscillations of the swing torque", 5.0
     )
     swing_load_time: Scalar = Quantity(
         "s", "Time constant of the high-pass of that feedback: slower torques are steady loads"
     )
-    piston_position_gain: Scalar = Quantity(
-        "1/s", "Commanded piston speed per error of the piston position", 5.0, minimum=0.0, tunable=True
+    piston_position_gain: Scalar = _gain(
+        "1/s", "Commanded piston speed per error of the piston position", 5.0
     )
-    piston_integral_gain: Scalar = Quantity(
-        "1/s2",
-        "Rate of the commanded speed by the integrator of a piston, per error",
-        10.0,
-        minimum=0.0,
-        tunable=True,
+    piston_integral_gain: Scalar = _gain(
+        "1/s2", "Rate of the commanded speed by the integrator of a piston, per error", 10.0
     )
-    piston_damping_rate: Scalar = Quantity(
-        "1/s",
-        "Rate at which pressure feedback damps oscillations of a piston force",
-        5.0,
-        minimum=0.0,
-        tunable=True,
+    piston_damping_rate: Scalar = _gain(
+        "1/s", "Rate at which pressure feedback damps oscillations of a piston force", 5.0
     )
     piston_load_time: Scalar = Quantity(
         "s", "Time constant of the high-pass of that feedback: slower forces are steady loads"
@@ -68,13 +54,8 @@ class Gains(Group):
     unwinding_time: Scalar = Quantity(
         "s", "Anti-windup: time in which an integrator unwinds when the valve saturates", 0.1
     )
-    lead_time: Scalar = Quantity(
-        "s",
-        "Lead of the reference speed, equal to the lag of amplifier, valve and oil",
-        0.1,
-        minimum=0.0,
-        tunable=True,
-        group="Feedforward",
+    lead_time: Scalar = _gain(
+        "s", "Lead of the reference speed, equal to the lag of amplifier, valve and oil", 0.1, "Feedforward"
     )
     lead_filter_time: Scalar = Quantity(
         "s", "Time constant of the filter for the rate of the reference speed", 0.1, minimum=1e-3

@@ -12,6 +12,7 @@ from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 from fmus.controller.gains import Gains
 from fmus.manipulator.variables import ManipulatorParameters
+from fmus.ports import CommandOutputs, Commands
 from fmus.swing.variables import SwingParameters
 
 AXES = ("swing", "boom", "stick")
@@ -60,14 +61,6 @@ ControllerParameters = make_group(
         },
     },
 )
-
-
-class Commands(Group):
-    """Valve commands: states of the amplifier's first-order lag."""
-
-    swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
-    boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
-    stick_command: Scalar = Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
 
 
 def _per_axis(pattern: str, units: tuple[str, str], text: str, nominal: float = 1.0) -> dict[str, Quantity]:
@@ -131,12 +124,9 @@ class ControllerInputs(Group):
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5)
 
 
-class ControllerOutputs(Commands):
+class ControllerOutputs(CommandOutputs):
     """Commands and their rates, reference, errors, limit indicators."""
 
-    swing_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
-    boom_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
-    stick_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
     reference_radius: Scalar = Quantity("m", "Reference of the tip, radius from the swing axis")
     reference_height: Scalar = Quantity("m", "Reference of the tip, height above the foot of the column")
     reference_angle: Scalar = Quantity("rad", "Reference of the tip, swing angle")

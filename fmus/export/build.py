@@ -18,8 +18,13 @@ from fmus.export.c_code import main_source, printed_equations, sources
 from fmus.export.compile import WASM, binaries, shared_library
 from fmus.export.documentation import page
 from fmus.export.interface import Interface, interface_of
-from fmus.export.ls_ref import ls_ref_files
-from fmus.export.model_description import build_description, model_description, terminals, unknowns
+from fmus.export.model_description import (
+    build_description,
+    ls_ref_files,
+    model_description,
+    terminals,
+    unknowns,
+)
 from fmus.package_files import project_file
 from fmus.parameters import Values
 from orchestrator.base.compiler import host
@@ -123,9 +128,7 @@ def build(
     platforms    names of `compile.TARGETS`; default: the platform that this program runs on
     """
     experiment = seconds(step, "step") or 0.0, seconds(stop, "stop") or 0.0
-    with _Compilers() as compilers:
-        compilers.add(Path(out_dir), packages(sub, *experiment, values, [fmi])[fmi], platforms or (host(),))
-        return compilers.write()[0]
+    return build_all([sub], {fmi: Path(out_dir)}, *experiment, platforms, values=values)[fmi][0]
 
 
 def build_all(
@@ -137,60 +140,42 @@ def build_all(
     subfolders: Mapping[str, str] | None = None,
     progress: Callable[[str], None] = lambda _: None,
     wasm: Sequence[str] = (),
+    values: Values | None = None,
 ) -> dict[int, list[Path]]:
     """Build several FMUs of one or both FMI versions; returns version -> paths, in the order of `subs`.
 
-    All FMUs are compiled in parallel; no file is written before all are compiled.
+    All FMUs are compiled in parallel, while code of others is generated; no file is written before all are
+    compiled.
 
     folders      FMI version -> output folder
     subfolders   name of a subsystem -> folder inside the output folder
     progress     called with what is done now, such as "generating C code, 3 of 17: supply"
     wasm         names of subsystems whose FMU of FMI 3.0 gets a WebAssembly module in addition
+    values       parameter and start values; default: those of each subsystem's parameters.toml
     """
-    names = tuple(platforms or (host(),))
-    with _Compilers() as compilers:
+    names, targets = tuple(platforms or (host(),)), list[tuple[Path, Package, dict[str, Future[bytes]]]]()
+    compilers = ThreadPoolExecutor(os.cpu_count())
+    try:
         for number, sub in enumerate(subs, 1):
             progress(f"generating C code, {number} of {len(subs)}: {sub.name}")
-            for fmi, package in packages(sub, step, stop, versions=list(folders)).items():
+            for fmi, package in packages(sub, step, stop, values, list(folders)).items():
                 folder = Path(folders[fmi]) / (subfolders or {}).get(sub.name, "")
                 module = (WASM,) if fmi == 3 and sub.name in wasm else ()
-                compilers.add(folder, package, tuple(dict.fromkeys((*names, *module))))
-        paths = compilers.write(progress)
-    return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}
-
-
-class _Compilers:
-    """Compiles packages for their platforms while code of others is generated, and writes the FMUs."""
-
-    def __init__(self) -> None:
-        self._targets: list[tuple[Path, Package, dict[str, Future[bytes]]]] = []
-        self._pool = ThreadPoolExecutor(os.cpu_count())
-
-    def __enter__(self) -> _Compilers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
-
-    def add(self, folder: Path, package: Package, platforms: Sequence[str]) -> None:
-        """Begin to compile a package that goes to `folder`."""
-        libraries = {name: self._pool.submit(_library, package, name) for name in platforms}
-        self._targets.append((folder, package, libraries))
-
-    def write(self, progress: Callable[[str], None] = lambda _: None) -> list[Path]:
-        """Write all FMUs; no file is written if one cannot be compiled."""
-        libraries = [library for *_, compiled in self._targets for library in compiled.values()]
-        for number, library in enumerate(libraries, 1):
-            progress(f"compiling, {number} of {len(libraries)}")
+                libraries = {
+                    n: compilers.submit(_library, package, n) for n in dict.fromkeys((*names, *module))
+                }
+                targets.append((folder / f"{package.name}.fmu", package, libraries))
+        compiled = [library for *_, libraries in targets for library in libraries.values()]
+        for number, library in enumerate(compiled, 1):
+            progress(f"compiling, {number} of {len(compiled)}")
             library.result()
-        return [self._written(*target) for target in self._targets]
-
-    @staticmethod
-    def _written(folder: Path, package: Package, libraries: Mapping[str, Future[bytes]]) -> Path:
+    finally:
+        compilers.shutdown(cancel_futures=True)
+    for path, package, libraries in targets:
         by_platform = {name: library.result() for name, library in libraries.items()}
-        path = folder / f"{package.name}.fmu"
         write_zip(path, {**package.files, **binaries(package.name, package.fmi, by_platform)})
-        return path
+    paths = [path for path, *_ in targets]
+    return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}
 
 
 def _library(p: Package, platform: str) -> bytes:

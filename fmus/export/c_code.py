@@ -12,9 +12,10 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 
@@ -26,16 +27,7 @@ from fmus.export.c_functions import Routine, c_function, hoist, number, split
 from fmus.export.elimination import eliminate
 from fmus.export.interface import Interface, Variable
 from orchestrator.base import compiler
-
-
-@dataclass(frozen=True)
-class Equations:
-    """The C functions of a model, those for adjoint derivatives separately, and lengths of their vectors."""
-
-    routines: Sequence[Routine]
-    adjoint: Sequence[Routine]
-    lengths: Mapping[str, int]
-
+from orchestrator.base.text import rendered
 
 # name of a C function -> its outputs, and its inputs except states, inputs and parameters of the model
 _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
@@ -55,8 +47,8 @@ _ADJOINT: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
 }
 
 
-def model_equations(interface: Interface) -> Equations:
-    """The C functions of native/model.h for a model."""
+def model_equations(interface: Interface) -> tuple[list[Routine], list[Routine], dict[str, int]]:
+    """The C functions of native/model.h, those for adjoint derivatives, and the lengths of vectors."""
     sym = interface.equations
     system = eliminate(without_zero_calls(ca.jacobian(sym.dx, sym.x)))
     # directions v of states, inputs, parameters; time derivatives du of inputs; weights w of results
@@ -70,7 +62,7 @@ def model_equations(interface: Interface) -> Equations:
         "y": interface.y,
         "require": sym.require,
         "delay": sym.next_event,
-        **_directional(sym, interface.y, arguments),
+        **directional(sym, interface.y, arguments),
         **_adjoint(sym, interface.y, arguments),
     }
     values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
@@ -96,7 +88,7 @@ def model_equations(interface: Interface) -> Equations:
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
     ]
     lengths = {"NC": c.numel(), "NZ": observed.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
-    return Equations([*others, *main], adjoint, lengths)
+    return [*others, *main], adjoint, lengths
 
 
 def _split_by_inputs(
@@ -128,7 +120,7 @@ def _sparse_column(entries: ca.SX, rows: Sequence[int], length: int) -> ca.SX:
     return ca.SX(ca.Sparsity(length, 1, [0, len(rows)], list(rows)), entries)
 
 
-def _directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+def directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
     """Directional derivatives; those at the start (vx0, vdx0, vy0) go through the initial states."""
 
     def along(value: ca.SX, *direction: ca.SX) -> ca.SX:
@@ -166,6 +158,7 @@ def _adjoint(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX
 
 # ---- files -----------------------------------------------------------------------------------------
 
+TEMPLATES = Path(__file__).with_name("templates")
 DEFAULT_TOLERANCE = 1e-6  # relative, of the solver
 INCLUDED = ".inc"  # model.c is model.c.inc in an FMU, so that only one .c file is left to compile
 
@@ -198,14 +191,10 @@ def sources(
     code = native_sources(fmi) | generated(interface, guid, fmi, printed)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
-    head = [
-        f"/* {interface.name}: the one file to compile; it includes the others. Generated.",
-        f"   To link it into one program with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={interface.name}_ */",
-        "",
-    ]
-    includes = [f'#include "{name}{INCLUDED}"' for name in names]
     packed = {f"{name}{INCLUDED}" if name in names else name: text for name, text in code.items()}
-    return packed | {main_source(interface.name): "\n".join([*head, *includes, ""])}
+    included = [f"{name}{INCLUDED}" for name in names]
+    main = rendered(TEMPLATES / "main.c.j2", name=interface.name, fmi=fmi, included=included)
+    return packed | {main_source(interface.name): main}
 
 
 def main_source(model: str) -> str:
@@ -241,13 +230,10 @@ def printed_equations(interface: Interface) -> PrintedEquations:
 
 def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
     """The fields of `PrintedEquations` as JSON."""
-    equations = model_equations(interface)
-    model, adjoint = (
-        "\n".join(c_function(r, names) for r in routines)
-        for routines in (equations.routines, equations.adjoint)
-    )
+    *parts, lengths = model_equations(interface)
+    model, adjoint = ("\n".join(c_function(r, names) for r in routines) for routines in parts)
     adjoint = adjoint.replace("LOCAL void", "SHARED void")  # see model.h
-    return json.dumps({"model": model, "adjoint": adjoint, "lengths": equations.lengths}).encode()
+    return json.dumps({"model": model, "adjoint": adjoint, "lengths": lengths}).encode()
 
 
 @cache
@@ -262,58 +248,32 @@ def generated(
 ) -> dict[str, str]:
     """The generated files by name: sizes.h, model.c, start.h, start.c, and adjoint.c for FMI 3."""
     printed = printed or printed_equations(interface)
-    code = {
-        "sizes.h": _sizes(interface, printed.lengths),
-        "model.c": f"{_tables(interface)}\n{printed.model}",
-        "start.h": _start_header(interface, guid),
-        "start.c": _start_values(interface),
+    content: dict[str, Any] = {
+        "name": interface.name,
+        "description": interface.description,
+        "variables": interface.variables,
+        "watched": _watched(interface),
+        "statements": interface.equations.statements,
+        "sizes": _sizes(interface, printed.lengths),
+        "tolerance": repr(DEFAULT_TOLERANCE),
+        "guid": json.dumps(guid),
+        "equations": printed.model.removesuffix("\n"),
+        "row": partial(_row, [v.name for v in interface.inputs]),
+        "comment": _comment,
+        "number": number,
+        "string": string,
     }
+    names = ("sizes.h", "model.c", "start.h", "start.c")
+    code = {name: rendered(TEMPLATES / f"{name}.j2", **content) for name in names}
     if fmi == 3:
         head = f"/* {interface.name}: adjoint derivatives. Generated. */\n\n#include <math.h>\n"
         code["adjoint.c"] = f'{head}\n#include "fmi3.h"\n\n{printed.adjoint}'
     return code
 
 
-def _start_header(interface: Interface, guid: str) -> str:
-    return f"""/* {interface.name}: the GUID. Generated. */
-
-#ifndef START_H
-#define START_H
-
-#define MODEL_GUID {json.dumps(guid)}
-
-#endif
-"""
-
-
-def _start_values(interface: Interface) -> str:
-    """start.c: what a build with other values changes."""
-    rows = [f"    {number(v.start or 0.0)}, /* {v.name} */" for v in interface.variables] or ["    0.0,"]
-    lines = [
-        f"/* {interface.name}: start values and GUID. Generated. */",
-        "",
-        '#include "start.h"',
-        "",
-        "#ifdef IN_PARTS",
-        "#define START",
-        "#else",
-        "#define START static",
-        "#endif",
-        "",
-        f"START const double model_start_values[{len(rows)}] = {{",
-        *rows,
-        "};",
-        "",
-        "START const char model_guid[48] = MODEL_GUID;",
-        'START const char model_other_guid[144] = "the GUID differs, expected \\"" MODEL_GUID',
-        '    "\\" (modelDescription.xml and binary are of different builds)";',
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _sizes(interface: Interface, lengths: Mapping[str, int]) -> str:
-    sizes = {
+def _sizes(interface: Interface, lengths: Mapping[str, int]) -> dict[str, tuple[int, str]]:
+    """Name of each size -> its value and meaning."""
+    return {
         "NP": (len(interface.parameters), "parameters"),
         "NU": (len(interface.inputs), "inputs"),
         "NX": (len(interface.states), "states"),
@@ -326,30 +286,6 @@ def _sizes(interface: Interface, lengths: Mapping[str, int]) -> str:
         "EXPLICIT_FIRST": (int(not interface.stiff), "1 if the explicit method is tried first"),
         "NWATCHED": (len(_watched(interface)), "inputs and outputs with a warning limit"),
     }
-    lines = [
-        f"/* {interface.name}: {_comment(interface.description)}. Generated. */",
-        "",
-        "#ifndef SIZES_H",
-        "#define SIZES_H",
-        "",
-        f"#define DEFAULT_TOLERANCE {DEFAULT_TOLERANCE!r}",
-        "",
-        "enum {",
-        *(f"    {name} = {n}, /* {text} */" for name, (n, text) in sizes.items()),
-        "};",
-        "",
-        "/* Value references. */",
-        "enum {",
-        *(
-            f"    VR_{v.name} = {v.reference}, /* [{v.quantity.unit}] {_comment(v.quantity.text)} */"
-            for v in interface.variables
-        ),
-        "};" if interface.variables else "    NO_VARIABLES\n};",
-        "",
-        "#endif",
-        "",
-    ]
-    return "\n".join(lines)
 
 
 def _comment(text: str) -> str:
@@ -357,56 +293,21 @@ def _comment(text: str) -> str:
     return text.replace("*/", "* /").replace("/*", "/ *")
 
 
-def _tables(interface: Interface) -> str:
-    """The tables of model.c: variables, watched variables, descriptions of the requirements."""
-    inputs = [v.name for v in interface.inputs]
-    rows = [_row(v, inputs) for v in interface.variables] or ["    {0},"]
-    watched = [f"    {v.reference}, /* {v.name} */" for v in _watched(interface)] or ["    0,"]
-    statements = [f"    {string(text)}," for text in interface.equations.statements] or ["    0,"]
-    return "\n".join(
-        [
-            f"/* {interface.name}: {_comment(interface.description)}. Generated. */",
-            "",
-            "#include <math.h>",
-            "",
-            '#include "model.h"',
-            "",
-            "/* name, unit, kind, minimum, maximum, nominal, absolute_scale, warn_above, warn_below, rate */",
-            "SHARED const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
-            *rows,
-            "};",
-            "",
-            "static const int model_watched[ROOM(NWATCHED)] = {",
-            *watched,
-            "};",
-            "",
-            "static const char *const model_statements[ROOM(NREQUIRE)] = {",
-            *statements,
-            "};",
-            "",
-        ]
-    )
-
-
 def _watched(interface: Interface) -> list[Variable]:
     """The variables with a warning limit."""
     return [v for v in interface.variables if v.watched]
 
 
-def _limits(v: Variable) -> tuple[float, float]:
-    """Magnitude above which and value below which a warning is logged; infinite without a limit."""
-    above, below = v.quantity.warn_above, v.quantity.warn_below
-    return math.inf if above is None else above, -math.inf if below is None else below
-
-
-def _row(v: Variable, inputs: Sequence[str]) -> str:
+def _row(inputs: Sequence[str], v: Variable) -> str:
+    """The description of a variable in C; limits that it does not have are infinite."""
     q = v.quantity
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    values = (low, high, q.nominal, q.absolute_scale, *(_limits(v) if v.watched else (math.inf, -math.inf)))
-    literals = ", ".join(number(value) for value in values)
-    return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}}},"
+    above = q.warn_above if v.watched and q.warn_above is not None else math.inf
+    below = q.warn_below if v.watched and q.warn_below is not None else -math.inf
+    literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale, above, below))
+    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}}}"
 
 
 def string(text: str) -> str:

@@ -32,13 +32,10 @@ _BINARY = {
     ca.OP_NE: "{} != {}",
     ca.OP_AND: "{} != 0.0 && {} != 0.0",
     ca.OP_OR: "{} != 0.0 || {} != 0.0",
-    ca.OP_FMIN: "fmin({}, {})",
-    ca.OP_FMAX: "fmax({}, {})",
-    ca.OP_FMOD: "fmod({}, {})",
-    ca.OP_REMAINDER: "remainder({}, {})",
-    ca.OP_COPYSIGN: "copysign({}, {})",
-    ca.OP_ATAN2: "atan2({}, {})",
-    ca.OP_HYPOT: "hypot({}, {})",
+    **{
+        getattr(ca, f"OP_{name.upper()}"): f"{name}({{}}, {{}})"
+        for name in ("fmin", "fmax", "fmod", "remainder", "copysign", "atan2", "hypot")
+    },
     ca.OP_IF_ELSE_ZERO: "where({} != 0.0, {})",
 }
 _FUNCTIONS = (
@@ -145,7 +142,9 @@ def _statements(
             yield f"{outputs[o[0]]}[{rows[o[0]][o[1]]}] = {work[i[0]]};"
             continue
         if operation == ca.OP_CALL:
-            call = _Call(k, callee(calls, i, o), [work[j] for j in i], _pointers(origin, inputs, i), o)
+            addresses = (origin.get(j) for j in i)
+            pointers = [address and (inputs[address[0]], address[1]) for address in addresses]
+            call = _Call(k, callee(calls, i, o), [work[j] for j in i], pointers, o)
             yield from call.statements()
             results = call.results()
         elif operation == ca.OP_CONST:
@@ -289,12 +288,6 @@ class _Call:
             for j in range(end - first)
         ]
         return {o: name for o, name in zip(self.outputs, names, strict=True) if o >= 0}
-
-
-def _pointers(
-    origin: Mapping[int, tuple[int, int]], inputs: Sequence[str], i: Sequence[int]
-) -> list[tuple[str, int] | None]:
-    return [(inputs[origin[j][0]], origin[j][1]) if j in origin else None for j in i]
 
 
 def _called_definition(function: ca.Function) -> str:

@@ -8,11 +8,11 @@ neither JavaScript nor a server.
 import re
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from latex2mathml.converter import convert
 from lxml import etree
 from markdown_it import MarkdownIt
@@ -24,12 +24,11 @@ from markupsafe import Markup
 from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
-from fmus.export.ls_ref import PAGE, ls_ref_files
-from fmus.export.model_description import LOG_CATEGORIES
+from fmus.export.model_description import LOG_CATEGORIES, PAGE, TEMPLATES, ls_ref_files
 from fmus.package_files import project_file
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import typeset
+from orchestrator.base.text import rendered, typeset
 from orchestrator.base.units import display_conversion, pretty
 from orchestrator.base.xml import package_version
 
@@ -169,38 +168,16 @@ SIDES = {"l": "left", "r": "right"}  # which \\left or \\right a fence needs to 
 # ---- variables -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class DocumentedVariable:
-    """Texts of one variable for the tables.
-
-    direction   "in", "out" or empty
-    value       start value; "calculated" if the model calculates it
-    display_unit, display_value   if tools use another unit than the SI unit for display
-    number      source of the value, if known
-    """
-
-    name: str
-    direction: str
-    description: str
-    unit: str
-    value: str
-    display_unit: str
-    display_value: str
-    bounds: str
-    remarks: Sequence[str]
-    number: Number | None
+Row = dict[str, Any]  # texts of one variable for the tables, by the names that the template uses
 
 
-@dataclass(frozen=True)
-class VariableGroup:
+def _group(title: str, rows: Sequence[Row], terminal: str = "") -> dict[str, Any]:
     """Rows of a table with a heading; `terminal` is the name of a terminal."""
-
-    title: str
-    rows: Sequence[DocumentedVariable]
-    terminal: str = ""
+    return {"title": title, "members": rows, "terminal": terminal}
 
 
-def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
+def _row(v: Variable, sources: Mapping[str, Number]) -> Row:
+    """Texts of a variable; those for display are empty if tools use the SI unit for it."""
     q, number = v.quantity, sources.get(v.name)
     if number is not None and number.value != v.start:
         number = None  # the FMU is built with another value
@@ -212,18 +189,18 @@ def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
         display_unit = pretty(customary[0])
         if v.start is not None:
             display_value = f"{printed(float(f'{v.start * customary[1]:.4g}'))} {display_unit}"
-    return DocumentedVariable(
-        name=v.name,
-        direction="in" if v.kind == "INPUT" else "out" if v.output else "",
-        description=q.text,
-        unit=pretty(q.unit),
-        value=value,
-        display_unit=display_unit,
-        display_value=display_value,
-        bounds=_bounds(q.minimum, q.maximum),
-        remarks=list(_remarks(v)),
-        number=number,
-    )
+    return {
+        "name": v.name,
+        "direction": "in" if v.kind == "INPUT" else "out" if v.output else "",
+        "description": q.text,
+        "unit": pretty(q.unit),
+        "value": value,
+        "display_unit": display_unit,
+        "display_value": display_value,
+        "bounds": _bounds(q.minimum, q.maximum),
+        "remarks": list(_remarks(v)),
+        "number": number,  # source of the value, if known
+    }
 
 
 def _by_list(variables: Sequence[Variable]) -> list[list[Variable]]:
@@ -234,18 +211,17 @@ def _by_list(variables: Sequence[Variable]) -> list[list[Variable]]:
     return list(groups.values())
 
 
-def _list_row(group: Sequence[Variable], rows: Mapping[str, DocumentedVariable]) -> DocumentedVariable:
+def _list_row(group: Sequence[Variable], rows: Mapping[str, Row]) -> Row:
     """One row for the entries of a list, or that of the only variable; zeros at the end are left out."""
     first = rows[group[0].name]
     if len(group) == 1:
         return first
     count = max((i for i, v in enumerate(group, 1) if v.start), default=0)
-    return replace(
-        first,
-        name=f"{group[0].name} to {group[-1].name.rpartition('_')[2]}",
-        description=group[0].quantity.listed,
-        value=", ".join(rows[v.name].value for v in group[:count]) or "0",
-    )
+    return first | {
+        "name": f"{group[0].name} to {group[-1].name.rpartition('_')[2]}",
+        "description": group[0].quantity.listed,
+        "value": ", ".join(rows[v.name]["value"] for v in group[:count]) or "0",
+    }
 
 
 def _remarks(v: Variable) -> Iterable[str]:
@@ -256,10 +232,9 @@ def _remarks(v: Variable) -> Iterable[str]:
         yield f"changes at the rate {v.quantity.rate} inside a step"
     if v.quantity.optional:
         yield f"without it {v.quantity.optional}"
-    if v.quantity.warn_above is not None:
-        yield f"warning above {printed(v.quantity.warn_above)} {pretty(v.quantity.unit)}"
-    if v.quantity.warn_below is not None:
-        yield f"warning below {printed(v.quantity.warn_below)} {pretty(v.quantity.unit)}"
+    for where, limit in (("above", v.quantity.warn_above), ("below", v.quantity.warn_below)):
+        if limit is not None:
+            yield f"warning {where} {printed(limit)} {pretty(v.quantity.unit)}"
 
 
 def _bounds(low: float | None, high: float | None) -> str:
@@ -273,40 +248,28 @@ def printed(value: float) -> str:
     return typeset(f"{value:.6g}")
 
 
-def _ports(sub: Subsystem, rows: Mapping[str, DocumentedVariable]) -> list[VariableGroup]:
+def _ports(sub: Subsystem, rows: Mapping[str, Row]) -> list[dict[str, Any]]:
     """Inputs and outputs by terminal, then those without a terminal."""
-    ports = {name: row for name, row in rows.items() if row.direction}
+    ports = {name: row for name, row in rows.items() if row["direction"]}
     groups = []
     for terminal in sub.terminals:
         members = [ports.pop(m.variable) for m in terminal.members if m.variable in ports]
-        groups.append(VariableGroup(terminal.text, members, terminal.name))
+        groups.append(_group(terminal.text, members, terminal.name))
     for direction, title in (("in", "Other inputs"), ("out", "Other outputs")):
-        groups.append(VariableGroup(title, [row for row in ports.values() if row.direction == direction]))
-    return [group for group in groups if group.rows]
+        groups.append(_group(title, [row for row in ports.values() if row["direction"] == direction]))
+    return [group for group in groups if group["members"]]
 
 
 # ---- page ------------------------------------------------------------------------------------------
 
 
-@cache
-def _environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("fmus.export"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-
-
 def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float, icon: bytes | None) -> str:
     """One self-contained HTML page; step and stop are the default experiment [s]."""
-    environment = _environment()
     text, sections = prose(sub.folder / "README.md", sub.variant)
     has_file = sub.numbers is not None or sub.values is None or sub.values.is_file()
     sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}
     rows = {v.name: _row(v, sources) for v in interface.variables}
-    parameters: dict[str, list[DocumentedVariable]] = {}
+    parameters: dict[str, list[Row]] = {}
     for group in _by_list(interface.parameters):
         parameters.setdefault(group[0].quantity.group, []).append(_list_row(group, rows))
     start = [  # states and inputs whose start value has a source or may be set
@@ -315,8 +278,10 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         if v.start is not None and (v.name in sources or v.kind == "STATE")
     ]
     with_value = [*(rows[v.name] for v in interface.parameters), *start]
-    used_sources = {row.number.source for row in with_value if row.number}
-    return environment.get_template("page.html.j2").render(
+    used_sources = {row["number"].source for row in with_value if row["number"]}
+    return rendered(
+        TEMPLATES / "page.html.j2",
+        escaped=True,
         sub=sub,
         fmi=fmi,
         version=package_version(),
@@ -326,14 +291,14 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         stiff=interface.stiff,
         rates=any(v.quantity.rate for v in interface.inputs),
         icon=b64encode(icon).decode() if icon else "",
-        style=Markup(environment.get_template("page.css").render()),
+        style=Markup(rendered(TEMPLATES / "page.css")),
         text=text,
         sections=sections,
         ports=_ports(sub, rows),
-        directions={name: row.direction for name, row in rows.items()},
+        directions={name: row["direction"] for name, row in rows.items()},
         not_zero=[rows[v.name] for v in interface.inputs if v.start],
-        parameters=[VariableGroup(title, group) for title, group in parameters.items()],
-        start=[VariableGroup("", start)] if start else [],
+        parameters=[_group(title, group) for title, group in parameters.items()],
+        start=[_group("", start)] if start else [],
         local_states=[rows[v.name] for v in interface.states if not v.output],
         sources={source: meaning for source, meaning in SOURCES.items() if source in used_sources},
         categories=LOG_CATEGORIES,

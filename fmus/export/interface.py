@@ -13,7 +13,7 @@ from typing import Literal
 
 import casadi as ca
 
-from fmus.contract import Quantity, Subsystem, Symbolic, quantities, symbolic
+from fmus.contract import Quantity, Subsystem, Symbolic, column, quantities, symbolic
 from fmus.parameters import Number, Values, not_shipped
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import per_second
@@ -78,7 +78,7 @@ def interface_of(sub: Subsystem, values: Values) -> Interface:
             )
     groups = variable_groups((parameters, quantities(sub.inputs), states, outputs), values, sym.calculated)
     rows = [i for i, name in enumerate(outputs) if name not in states]
-    interface = make_interface(sub.name, sub.text, groups, sym, _select(sym.y, rows))
+    interface = make_interface(sub.name, sub.text, groups, sym, column(*(sym.y[i] for i in rows)))
     return replace(interface, stiff=sub.stiff, not_shipped=not_shipped(sub) if sub.numbers else {})
 
 
@@ -92,12 +92,7 @@ def _sorted_by_heading(
     headings = ["", *dict.fromkeys(q.group for q in declared.values())]
     names = sorted(declared, key=lambda name: headings.index(declared[name].group))
     rows = [list(declared).index(name) for name in names]
-    return replace(sym, p=_select(sym.p, rows)), {name: declared[name] for name in names}
-
-
-def _select(column: ca.SX, rows: Sequence[int]) -> ca.SX:
-    """Rows of a column, always of shape (n, 1); CasADi's own indexing may return (1, 0) for n = 0."""
-    return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
+    return replace(sym, p=column(*(sym.p[i] for i in rows))), {name: declared[name] for name in names}
 
 
 def variable_groups(
@@ -196,13 +191,9 @@ def dependencies(interface: Interface) -> Dependencies:
 
     A state depends on itself; ModelStructure contains those that are outputs.
     """
-    sym = interface.equations
-    known = ca.vertcat(sym.x, sym.u)
-    variables = [*interface.states, *interface.inputs]
-    unknown = ca.vertcat(sym.dx, interface.y)
-    table = _dependency_table(
-        [*interface.derivatives, *interface.outputs], unknown, known, variables, interface
-    )
+    sym, rows = interface.equations, [*interface.derivatives, *interface.outputs]
+    unknown, known = ca.vertcat(sym.dx, interface.y), ca.vertcat(sym.x, sym.u)
+    table = _dependency_table(rows, unknown, known, [*interface.states, *interface.inputs], interface)
     for v in interface.states:
         table[v.name] = [(v, "constant")]
     return table
@@ -213,13 +204,10 @@ def initial_dependencies(interface: Interface) -> Dependencies:
 
     Every dependenciesKind is "dependent": of the other kinds, FMI allows only "constant" in InitialUnknowns.
     """
-    sym = interface.equations
-    known = ca.vertcat(sym.p, sym.u, sym.x)
+    sym, rows = interface.equations, [*interface.states, *interface.derivatives, *interface.outputs]
     variables = [*interface.parameters, *interface.inputs, *interface.states]
     at_start = ca.substitute(ca.vertcat(sym.x, sym.dx, interface.y), sym.x, sym.start)
-    return _dependency_table(
-        [*interface.states, *interface.derivatives, *interface.outputs], at_start, known, variables, None
-    )
+    return _dependency_table(rows, at_start, ca.vertcat(sym.p, sym.u, sym.x), variables, None)
 
 
 def _dependency_table(
@@ -234,8 +222,8 @@ def _dependency_table(
     kinds = _dependency_kinds(jacobian, interface) if interface else ["dependent"] * jacobian.nnz()
     discontinuous = [_is_discontinuous(unknown[i], known) for i in range(unknown.numel())]
     table: dict[str, list[tuple[Variable, str]]] = {v.name: [] for v in rows}
-    for row, column, kind in zip(*jacobian.sparsity().get_triplet(), kinds, strict=True):
-        table[rows[row].name].append((columns[column], "dependent" if discontinuous[row] else kind))
+    for row, known_column, kind in zip(*jacobian.sparsity().get_triplet(), kinds, strict=True):
+        table[rows[row].name].append((columns[known_column], "dependent" if discontinuous[row] else kind))
     return table
 
 
@@ -253,8 +241,8 @@ def _dependency_kinds(jacobian: ca.SX, interface: Interface) -> list[str]:
     fixed = [i for i, v in enumerate(interface.parameters) if v.kind == "FIXED"]
     kinds = ["constant"] * jacobian.nnz()
     for kind, symbols in (
-        ("fixed", _select(sym.p, fixed)),
-        ("tunable", _select(sym.p, tunable)),
+        ("fixed", column(*(sym.p[i] for i in fixed))),
+        ("tunable", column(*(sym.p[i] for i in tunable))),
         ("dependent", ca.vertcat(sym.x, sym.u)),
     ):
         for row in set(ca.jacobian_sparsity(entries, symbols).get_triplet()[0]):

@@ -1,23 +1,33 @@
-"""XML files of an FMU: modelDescription.xml of FMI 2.0 and 3.0, and two files of FMI 3.0.
+"""XML files of an FMU: modelDescription.xml of FMI 2.0 and 3.0, two files of FMI 3.0, a reference experiment.
 
-These are sources/buildDescription.xml and terminalsAndIcons/terminalsAndIcons.xml, which describes the
-terminals of a subsystem and the size of its icon.
+The two files are sources/buildDescription.xml and terminalsAndIcons/terminalsAndIcons.xml, which describes
+the terminals of a subsystem and the size of its icon.
+
+Any tool can run the reference experiment and compare the result; its files conform to the layered standard
+FMI-LS-REF (draft 1.0.0-alpha.1). The data are files next to the subsystem, written by `python -m
+fmus.machine.reference`: parameters and start values, inputs, result. They are valid for any parameter values
+that the FMU is built with, because the experiment sets all parameters.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from lxml import etree
 
-from fmus.contract import Subsystem
+from fmus.contract import Subsystem, quantities
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import rendered
 from orchestrator.base.units import display_conversion, normalised, parse_unit
-from orchestrator.base.xml import Element, generation_tool, package_version, shortest_decimal, xml_text
+from orchestrator.base.xml import generation_tool, package_version, rendered_xml, shortest_decimal
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.ssp.common_elements import NAMESPACES
+from orchestrator.ssp.write import parameter_set
 
-COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
 TOOL = "harvester-cosim"  # in vendor annotations and terminal kinds
-PARAMETERS = f"{TOOL}.parameters"  # annotation of the parameters whose values are not the shipped ones
+TEMPLATES = Path(__file__).with_name("templates")
 LOG_CATEGORIES = {
     "logEvents": "Function calls",
     "logStatusWarning": "Warnings",
@@ -25,41 +35,38 @@ LOG_CATEGORIES = {
     "logStatusError": "Errors",
     "logAll": "All messages",
 }
-_COMMON = {
-    2: {
-        "needsExecutionTool": "false",
-        "canBeInstantiatedOnlyOncePerProcess": "false",
-        "canNotUseMemoryManagementFunctions": "true",
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-        "providesDirectionalDerivative": "true",
-    },
-    3: {
-        "needsExecutionTool": "false",
-        "canBeInstantiatedOnlyOncePerProcess": "false",
-        "canGetAndSetFMUState": "true",
-        "canSerializeFMUState": "true",
-        "providesDirectionalDerivatives": "true",
-        "providesAdjointDerivatives": "true",
-    },
+_ONE_PROCESS = {"needsExecutionTool": "false", "canBeInstantiatedOnlyOncePerProcess": "false"}
+_COMMON_2 = {
+    **_ONE_PROCESS,
+    "canNotUseMemoryManagementFunctions": "true",
+    "canGetAndSetFMUstate": "true",
+    "canSerializeFMUstate": "true",
+    "providesDirectionalDerivative": "true",
+}
+_COMMON_3 = {
+    **_ONE_PROCESS,
+    "canGetAndSetFMUState": "true",
+    "canSerializeFMUState": "true",
+    "providesDirectionalDerivatives": "true",
+    "providesAdjointDerivatives": "true",
 }
 # FMI version -> element -> attributes of FMUs with compiled C code
 CAPABILITIES: Mapping[int, Mapping[str, Mapping[str, str]]] = {
     2: {
-        "ModelExchange": _COMMON[2],
+        "ModelExchange": _COMMON_2,
         "CoSimulation": {
             "canHandleVariableCommunicationStepSize": "true",
             "canInterpolateInputs": "true",
             "maxOutputDerivativeOrder": "1",
             "canRunAsynchronuously": "false",
-        }
-        | _COMMON[2],
+            **_COMMON_2,
+        },
     },
     3: {
         # after each step of the importer's solver the FMU checks the requirements of the model
-        "ModelExchange": _COMMON[3] | {"needsCompletedIntegratorStep": "true"},
-        "CoSimulation": _COMMON[3]
-        | {
+        "ModelExchange": {**_COMMON_3, "needsCompletedIntegratorStep": "true"},
+        "CoSimulation": {
+            **_COMMON_3,
             "canHandleVariableCommunicationStepSize": "true",
             "maxOutputDerivativeOrder": "1",
             "providesIntermediateUpdate": "true",
@@ -70,11 +77,6 @@ CAPABILITIES: Mapping[int, Mapping[str, Mapping[str, str]]] = {
 }
 # group of unknowns in FMI 2 -> each unknown with its dependencies, each with its dependenciesKind
 Unknowns = Mapping[str, Sequence[tuple[Variable, Sequence[tuple[Variable, str]]]]]
-_UNKNOWN_3 = {  # group -> element of FMI 3
-    "Outputs": "Output",
-    "Derivatives": "ContinuousStateDerivative",
-    "InitialUnknowns": "InitialUnknown",
-}
 
 
 def model_description(
@@ -95,55 +97,29 @@ def model_description(
     capabilities   ModelExchange and CoSimulation -> attributes; default: those of an FMU with C code
     structure      unknowns and dependencies for ModelStructure; default: derived from the equations
     """
-    version = {"fmiVersion": "2.0", "guid": token, "numberOfEventIndicators": "0"}
-    if fmi == 3:
-        version = {"fmiVersion": "3.0", "instantiationToken": token}
-    attributes = {
-        "modelName": interface.name,
-        "description": interface.description,
-        "version": package_version(),
-        "generationTool": generation_tool(),
-        "author": "the harvester-cosim authors",
-        "copyright": COPYRIGHT,
-        "license": "MIT",
-        "variableNamingConvention": "flat",
-    }
-    root = etree.Element("fmiModelDescription", attributes | version)
-    for element, flags in (capabilities or CAPABILITIES[fmi]).items():
-        type_element = etree.SubElement(root, element, modelIdentifier=interface.name, **flags)
-        if sources and fmi == 2:
-            files = etree.SubElement(type_element, "SourceFiles")
-            for name in sources:
-                etree.SubElement(files, "File", name=name)
-    _units(root, interface, fmi)
-    categories = etree.SubElement(root, "LogCategories")
-    for name, text in LOG_CATEGORIES.items():
-        etree.SubElement(categories, "Category", name=name, description=text)
-    times = {"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step}
-    etree.SubElement(
-        root, "DefaultExperiment", {name: shortest_decimal(value) for name, value in times.items()}
+    units = {v.quantity.unit for v in interface.variables} | ({"s"} if fmi == 3 else set())
+    rows = (unknowns(interface) if structure is None else structure).items()
+    return rendered_xml(
+        TEMPLATES / "modelDescription.xml.j2",
+        fmi=fmi,
+        tool=TOOL,
+        interface=interface,
+        token=token,
+        version=package_version(),
+        generation_tool=generation_tool(),
+        capabilities=capabilities or CAPABILITIES[fmi],
+        sources=sources,
+        units={name: (base_unit(name), display_conversion(name)) for name in sorted(units)},
+        categories=LOG_CATEGORIES,
+        experiment={"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step},
+        # The attribute `derivative` of FMI 2.0 would declare rates, but tools such as OMSimulator count all
+        # variables that have it as derivatives of states, and find more states than the FMU has.
+        rates=[v for v in interface.inputs if v.quantity.rate and fmi == 2],
+        optional=[v for v in interface.inputs if v.quantity.optional],
+        not_shipped=_not_shipped(interface),
+        variables=list(_variables(interface, fmi)),
+        structure={group: [_unknown(*row, fmi) for row in members] for group, members in rows},
     )
-    if fmi == 2:
-        _input_annotations(root, interface, fmi)
-        _parameter_annotations(root, interface, fmi)
-    _variables(root, interface, fmi)
-    _structure(root, unknowns(interface) if structure is None else structure, fmi)
-    if fmi == 3:
-        _input_annotations(root, interface, fmi)
-        _parameter_annotations(root, interface, fmi)
-    return xml_text(root)
-
-
-def _units(root: Element, interface: Interface, fmi: int) -> None:
-    """UnitDefinitions with all units of the variables; in FMI 3 time is a variable and needs its unit."""
-    names = {v.quantity.unit for v in interface.variables} | ({"s"} if fmi == 3 else set())
-    definitions = etree.SubElement(root, "UnitDefinitions") if names else root
-    for name in sorted(names):
-        unit = etree.SubElement(definitions, "Unit", name=name)
-        etree.SubElement(unit, "BaseUnit", base_unit(name))
-        if display_unit := display_conversion(name):
-            symbol, factor = display_unit
-            etree.SubElement(unit, "DisplayUnit", name=symbol, factor=shortest_decimal(factor))
 
 
 def base_unit(unit: str) -> dict[str, str]:
@@ -155,82 +131,39 @@ def base_unit(unit: str) -> dict[str, str]:
     return attributes if parsed.factor == 1.0 else attributes | {"factor": shortest_decimal(parsed.factor)}
 
 
-def _input_annotations(root: Element, interface: Interface, fmi: int) -> None:
-    """A vendor annotation of the inputs: which is the time derivative of which, and which are optional.
-
-    The attribute `derivative` of FMI 2.0 would declare the former, but tools such as OMSimulator count all
-    variables that have it as derivatives of states, and find more states than the FMU has. In FMI 3.0 the
-    attribute is used. An optional input has the text of `Quantity.optional`.
-    """
-    rates = [(v.name, v.quantity.rate) for v in interface.inputs if v.quantity.rate and fmi == 2]
-    optional = [(v.name, v.quantity.optional) for v in interface.inputs if v.quantity.optional]
-    if not rates and not optional:
-        return
-    container = _annotation(root, fmi, TOOL, "Inputs")
-    for name, rate in rates:
-        etree.SubElement(container, "InputDerivative", input=name, derivative=rate)
-    for name, meaning in optional:
-        etree.SubElement(container, "OptionalInput", input=name, without=meaning)
-
-
-def _parameter_annotations(root: Element, interface: Interface, fmi: int) -> None:
-    """A vendor annotation of the parameters with other values than the shipped FMU, and of their file."""
+def _not_shipped(interface: Interface) -> dict[tuple[str, str], dict[str, float]]:
+    """File and checksum -> parameters with other values than the shipped FMU, and the shipped values."""
     by_file: dict[tuple[str, str], dict[str, float]] = {}
     for name, number in interface.not_shipped.items():
         if number.shipped is not None:
             by_file.setdefault(number.file, {})[name] = number.shipped
-    if not by_file:
-        return
-    container = _annotation(root, fmi, PARAMETERS, "ParameterSets")
-    for (file, sha256), shipped in by_file.items():
-        element = etree.SubElement(container, "ParameterSet", file=file, sha256=sha256)
-        for name, value in shipped.items():
-            etree.SubElement(element, "Parameter", name=name, shipped=shortest_decimal(value))
+    return by_file
 
 
-def _annotation(root: Element, fmi: int, name: str, content: str) -> Element:
-    """An element in an annotation of this project; the schema of FMI 2.0 allows one child of Tool."""
-    parent, tag, key = (
-        ("VendorAnnotations", "Tool", "name") if fmi == 2 else ("Annotations", "Annotation", "type")
-    )
-    annotations = root.find(parent)
-    if annotations is None:
-        annotations = etree.SubElement(root, parent)
-    return etree.SubElement(etree.SubElement(annotations, tag, {key: name}), content)
-
-
-def _variables(root: Element, interface: Interface, fmi: int) -> None:
-    parent = etree.SubElement(root, "ModelVariables")
+def _variables(interface: Interface, fmi: int) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Attributes of each variable, and those of its type; in FMI 3 time is the last variable."""
     # a model by hand has states without derivatives
     derivative_of = {dx.name: x for dx, x in zip(interface.derivatives, interface.states, strict=False)}
     if fmi == 3:
         derivative_of |= {v.quantity.rate: v for v in interface.inputs if v.quantity.rate}
     for v in interface.variables:
-        attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.quantity.text}
-        attributes |= _causality(v)
+        general = {"name": v.name, "valueReference": v.reference, "description": v.quantity.text}
+        general |= _causality(v)
         derivative = {"derivative": _index(derivative_of[v.name], fmi)} if v.name in derivative_of else {}
         if fmi == 2:
-            scalar = etree.SubElement(parent, "ScalarVariable", attributes)
-            etree.SubElement(scalar, "Real", _real_attributes(v) | derivative)
+            yield general, _real_attributes(v) | derivative
         else:
-            intermediate = {} if v.kind in ("FIXED", "TUNABLE") else {"intermediateUpdate": "true"}
-            etree.SubElement(parent, "Float64", attributes | intermediate | derivative | _real_attributes(v))
-    if fmi == 3:  # time is appended as the last variable
-        names = {v.name for v in interface.variables}
-        time = {
-            "name": "independent_time" if "time" in names else "time",
-            "valueReference": str(len(interface.variables)),
-            "description": "Time",
-            "causality": "independent",
-            "variability": "continuous",
-            "unit": "s",
-        }
-        etree.SubElement(parent, "Float64", time)
+            intermediate = {} if v.kind in ("FIXED", "TUNABLE") else {"intermediateUpdate": True}
+            yield general | intermediate | derivative, _real_attributes(v)
+    if fmi == 3:
+        name = "independent_time" if any(v.name == "time" for v in interface.variables) else "time"
+        time = {"causality": "independent", "variability": "continuous", "unit": "s"}
+        yield {"name": name, "valueReference": len(interface.variables), "description": "Time", **time}, {}
 
 
-def _index(v: Variable, fmi: int) -> str:
+def _index(v: Variable, fmi: int) -> int:
     """How attributes refer to a variable: by its index from 1 in FMI 2, by its value reference in FMI 3."""
-    return str(v.reference + 1 if fmi == 2 else v.reference)
+    return v.reference + 1 if fmi == 2 else v.reference
 
 
 def _causality(v: Variable) -> dict[str, str]:
@@ -246,17 +179,17 @@ def _causality(v: Variable) -> dict[str, str]:
     }
 
 
-def _real_attributes(v: Variable) -> dict[str, str]:
+def _real_attributes(v: Variable) -> dict[str, str | float | None]:
     """Attributes of a real variable: units, bounds, nominal and start value."""
-    q = v.quantity
-    display_unit = display_conversion(q.unit)
-    nominal = None if q.nominal == 1.0 else q.nominal
-    values = {"min": q.minimum, "max": q.maximum, "nominal": nominal, "start": v.start}
-    return (
-        {"unit": q.unit}
-        | ({"displayUnit": display_unit[0]} if display_unit else {})
-        | {name: shortest_decimal(value) for name, value in values.items() if value is not None}
-    )
+    q, display_unit = v.quantity, display_conversion(v.quantity.unit)
+    return {
+        "unit": q.unit,
+        "displayUnit": display_unit[0] if display_unit else None,
+        "min": q.minimum,
+        "max": q.maximum,
+        "nominal": None if q.nominal == 1.0 else q.nominal,
+        "start": v.start,
+    }
 
 
 def unknowns(interface: Interface) -> Unknowns:
@@ -273,58 +206,103 @@ def unknowns(interface: Interface) -> Unknowns:
     }
 
 
-def _structure(root: Element, unknown: Unknowns, fmi: int) -> None:
-    structure = etree.SubElement(root, "ModelStructure")
-    for group, rows in unknown.items():
-        if not rows:
-            continue
-        parent = etree.SubElement(structure, group) if fmi == 2 else structure
-        for v, knowns in rows:
-            knowns = sorted(knowns, key=lambda pair: pair[0].reference)
-            attributes = {
-                "index" if fmi == 2 else "valueReference": _index(v, fmi),
-                "dependencies": " ".join(_index(known, fmi) for known, _ in knowns),
-                "dependenciesKind": " ".join(kind for _, kind in knowns),
-            }
-            etree.SubElement(parent, "Unknown" if fmi == 2 else _UNKNOWN_3[group], attributes)
+def _unknown(v: Variable, knowns: Sequence[tuple[Variable, str]], fmi: int) -> dict[str, object]:
+    """Attributes of an unknown in ModelStructure."""
+    knowns = sorted(knowns, key=lambda pair: pair[0].reference)
+    return {
+        "index" if fmi == 2 else "valueReference": _index(v, fmi),
+        "dependencies": " ".join(str(_index(known, fmi)) for known, _ in knowns),
+        "dependenciesKind": " ".join(kind for _, kind in knowns),
+    }
 
 
 def build_description(name: str, sources: Sequence[str]) -> bytes:
     """sources/buildDescription.xml: the C files to compile."""
-    root = etree.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = etree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    files = etree.SubElement(configuration, "SourceFileSet", language="C99")
-    for source in sources:
-        etree.SubElement(files, "SourceFile", name=source)
-    return xml_text(root)
-
-
-_SQUARE = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}  # extent of the icon
-_MM_PER_UNIT = "0.1"  # so the icon is 20 mm wide
+    return rendered_xml(TEMPLATES / "buildDescription.xml.j2", name=name, sources=sources)
 
 
 def terminals(sub: Subsystem, interface: Interface) -> bytes:
     """terminalsAndIcons.xml; raises Problem for a terminal member that is not an input or output."""
-    root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    drawing = etree.SubElement(root, "GraphicalRepresentation")
-    etree.SubElement(drawing, "CoordinateSystem", _SQUARE, suggestedScalingFactorTo_mm=_MM_PER_UNIT)
-    etree.SubElement(drawing, "Icon", _SQUARE)
-    parent = etree.SubElement(root, "Terminals") if sub.terminals else root
     visible = {v.name for v in interface.variables if v.output or v.kind == "INPUT"}
     for terminal in sub.terminals:
-        kind = f"{TOOL}.{terminal.kind}"
-        attributes = {"name": terminal.name, "matchingRule": "plug", "terminalKind": kind}
-        element = etree.SubElement(parent, "Terminal", attributes | {"description": terminal.text})
         for member in terminal.members:
             if member.variable not in visible:
                 raise Problem(
                     f"{sub.name}: terminal {terminal.name}: {member.variable} is not an input or output"
                 )
-            # FMI: a flow variable, whose sum over a connection is zero, is inflow or outflow
-            attributes = {
-                "variableName": member.variable,
-                "memberName": member.name,
-                "variableKind": f"{member.flow}flow" if member.flow else "signal",
-            }
-            etree.SubElement(element, "TerminalMemberVariable", attributes)
-    return xml_text(root)
+    return rendered_xml(TEMPLATES / "terminalsAndIcons.xml.j2", terminals=sub.terminals, tool=TOOL)
+
+
+# ---- reference experiment ----------------------------------------------------------------------------
+
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+PAGE = "documentation/fmi-ls-ref.html"
+COMMUNICATION_STEP = 1e-2  # s
+TOLERANCE = 1e-9  # relative, of the FMU's solver; 1000 times tighter than its default
+# limit of the RMS deviation from the reference, relative to the range of a signal; the default tolerance of
+# the solver gives hundreds of times more
+NRMSE_LIMIT = 1e-5
+_PARAMETER = f"{{{NAMESPACES['ssv']}}}Parameter"
+
+
+# how the manifest describes a file: MIME type, role, description
+_RELATED = {
+    "parameters.ssv": (
+        "application/x-ssp-parameter-set",
+        "parameter",
+        "Parameters and start values of the experiment",
+    ),
+    "experiment.exp": ("application/x-ma-hs-experiments", "experiment/validation", "Part of a work cycle"),
+    "input.csv": ("text/csv", "other", f"Inputs, set every {1e3 * COMMUNICATION_STEP:g} ms"),
+    "result.csv": ("text/csv", "result", "Result, computed with CVODES from the equations"),
+    f"../../{PAGE}": ("text/html", "document", "Description of the experiment"),
+}
+
+
+def data_file(sub: Subsystem, name: str) -> Path:
+    """Path of a data file of the experiment; the variants of a component share one input.csv."""
+    variant = sub.name.removeprefix(sub.component).strip("_")
+    prefix = f"reference_{variant}" if variant and name != "input.csv" else "reference"
+    return sub.folder / f"{prefix}_{name}"
+
+
+def ls_ref_files(sub: Subsystem) -> dict[str, bytes]:
+    """The files by path in the FMU; none if there is no reference result or it has other variables."""
+    data = {name: data_file(sub, name) for name in ("parameters.ssv", "input.csv", "result.csv")}
+    files = {name: path.read_bytes() for name, path in data.items() if path.is_file()}
+    groups = (sub.parameters, sub.inputs, sub.states, sub.outputs)
+    declared = {name for group in groups for name in quantities(group)}
+    if "result.csv" not in files or not _names(files) <= declared:
+        return {}
+    lines = files["result.csv"].decode().strip().splitlines()
+    stop = float(lines[-1].partition(",")[0])
+    content = {
+        "name": sub.name,
+        "stop": stop,
+        "step": COMMUNICATION_STEP,
+        "tolerance": TOLERANCE,
+        "limit": NRMSE_LIMIT,
+        "folder": f"../{FOLDER}",
+        "description": _RELATED["experiment.exp"][2],
+        "signals": lines[0].split(",")[1:],
+        "has_inputs": "input.csv" in files,
+    }
+    # in the experiments format of the Modelica Association (draft of 2026)
+    files["experiment.exp"] = rendered_xml(TEMPLATES / "experiment.exp.j2", **content)
+    related = {name: file for name, file in _RELATED.items() if name in files or name.startswith("..")}
+    files["fmi-ls-manifest.xml"] = rendered_xml(TEMPLATES / "fmi-ls-manifest.xml.j2", related=related)
+    page = rendered(TEMPLATES / "fmi-ls-ref.html.j2", escaped=True, **content)
+    return {f"{FOLDER}/{name}": content for name, content in files.items()} | {PAGE: page.encode()}
+
+
+def _names(files: Mapping[str, bytes]) -> set[str]:
+    """Names of the variables in the CSV files and in parameters.ssv."""
+    tables = (content for name, content in files.items() if name.endswith(".csv"))
+    columns = {name for t in tables for name in t.decode().partition("\n")[0].split(",")[1:]}
+    return columns | {str(e.get("name")) for e in etree.fromstring(files["parameters.ssv"]).iter(_PARAMETER)}
+
+
+def reference_parameters(sub: Subsystem, values: Mapping[str, float]) -> bytes:
+    """parameters.ssv, in the units of the variables; equal values give equal bytes in all versions."""
+    parameters = {name: (FmuVariable(name), value) for name, value in values.items()}
+    return parameter_set(f"{sub.name} reference experiment", parameters)

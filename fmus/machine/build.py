@@ -1,10 +1,8 @@
 """`harvester build`: FMUs of all parts, operator, controller and whole machine, and the systems (SSP)."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from shutil import copyfile
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities
@@ -21,7 +19,7 @@ from fmus.package_files import data, shipped_folder
 from fmus.parameters import ParameterSet, not_shipped, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import FMI3, VARIANTS, tell_once
+from orchestrator.base.files import FMI3, VARIANTS, tell_once, write_whole
 from orchestrator.base.units import doubt
 
 __all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
@@ -82,7 +80,7 @@ def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
         for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
             for source in sorted(p for p in (built / sub).iterdir() if p.is_file()):
                 paths.append(Path(folder) / sub / source.name)
-                _copy(source, paths[-1])
+                write_whole(paths[-1], source.read_bytes())
     return paths
 
 
@@ -120,16 +118,5 @@ def controller_of(parts: Mapping[str, Subsystem], parameters: Path | None = None
 def _copied(fmu: Path, variant: str) -> Path:
     """Copy the FMU of a part to the folder of variants."""
     path = fmu.parent / VARIANTS / f"{fmu.stem}_{variant}.fmu"
-    _copy(fmu, path)
+    write_whole(path, fmu.read_bytes())
     return path
-
-
-def _copy(source: Path, path: Path) -> None:
-    """Copy a file; replaces an existing file in one step."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        copyfile(source, temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

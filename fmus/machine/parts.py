@@ -96,15 +96,11 @@ CONTROL_WIRES: Connections = (
 
 # between supply and drives; without them the drives have constant pressures
 DRIVES = ("swing", "boom_stick")
+LINES = tuple(
+    f"{line}_pressure{suffix}" for line in ("supply", "tank", "load_sensing") for suffix in ("", "_rate")
+)
 SUPPLY_WIRES: Connections = (
-    *(
-        (f"supply.{v}", f"{d}.{v}")
-        for d in DRIVES
-        for v in (
-            *("supply_pressure", "supply_pressure_rate", "tank_pressure", "tank_pressure_rate"),
-            *("load_sensing_pressure", "load_sensing_pressure_rate"),
-        )
-    ),
+    *((f"supply.{v}", f"{d}.{v}") for d in DRIVES for v in LINES),
     *(
         (f"{d}.{d}_load_pressure{suffix}", f"supply.{d}_load_pressure{suffix}")
         for d in DRIVES
@@ -116,15 +112,7 @@ SUPPLY_WIRES: Connections = (
 # external inputs of the machine without operator -> component inputs
 INPUTS: Mapping[str, tuple[str, ...]] = {
     **{end.split(".")[1]: (end,) for _, end in LEVER_WIRES},
-    "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),
-    "supply_pressure_rate": ("swing.supply_pressure_rate", "boom_stick.supply_pressure_rate"),
-    "tank_pressure": ("swing.tank_pressure", "boom_stick.tank_pressure"),
-    "tank_pressure_rate": ("swing.tank_pressure_rate", "boom_stick.tank_pressure_rate"),
-    "load_sensing_pressure": ("swing.load_sensing_pressure", "boom_stick.load_sensing_pressure"),
-    "load_sensing_pressure_rate": (
-        "swing.load_sensing_pressure_rate",
-        "boom_stick.load_sensing_pressure_rate",
-    ),
+    **{v: tuple(f"{d}.{v}" for d in DRIVES) for v in LINES},
     "payload_mass": ("manipulator.payload_mass",),
 }
 

@@ -34,8 +34,8 @@ from fmus.contract import Subsystem, column, quantities, symbolic
 from fmus.controller import CONTROLLER
 from fmus.controller.paths import experiment_inputs
 from fmus.export.interface import interface_of
-from fmus.export.ls_ref import COMMUNICATION_STEP as STEP
-from fmus.export.ls_ref import data_file, reference_parameters
+from fmus.export.model_description import COMMUNICATION_STEP as STEP
+from fmus.export.model_description import data_file, reference_parameters
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import (
     COMMAND_WIRES,
@@ -201,12 +201,8 @@ def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mappin
 def write_experiments() -> None:
     """Write the experiments of all variants, operator, controller and composed machine."""
     empty, loaded = machine_signals(), machine_signals([STEM])
-    for sub in (
-        *(v for variants in FAMILIES.values() for v in variants.values()),
-        OPERATOR,
-        CONTROLLER,
-        HARVESTER,
-    ):
+    variants = [sub for family in FAMILIES.values() for sub in family.values()]
+    for sub in (*variants, OPERATOR, CONTROLLER, HARVESTER):
         write_reference(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)
 
 
@@ -242,12 +238,7 @@ SIGNALS = (
     *("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
     *(f"manipulator.{joint}_{kind}" for kind in ("angle", "speed") for joint in ("swing", "boom", "stick")),
     *("manipulator.boom_position", "manipulator.stick_position"),
-    *(
-        "manipulator.elbow_radius",
-        "manipulator.elbow_height",
-        "manipulator.tip_radius",
-        "manipulator.tip_height",
-    ),
+    *(f"manipulator.{point}_{axis}" for point in ("elbow", "tip") for axis in ("radius", "height")),
     *("swing.swing_pressure_a", "swing.swing_pressure_b", "swing.swing_flow_a", "swing.swing_flow_b"),
     *(
         f"boom_stick.{a}_{side}_{kind}"

@@ -32,6 +32,7 @@ from typing import Any
 
 import casadi as ca
 
+from fmus.components import friction
 from fmus.components.smooth import ramp, ramp_integral
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator import arm
@@ -55,12 +56,7 @@ class PendulumParameters(ManipulatorParameters):
         "Moment of inertia of the head about its centre of mass, perpendicular to its axis",
         minimum=0.0,
     )
-    head_joint_damping: Scalar = Quantity(
-        "N.m.s/rad",
-        "Viscous friction coefficient of each axis of the head's joint",
-        minimum=0.0,
-        tunable=True,
-    )
+    head_joint_damping: Scalar = friction.damping("N.m.s/rad", "each axis of the head's joint")
     head_stop_angle: Scalar = Quantity(
         "rad", "Side angle of the head at which the stops of its joint begin", minimum=0.1, maximum=1.3
     )

@@ -4,6 +4,8 @@ The elbow is the stick pivot, the tip the end of the stick, to which the process
 docs/rate-ports.md.
 """
 
+from fmus import ports
+from fmus.components import friction
 from fmus.components.mechanics import Point
 from fmus.contract import Group, Quantity, Scalar
 
@@ -40,17 +42,8 @@ class ArmLink(CylinderMount):
     )
     centre_x: Scalar = Quantity("m", "Centre of mass of the {} from its pivot, along the {}")
     centre_z: Scalar = Quantity("m", "Centre of mass of the {} from its pivot, perpendicular to the {}")
-    joint_damping: Scalar = Quantity(
-        "N.m.s/rad",
-        "Viscous friction coefficient of the {} joint",
-        1e2,
-        minimum=0.0,
-        tunable=True,
-        group="Friction",
-    )
-    piston_damping: Scalar = Quantity(
-        "N.s/m", "Viscous friction coefficient of the {} cylinder's piston", 1e4, minimum=0.0, tunable=True
-    )
+    joint_damping: Scalar = friction.damping("N.m.s/rad", "the {} joint", 1e2, "Friction")
+    piston_damping: Scalar = friction.damping("N.s/m", "the {} cylinder's piston", 1e4)
 
     @property
     def centre(self) -> Point:
@@ -92,14 +85,7 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
     payload_grip_time: Scalar = Quantity(
         "s", "Delay of the mass held behind payload_mass, as two lags in series", 0.1, minimum=1e-3
     )
-    swing_damping: Scalar = Quantity(
-        "N.m.s/rad",
-        "Viscous friction coefficient of the swing gear",
-        1e2,
-        minimum=0.0,
-        tunable=True,
-        group="Friction",
-    )
+    swing_damping: Scalar = friction.damping("N.m.s/rad", "the swing gear", 1e2, "Friction")
     stop_stiffness: Scalar = Quantity(
         "N/m", "Stiffness of the cylinders' end stops", 1e8, minimum=1.0, group="End stops"
     )
@@ -147,7 +133,7 @@ class CylinderInputs(Group):
     """Force of a cylinder; the rate input carries its exact time derivative."""
 
     force: Scalar = Quantity("N", "Hydraulic force of the {} cylinder", 1e5, rate="force_rate")
-    force_rate: Scalar = Quantity("N/s", "Rate port: time derivative of {}_force, may stay unconnected", 1e6)
+    force_rate: Scalar = ports.rate_input("{}_force", "N/s", 1e6)
 
 
 class ManipulatorInputs(Group, boom=CylinderInputs, stick=CylinderInputs):
@@ -156,9 +142,7 @@ class ManipulatorInputs(Group, boom=CylinderInputs, stick=CylinderInputs):
     swing_torque: Scalar = Quantity(
         "N.m", "Hydraulic torque on the swing column", 1e4, rate="swing_torque_rate"
     )
-    swing_torque_rate: Scalar = Quantity(
-        "N.m/s", "Rate port: time derivative of swing_torque, may stay unconnected", 1e5
-    )
+    swing_torque_rate: Scalar = ports.rate_input("swing_torque", "N.m/s", 1e5)
     payload_mass: Scalar = Quantity(
         "kg",
         "Payload that the head is to hold; a smaller value drops mass",
@@ -173,7 +157,7 @@ class CylinderOutputs(Group):
 
     position: Scalar = Quantity("m", "Piston position of the {} cylinder from its closed end")
     velocity: Scalar = Quantity("m/s", "Piston velocity of the {} cylinder", 0.1)
-    acceleration: Scalar = Quantity("m/s2", "Rate port: exact time derivative of {}_velocity")
+    acceleration: Scalar = ports.rate_output("{}_velocity", "m/s2")
     holding_force: Scalar = Quantity("N", "Static holding force of the {} cylinder against gravity", 1e5)
     torque: Scalar = Quantity("N.m", "Torque of the {} cylinder on its joint: moment arm times force", 1e4)
     stop_force: Scalar = Quantity(
@@ -187,7 +171,7 @@ class CylinderOutputs(Group):
 class ManipulatorOutputs(ManipulatorState, boom=CylinderOutputs, stick=CylinderOutputs):
     """States, piston motion, positions, energies."""
 
-    swing_acceleration: Scalar = Quantity("rad/s2", "Rate port: exact time derivative of swing_speed")
+    swing_acceleration: Scalar = ports.rate_output("swing_speed", "rad/s2")
     elbow_radius: Scalar = Quantity("m", "Elbow (stick pivot), radius from the swing axis")
     elbow_height: Scalar = Quantity("m", "Elbow (stick pivot), height above the foot of the column")
     tip_radius: Scalar = Quantity("m", "Tip, radius from the swing axis")

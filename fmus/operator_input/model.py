@@ -146,15 +146,9 @@ class OperatorInputs(Group):
     """No inputs."""
 
 
-class OperatorOutputs(Group):
+class OperatorOutputs(ports.CommandOutputs):
     """Commands to the valves and their rates; payload."""
 
-    swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
-    boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
-    stick_command: Scalar = Quantity("V", "Command to the stick valve, positive folds the stick in", 10.0)
-    swing_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
-    boom_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
-    stick_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
     payload_mass: Scalar = Quantity("kg", "Payload that the head is to hold, in steps", 100.0)
 
 

@@ -18,21 +18,19 @@ the pumps, check valves and relief valve. E is the energy of compression and rot
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
 
-from pathlib import Path
-
 import casadi as ca
 
 from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import DieselEngine, Pump
-from fmus.contract import Group, Quantity, Scalar, Subsystem
+from fmus.contract import Group, Quantity, Scalar
 from fmus.supply import rail
 from fmus.supply.rail import Outlet, RailParameters, ShaftState, TankParameters
 from fmus.supply.variables import (
-    TERMINALS,
     SupplyInputs,
     SupplyOutputs,
     line_pressure,
     supply_flow,
+    variant,
 )
 
 
@@ -205,18 +203,14 @@ def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
     }
 
 
-ENGINE_PUMP = Subsystem(
-    name="supply",
+ENGINE_PUMP = variant(
     text="Hydraulic supply: two pressure-compensated pumps on a diesel engine",
     parameters=EnginePumpParameters,
     states=EnginePumpState,
-    inputs=SupplyInputs,
     outputs=EnginePumpOutputs,
     dynamics=dynamics,
     observe=observe,
     initial=initial,
     require=require,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
     validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the supply line",
 )

@@ -7,18 +7,16 @@ for every flow. There is no state. The outputs of power are valid for any flow o
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
 
-from pathlib import Path
-
 from fmus.components.chamber import ATMOSPHERE
-from fmus.contract import Group, Quantity, Scalar, Subsystem
+from fmus.contract import Group, Quantity, Scalar
 from fmus.supply.variables import (
-    TERMINALS,
     CommonParameters,
     SupplyInputs,
     SupplyOutputs,
     line_pressure,
     return_flow,
     supply_flow,
+    variant,
 )
 
 
@@ -65,17 +63,13 @@ def require(x: IdealState, u: SupplyInputs, p: IdealParameters) -> dict[str, Sca
     return {"pressure_setting is not below reservoir_pressure": p.pressure_setting - p.reservoir_pressure + 1}
 
 
-IDEAL = Subsystem(
-    name="supply",
+IDEAL = variant(
     text="Hydraulic supply: an ideal pressure source",
     parameters=IdealParameters,
     states=IdealState,
-    inputs=SupplyInputs,
     outputs=SupplyOutputs,
     dynamics=dynamics,
     observe=observe,
     require=require,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
     validity="while pumps and engine have flow and power to spare; no pressure ripple, no sag",
 )

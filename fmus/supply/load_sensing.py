@@ -34,22 +34,21 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.engine_and_pump import DieselEngine, Pump, StrokeLimits
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.smooth import ramp_inverse
-from fmus.contract import Group, Quantity, Scalar, Subsystem
+from fmus.contract import Group, Quantity, Scalar
 from fmus.supply import rail
 from fmus.supply.rail import Outlet, RailParameters, ShaftState, TankParameters
 from fmus.supply.variables import (
-    TERMINALS,
     SupplyInputs,
     SupplyOutputs,
     limited,
     line_pressure,
     supply_flow,
+    variant,
 )
 
 _ITERATIONS = 20  # of check valve and engine at standby; each gains about a digit
@@ -269,18 +268,14 @@ def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
     }
 
 
-LOAD_SENSING = Subsystem(
-    name="supply",
+LOAD_SENSING = variant(
     text="Hydraulic supply: a load-sensing pump on a diesel engine",
     parameters=LoadSensingParameters,
     states=LoadSensingState,
-    inputs=SupplyInputs,
     outputs=LoadSensingOutputs,
     dynamics=dynamics,
     observe=observe,
     initial=initial,
     require=require,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
     validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the lines",
 )

@@ -1,11 +1,14 @@
 """Common variables of all variants of the supply: parameters, inputs, outputs; signs as in ideal.py."""
 
+from functools import partial
+from pathlib import Path
+
 import casadi as ca
 
 from fmus import ports
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.load_sensing import LoadPressure, highest, relieved
-from fmus.contract import Group, Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar, Subsystem
 
 CONSUMERS = ("swing", "boom_stick")
 
@@ -38,9 +41,7 @@ class LoadInputs(Group):
         rate="load_pressure_rate",
         optional="the load of {} is not sensed",
     )
-    load_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: time derivative of {}_load_pressure, may stay unconnected", 1e8
-    )
+    load_pressure_rate: Scalar = ports.rate_input("{}_load_pressure", "Pa/s", 1e8)
 
 
 class SupplyInputs(Group, swing=LoadInputs, boom_stick=LoadInputs):
@@ -60,15 +61,11 @@ class SupplyOutputs(Group):
     """Pressures of supply and return lines, flows and power of the drives, energies."""
 
     supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
-    supply_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: exact time derivative of supply_pressure", 1e8
-    )
+    supply_pressure_rate: Scalar = ports.rate_output("supply_pressure", "Pa/s", 1e8)
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return lines", 1e5)
-    tank_pressure_rate: Scalar = Quantity("Pa/s", "Rate port: exact time derivative of tank_pressure", 1e7)
+    tank_pressure_rate: Scalar = ports.rate_output("tank_pressure", "Pa/s", 1e7)
     load_sensing_pressure: Scalar = Quantity("Pa", "Pressure of the load-sensing line", 1e7)
-    load_sensing_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: exact time derivative of load_sensing_pressure", 1e8
-    )
+    load_sensing_pressure_rate: Scalar = ports.rate_output("load_sensing_pressure", "Pa/s", 1e8)
     supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line into all drives", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return lines from all drives", 1e-3)
     hydraulic_power: Scalar = Quantity(
@@ -111,4 +108,13 @@ TERMINALS = tuple(
     line(name)
     for name in CONSUMERS
     for line in (ports.supply_line_to, ports.return_line_from, ports.load_sensing_line_from)
+)
+
+# a variant with its own equations and groups
+variant = partial(
+    Subsystem,
+    name="supply",
+    inputs=SupplyInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
 )

@@ -12,7 +12,6 @@ no oil columns. C has elastic walls and the air of `chamber`. The torque depends
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from fmus.components import chamber, hose, motor, orifice
 from fmus.components import pressure_compensator as compensator
@@ -23,13 +22,19 @@ from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
-from fmus.contract import Group, Quantity, Scalar, Subsystem, family, quantities
-from fmus.swing import drive, lumped
+from fmus.contract import Group, Quantity, Scalar, quantities
+from fmus.swing import drive
 from fmus.swing.drive import Pair
-from fmus.swing.variables import DriveParameters, QuasistaticSwingParameters, SwingInputs, SwingOutputs
+from fmus.swing.variables import (
+    DriveParameters,
+    LinePressures,
+    QuasistaticSwingParameters,
+    SwingInputs,
+    SwingOutputs,
+)
 
 
-class CompensatedSwingParameters(
+class Parameters(
     DriveParameters,
     ReliefParameters,
     HoseWall,
@@ -56,14 +61,11 @@ class BrakeState(Group):
     swing_brake_applied: Scalar = Quantity("1", "Part of its torque that the swing brake can hold")
 
 
-class CompensatedSwingState(BrakeState):
+class State(LinePressures, BrakeState):
     """State of the compensated drive: pressures at the motor, brake."""
 
-    swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
-    swing_pressure_b: Scalar = chamber.pressure("Pressure of swing line B")
 
-
-class CompensatedSwingOutputs(BrakeState, SwingOutputs):
+class Outputs(BrakeState, SwingOutputs):
     """Outputs of every variant, and signals of section, relief valves and brake."""
 
     swing_meter_in_flow: Scalar = Quantity("m3/s", "Flow of the swing section from the supply line", 1e-3)
@@ -89,7 +91,7 @@ class _Evaluated:
     anti: Pair
 
 
-def section(p: CompensatedSwingParameters) -> Section:
+def section(p: Parameters) -> Section:
     """Parameters of the section."""
     return Section(
         SectionValve.of(p, "valve"),
@@ -102,13 +104,13 @@ def section(p: CompensatedSwingParameters) -> Section:
     )
 
 
-def _release(u: SwingInputs, p: CompensatedSwingParameters) -> Scalar:
+def _release(u: SwingInputs, p: Parameters) -> Scalar:
     """f of the brake."""
     in_use = 1 - section(p).neutral(u.swing_command)
     return Brake.of(p, "brake").released(in_use, u.supply_pressure - u.tank_pressure)
 
 
-def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> _Evaluated:
+def _evaluate(x: State, u: SwingInputs, p: Parameters) -> _Evaluated:
     a, b, tank = x.swing_pressure_a, x.swing_pressure_b, u.tank_pressure
     anti = PressureValve.of(p, "anti_cavitation")
     displaced = drive.displacement(p) * u.swing_speed
@@ -125,12 +127,12 @@ def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParam
     )
 
 
-def _volume(p: CompensatedSwingParameters) -> Scalar:
+def _volume(p: Parameters) -> Scalar:
     """Volume [m3] of a line with its motor side."""
     return hose.area(p.line_bore) * p.line_length + p.motor_volume
 
 
-def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameters) -> CompensatedSwingState:
+def _rates(n: _Evaluated, x: State, p: Parameters) -> State:
     (a, b), volume = n.ports, _volume(p)
     c_a, c_b = (
         p.line_capacitance + volume * chamber.air_compliance(p, pressure)
@@ -138,7 +140,7 @@ def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameter
     )
     net_a = a.edges.line - n.nodes.flow_1 - n.cross + n.anti[0]
     net_b = b.edges.line - n.nodes.flow_2 + n.cross + n.anti[1]
-    return CompensatedSwingState(
+    return State(
         swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c_a),
         swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c_b),
         swing_brake_torque=n.brake.rate,
@@ -146,16 +148,12 @@ def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameter
     )
 
 
-def dynamics(
-    x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters
-) -> CompensatedSwingState:
+def dynamics(x: State, u: SwingInputs, p: Parameters) -> State:
     """Time derivative of the state, field by field."""
     return _rates(_evaluate(x, u, p), x, p)
 
 
-def observe(
-    x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters
-) -> CompensatedSwingOutputs:
+def observe(x: State, u: SwingInputs, p: Parameters) -> Outputs:
     """Outputs; the torque depends only on states."""
     n = _evaluate(x, u, p)
     dx, pressures = _rates(n, x, p), (x.swing_pressure_a, x.swing_pressure_b)
@@ -175,7 +173,7 @@ def observe(
         + _volume(p) * chamber.air_energy_density(p, pressure)
         for pressure in pressures
     )
-    return CompensatedSwingOutputs(
+    return Outputs(
         **outputs,
         stored_energy=compression + n.brake.stored,
         swing_brake_torque=x.swing_brake_torque,
@@ -188,7 +186,7 @@ def observe(
     )
 
 
-def initial(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> dict[str, Scalar]:
+def initial(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, the brake as the command has it, without torque."""
     preload = u.tank_pressure + p.initial_preload
     return {
@@ -199,30 +197,23 @@ def initial(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParamet
     }
 
 
-def require(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> dict[str, Scalar]:
+def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     """Requirements of valve and compensator."""
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-def _subsystem() -> Subsystem:
-    sub = Subsystem(
-        name="swing",
+SWING = at_temperature(
+    drive.variant(
         text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
-        parameters=CompensatedSwingParameters,
-        states=CompensatedSwingState,
-        inputs=SwingInputs,
-        outputs=CompensatedSwingOutputs,
+        parameters=Parameters,
+        states=State,
+        outputs=Outputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=require,
         derive=drive.derive_capacitance,
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
         " no spool dynamics",
-        terminals=drive.TERMINALS,
     )
-    return family("swing", lumped=lumped.SWING, compensated=at_temperature(sub))["compensated"]
-
-
-SWING = _subsystem()
+)

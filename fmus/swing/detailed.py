@@ -78,12 +78,6 @@ def _evaluate(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) 
     )
 
 
-def _dead_bands(p: DetailedSwingParameters) -> Pair:
-    """Positions of the spool at which the edges P-A and P-B begin to open."""
-    overlaps, curves = (p.spool_overlap_pa, p.spool_overlap_pb), OpeningCurves.of(p, "valve")
-    return opening_curve.meter_in_dead_bands(curves, *overlaps, p.valve_full_command)
-
-
 def _pressure_rates(n: _Evaluated, p: DetailedSwingParameters) -> Pair:
     nets = (
         n.lines[0].flows[-1] - n.nodes.flow_1 - n.cross + n.anti[0],
@@ -116,10 +110,12 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
     n, swing_line, tank = _evaluate(names, x, u, p), line(p), u.tank_pressure
     (p_a, p_b), flows = n.pressures, (n.lines[0].flows[0], n.lines[1].flows[0])
     rates = _pressure_rates(n, p)
+    bands = opening_curve.meter_in_dead_bands(
+        OpeningCurves.of(p, "valve"), p.spool_overlap_pa, p.spool_overlap_pb, p.valve_full_command
+    )
     load = load_sensing.load_pressure(
-        *(n.spool.position, n.spool.speed),
-        *(_dead_bands(p), 1),
-        *(n.pressures, rates, (tank, u.tank_pressure_rate)),
+        *(n.spool.position, n.spool.speed, bands, 1),
+        *(n.pressures, rates, u),
     )
     outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, rates, load)
     for side, state, port, pressure in zip(SIDES, n.lines, n.ports, n.pressures, strict=True):
@@ -194,20 +190,16 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
     )
     names = (a, b)
     state = make_group("DetailedSwingState", dict(_states(names)))
-    sub = Subsystem(
-        name="swing",
+    sub = drive.variant(
         text="Detailed hydraulic swing drive: spool dynamics, lines, motor and gear, air, relief valves",
         parameters=DetailedSwingParameters,
         states=state,
-        inputs=SwingInputs,
         outputs=DetailedSwingOutputs,
         dynamics=lambda x, u, p: state(**_rates(names, x, u, p)),
         observe=lambda x, u, p: _observe(names, x, u, p),
         initial=lambda x, u, p: _initial(names, x, u, p),
         require=drive.require_tables,
-        values=PARAMETERS,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
-        terminals=drive.TERMINALS,
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}
     return family("swing", **others, detailed=at_temperature(sub))["detailed"]

@@ -4,6 +4,8 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 """
 
 import math
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from fmus import ports
@@ -12,7 +14,7 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Scalar, Terminal
+from fmus.contract import Scalar, Subsystem, Terminal
 from fmus.swing.variables import SwingInputs
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
@@ -87,11 +89,9 @@ def load_pressure(
     p: Any, u: SwingInputs, pressures: Pair, rates: Pair, curves: OpeningCurves | None = None
 ) -> LoadPressure:
     """Load pressure of a valve without dynamics; pressures of the lines [Pa] and their rates."""
-    command = (u.swing_command, u.swing_command_rate)
     bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
-    curve = (bands, p.valve_full_command)
-    line = (u.tank_pressure, u.tank_pressure_rate)
-    return load_sensing.load_pressure(*command, *curve, pressures, rates, line)
+    command = (u.swing_command, u.swing_command_rate)
+    return load_sensing.load_pressure(*command, bands, p.valve_full_command, pressures, rates, u)
 
 
 def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:
@@ -110,4 +110,13 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.supply_line(),
     ports.return_line(),
     ports.load_sensing_line("swing"),
+)
+
+# a variant with its own equations and groups
+variant = partial(
+    Subsystem,
+    name="swing",
+    inputs=SwingInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
 )

@@ -10,14 +10,12 @@ laminar (R_line), and C_R,line is zero unless it is identified from measurements
 The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is required for conservation of power.
 """
 
-from pathlib import Path
-
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Scalar, Subsystem
+from fmus.contract import Scalar
 from fmus.swing import drive
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
@@ -50,11 +48,8 @@ def dynamics(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingState:
 
 def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     """Outputs."""
-    dx, pressures, flows = (
-        dynamics(x, u, p),
-        (x.swing_pressure_a, x.swing_pressure_b),
-        (x.swing_flow_a, x.swing_flow_b),
-    )
+    dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
+    flows = (x.swing_flow_a, x.swing_flow_b)
     nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
     line_rates = (dx.swing_pressure_a, dx.swing_pressure_b)
     rates = _motor((*line_rates, u.tank_pressure_rate), u.swing_acceleration, p)
@@ -77,20 +72,16 @@ def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scal
 
 
 SWING = at_temperature(
-    Subsystem(
-        name="swing",
+    drive.variant(
         text="Hydraulic swing drive: spool valve, lines, motor and gear",
         parameters=SwingParameters,
         states=SwingState,
-        inputs=SwingInputs,
         outputs=SwingOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=drive.require,
         derive=drive.derive,
-        values=Path(__file__).with_name("parameters.toml"),
         validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
-        terminals=drive.TERMINALS,
     )
 )

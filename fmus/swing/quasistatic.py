@@ -9,27 +9,18 @@ lumped drive for lines without inertance and without laminar resistance, whose d
 pressures are those of the motor ports. The torque depends only on states.
 """
 
-from pathlib import Path
-
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Group, Scalar, Subsystem
+from fmus.contract import Scalar
 from fmus.swing import drive
-from fmus.swing.variables import QuasistaticSwingParameters, SwingInputs, SwingOutputs
-
-
-class QuasistaticSwingState(Group):
-    """State of the quasistatic drive: the pressures."""
-
-    swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
-    swing_pressure_b: Scalar = chamber.pressure("Pressure of swing line B")
+from fmus.swing.variables import LinePressures, QuasistaticSwingParameters, SwingInputs, SwingOutputs
 
 
 def _ports(
-    x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters
+    x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters
 ) -> tuple[tuple[EdgeFlows, EdgeFlows], MotorNodes]:
     """Ports of the valve, and nodes of the motor."""
     lines, valve = (x.swing_pressure_a, x.swing_pressure_b), Valve.of(p, "valve")
@@ -46,19 +37,17 @@ def _ports(
     return ports, motor.nodes_at_port_pressures(*lines, u.tank_pressure, displaced, *drive.leakage(p))
 
 
-def dynamics(
-    x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters
-) -> QuasistaticSwingState:
+def dynamics(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> LinePressures:
     """Time derivative of the state, field by field."""
     (a, b), nodes = _ports(x, u, p)
     c = p.line_capacitance
-    return QuasistaticSwingState(
+    return LinePressures(
         swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, a.line - nodes.flow_1, c),
         swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, b.line - nodes.flow_2, c),
     )
 
 
-def observe(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters) -> SwingOutputs:
+def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> SwingOutputs:
     """Outputs."""
     valve, nodes = _ports(x, u, p)
     dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
@@ -70,28 +59,24 @@ def observe(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParamet
     return SwingOutputs(**outputs, stored_energy=energy)
 
 
-def initial(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters) -> dict[str, Scalar]:
+def initial(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, no torque."""
     preload = u.tank_pressure + p.initial_preload
     return {"swing_pressure_a": preload, "swing_pressure_b": preload}
 
 
 SWING = at_temperature(
-    Subsystem(
-        name="swing",
+    drive.variant(
         text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
         parameters=QuasistaticSwingParameters,
-        states=QuasistaticSwingState,
-        inputs=SwingInputs,
+        states=LinePressures,
         outputs=SwingOutputs,
         dynamics=dynamics,
         observe=observe,
         initial=initial,
         require=drive.require,
         derive=drive.derive_capacitance,
-        values=Path(__file__).with_name("parameters.toml"),
         validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
-        terminals=drive.TERMINALS,
         stiff=False,
     )
 )

@@ -4,14 +4,15 @@ Signs: flows are positive towards the motor; angle, speed and torque are positiv
 seen from above; a positive command turns in the positive direction.
 """
 
+from fmus import ports
 from fmus.components import chamber, spool_valve
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.hose import HoseSize, HoseWall
-from fmus.components.load_sensing import NOT_SHARED
 from fmus.components.oil import OilTemperature
 from fmus.components.orifice import ReliefParameters
 from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
+from fmus.ports import LineInputs
 
 SIDES = ("a", "b")
 
@@ -75,65 +76,45 @@ class DetailedSwingParameters(
     """Parameters of the detailed drive; values and sources are in parameters.toml."""
 
 
-class SwingState(Group):
-    """State of the lumped drive: pressures and flows of both lines, which are outputs of every variant."""
+class LinePressures(Group):
+    """Pressures of both lines: the state of the quasistatic drive."""
 
     swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
     swing_pressure_b: Scalar = chamber.pressure("Pressure of swing line B")
+
+
+class SwingState(LinePressures):
+    """State of the lumped drive: pressures and flows of both lines, which are outputs of every variant."""
+
     swing_flow_a: Scalar = Quantity("m3/s", "Flow into swing line A", 1e-3)
     swing_flow_b: Scalar = Quantity("m3/s", "Flow into swing line B", 1e-3)
 
 
-class SwingInputs(Group):
+class _CommandInputs(Group):
+    """Command; the rate input is its exact time derivative."""
+
+    swing_command: Scalar = ports.command("swing", "turns left", "swing_command_rate")
+    swing_command_rate: Scalar = ports.rate_input("swing_command", "V/s", 10.0)
+
+
+class SwingInputs(LineInputs, _CommandInputs):
     """Command, supply and motion of the column; the rate inputs are exact time derivatives."""
 
-    swing_command: Scalar = Quantity(
-        "V",
-        "Command to the swing valve, positive turns left",
-        10.0,
-        rate="swing_command_rate",
-        warn_above=10.0,
-    )
-    swing_command_rate: Scalar = Quantity(
-        "V/s", "Rate port: time derivative of swing_command, may stay unconnected", 10.0
-    )
-    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7, rate="supply_pressure_rate")
-    supply_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8
-    )
-    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5, rate="tank_pressure_rate")
-    tank_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: time derivative of tank_pressure, may stay unconnected", 1e7
-    )
-    load_sensing_pressure: Scalar = Quantity(
-        "Pa",
-        "Pressure of the load-sensing line, only used by compensated drives",
-        1e7,
-        rate="load_sensing_pressure_rate",
-        optional=NOT_SHARED,
-    )
-    load_sensing_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: time derivative of load_sensing_pressure, may stay unconnected", 1e8
-    )
     swing_speed: Scalar = Quantity(
         "rad/s", "Swing speed, counter-clockwise from above", 1.0, rate="swing_acceleration"
     )
-    swing_acceleration: Scalar = Quantity(
-        "rad/s2", "Rate port: time derivative of swing_speed, may stay unconnected"
-    )
+    swing_acceleration: Scalar = ports.rate_input("swing_speed", "rad/s2")
 
 
 class SwingOutputs(SwingState):
     """States, torque and its rate (to the mechanics), flows (to the supply), and monitoring outputs."""
 
     swing_torque: Scalar = Quantity("N.m", "Hydraulic torque on the swing column", 1e4)
-    swing_torque_rate: Scalar = Quantity("N.m/s", "Rate port: exact time derivative of swing_torque", 1e5)
+    swing_torque_rate: Scalar = ports.rate_output("swing_torque", "N.m/s", 1e5)
     supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return line, with the case drain", 1e-3)
     swing_load_pressure: Scalar = Quantity("Pa", "Load pressure of the swing, to the load-sensing line", 1e7)
-    swing_load_pressure_rate: Scalar = Quantity(
-        "Pa/s", "Rate port: exact time derivative of swing_load_pressure", 1e8
-    )
+    swing_load_pressure_rate: Scalar = ports.rate_output("swing_load_pressure", "Pa/s", 1e8)
     swing_motor_pressure_a: Scalar = chamber.port_pressure("Pressure P_1 at motor port A")
     swing_motor_pressure_b: Scalar = chamber.port_pressure("Pressure P_2 at motor port B")
     swing_drain_flow: Scalar = Quantity("m3/s", "Case drain flow of the motor: external leakage", 1e-5)

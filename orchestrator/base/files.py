@@ -544,11 +544,16 @@ def csv_header(names: Iterable[str]) -> str:
 
 
 def write_zip(path: Path, content: Mapping[str, bytes]) -> None:
-    """Write a reproducible zip file: fixed times, sorted members. The file is replaced in one operation."""
+    """Write a reproducible zip file: fixed times, sorted members."""
+    write_whole(path, zip_bytes(content))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file, which is replaced in one operation; its folder is made if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        temporary.write_bytes(zip_bytes(content))
+        temporary.write_bytes(content)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

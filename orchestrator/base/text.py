@@ -11,6 +11,8 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence, Sized
 from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -205,3 +207,22 @@ class TextTable:
         for i, cell in enumerate(row):
             attribute = "" if i in self.left else ' class="n"'
             yield Markup(f"<{tag}{attribute}>") + escape(cell) + Markup(f"</{tag}>")
+
+
+@cache
+def _environment(folder: Path, escaped: bool) -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    return Environment(
+        loader=FileSystemLoader(folder),
+        autoescape=escaped,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def rendered(template: Path, escaped: bool = False, **content: object) -> str:
+    """The text of a Jinja template without its last line end; escaped: values are escaped, as in XML."""
+    text: str = _environment(template.parent, escaped).get_template(template.name).render(**content)
+    return text

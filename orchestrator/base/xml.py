@@ -11,10 +11,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from math import isfinite
+from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
+from orchestrator.base.text import rendered
 
 Element = Any  # lxml ships no types
 # The largest descriptions in use have 100 000 variables, 1.5 million elements and attributes, and 40 MB.
@@ -237,6 +242,23 @@ def xml_text(root: Element) -> bytes:
 
     text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     return text
+
+
+def attributes(values: Mapping[str, object] | None = None, /, **more: object) -> Markup:
+    """Attributes of an element as text; those that are None are left out."""
+    texts = {name: as_text(value) for name, value in {**(values or {}), **more}.items() if value is not None}
+    return Markup("".join(f" {name}={quoteattr(text)}" for name, text in texts.items()))
+
+
+def rendered_xml(template: Path, **content: object) -> bytes:
+    """The content of an XML file from a Jinja template, which can call `attributes`."""
+    from lxml import etree
+
+    text = rendered(template, escaped=True, attributes=attributes, **content)
+    root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))
+    for element in root.iter():
+        element.text = (element.text or "").strip() or None  # the parser keeps blanks in an empty element
+    return xml_text(root)
 
 
 @cache

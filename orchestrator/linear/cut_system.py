@@ -61,14 +61,10 @@ def cut_at_inputs(system: System, names: Sequence[str] = (), steady: bool = Fals
     unused = sorted(cut_sources - {c.source.component for c in connections})
     components = {name: c for name, c in system.components.items() if name not in unused}
     connections = tuple(c for c in connections if c.target.component in components)
-    notes = (
-        (
-            "components left out, because they are connected only to inputs of the linear model: "
-            f"{', '.join(unused)}"
-        ),
-    )
+    reason = "because they are connected only to inputs of the linear model"
+    notes = (f"components left out, {reason}: {', '.join(unused)}",) if unused else ()
     system = replace(system, components=components, connections=connections)
-    return CutSystem(system, inlets, len(requested), notes if unused else ())
+    return CutSystem(system, inlets, len(requested), notes)
 
 
 def rate_only(interface: FmuInterface, name: str) -> str:

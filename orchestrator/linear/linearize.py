@@ -59,15 +59,11 @@ def no_effect_notes(plant: CutPlant, b: Array) -> tuple[str, ...]:
     inlets = plant.cut.inputs[: b.shape[1]]
     without = [inlet.name for inlet, column in zip(inlets, b.T, strict=True) if not column.any()]
     opened = [str(port) for port in _open_loops(plant)]
-    notes = (
-        (f"at this operating point no state depends on {', '.join(without)} ({NO_EFFECT_REASON})",)
-        if without
-        else ()
-    )
-    return (
-        (*notes, f"at this operating point loops are open at {', '.join(opened)} ({NO_EFFECT_REASON})")
-        if opened
-        else notes
+    faults = {"no state depends on": without, "loops are open at": opened}
+    return tuple(
+        f"at this operating point {fault} {', '.join(names)} ({NO_EFFECT_REASON})"
+        for fault, names in faults.items()
+        if names
     )
 
 

@@ -110,9 +110,7 @@ class SteadyEquations:
             matrix, scale = self.matrix()
             converged = (np.abs(self.residual / scale) <= RESIDUAL_TOLERANCE).all()
             point = self._step(x, u, np.linalg.pinv(matrix, rcond=RANK_TOLERANCE) / scale)
-            if (
-                converged
-            ):  # one step more if possible: RESIDUAL_TOLERANCE is coarse for the terms of fast states
+            if converged:  # with one step more if possible, as the tolerance is coarse for fast states
                 self.free = matrix.shape[1] - int(np.linalg.matrix_rank(matrix, rtol=RANK_TOLERANCE))
                 if point is None:
                     self.evaluate(x, u)
@@ -301,14 +299,11 @@ def _first_word(name: str) -> str:
 def _notes(plant: CutPlant, joints: Mapping[str, HeldJoint], idle: list[int], free: int) -> tuple[str, ...]:
     held = [str(plant.states[j.position]) for j in joints.values()]
     constant = [str(plant.states[i]) for i in idle if str(plant.states[i]) not in held]
-    notes = [
-        f"joints held at their angles: {', '.join(held)}"
-        if held
-        else "no joint is held: all states are unknowns"
-    ]
-    notes += (
-        [f"states held constant, because nothing depends on them: {', '.join(constant)}"] if constant else []
-    )
+    notes = ["no joint is held: all states are unknowns"]
+    if held:
+        notes = [f"joints held at their angles: {', '.join(held)}"]
+    if constant:
+        notes.append(f"states held constant, because nothing depends on them: {', '.join(constant)}")
     others = [plant.cut.inputs[j.input] for j in joints.values() if j.input >= plant.cut.requested_count]
     values = dict(zip((i.name for i in plant.cut.inputs), plant.u.round(NOTE_DECIMALS), strict=True))
     texts = (f"{i.name} = {values[i.name]:.6g} {i.unit.name if i.unit else ''}".rstrip() for i in others)

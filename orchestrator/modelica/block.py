@@ -1,14 +1,17 @@
-"""Modelica code of the block of one FMU: declarations, and equations that call the library of the FMU."""
+"""The block of one FMU in Modelica: its variables, and equations that call the library of the FMU."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
-from orchestrator.modelica.syntax import Scope, literal, number, quoted
+from orchestrator.modelica.syntax import Scope, number, quoted
 from orchestrator.ssp.system import Component
 
+T = TypeVar("T")
+Equation = tuple[list[str], str]  # unknowns, and the call that computes them
 TYPES = {
     "Real": "Real",
     "Integer": "Integer",
@@ -33,14 +36,6 @@ class BlockParameter:
     value: Value
 
     @property
-    def declaration(self) -> str:
-        """The declaration in Modelica."""
-        v = self.variable
-        kind = TYPES[v.kind]
-        start = literal(self.value)
-        return f"  parameter {kind} {self.name}{attributes(v)} = {start} {quoted(v.description)};\n"
-
-    @property
     def argument(self) -> str:
         """The expression whose value the FMU gets; 1 and 0 for booleans."""
         return f"if {self.name} then 1 else 0" if self.variable.kind == "Boolean" else self.name
@@ -60,18 +55,6 @@ class OptionalInput:
     use: str
     constant: str
     internal: str
-
-    @property
-    def declarations(self) -> str:
-        """Declarations of the parameters `use` and `constant`."""
-        v = self.variable
-        return (
-            f'  parameter Boolean {self.use} = false "= true, if {v.name} comes from its connector"\n'
-            "    annotation(Evaluate = true, choices(checkBox = true));\n"
-            f"  parameter Real {self.constant}{attributes(v)} = {number(self.value)}"
-            f" {quoted(v.description)}\n"
-            f"    annotation(Dialog(enable = not {self.use}));\n"
-        )
 
 
 @dataclass(frozen=True)
@@ -106,92 +89,53 @@ class FmuBlock:
         """The continuous states."""
         return [self.interface.variables[name] for name in self.interface.states]
 
-    def to_modelica(self, package: str) -> str:
-        """The code of the block."""
-        states = self.states
-        text = [
-            f"block {self.name} {quoted(self.interface.description)}\n"
-            "  extends Modelica.Blocks.Icons.Block;\n"
-        ]
-        text += [p.declaration for p in self.parameters]
-        text += [optional.declarations for optional in self.optional.values()]
-        text += connectors(self, self.inputs, self.outputs)
-        text.append("protected\n")
-        text += [
-            f"  Modelica.Blocks.Interfaces.RealInput {o.internal}{attributes(o.variable)};\n"
-            for o in self.optional.values()
-        ]
-        text.append(self._instance(package))
-        if states:
-            nominal = ", ".join(number(NOMINAL_FRACTION * (v.nominal or 1.0)) for v in states)
-            attributes_ = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
-            text.append(f"  Real fmu_states[{len(states)}]({attributes_});\n")
-        text.append('  discrete Real fmu_next(start = -1e60, fixed = true) "Time of the next event";\n')
-        text += self._initial_equations()
-        text.append("equation\n")
-        for name, o in self.optional.items():
-            text.append(f"  connect({self.names[name]}, {o.internal});\n")
-            text.append(f"  if not {o.use} then\n    {o.internal} = {o.constant};\n  end if;\n")
-        text += self._equations()
-        references, values = _references(self.inputs), _vector(self._expression(v) for v in self.inputs)
-        text.append(
-            "  when {initial(), time >= pre(fmu_next)} then\n"
-            f"    fmu_next = Internal.event(fmu_instance, time, {self._states()}, {references},\n"
-            f"      {values});\n  end when;\n"
-        )
-        if "model.png" in self.component.source.names():  # type: ignore[union-attr]  # see fmu_block
-            picture = f'fileName = "modelica://{package}/Resources/FMUs/{self.folder}/model.png"'
-            extent = "extent = {{-80, -80}, {80, 80}}"
-            text.append(f"  annotation(Icon(graphics = {{Bitmap({extent}, {picture})}}));\n")
-        return "".join([*text, f"end {self.name};\n"])
+    @property
+    def has_picture(self) -> bool:
+        """Whether the FMU has an icon."""
+        return "model.png" in self.component.source.names()  # type: ignore[union-attr]  # see fmu_block
 
-    def _instance(self, package: str) -> str:
-        """Declaration of the external object with the FMU and its parameters."""
-        lists = []
+    def nominal(self) -> str:
+        """Nominal values of the states."""
+        return _vector(number(NOMINAL_FRACTION * (v.nominal or 1.0)) for v in self.states)
+
+    def values(self) -> Iterator[str]:
+        """References and values of the parameters of each type."""
         for kind, fill in EMPTY_FILL.items():
             parameters = [p for p in self.parameters if TYPES[p.variable.kind] == kind]
             values = _vector((p.argument for p in parameters), fill)
-            lists.append(f"    {_references(p.variable for p in parameters)}, {values}")
-        address = f"modelica://{package}/Resources/FMUs/{self.folder}"
-        return (
-            "  parameter String fmu_folder =\n"
-            f'    ModelicaServices.ExternalReferences.loadResource("{address}");\n'
-            "  Internal.Instance fmu_instance = Internal.Instance(getInstanceName(), fmu_folder,\n"
-            f"    {quoted(self.interface.identifier)}, {quoted(self.interface.guid)},\n"
-            + ",\n".join(lists)
-            + ");\n"
-        )
+            yield f"{_references(p.variable for p in parameters)}, {values}"
 
-    def _initial_equations(self) -> list[str]:
+    def initial_equations(self) -> Iterator[Equation]:
         """Initial equations of the states, one for each group with the same dependencies on inputs."""
         groups: dict[frozenset[str], list[int]] = {}
         for k, v in enumerate(self.states):
             exact = v.initial == "exact"
             dependencies = frozenset() if exact else self.interface.initial_dependencies.get(v.name)
             groups.setdefault(self._inputs_among([dependencies]), []).append(k)
-        text = ["initial equation\n"] if groups else []
         for needed, rows in groups.items():
             started = f", {_references(self.states[k] for k in rows)}"
-            call = self._call("start", "", needed, started)
-            text.append(_equation([f"fmu_states[{k + 1}]" for k in rows], call))
-        return text
+            yield [f"fmu_states[{k + 1}]" for k in rows], self._call("start", "", needed, started)
 
-    def _equations(self) -> list[str]:
+    def equations(self) -> Iterator[Equation]:
         """Equations of the derivatives, and of each group of outputs with the same dependencies on inputs."""
-        text, dependencies = list[str](), self.interface.dependencies
+        dependencies = self.interface.dependencies
         if self.states:
             needed = self._inputs_among(dependencies.get(dx) for dx in self.interface.states.values())
             names = [f"der(fmu_states[{k + 1}])" for k in range(len(self.states))]
-            text.append(_equation(names, self._call("derivatives", "fmu_states, ", needed, "")))
+            yield names, self._call("derivatives", "fmu_states, ", needed)
         groups: dict[frozenset[str], list[FmuVariable]] = {}
         for y in self.outputs:
             groups.setdefault(self._inputs_among([dependencies.get(y.name)]), []).append(y)
         for needed, outputs in groups.items():
-            call = self._call("outputs", f"{self._states()}, ", needed, f", {_references(outputs)}")
-            text.append(_equation([self.names[y.name] for y in outputs], call))
-        return text
+            call = self._call("outputs", f"{self._states}, ", needed, f", {_references(outputs)}")
+            yield [self.names[y.name] for y in outputs], call
 
-    def _call(self, function: str, states: str, needed: Collection[str], unknowns: str) -> str:
+    def event(self) -> str:
+        """The call that handles an event, and returns the time of the next one."""
+        call = self._call("event", f"{self._states}, ", [v.name for v in self.inputs])
+        return call.replace("\n", "\n  ")
+
+    def _call(self, function: str, states: str, needed: Collection[str], unknowns: str = "") -> str:
         """A call of a function of the FMU with the needed inputs."""
         inputs = [v for v in self.inputs if v.name in needed]
         values = _vector(self._expression(v) for v in inputs)
@@ -208,6 +152,7 @@ class FmuBlock:
         """An input in the equations."""
         return self.optional[v.name].internal if v.name in self.optional else self.names[v.name]
 
+    @property
     def _states(self) -> str:
         return "fmu_states" if self.states else "fill(0.0, 0)"
 
@@ -302,31 +247,17 @@ def attributes(v: FmuVariable) -> str:
 
 
 def connectors(
-    block: FmuBlock, inputs: Sequence[FmuVariable], outputs: Sequence[FmuVariable], at_sides: bool = True
-) -> list[str]:
-    """Connectors of inputs and outputs at the left and right edge of the icon, or below and above."""
-    text = []
-    for kind, variables, edge in (
-        ("RealInput", inputs, -ICON_EDGE - 10),
-        ("RealOutput", outputs, ICON_EDGE + 10),
-    ):
-        for v, along in zip(variables, positions(len(variables)), strict=True):
-            place = placement(edge, along) if at_sides else placement(along, edge)
-            condition = f" if {block.optional[v.name].use}" if v.name in block.optional else ""
-            declared = f"{block.names[v.name]}{attributes(v)}{condition} {quoted(v.description)}"
-            text.append(f"  Modelica.Blocks.Interfaces.{kind} {declared}\n    annotation({place});\n")
-    return text
+    inputs: Sequence[FmuVariable], outputs: Sequence[FmuVariable]
+) -> Iterator[tuple[str, FmuVariable, float, float]]:
+    """Kind, variable and position of the connectors at the left and right edge of the icon."""
+    for kind, variables, edge in (("RealInput", inputs, -1), ("RealOutput", outputs, 1)):
+        for v, along in positions(variables):
+            yield kind, v, edge * (ICON_EDGE + 10), along
 
 
-def placement(x: float, y: float) -> str:
-    """Annotation with the position of a connector on the icon."""
-    extent = f"{{{{{x - 10:g}, {y - 10:g}}}, {{{x + 10:g}, {y + 10:g}}}}}"
-    return f"Placement(transformation(extent = {extent}))"
-
-
-def positions(count: int) -> list[float]:
-    """Coordinates of `count` connectors along an edge of the icon, from above."""
-    return [ICON_EDGE - 2 * ICON_EDGE * (k + 0.5) / count for k in range(count)]
+def positions(items: Sequence[T]) -> list[tuple[T, float]]:
+    """Connectors with their coordinates along an edge of the icon, from above."""
+    return [(x, ICON_EDGE - 2 * ICON_EDGE * (k + 0.5) / len(items)) for k, x in enumerate(items)]
 
 
 def _references(variables: Iterable[FmuVariable]) -> str:
@@ -336,10 +267,3 @@ def _references(variables: Iterable[FmuVariable]) -> str:
 def _vector(elements: Iterable[str], fill: str = "0.0") -> str:
     text = ", ".join(elements)
     return f"{{{text}}}" if text else f"fill({fill}, 0)"
-
-
-def _equation(names: Sequence[str], call: str) -> str:
-    """An equation for the result of a call; OpenModelica does not accept an array of one element there."""
-    if len(names) == 1:
-        return f"  {names[0]} = sum({call});\n"
-    return f"  {{{', '.join(names)}}} =\n  {call};\n"

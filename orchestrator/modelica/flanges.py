@@ -1,58 +1,48 @@
-"""Detects the signals of mechanical flanges in an FMU, and writes its model with flanges in Modelica.
+"""Detects the signals of mechanical flanges in an FMU, for its model with flanges in Modelica.
 
 The signals of a rod are NAME_force [N], NAME_position [m], NAME_velocity [m/s] and, if the FMU computes the
 motion, NAME_acceleration [m/s2]. The signals of a shaft are NAME_torque [N.m], NAME_speed [rad/s] and, if the
 FMU computes the motion, NAME_angle [rad] and NAME_acceleration [rad/s2].
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from orchestrator.fmi.description import FmuVariable
-from orchestrator.modelica.block import FmuBlock, connectors, placement, positions
-from orchestrator.modelica.syntax import Scope, quoted
+from orchestrator.modelica.block import FmuBlock, OptionalInput
+from orchestrator.modelica.syntax import Scope
 
 
 @dataclass(frozen=True)
 class FlangeType:
-    """A flange: its adapter and connector, and the (suffix, unit, causality) of its signals."""
+    """A flange.
+
+    moves   whether the FMU computes the motion; then it gets the force
+    units   suffix of each signal -> its unit; first the force or torque
+    """
 
     adapter: str
     connector: str
-    signals: tuple[tuple[str, str, str], ...]
+    moves: bool
+    units: Mapping[str, str]
+
+    def fits(self, suffix: str, v: FmuVariable | None) -> bool:
+        """Whether a variable is this signal."""
+        received = (suffix == next(iter(self.units))) == self.moves
+        expected = self.units[suffix], "input" if received else "output"
+        return v is not None and v.unit is not None and (v.unit.name, v.causality) == expected
 
 
-ROD, SHAFT = (
-    "Modelica.Mechanics.Translational.Interfaces.Flange",
-    "Modelica.Mechanics.Rotational.Interfaces.Flange",
-)
+ROD = "Modelica.Mechanics.Translational.Interfaces.Flange"
+SHAFT = "Modelica.Mechanics.Rotational.Interfaces.Flange"
+FORCE = {"force": "N", "position": "m", "velocity": "m/s"}
+TORQUE = {"torque": "N.m", "angle": "rad", "speed": "rad/s", "acceleration": "rad/s2"}
 FLANGE_TYPES = (
-    FlangeType(
-        "MovedRod",
-        f"{ROD}_a",
-        (
-            ("force", "N", "input"),
-            ("position", "m", "output"),
-            ("velocity", "m/s", "output"),
-            ("acceleration", "m/s2", "output"),
-        ),
-    ),
-    FlangeType(
-        "PushedRod",
-        f"{ROD}_b",
-        (("force", "N", "output"), ("position", "m", "input"), ("velocity", "m/s", "input")),
-    ),
-    FlangeType(
-        "MovedShaft",
-        f"{SHAFT}_a",
-        (
-            ("torque", "N.m", "input"),
-            ("angle", "rad", "output"),
-            ("speed", "rad/s", "output"),
-            ("acceleration", "rad/s2", "output"),
-        ),
-    ),
-    FlangeType("DrivenShaft", f"{SHAFT}_b", (("torque", "N.m", "output"), ("speed", "rad/s", "input"))),
+    FlangeType("MovedRod", f"{ROD}_a", True, {**FORCE, "acceleration": "m/s2"}),
+    FlangeType("PushedRod", f"{ROD}_b", False, FORCE),
+    FlangeType("MovedShaft", f"{SHAFT}_a", True, TORQUE),
+    FlangeType("DrivenShaft", f"{SHAFT}_b", False, {"torque": "N.m", "speed": "rad/s"}),
 )
 
 
@@ -61,62 +51,56 @@ def find_flanges(block: FmuBlock) -> dict[str, FlangeType]:
     variables = {v.name: v for v in [*block.inputs, *block.outputs]}
     result = {}
     for type_ in FLANGE_TYPES:
-        first = f"_{type_.signals[0][0]}"
+        first = f"_{next(iter(type_.units))}"
         for prefix in [name.removesuffix(first) for name in variables if name.endswith(first)]:
-            signals = [
-                (variables.get(f"{prefix}_{suffix}"), unit, causality)
-                for suffix, unit, causality in type_.signals
-            ]
-            if all(v and v.unit and (v.unit.name, v.causality) == (u, c) for v, u, c in signals):
+            if all(type_.fits(suffix, variables.get(f"{prefix}_{suffix}")) for suffix in type_.units):
                 result[prefix] = type_
     return result
 
 
-def model_with_flanges(block: FmuBlock, connected_outputs: Collection[str]) -> str:
-    """Code of a model with the block of the FMU, and flanges instead of their signals; empty without flanges.
+class Flange(NamedTuple):
+    """A flange of a model: prefix of its signals, identifiers of itself and its adapter."""
 
-    connected_outputs   outputs that become connectors of the model; the others can be read from its block
+    type: FlangeType
+    prefix: str
+    name: str
+    adapter: str
+
+
+@dataclass(frozen=True)
+class ModelWithFlanges:
+    """A model with the block of the FMU, and flanges instead of their signals.
+
+    outputs   that become connectors of the model; the others can be read from its block
     """
-    flanges = find_flanges(block)
-    if not flanges:
-        return ""
-    flange_signals = {
-        f"{prefix}_{suffix}" for prefix, type_ in flanges.items() for suffix, *_ in type_.signals
-    }
-    inputs = [v for v in block.inputs if v.name not in flange_signals]
-    outputs = [v for v in block.outputs if v.name in connected_outputs and v.name not in flange_signals]
+
+    block: FmuBlock
+    flanges: Sequence[Flange]
+    inputs: Sequence[FmuVariable]
+    outputs: Sequence[FmuVariable]
+
+    @property
+    def optional(self) -> list[OptionalInput]:
+        """The inputs that need not be connected."""
+        return [self.block.optional[v.name] for v in self.inputs if v.name in self.block.optional]
+
+    @property
+    def modifiers(self) -> list[str]:
+        """Modifiers that set the parameters of the block to those of the model."""
+        names = [p.name for p in self.block.parameters]
+        names += [name for o in self.optional for name in (o.use, o.constant)]
+        return [f"{name} = {name}" for name in names]
+
+
+def model_with_flanges(block: FmuBlock, connected_outputs: Collection[str]) -> ModelWithFlanges | None:
+    """The model with flanges; None without flanges."""
     scope = Scope()
     scope.identifiers |= block.scope.identifiers
-    names = {prefix: (scope.add(prefix), scope.add(f"{prefix}_adapter")) for prefix in flanges}
-    text = [
-        f"model {block.name} {quoted(block.interface.description)}\n  extends Modelica.Blocks.Icons.Block;\n"
+    flanges = [
+        Flange(type_, prefix, scope.add(prefix), scope.add(f"{prefix}_adapter"))
+        for prefix, type_ in find_flanges(block).items()
     ]
-    text += [p.declaration for p in block.parameters]
-    text += [block.optional[v.name].declarations for v in inputs if v.name in block.optional]
-    text += connectors(block, inputs, outputs, at_sides=False)
-    for (prefix, type_), y in zip(flanges.items(), positions(len(flanges)), strict=True):
-        x = -110.0 if type_.connector.endswith("_a") else 110.0
-        text.append(f"  {type_.connector} {names[prefix][0]}\n    annotation({placement(x, y)});\n")
-    text.append(f'  FMUs.{block.name} block_(\n{_modifiers(block, inputs)}) "The FMU";\nprotected\n')
-    text += [f"  Flanges.{type_.adapter} {names[prefix][1]};\n" for prefix, type_ in flanges.items()]
-    text.append("equation\n")
-    text += [_connect(block.names[v.name], f"block_.{block.names[v.name]}") for v in [*inputs, *outputs]]
-    for prefix, type_ in flanges.items():
-        flange, adapter = names[prefix]
-        text.append(_connect(flange, f"{adapter}.flange"))
-        text += [
-            _connect(f"block_.{block.names[f'{prefix}_{suffix}']}", f"{adapter}.{suffix}")
-            for suffix, *_ in type_.signals
-        ]
-    return "".join([*text, f"end {block.name};\n"])
-
-
-def _modifiers(block: FmuBlock, inputs: Sequence[FmuVariable]) -> str:
-    """Modifiers that set the parameters of the block to those of the model."""
-    optional = [block.optional[v.name] for v in inputs if v.name in block.optional]
-    names = [p.name for p in block.parameters] + [name for o in optional for name in (o.use, o.constant)]
-    return ",\n".join(f"    {name} = {name}" for name in names)
-
-
-def _connect(a: str, b: str) -> str:
-    return f"  connect({a}, {b});\n"
+    signals = {f"{flange.prefix}_{suffix}" for flange in flanges for suffix in flange.type.units}
+    inputs = [v for v in block.inputs if v.name not in signals]
+    outputs = [v for v in block.outputs if v.name in connected_outputs and v.name not in signals]
+    return ModelWithFlanges(block, flanges, inputs, outputs) if flanges else None

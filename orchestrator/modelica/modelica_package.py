@@ -6,20 +6,20 @@ import re
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 from pathlib import Path, PurePosixPath
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.text import rendered
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import FmuVariable
-from orchestrator.modelica.block import FmuBlock, attributes, fmu_block
+from orchestrator.modelica.block import TYPES, FmuBlock, attributes, connectors, fmu_block, positions
 from orchestrator.modelica.flanges import model_with_flanges
 from orchestrator.modelica.syntax import PLAIN, RESERVED, Scope, class_name, literal, number, quoted
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import Component, Port, System
 
-TEMPLATES = files("orchestrator.modelica") / "templates"
+TEMPLATES = Path(__file__).with_name("templates")
 CHECKSUMS = "Resources/written.json"  # SHA-256 of each file of the package
 
 
@@ -110,7 +110,7 @@ def _write(folder: Path, name: str, text: str, blocks: PackageBlocks) -> None:
     include = folder / "Resources" / "Include"
     include.mkdir(parents=True)
     # functions need different names if a model uses two packages
-    header = re.sub(r"\b(?=fmu_|Fmu|FMU_)", f"{name}_", _template("fmu.h"))
+    header = re.sub(r"\b(?=fmu_|Fmu|FMU_)", f"{name}_", (TEMPLATES / "fmu.h").read_text(encoding="utf-8"))
     (include / f"{name}.h").write_text(header, encoding="utf-8", newline="\n")
     for block in blocks.blocks.values():
         assert block.component.source is not None
@@ -142,82 +142,47 @@ def _check_unchanged(folder: Path) -> None:
             raise Problem(f"{folder / path} was {change} by hand: move the package, or choose another name")
 
 
-def _template(name: str) -> str:
-    return (TEMPLATES / name).read_text(encoding="utf-8")
-
-
-def _indented(text: str, depth: int = 1) -> str:
-    return "".join("  " * depth + line if line.strip() else line for line in text.splitlines(keepends=True))
-
-
 def _package(name: str, blocks: PackageBlocks, systems: Sequence[tuple[System, dict[str, FmuBlock]]]) -> str:
     connected = {c.source.variable for system, _ in systems for c in system.connections}
-    models = [m for b in blocks.blocks.values() if (m := model_with_flanges(b, connected))]
-    scope = Scope()
-    connected_systems = [
-        connected_system(system, parts, scope.add(class_name(system.name)))
-        for system, parts in systems
-        if system.connections
-    ]
-    fmus = [*(block.to_modelica(name) for block in blocks.blocks.values()), *blocks.aliases]
-    parts = [
-        f'package {name} "FMUs for Model Exchange as blocks, written by harvester modelica"\n',
-        "  extends Modelica.Icons.Package;\n\n",
-        _sub("FMUs", "One block for each FMU", "Package", fmus),
-        _sub("WithFlanges", "FMUs with mechanical flanges", "Package", models) if models else "",
-        _sub("Systems", "FMUs connected as in their SSP", "ExamplesPackage", connected_systems)
-        if connected_systems
-        else "",
-        _indented(_template("Flanges.mo")) + "\n",
-        _indented(_template("Internal.mo").replace("@PACKAGE@", name)) + "\n",
-        '  annotation(uses(Modelica(version = "4.0.0")));\n',
-        f"end {name};\n",
-    ]
-    return "".join(parts)
-
-
-def _sub(name: str, description: str, icon: str, members: Sequence[str]) -> str:
-    """Code of a sub-package."""
-    content = "\n".join(_indented(m, 2) for m in members)
-    return (
-        f'  package {name} "{description}"\n    extends Modelica.Icons.{icon};\n\n{content}  end {name};\n\n'
+    fmus, scope = list(blocks.blocks.values()), Scope()
+    internal = (TEMPLATES / "Internal.mo").read_text(encoding="utf-8")
+    return rendered(
+        TEMPLATES / "package.mo.j2",
+        name=name,
+        blocks=fmus,
+        aliases=blocks.aliases,
+        models=[m for block in fmus if (m := model_with_flanges(block, connected))],
+        systems=[
+            ConnectedSystem(s, parts, scope.add(class_name(s.name))) for s, parts in systems if s.connections
+        ],
+        flanges=(TEMPLATES / "Flanges.mo").read_text(encoding="utf-8"),
+        internal=internal.replace("@PACKAGE@", name),
+        types=TYPES,
+        attributes=attributes,
+        connectors=connectors,
+        literal=literal,
+        number=number,
+        positions=positions,
+        quoted=quoted,
     )
 
 
-def connected_system(system: System, blocks: Mapping[str, FmuBlock], name: str) -> str:
-    """The code of the model `name`; `blocks` by name of the component.
+class ConnectedSystem:
+    """The model of a system; blocks: by name of the component.
 
     An unconnected input becomes a variable of the model with its start value. A user may replace the value:
     extends Harvester(controller_speed = sin(time)).
     """
-    return _ConnectedSystem(system, blocks).to_modelica(name)
 
-
-class _ConnectedSystem:
-    def __init__(self, system: System, blocks: Mapping[str, FmuBlock]) -> None:
-        self._system, self._blocks, self._scope = system, blocks, Scope()
+    def __init__(self, system: System, blocks: Mapping[str, FmuBlock], name: str) -> None:
+        self.system, self.name, self._blocks, self._scope = system, name, blocks, Scope()
         self._names = {component: self._scope.add(component) for component in system.components}
         targets = [port for system_input in system.inputs.values() for port, _ in system_input.targets]
         self._connected = {c.target for c in system.connections}.union(targets)
-        self._variables: list[str] = []
-        self._equations: list[str] = []
-
-    def to_modelica(self, name: str) -> str:
-        stop = f"StopTime = {number(self._system.stop)}, " if self._system.stop else ""
-        components = [self._component(c) for c in self._system.components.values()]
+        self.declarations = [self._component(c) for c in system.components.values()]
+        self.equations: list[str] = []
         self._connections()
         self._unconnected_inputs()
-        return "".join(
-            [
-                f"model {name} {quoted(self._system.name)}\n  extends Modelica.Icons.Example;\n",
-                *components,
-                *self._variables,
-                "equation\n",
-                *self._equations,
-                f"  annotation(experiment({stop}Interval = 0.02, Tolerance = 1e-8));\n",
-                f"end {name};\n",
-            ]
-        )
 
     def _in_block(self, port: Port) -> bool:
         """False for an input that Model Exchange does not need, the rate of another input."""
@@ -240,11 +205,11 @@ class _ConnectedSystem:
             elif start != optional.value:
                 changed.append(f"{optional.constant} = {number(start)}")
         modified = f"({', '.join(changed)})" if changed else ""
-        return f"  FMUs.{block.name} {self._names[component.name]}{modified};\n"
+        return f"FMUs.{block.name} {self._names[component.name]}{modified}"
 
     def _connections(self) -> None:
-        for c in self._system.connections:
-            target = self._system.variable(c.target)
+        for c in self.system.connections:
+            target = self.system.variable(c.target)
             if target.causality != "input":
                 raise Problem(f"{c}: {c.target}: expected an input, got a {target.causality}")
             if not self._in_block(c.target):
@@ -252,25 +217,23 @@ class _ConnectedSystem:
             if not self._in_block(c.source):
                 raise Problem(f"{c}: {c.source} is not an output in Model Exchange")
             if c.map == IDENTITY:
-                self._equations.append(
-                    f"  connect({self._port_name(c.source)}, {self._port_name(c.target)});\n"
-                )
+                self.equations.append(f"connect({self._port_name(c.source)}, {self._port_name(c.target)})")
             else:
                 self._equation(c.target, self._port_name(c.source), c.map)
 
     def _equation(self, target: Port, source: str, linear: LinearTransformation) -> None:
         mapped = f"{number(linear.factor)} * {source} + {number(linear.offset)}"
-        self._equations.append(f"  {self._port_name(target)} = {source if linear == IDENTITY else mapped};\n")
+        self.equations.append(f"{self._port_name(target)} = {source if linear == IDENTITY else mapped}")
 
     def _unconnected_inputs(self) -> None:
         """Variables for the inputs of the system and for unconnected inputs of components."""
-        for system_input in self._system.inputs.values():
+        for system_input in self.system.inputs.values():
             targets = [(port, linear) for port, linear in system_input.targets if self._in_block(port)]
             if targets:
                 port, linear = targets[0]
                 start = (self._start(port) - linear.offset) / linear.factor
                 unit = f"(unit = {quoted(system_input.unit.name)})" if system_input.unit else ""
-                name = self._declare(system_input.name, unit, start, self._system.variable(port))
+                name = self._declare(system_input.name, unit, start, self.system.variable(port))
                 for port, linear in targets:
                     self._equation(port, name, linear)
         for component, block in self._blocks.items():
@@ -283,10 +246,10 @@ class _ConnectedSystem:
     def _declare(self, name: str, unit: str, value: float, v: FmuVariable) -> str:
         """Declare a variable of the model for the input `v`; returns its identifier."""
         identifier = self._scope.add(name)
-        self._variables.append(
-            f"  Real {identifier}{unit} = {number(value)} {quoted(v.description)} annotation(Dialog);\n"
+        self.declarations.append(
+            f"Real {identifier}{unit} = {number(value)} {quoted(v.description)} annotation(Dialog)"
         )
         return identifier
 
     def _start(self, port: Port) -> float:
-        return float(self._system.components[port.component].value(port.variable))
+        return float(self.system.components[port.component].value(port.variable))

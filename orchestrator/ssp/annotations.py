@@ -46,7 +46,6 @@ from typing import Any, NamedTuple
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import declarations
 from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
-from orchestrator.ssp.common_elements import add
 from orchestrator.ssp.coupling import FIELDS, Coupling, CouplingArguments, Suggestion
 
 OWN, COUPLING, SHARED = "harvester-cosim", "Coupling", "SharedParameter"
@@ -114,11 +113,8 @@ class Attribute(NamedTuple):
     read: Callable[[str], Any]
 
 
-_TEXT, _WHOLE, _NUMBER = (
-    Attribute("a text", str),
-    Attribute("a whole number", integer),
-    Attribute("a number", finite),
-)
+_TEXT, _WHOLE = Attribute("a text", str), Attribute("a whole number", integer)
+_NUMBER = Attribute("a number", finite)
 ATTRIBUTES: Mapping[str, Attribute] = {
     "master": _TEXT,
     "step": _NUMBER,
@@ -462,51 +458,12 @@ REFUSED = {  # by the prefix of the annotation type
 
 # ---- writing -----------------------------------------------------------------------------------------------
 
-# on the root of a file: libcosim takes a declaration on osp:Algorithm for a child
-VENDOR_NAMESPACES = {
-    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
-    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
-    "hc": "urn:harvester-cosim:coupling",
-}
 
-
-def write_suggestion(system: Element, experiment: Element, suggestion: Suggestion) -> None:
-    """Write the annotation of this project, and the step for OMSimulator and libcosim.
-
-    OMSimulator opens no system without a step. Its master and that of libcosim are Jacobi masters.
-    """
-    coupling, step = suggestion.coupling or Coupling(), suggestion.step
-    if step is not None:
-        decimal = f"{step:.12f}".rstrip("0")  # the schema of OMSimulator allows no exponent
-        annotations = add(_annotation(system, "org.openmodelica"), "oms:Annotations")
-        master = {"description": "oms-ma", "stepSize": decimal, "relativeTolerance": "0.0001"}
-        add(add(annotations, "oms:SimulationInformation"), "oms:FixedStepMaster", **master)
-        algorithm = add(_annotation(experiment, "com.opensimulationplatform"), "osp:Algorithm")
-        add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=decimal)
-    if step is None and suggestion.coupling is None:
-        return
-    default = Coupling()
-    values = {"step": step} | {
-        name: getattr(coupling, name)
-        for name in ATTRIBUTES
-        if name != "step" and (name == "master" or getattr(coupling, name) != getattr(default, name))
-    }
-    element = add(_annotation(experiment, OWN), "hc:Coupling", **{n: values.get(n) for n in ATTRIBUTES})
-    for component, steps in coupling.factors.items():
-        add(element, "hc:Factor", component=component, steps=steps)
-
-
-def write_shared(experiment: Element, shared: Mapping[str, Sequence[str]]) -> None:
-    """Write the parameters that components share, each as an annotation of this project."""
-    for name, components in shared.items():
-        element = add(_annotation(experiment, OWN), f"hc:{SHARED}", name=name)
-        for component in components:
-            add(element, "hc:Component", name=component)
-
-
-def _annotation(parent: Element, type_: str) -> Element:
-    """A new annotation of a type."""
-    annotations = parent.find("{*}Annotations")
-    if annotations is None:
-        annotations = add(parent, "ssd:Annotations")
-    return add(annotations, "ssc:Annotation", type=type_)
+def coupling_attributes(suggestion: Suggestion) -> dict[str, Any]:
+    """Attributes of the annotation of this project: master, step, and settings that are not the default."""
+    coupling, default = suggestion.coupling or Coupling(), Coupling()
+    if suggestion.step is None and suggestion.coupling is None:
+        return {}
+    values = {name: getattr(coupling, name) for name in ATTRIBUTES if name != "step"}
+    changed = {n: value for n, value in values.items() if n == "master" or value != getattr(default, n)}
+    return {"master": coupling.master, "step": suggestion.step} | changed

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, LinearTransformation
-from orchestrator.base.xml import Element, XmlElement, as_text, finite
+from orchestrator.base.xml import XmlElement, finite
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"  # version 2.0 has the same namespaces
 NAMESPACES = {
@@ -20,28 +20,6 @@ TYPES: Mapping[str, Mapping[str, str]] = {
     "2.0": {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String"},
 }
 MAPPINGS = tuple(f"{kind}MappingTransformation" for kind in ("Boolean", "Integer", "Enumeration"))
-
-
-def new_root(qualified: str, more: Mapping[str, str] | None = None, /, **attributes: str | None) -> Element:
-    """The root element of a new file; `more`: prefix -> further namespace."""
-    from lxml import etree
-
-    prefix, _, name = qualified.partition(":")
-    prefixes = ("ssc", "ssd", "ssv") if prefix == "ssd" else ("ssc", prefix)
-    namespaces = {p: NAMESPACES[p] for p in prefixes} | dict(more or {})
-    root = etree.Element(f"{{{NAMESPACES[prefix]}}}{name}", nsmap=namespaces)
-    root.attrib.update({key: text for key, text in attributes.items() if text is not None})
-    return root
-
-
-def add(parent: Element, qualified: str, /, **attributes: object) -> Element:
-    """Append a child such as "ssd:System"; attributes that are None are left out."""
-    from lxml import etree
-
-    prefix, _, name = qualified.partition(":")
-    namespace = NAMESPACES.get(prefix) or parent.nsmap[prefix]
-    texts = {key: as_text(value) for key, value in attributes.items() if value is not None}
-    return etree.SubElement(parent, f"{{{namespace}}}{name}", texts)
 
 
 # ---- units
@@ -77,16 +55,14 @@ def _exponent(base: XmlElement, name: str) -> int:
     return int(value)
 
 
-def write_units(root: Element, prefix: str, units: Iterable[DeclaredUnit | None]) -> None:
-    """Write the units that have a definition; `prefix`: XML namespace prefix of the file format."""
+def defined_units(units: Iterable[DeclaredUnit | None]) -> dict[str, dict[str, float | None]]:
+    """The units that have a definition, by name, with the attributes of BaseUnit; None for a default."""
     defined = {u.name: u for u in units if u is not None and u.exponents is not None}
-    parent = add(root, f"{prefix}:Units") if defined else None
-    for name, u in sorted(defined.items()):
-        base: dict[str, float] = {b: n for b, n in zip(BASES, u.exponents or (), strict=True) if n}
-        base |= {
-            k: v for k, v, default in (("factor", u.factor, 1.0), ("offset", u.offset, 0.0)) if v != default
-        }
-        add(add(parent, "ssc:Unit", name=name), "ssc:BaseUnit", **base)
+    return {
+        name: {base: float(n) or None for base, n in zip(BASES, u.exponents or (), strict=True)}
+        | {"factor": None if u.factor == 1.0 else u.factor, "offset": u.offset or None}
+        for name, u in sorted(defined.items())
+    }
 
 
 # ---- transformations

@@ -163,33 +163,31 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
         for value in read_parameter_set(read_xml(file, "ParameterSet"), {}):
             if value.name in missing:
                 notes.append(f"{file}: {value.name} is left out: {missing[value.name]}")
-            else:
-                notes += _set_value(system, file, value, start)
+                continue
+            for port, note, converted in _converted(system, file, value):
+                notes += [note] if note else []
+                start[port.component][port.variable] = converted
         components = {n: c.chosen(start[n], str(chosen)) for n, c in system.components.items()}
         system = replace(system, components=components, notes=(*system.notes, *notes))
     return system
 
 
-def _set_value(
-    system: System, file: Location, value: ParameterValue, start: Mapping[str, dict[str, Value]]
-) -> list[str]:
-    """Set a value of a set in `start`, component -> start values; returns notes."""
+def _converted(
+    system: System, file: Location, value: ParameterValue
+) -> Iterator[tuple[Port, str | None, Value]]:
+    """The variables that a value of a set refers to, each with a note and the value in its unit."""
     context = f"{file}: parameter {value.name}"
     try:
         targets = system.targets(value.name)
     except Problem as problem:
         raise Problem(f"{file}: {problem}") from None
-    notes: list[str] = []
     for port, linear in targets:
         check_settable(port, system.components[port.component].interface)
         unit = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
         first, note = value.map_to(unit, context)
-        notes += [note] if note else []
-        variable = system.variable(port)
-        converted = coerce(context, variable, value.text, first.then(linear))
-        check_bounds(f"{file}: {port}", variable, converted)
-        start[port.component][port.variable] = converted
-    return notes
+        converted = coerce(context, system.variable(port), value.text, first.then(linear))
+        check_bounds(f"{file}: {port}", system.variable(port), converted)
+        yield port, note, converted
 
 
 def _file(system: System, chosen: str | Path) -> Location:

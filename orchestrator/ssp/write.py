@@ -4,24 +4,22 @@ The archive contains the system structure with a diagram, the FMUs, parameter se
 outputs, and the other resources of the SSP that the system was loaded from.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from urllib.parse import quote
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_zip
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
-from orchestrator.base.xml import Element, generation_tool, xml_text
+from orchestrator.base.xml import generation_tool, rendered_xml
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.ssp.annotations import VENDOR_NAMESPACES, write_shared, write_suggestion
-from orchestrator.ssp.common_elements import TYPES, add, new_root, write_units
-from orchestrator.ssp.diagram import Box, Diagram, Point
+from orchestrator.ssp.annotations import coupling_attributes
+from orchestrator.ssp.common_elements import NAMESPACES, TYPES, defined_units
+from orchestrator.ssp.diagram import Diagram, Point
 from orchestrator.ssp.system import RESOURCES, Component, Inlet, Port, System
 from orchestrator.ssp.system_structure import DEFINITION, FMU
 
 Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the variable it sets, and its value
-DICTIONARY, DICTIONARY_FILE = "signals", "signals.ssb"
 DESCRIPTION = "modelDescription.xml"
 # files of components: FMUs are written anew, nested systems are flattened
 NOT_COPIED = (".fmu", ".ssp", ".ssd")
@@ -53,8 +51,8 @@ def write_ssp(
     for name in bound:
         if name not in sets:
             raise Problem(f"{system.name}: bound set {name}: expected one of the sets {', '.join(sets)}")
-    writer = _Writer(system, version)
-    files = _other_resources(system) | {DICTIONARY_FILE: writer.signal_dictionary()} | dict(resources or {})
+    files = _other_resources(system) | {"signals.ssb": _signal_dictionary(system, version)}
+    files |= dict(resources or {})
     for name, c in system.components.items():
         if c.source is None:
             raise Problem(
@@ -68,7 +66,7 @@ def write_ssp(
             raise Problem(f"{system.name}: set {name}: {problem}") from None
         parameters = {port: (system.variable(of), value) for port, of, value in ports}
         files[f"{name}.ssv"] = parameter_set(name, parameters, version, generation_tool())
-    content = {DEFINITION: writer.structure(bound, columns)}
+    content = {DEFINITION: _structure(system, version, bound, columns)}
     write_zip(Path(path), content | {f"{RESOURCES}/{name}": data for name, data in files.items()})
     return Path(path)
 
@@ -85,198 +83,118 @@ def _other_resources(system: System) -> dict[str, bytes]:
 
 def parameter_set(name: str, values: Values, version: str = "1.0", tool: str | None = None) -> bytes:
     """The content of an .ssv file; tool: for the attribute generationTool."""
-    root = new_root("ssv:ParameterSet", version=version, name=name, generationTool=tool)
-    _write_parameters(root, version, values)
-    write_units(root, "ssv", (variable.unit for variable, _ in values.values()))
-    return xml_text(root)
+    units = defined_units(variable.unit for variable, _ in values.values())
+    return _file("ParameterSet.ssv", version, name=name, tool=tool, values=_typed(values), units=units)
 
 
-def _write_parameters(parent: Element, version: str, values: Values) -> None:
-    parameters = add(parent, "ssv:Parameters")
-    for name, (variable, value) in values.items():
-        parameter = add(parameters, "ssv:Parameter", name=name)
-        typed = float(value) if variable.is_real else value
-        add(parameter, f"ssv:{_type(variable, version)}", value=typed, unit=_unit_name(variable.unit))
+def _file(template: str, version: str, **content: object) -> bytes:
+    """A file from a template, which can call `type`, the name of a variable's type in a version of SSP."""
+
+    def type_name(variable: FmuVariable) -> str:  # enumerations have that of integers, which are their values
+        return TYPES[version]["Integer" if variable.kind == "Enumeration" else variable.kind]
+
+    path = Path(__file__).with_name("templates") / f"{template}.j2"
+    return rendered_xml(path, version=version, namespaces=NAMESPACES, type=type_name, **content)
 
 
-def _type(variable: FmuVariable, version: str) -> str:
-    """The name of a variable's type; enumerations have the type of integers, which are their values."""
-    return TYPES[version]["Integer" if variable.kind == "Enumeration" else variable.kind]
+def _typed(values: Values) -> Values:
+    """The values, those of real variables as floats."""
+    return {name: (v, float(value) if v.is_real else value) for name, (v, value) in values.items()}
 
 
-def _unit_name(unit: DeclaredUnit | None) -> str | None:
-    return unit.name if unit else None
+def _signal_dictionary(system: System, version: str) -> bytes:
+    """The content of the signal dictionary: one entry per output, with its name in a trace."""
+    outputs = [(c.name, v) for c in system.components.values() for v in c.interface.of("output")]
+    units = defined_units(v.unit for _, v in outputs)
+    return _file("signals.ssb", version, tool=generation_tool(), outputs=outputs, units=units)
 
 
-@dataclass(frozen=True)
-class _Writer:
-    """Writes the structure and the signal dictionary of a system, in a version of SSP."""
+def _structure(s: System, version: str, bound: Sequence[str], columns: Sequence[Sequence[str]]) -> bytes:
+    """The content of SystemStructure.ssd."""
+    ports = {name: _ports(s, c) for name, c in s.components.items()}
+    diagram = Diagram(ports, [(c.source, c.target) for c in s.connections], columns)
+    variables = {name: c.interface.variables for name, c in s.components.items()}
+    units = [v.unit for of_component in variables.values() for v in of_component.values()]
+    units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
+    starts = {name: start for name, inlet in s.inputs.items() if (start := _start(s, inlet))}
+    shared = {name: [port.component for port in s.sharing(name)] for name in s.shared}
+    step = s.suggestion.step
+    return _file(
+        DEFINITION,
+        version,
+        tool=generation_tool(),
+        system=s,
+        fmu_type=FMU,
+        identity=IDENTITY,
+        connectors=list(_system_connectors(s)),
+        start=_typed(starts),
+        bound=bound,
+        boxes=diagram.boxes,
+        ports={name: [variables[name][v] for side in sides for v in side] for name, sides in ports.items()},
+        component_start={
+            name: _typed({v: (variables[name][v], value) for v, value in c.start.items()})
+            for name, c in s.components.items()
+        },
+        connections=list(_connections(s, diagram)),
+        units=defined_units(units),
+        decimal=None if step is None else f"{step:.12f}".rstrip("0"),  # OMSimulator allows no exponent
+        coupling=coupling_attributes(s.suggestion),
+        factors=s.coupling.factors if s.coupling else {},
+        shared={name: names for name, names in shared.items() if names},
+    )
 
-    system: System
-    version: str
 
-    def structure(self, bound: Sequence[str], columns: Sequence[Sequence[str]]) -> bytes:
-        """The content of SystemStructure.ssd."""
-        s = self.system
-        attributes = {"version": self.version, "name": s.name, "generationTool": generation_tool()}
-        root = new_root("ssd:SystemStructureDescription", VENDOR_NAMESPACES, **attributes)
-        system = add(root, "ssd:System", name=s.name)
-        self._system_connectors(system)
-        self._system_bindings(system, bound)
-        connectors = {name: self._connectors(c) for name, c in s.components.items()}
-        diagram = Diagram(connectors, [(c.source, c.target) for c in s.connections], columns)
-        elements = add(system, "ssd:Elements")
-        for name, c in s.components.items():
-            self._component(elements, c, connectors[name], diagram.boxes[name])
-        self._connections(system, diagram)
-        if self.version != "1.0":  # OMSimulator 3.0 cannot open an SSP 1.0 with a SignalDictionary
-            dictionaries = add(system, "ssd:SignalDictionaries")
-            add(
-                dictionaries, "ssd:SignalDictionary", name=DICTIONARY, source=f"{RESOURCES}/{DICTIONARY_FILE}"
-            )
-        units = [v.unit for c in s.components.values() for v in c.interface.variables.values()]
-        units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
-        write_units(root, "ssd", units)
-        times = {"startTime": 0.0 if s.start is None else s.start, "stopTime": s.stop}
-        experiment = add(root, "ssd:DefaultExperiment", **times)
-        write_suggestion(system, experiment, s.suggestion)
-        shared = {name: [port.component for port in s.sharing(name)] for name in s.shared}
-        write_shared(experiment, {name: names for name, names in shared.items() if names})
-        return xml_text(root)
+def _ports(s: System, component: Component) -> tuple[list[str], list[str]]:
+    """Names of the connected inputs and of all outputs of a component, in the order of the FMU."""
+    fed = {c.target for c in s.connections} | {p for i in s.inputs.values() for p, _ in i.targets}
+    read = {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
+    ports = [(Port(component.name, v.name), v) for v in component.interface.variables.values()]
+    inputs = [v.name for port, v in ports if port in fed]
+    return inputs, [v.name for port, v in ports if v.causality == "output" or port in read]
 
-    def signal_dictionary(self) -> bytes:
-        """The content of the signal dictionary: one entry per output, with its name in a trace."""
-        root = new_root("ssb:SignalDictionary", version=self.version, generationTool=generation_tool())
-        outputs = [(c.name, v) for c in self.system.components.values() for v in c.interface.of("output")]
-        for component, v in outputs:
-            entry = add(
-                root, "ssb:DictionaryEntry", name=f"{component}.{v.name}", description=v.description or None
-            )
-            add(entry, f"ssc:{_type(v, self.version)}", unit=_unit_name(v.unit))
-        write_units(root, "ssb", (v.unit for _, v in outputs))
-        return xml_text(root)
 
-    def _connectors(self, component: Component) -> tuple[list[str], list[str]]:
-        """Names of the connected inputs and of all outputs of a component, in the order of the FMU."""
-        s = self.system
-        fed = {c.target for c in s.connections} | {p for i in s.inputs.values() for p, _ in i.targets}
-        read = {c.source for c in s.connections} | {o.source for o in s.outputs.values()}
-        ports = [(Port(component.name, v.name), v) for v in component.interface.variables.values()]
-        inputs = [v.name for port, v in ports if port in fed]
-        return inputs, [v.name for port, v in ports if v.causality == "output" or port in read]
+def _system_connectors(
+    s: System,
+) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
+    """Connectors of the system: inputs on the left side, outputs on the right side."""
+    for n, i in enumerate(s.inputs.values(), start=1):
+        variable = s.variable(i.targets[0][0]) if i.targets else FmuVariable(i.name)
+        yield i.name, "input", variable, i.unit, (0.0, n / (len(s.inputs) + 1))
+    for n, o in enumerate(s.outputs.values(), start=1):
+        yield o.name, "output", s.variable(o.source), o.unit, (1.0, n / (len(s.outputs) + 1))
 
-    def _system_connectors(self, system: Element) -> None:
-        """Connectors of the system: inputs on the left side, outputs on the right side."""
-        inputs, outputs = self.system.inputs.values(), self.system.outputs.values()
-        connectors = add(system, "ssd:Connectors") if inputs or outputs else None
-        for n, i in enumerate(inputs, start=1):
-            variable = self.system.variable(i.targets[0][0]) if i.targets else FmuVariable(i.name)
-            self._connector(connectors, i.name, "input", variable, i.unit, (0.0, n / (len(inputs) + 1)))
-        for n, o in enumerate(outputs, start=1):
-            variable = self.system.variable(o.source)
-            self._connector(connectors, o.name, "output", variable, o.unit, (1.0, n / (len(outputs) + 1)))
 
-    def _connector(
-        self,
-        parent: Element,
-        name: str,
-        kind: str,
-        variable: FmuVariable,
-        unit: DeclaredUnit | None,
-        position: Point,
-    ) -> None:
-        connector = add(parent, "ssd:Connector", name=name, kind=kind)
-        add(connector, f"ssc:{_type(variable, self.version)}", unit=_unit_name(unit))
-        add(connector, "ssd:ConnectorGeometry", x=position[0], y=position[1])
+def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
+    """The start value of an input of the system, from the first component input that it feeds.
 
-    def _system_bindings(self, system: Element, bound: Sequence[str]) -> None:
-        """Start values of the inputs (without them some tools set zero), and the bound sets."""
-        values = {name: start for name, inlet in self.system.inputs.items() if (start := self._start(inlet))}
-        if not values and not bound:
-            return
-        bindings = add(system, "ssd:ParameterBindings")
-        if values:
-            self._inline(bindings, self.system.name, values)
-        for name in bound:
-            add(bindings, "ssd:ParameterBinding", source=f"resources/{quote(name)}.ssv")
+    Without it some tools set zero.
+    """
+    for port, linear in inlet.targets[:1]:
+        variable = replace(s.variable(port), unit=inlet.unit)
+        value = s.components[port.component].value(port.variable)
+        if linear == IDENTITY and value == value:  # not NaN: there is a start value
+            return variable, value
+        if linear.factor and value == value:
+            return variable, (float(value) - linear.offset) / linear.factor
+    return None
 
-    def _start(self, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
-        """The start value of an input of the system, from the first component input that it feeds."""
-        for port, linear in inlet.targets[:1]:
-            variable = replace(self.system.variable(port), unit=inlet.unit)
-            value = self.system.components[port.component].value(port.variable)
-            if linear == IDENTITY and value == value:  # not NaN: there is a start value
-                return variable, value
-            if linear.factor and value == value:
-                return variable, (float(value) - linear.offset) / linear.factor
-        return None
 
-    def _inline(self, bindings: Element, name: str, values: Values) -> None:
-        """Write a parameter binding with its values inside."""
-        parent = add(add(bindings, "ssd:ParameterBinding"), "ssd:ParameterValues")
-        parameters = add(parent, "ssv:ParameterSet", version=self.version, name=f"{name}_start")
-        _write_parameters(parameters, self.version, values)
+def _connections(
+    s: System, diagram: Diagram
+) -> Iterator[tuple[Port, Port, LinearTransformation, bool, list[str]]]:
+    """Connections between components, then those of inputs and outputs of the system.
 
-    def _component(
-        self, parent: Element, component: Component, connectors: tuple[list[str], list[str]], box: Box
-    ) -> None:
-        variables = component.interface.variables
-        element = add(
-            parent,
-            "ssd:Component",
-            name=component.name,
-            type=FMU,
-            source=f"resources/{quote(component.name)}.fmu",
-            implementation="CoSimulation",
-            description=component.interface.description or None,
-        )
-        if any(connectors):
-            parent = add(element, "ssd:Connectors")
-            for v in (variables[name] for names in connectors for name in names):
-                self._connector(parent, v.name, v.causality, v, v.unit, box.connector(v.name))
-        add(element, "ssd:ElementGeometry", **dict(zip(("x1", "y1", "x2", "y2"), box.corners, strict=True)))
-        if component.start:
-            values = {name: (variables[name], value) for name, value in component.start.items()}
-            self._inline(add(element, "ssd:ParameterBindings"), component.name, values)
-
-    def _connections(self, system: Element, diagram: Diagram) -> None:
-        """Connections between components, then those of inputs and outputs of the system."""
-        s = self.system
-        system_units = {i.name: i.unit for i in s.inputs.values()} | {
-            o.name: o.unit for o in s.outputs.values()
-        }
-        ends = [(c.source, c.target, c.map) for c in s.connections]
-        ends += [(Port("", i.name), p, linear) for i in s.inputs.values() for p, linear in i.targets]
-        ends += [(o.source, Port("", o.name), o.map) for o in s.outputs.values()]
-        parent = add(system, "ssd:Connections") if ends else None
-        for source, target, linear in ends:
-            units = [
-                s.variable(p).unit if p.component else system_units[p.variable] for p in (source, target)
-            ]
-            self._connection(parent, source, target, linear, units, diagram.bends.get((source, target)))
-
-    def _connection(
-        self,
-        parent: Element,
-        source: Port,
-        target: Port,
-        linear: LinearTransformation,
-        units: Sequence[DeclaredUnit | None],
-        bends: Sequence[Point] | None,
-    ) -> None:
-        """One connection; `linear` contains the unit conversion, so that the reader must suppress its own."""
+    Each with its map, whether the reader must suppress its own unit conversion, which the map contains, and
+    the coordinates of its bends.
+    """
+    system_units = {i.name: i.unit for i in s.inputs.values()}
+    system_units |= {o.name: o.unit for o in s.outputs.values()}
+    ends = [(c.source, c.target, c.map) for c in s.connections]
+    ends += [(Port("", i.name), p, linear) for i in s.inputs.values() for p, linear in i.targets]
+    ends += [(o.source, Port("", o.name), o.map) for o in s.outputs.values()]
+    for source, target, linear in ends:
+        units = [s.variable(p).unit if p.component else system_units[p.variable] for p in (source, target)]
         converted = linear != IDENTITY or (units[0] != units[1] and None not in units)
-        connection = add(
-            parent,
-            "ssd:Connection",
-            startElement=source.component or None,
-            startConnector=source.variable,
-            endElement=target.component or None,
-            endConnector=target.variable,
-            suppressUnitConversion="true" if converted else None,
-        )
-        if linear != IDENTITY:
-            add(connection, "ssc:LinearTransformation", factor=linear.factor, offset=linear.offset)
-        if bends:
-            xs, ys = (" ".join(f"{p[i]:.6g}" for p in bends) for i in (0, 1))
-            add(connection, "ssd:ConnectionGeometry", pointsX=xs, pointsY=ys)
+        bends = diagram.bends.get((source, target), ())
+        points = [" ".join(f"{p[axis]:.6g}" for p in bends) for axis in (0, 1)]
+        yield source, target, linear, converted, points

@@ -15,7 +15,7 @@ from lxml import etree
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
-from fmus.export.ls_ref import (
+from fmus.export.model_description import (
     FOLDER,
     NRMSE_LIMIT,
     PAGE,

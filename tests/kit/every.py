@@ -9,7 +9,7 @@ import numpy as np
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
-from fmus.export.ls_ref import COMMUNICATION_STEP, data_file
+from fmus.export.model_description import COMMUNICATION_STEP, data_file
 from fmus.export.python.build import build_python
 from fmus.machine.parts import FAMILIES
 from fmus.operator_input.model import OPERATOR

@@ -13,7 +13,7 @@ from kit.fmu import driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
-from fmus.export.ls_ref import COMMUNICATION_STEP
+from fmus.export.model_description import COMMUNICATION_STEP
 from fmus.export.python.build import build_python
 from fmus.export.python.instance import Refused, of_subsystem
 from fmus.parameters import values

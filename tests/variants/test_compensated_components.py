@@ -21,7 +21,7 @@ from fmus.parameters import values
 from fmus.swing import compensated as swing
 
 NUMBERS = values(FAMILIES["boom_stick"]["compensated"]).p
-SWING = swing.CompensatedSwingParameters(**values(FAMILIES["swing"]["compensated"]).p)
+SWING = swing.Parameters(**values(FAMILIES["swing"]["compensated"]).p)
 SECTION = swing.section(SWING)
 COMPENSATOR = SECTION.compensator
 VALVE = Counterbalance(**{n: NUMBERS[f"counterbalance_{n}"] for n in Counterbalance.__dataclass_fields__})

@@ -11,7 +11,7 @@ from kit.every import EVERY, at_work, native, outputs, python, row, work
 from kit.fmu import Fmu
 
 from fmus.contract import Subsystem, quantities
-from fmus.export.ls_ref import COMMUNICATION_STEP
+from fmus.export.model_description import COMMUNICATION_STEP
 from orchestrator.base.units import parse_unit
 
 WORKING = 2.4  # s: boom, swing and stick have started

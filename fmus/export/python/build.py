@@ -21,8 +21,14 @@ from fmus.export.interface import Interface, interface_of
 from fmus.export.model_description import CAPABILITIES, Unknowns, model_description
 from fmus.export.python.slave import MODEL_FILE
 from fmus.export.python.subsystem_model import fingerprint, import_subsystem, origin
-from fmus.export.python.user_file import checked, declared_files, in_file, refuse_neighbours, structure
-from fmus.export.python.user_model import UserModel
+from fmus.export.python.user_model import (
+    UserModel,
+    checked,
+    declared_files,
+    in_file,
+    refuse_neighbours,
+    structure,
+)
 from fmus.parameters import Values
 from orchestrator.base.compiler import host
 from orchestrator.base.errors import Problem

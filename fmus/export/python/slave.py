@@ -15,7 +15,7 @@ import json
 import sys
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -33,8 +33,7 @@ from fmus.export.python.subsystem_model import (
     fingerprint,
     import_subsystem,
 )
-from fmus.export.python.user_file import load, message
-from fmus.export.python.user_model import UserModel
+from fmus.export.python.user_model import UserModel, load, message
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 from orchestrator.base.xml import package_version
@@ -53,7 +52,11 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
         self.built = json.loads((self.folder / MODEL_FILE).read_text(encoding="utf-8"))
         self.guid = self.built["guid"]
         self._check_version()
-        self.instance = Instance(self.model(), self.guid, self._warn)
+        self.instance = i = Instance(self.model(), self.guid, lambda text: self.log(text, Fmi2Status.warning))
+        # what the library of PythonFMU calls; it also calls do_step and saves and restores states
+        self.setup_experiment, self.terminate = i.setup, i.terminate
+        self.enter_initialization_mode, self.exit_initialization_mode = i.enter, i.exit
+        self.get_real, self.set_real = i.get, i.set
 
     @abstractmethod
     def model(self) -> RunnableModel:
@@ -67,23 +70,6 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
                 f"install {built}, or build the FMU again"
             )
 
-    def _warn(self, text: str) -> None:
-        self.log(text, Fmi2Status.warning)
-
-    # ---- methods that PythonFMU defines
-
-    def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
-        """See `Instance.setup`."""
-        self.instance.setup(start_time, stop_time, tolerance)
-
-    def enter_initialization_mode(self) -> None:
-        """See `Instance.enter`."""
-        self.instance.enter()
-
-    def exit_initialization_mode(self) -> None:
-        """See `Instance.exit`."""
-        self.instance.exit()
-
     def do_step(self, current_time: float, step_size: float) -> bool:
         """See `Instance.step`; logs a message and returns False if it failed."""
         try:
@@ -92,18 +78,6 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
             self.log(message(problem, self.folder), Fmi2Status.error)
             return False
         return True
-
-    def terminate(self) -> None:
-        """See `Instance.terminate`."""
-        self.instance.terminate()
-
-    def get_real(self, vrs: list[int]) -> list[float]:
-        """See `Instance.get`."""
-        return self.instance.get(vrs)
-
-    def set_real(self, vrs: list[int], values: list[float]) -> None:
-        """See `Instance.set`."""
-        self.instance.set(vrs, values)
 
     def _get_fmu_state(self) -> dict[str, str]:
         return {"state": self.instance.save().hex()}
@@ -121,10 +95,6 @@ class SubsystemSlave(PythonSlave):
 
     def model(self) -> RunnableModel:
         """The subsystem from which the FMU was built, with the values of the build."""
-        return SubsystemModel(self._functions)
-
-    @cached_property
-    def _functions(self) -> SubsystemFunctions:
         key = json.dumps(self.built)
         if key not in _SHARED:
             sub = import_subsystem(self.built["origin"])
@@ -135,7 +105,7 @@ class SubsystemSlave(PythonSlave):
                     "variables than at the time of the build: build the FMU again"
                 )
             _SHARED[key] = SubsystemFunctions(interface)
-        return _SHARED[key]
+        return SubsystemModel(_SHARED[key])
 
 
 class UserSlave(PythonSlave):
@@ -216,16 +186,12 @@ class Dispatcher:
 # ---- FMI functions
 
 
-def _doubles(data: bytes) -> list[float]:
-    return np.frombuffer(data, dtype=np.float64).tolist()  # type: ignore[no-any-return]
+def _values(dtype: type[np.generic], data: bytes) -> Any:
+    """The numbers in an array of C, as a list."""
+    return np.frombuffer(data, dtype).tolist()
 
 
-def _integers(data: bytes) -> list[int]:
-    return np.frombuffer(data, dtype=np.int32).tolist()  # type: ignore[no-any-return]
-
-
-def _references(data: bytes) -> list[int]:
-    return np.frombuffer(data, dtype=np.uint32).tolist()  # type: ignore[no-any-return]
+_doubles, _integers, _references = (partial(_values, t) for t in (np.float64, np.int32, np.uint32))
 
 
 def _packed(values: list[float]) -> bytes:
@@ -234,7 +200,7 @@ def _packed(values: list[float]) -> bytes:
 
 def _setup(calls: Dispatcher, values: bytes) -> None:
     has_tolerance, tolerance, start, has_stop, stop = _doubles(values)
-    calls.slave.setup_experiment(start, stop if has_stop else None, tolerance if has_tolerance else None)
+    calls.instance.setup(start, stop if has_stop else None, tolerance if has_tolerance else None)
 
 
 def _step(calls: Dispatcher, values: bytes) -> None:
@@ -286,15 +252,15 @@ def _step_status(calls: Dispatcher) -> bytes:
 
 CALLS: Mapping[str, Callable[..., bytes | None]] = {
     "fmi2SetupExperiment": _setup,
-    "fmi2EnterInitializationMode": lambda calls: calls.slave.enter_initialization_mode(),
-    "fmi2ExitInitializationMode": lambda calls: calls.slave.exit_initialization_mode(),
-    "fmi2Terminate": lambda calls: calls.slave.terminate(),
+    "fmi2EnterInitializationMode": lambda calls: calls.instance.enter(),
+    "fmi2ExitInitializationMode": lambda calls: calls.instance.exit(),
+    "fmi2Terminate": lambda calls: calls.instance.terminate(),
     "fmi2Reset": lambda calls: calls.instance.reset(),
     "fmi2SetDebugLogging": _log,
     "fmi2DoStep": _step,
     "fmi2CancelStep": _cancel,
-    "fmi2GetReal": lambda calls, vr: _packed(calls.slave.get_real(_references(vr))),
-    "fmi2SetReal": lambda calls, vr, v: calls.slave.set_real(_references(vr), _doubles(v)),
+    "fmi2GetReal": lambda calls, vr: _packed(calls.instance.get(_references(vr))),
+    "fmi2SetReal": lambda calls, vr, v: calls.instance.set(_references(vr), _doubles(v)),
     **{
         f"fmi2{verb}{type_}": _no_variables
         for verb in ("Get", "Set")

@@ -7,6 +7,8 @@ Also the origin of a subsystem: the name under which an FMU imports it. An origi
 "module:name.key" for an entry of a mapping such as VARIANTS.
 """
 
+from __future__ import annotations
+
 import hashlib
 import importlib
 import sys
@@ -14,15 +16,19 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 import numpy as np
 
 from fmus.contract import Subsystem
+from fmus.export.c_code import directional
 from fmus.export.interface import Interface
 from fmus.solver import Array, InputPolynomials, solve
 from orchestrator.base.errors import Problem
+
+if TYPE_CHECKING:
+    from fmus.export.python.instance import InstanceState
 
 
 class RunnableModel(Protocol):
@@ -47,16 +53,7 @@ class RunnableModel(Protocol):
     def start(self, x: Array, u: Array, p: Array) -> Array: ...
     def rate(self, x: Array, u: Array, p: Array) -> Array: ...
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]: ...
-    def advance(
-        self,
-        x: Array,
-        p: Array,
-        inputs: InputPolynomials,
-        t: float,
-        length: float,
-        tolerance: float,
-        memory: Array,
-    ) -> tuple[Array, Array]: ...
+    def advance(self, s: InstanceState, inputs: InputPolynomials, length: float) -> tuple[Array, Array]: ...
     def forward(
         self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]: ...
@@ -68,24 +65,20 @@ class SubsystemFunctions:
     def __init__(self, interface: Interface) -> None:
         self.interface, sym = interface, interface.equations
         arguments = [sym.x, sym.u, sym.p]
-        vp = ca.SX.sym("vp", sym.p.numel())  # v...: seeds of the directional derivatives
-        vu = ca.SX.sym("vu", sym.u.numel())
-        vx = ca.SX.sym("vx", sym.x.numel())
+        like = {"vp": sym.p, "vu": sym.u, "vx": sym.x}
+        v = {name: ca.SX.sym(name, symbol.numel()) for name, symbol in like.items()}
         du = ca.SX.sym("du", sym.u.numel())  # time derivatives of the inputs
-        xu, v_xu = ca.vertcat(sym.x, sym.u), ca.vertcat(vx, vu)
-        xup, v_xup = ca.vertcat(sym.x, sym.u, sym.p), ca.vertcat(vx, vu, vp)
-        vx0 = ca.jtimes(sym.start, xup, v_xup)
-        results = ca.vertcat(sym.dx, interface.y)
-        self.rate = _function(arguments, [sym.dx])
-        self.linearised = _function(
-            [*arguments, du], [sym.dx, ca.jacobian(sym.dx, sym.x), ca.jtimes(sym.dx, sym.u, du)]
-        )
-        self.start = _function(arguments, [sym.start])
-        self.observe = _function(arguments, [interface.y, sym.require])
-        self.forward = _function([*arguments, vp, vu, vx], [vx, ca.jtimes(results, xu, v_xu)])
-        self.start_forward = _function(
-            [*arguments, vp, vu, vx], [vx0, ca.jtimes(results, xup, ca.vertcat(vx0, vu, vp))]
-        )
+        along = directional(sym, interface.y, v)
+        seeded = [*arguments, *v.values()]
+        rates = [sym.dx, ca.jacobian(sym.dx, sym.x), ca.jtimes(sym.dx, sym.u, du)]
+        self.functions = {
+            "rate": _function(arguments, [sym.dx]),
+            "linearised": _function([*arguments, du], rates),
+            "start": _function(arguments, [sym.start]),
+            "observe": _function(arguments, [interface.y, sym.require]),
+            "forward": _function(seeded, [v["vx"], ca.vertcat(along["vdx"], along["vy"])]),
+            "start_forward": _function(seeded, [along["vx0"], ca.vertcat(along["vdx0"], along["vy0"])]),
+        }
 
 
 def _function(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
@@ -126,53 +119,38 @@ class SubsystemModel:
         self.absolute = np.array([v.quantity.absolute_scale for v in interface.states])
         self.stiff = interface.stiff
         self._p = np.zeros(len(interface.parameters))
-        self._rate, self._linearised = _BoundFunction(functions.rate), _BoundFunction(functions.linearised)
-        self._start, self._observe = _BoundFunction(functions.start), _BoundFunction(functions.observe)
-        self._forward, self._start_forward = (
-            _BoundFunction(functions.forward),
-            _BoundFunction(functions.start_forward),
-        )
+        self._call = {name: _BoundFunction(function) for name, function in functions.functions.items()}
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
         """See `RunnableModel`."""
-        return self._start(x, u, p)[0].copy()  # type: ignore[no-any-return]
+        return self._call["start"](x, u, p)[0].copy()  # type: ignore[no-any-return]
 
     def rate(self, x: Array, u: Array, p: Array | None = None) -> Array:
         """See `RunnableModel` and `solver.OdeSystem`; the next call overwrites the array."""
-        return self._rate(x, u, self._p if p is None else p)[0]  # type: ignore[no-any-return]
+        return self._call["rate"](x, u, self._p if p is None else p)[0]  # type: ignore[no-any-return]
 
     def linearised(self, x: Array, u: Array, du: Array) -> tuple[Array, Array, Array]:
         """See `solver.OdeSystem`; the next call overwrites the arrays."""
-        f, jacobian, ft = self._linearised(x, u, self._p, du)
+        f, jacobian, ft = self._call["linearised"](x, u, self._p, du)
         return f, jacobian, ft
 
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]:
         """See `RunnableModel`."""
-        y, require = self._observe(x, u, p)
+        y, require = self._call["observe"](x, u, p)
         return y.copy(), require.copy()
 
-    def advance(
-        self,
-        x: Array,
-        p: Array,
-        inputs: InputPolynomials,
-        t: float,
-        length: float,
-        tolerance: float,
-        memory: Array,
-    ) -> tuple[Array, Array]:
+    def advance(self, s: InstanceState, inputs: InputPolynomials, length: float) -> tuple[Array, Array]:
         """See `RunnableModel`."""
-        if not x.size:
-            return x, memory
-        self._p[:] = p
-        return solve(self, x, inputs, length, tolerance, memory)
+        if not s.x.size:
+            return s.x, s.memory
+        self._p[:] = s.p
+        return solve(self, s.x, inputs, length, s.tolerance, s.memory)
 
     def forward(
         self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]:
         """See `RunnableModel`."""
-        function = self._start_forward if initial else self._forward
-        vx, results = function(x, u, p, *direction)
+        vx, results = self._call["start_forward" if initial else "forward"](x, u, p, *direction)
         return vx.copy(), results[: x.size].copy(), results[x.size :].copy()
 
 
