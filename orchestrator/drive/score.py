@@ -45,9 +45,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
-
-Array = NDArray[np.float64]
 
 TIP = ("tip_x", "tip_y", "tip_height")
 SPEEDS = ("swing_speed", "boom_speed", "stick_speed")

@@ -21,6 +21,7 @@ from orchestrator.base.interrupts import in_threads
 from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.text import first_names
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import BatchArguments
 from orchestrator.engine.job import Execution, Job
@@ -34,8 +35,6 @@ from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 
 MEMORY_SHARE = 0.5  # of the memory of this computer, for the arrays of a result
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

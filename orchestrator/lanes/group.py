@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.processes import available_cores
+from orchestrator.data.table import Array
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import Job
 from orchestrator.engine.masters import MASTERS, Plan
@@ -32,8 +33,6 @@ ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
 OK, EARLY, FAILED = "ok", "early", "failed"
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

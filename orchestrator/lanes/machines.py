@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import chosen
 from orchestrator.base.processes import available_cores
+from orchestrator.data.table import Array
 from orchestrator.engine.arguments import MachinesArguments
 from orchestrator.engine.job import Execution
 from orchestrator.engine.run import prepare
@@ -20,8 +21,6 @@ from orchestrator.lanes.group import Group, Lanes
 from orchestrator.ssp.system import System
 
 FOREVER = 1e6  # [s], stop time: steps of 1 ms are equal to 1e-7 until then
-
-Array = NDArray[np.float64]
 
 
 class Machines:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.processes import machine_memory
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.realtime.deadlines import latency_quantile, speed_factor
-from orchestrator.realtime.setup import Array, Frame, Setup, Task, Timing
+from orchestrator.realtime.setup import Frame, Setup, Task, Timing
 from orchestrator.realtime.shared_memory import (
     HEAD,
     NUMBER,

@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 
 INTERVAL = 0.1  # [s] between two looks at the state
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
@@ -28,7 +29,7 @@ from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
-from orchestrator.realtime.setup import Array, Axis, Setup, Task
+from orchestrator.realtime.setup import Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, attach
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import load

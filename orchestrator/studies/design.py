@@ -23,6 +23,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 from orchestrator.base.units import LinearTransformation
+from orchestrator.data.table import Array
 from orchestrator.ssp.system import Port, System, coerce
 from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
@@ -32,8 +33,6 @@ EDGE = 2.0**-53  # smallest distance from 0 and 1: there quantiles of unbounded 
 LOWEST_LEVEL = 0.01  # lowest Morris level of an unbounded distribution: its 1 % quantile
 UNBOUNDED = ("normal", "lognormal")
 TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Enumeration": pa.int64(), "Boolean": pa.bool_()}
-
-Array = NDArray[np.float64]
 
 
 # ---- samples in the unit cube

@@ -21,12 +21,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
 from orchestrator.base.text import TextTable
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read_trace, rms
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
@@ -38,8 +38,6 @@ from orchestrator.ssp.load import load
 from orchestrator.ssp.plausible import doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
-
-Array = NDArray[np.float64]
 
 RECORD_STEP = 5e-3  # [s], sampling interval of the paths
 SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.engine.run import prepare, run
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.batch import machine_values, recorded_times
@@ -21,8 +21,6 @@ from orchestrator.studies.cases import Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
 
 NAN = float("nan")
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

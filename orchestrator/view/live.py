@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.drive.page import page_data
 from orchestrator.drive.score import EXERCISES
 from orchestrator.realtime.setup import Machine
@@ -39,8 +40,6 @@ from orchestrator.view.authority import ControlAuthority, OperatorStation
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
 from orchestrator.view.session import Session, SignalIndex
 from orchestrator.view.training import Training
-
-Array = NDArray[np.float64]
 
 RATE, INFO = 25.0, 5.0  # 1/s; rates of pictures and of the rest
 TELL = 0.1  # s between two states of the controls

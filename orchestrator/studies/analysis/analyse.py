@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import mannwhitneyu
 
+from orchestrator.data.table import Array
 from orchestrator.data.trace import moves
 from orchestrator.lanes.group import OK
 from orchestrator.studies.analysis import morris_sobol, sensitivity
 from orchestrator.studies.analysis.results import (
     Analysis,
-    Array,
     Failure,
     OutputAnalysis,
     OutputSamples,

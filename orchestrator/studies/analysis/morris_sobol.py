@@ -27,11 +27,11 @@ from SALib.analyze import morris
 from SALib.analyze.sobol import first_order, total_order
 from scipy.stats import bootstrap, spearmanr
 
+from orchestrator.data.table import Array
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
     TOTAL,
-    Array,
     Effect,
     IntervalEstimate,
     OutputSamples,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import DisplayUnit, display_unit
+from orchestrator.data.table import Array
 from orchestrator.lanes.group import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
@@ -180,9 +181,6 @@ class Analysis:
     failures: tuple[Failure, ...]
     findings: tuple[OutputAnalysis, ...]
     notes: tuple[str, ...] = ()
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ import pandas as pd
 from SALib.analyze import rbd_fast
 from scipy.stats import rankdata
 
+from orchestrator.data.table import Array
 from orchestrator.studies.analysis.morris_sobol import (
     SEED,
     Rows,
@@ -40,7 +41,6 @@ from orchestrator.studies.analysis.results import (
     FIRST,
     REGRESSION,
     TOTAL,
-    Array,
     Effect,
     IntervalEstimate,
     OutputSamples,

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, rms, span
 from orchestrator.engine.run import run
 from orchestrator.results.metrics import AT_REST
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import System
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 SAME_INSTANT = 1e-6  # relative to the step: instants that are closer than this are the same

@@ -19,13 +19,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
+from orchestrator.data.table import Array
 from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
 from orchestrator.pages.plotting import legend, limit_ticks, new_figure, style_axes
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
     TOTAL,
-    Array,
     Effect,
     OutputAnalysis,
     Sensitivity,
