@@ -88,22 +88,26 @@ class Samples:
     pressure: Array
 
     def __getitem__(self, part: slice) -> Samples:
-        return Samples(*(getattr(self, name)[part] for name in self.__dataclass_fields__))
+        return Samples(*(values[part] for values in vars(self).values()))
 
+    @staticmethod
+    def joined(parts: Sequence[Samples]) -> Samples:
+        """The samples of parts that follow each other."""
+        return Samples(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
-def task_signals(signals: Sequence[str]) -> tuple[str, ...]:
-    """The signals that a task uses."""
-    return tuple(name for name in signals if _variable(name) in SIGNALS)
+    @property
+    def tips(self) -> list[Point]:
+        """The positions of the tip."""
+        return [(x, y, z) for x, y, z in self.tip.tolist()]
 
 
 def of_trace(trace: Trace) -> Samples:
     """All samples of a run."""
-    names = task_signals(list(trace.signals))
-    for name in names:
-        unit = trace.units.get(name, UNITS[_variable(name)])
-        if unit != UNITS[_variable(name)]:
-            raise Problem(f"task: {name}: expected {UNITS[_variable(name)]}, found {unit}")
-    return of_values(trace.time, {name: trace[name] for name in names})
+    for name in trace.signals:
+        expected = UNITS.get(_variable(name))
+        if expected and (unit := trace.units.get(name, expected)) != expected:
+            raise Problem(f"task: {name}: expected {expected}, found {unit}")
+    return of_values(trace.time, trace.signals)
 
 
 def of_values(time: Array, values: Mapping[str, Array]) -> Samples:
@@ -115,21 +119,16 @@ def of_values(time: Array, values: Mapping[str, Array]) -> Samples:
         raise Problem(f"task: expected a run with {expected}, found none of {', '.join(missing)}")
     columns = {variable: np.asarray(values[name], float) for variable, name in first.items()}
     tip = np.stack([columns[name] for name in TIP], axis=1)
+    across = columns["swing_speed"] * np.hypot(tip[:, 0], tip[:, 1])
     lines = [columns[name] for name in LINES if name in columns]
     return Samples(
         time=np.asarray(time, float),
         tip=tip,
-        speed=_speed(tip, columns),
+        speed=np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0),
         functions=np.stack([columns[name] for name in SPEEDS], axis=1),
         power=_power(values, columns),
         pressure=np.max(lines, axis=0) if lines else np.empty(0),
     )
-
-
-def _speed(tip: Array, columns: Mapping[str, Array]) -> Array:
-    across = columns["swing_speed"] * np.hypot(tip[:, 0], tip[:, 1])
-    speed: Array = np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0)
-    return speed
 
 
 def _power(values: Mapping[str, Array], columns: Mapping[str, Array]) -> Array:
@@ -283,8 +282,7 @@ def advance(exercise: Exercise, progress: Progress, time: float, tip: Point, spe
 
 def follow(exercise: Exercise, progress: Progress, samples: Samples) -> Progress:
     """Progress after more samples."""
-    tips: Sequence[Point] = [(x, y, z) for x, y, z in samples.tip.tolist()]
-    for time, tip, speed in zip(samples.time.tolist(), tips, samples.speed.tolist(), strict=True):
+    for time, tip, speed in zip(samples.time.tolist(), samples.tips, samples.speed.tolist(), strict=True):
         progress = advance(exercise, progress, time, tip, speed)
     return progress
 

@@ -146,7 +146,7 @@ class Frame:
 class Machine(Protocol):
     """Interface of a machine that a page shows: simulated (`machine.RealTimeMachine`) or `replay.Replay`.
 
-    axes, signals, units   names and units of the values in `Frame`
+    axes, signals   names of the values in `Frame`
     drives     True if it takes commands
     command    command new values by axis; other axes go to rest; raises `Problem` for a value that is not
                finite; a command expires
@@ -160,8 +160,6 @@ class Machine(Protocol):
     def axes(self) -> Sequence[str]: ...
     @property
     def signals(self) -> Sequence[str]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
     @property
     def drives(self) -> bool: ...
 

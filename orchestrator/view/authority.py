@@ -116,6 +116,13 @@ class Status:
     modes: tuple[str, ...]
 
 
+def finite(value: object, name: str) -> float:
+    """A number from a page; a `Problem` for anything else."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
+    return float(value)
+
+
 class CommandGate:
     """The only path from a browser to `Machine.command`.
 
@@ -197,9 +204,7 @@ class CommandGate:
         names = sorted({axis.rpartition(".")[2] for axis in self.machine.axes} - driven)
         if not isinstance(name, str) or name not in names:
             raise Problem(f"input: expected one of {', '.join(names) or 'none'}, found {ascii(name)[:60]}")
-        if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-            raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
-        self.values[name] = float(value)
+        self.values[name] = finite(value, name)
 
     def keep(self) -> None:
         """Command again the inputs that are set, while the sticks rest."""

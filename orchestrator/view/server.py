@@ -10,6 +10,7 @@ import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import uvicorn
@@ -63,7 +64,7 @@ class Server:
         allowed = replace(default, token=token or default.token)
         query = f"?token={allowed.token}" if allowed.token else ""
         self.url = f"http://{_displayed(host)}:{self.port}/{query}"
-        app = application(Pages(session, self.authority, training), self._begin)
+        app = application(Pages(session, self.authority, training), lambda: self._began())
         app.add_middleware(Guard, rules=allowed)
         config = uvicorn.Config(
             app,
@@ -97,9 +98,6 @@ class Server:
         self._server.should_exit = True
         if self._thread is not None:
             self._thread.join(4 * GRACE)
-
-    def _begin(self) -> None:
-        self._began()
 
 
 def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Starlette:
@@ -207,7 +205,7 @@ def serve(
             if open_:  # in a thread, because on some systems the call waits for the browser
                 threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
 
-        with failures_reported(session.live, session.save_live):
+        with failures_reported(session.live, partial(session.save, session.live)):
             server.run(began)
         raise KeyboardInterrupt  # uvicorn returns without it if SIGINT is ignored, as in a background job
     finally:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.drive.view_description import by_bare_name
@@ -63,8 +62,14 @@ class ExchangeableMachine:
     """
 
     def __init__(self, machine: Machine) -> None:
-        self.machine = machine
         self.exchanges, self.factor = 0, 1.0
+        self._forward_to(machine)
+
+    def _forward_to(self, machine: Machine) -> None:
+        self.machine = machine
+        self.command, self.play, self.pause = machine.command, machine.play, machine.pause
+        self.latest, self.since, self.trace = machine.latest, machine.since, machine.trace
+        self.close = machine.close
 
     def exchange(self, machine: Machine) -> None:
         """Show another machine. The previous one is paused."""
@@ -72,7 +77,7 @@ class ExchangeableMachine:
             self.machine.command({})
         self.machine.pause()
         machine.speed(self.factor)
-        self.machine = machine
+        self._forward_to(machine)
         self.exchanges += 1
 
     @property
@@ -84,21 +89,8 @@ class ExchangeableMachine:
         return self.machine.signals
 
     @property
-    def units(self) -> Mapping[str, str]:
-        return self.machine.units
-
-    @property
     def drives(self) -> bool:
         return self.machine.drives
-
-    def command(self, values: Mapping[str, float]) -> None:
-        self.machine.command(values)
-
-    def play(self) -> None:
-        self.machine.play()
-
-    def pause(self) -> None:
-        self.machine.pause()
 
     def speed(self, factor: float) -> None:
         self.machine.speed(factor)
@@ -107,18 +99,6 @@ class ExchangeableMachine:
     def restart(self, setup: Setup | None = None) -> None:
         self.machine.restart(setup)
         self.exchanges += 1
-
-    def latest(self) -> Frame:
-        return self.machine.latest()
-
-    def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
-        return self.machine.since(number)
-
-    def trace(self) -> Trace:
-        return self.machine.trace()
-
-    def close(self) -> None:
-        self.machine.close()
 
 
 class SeekableMachine(Machine, Protocol):
@@ -231,26 +211,15 @@ class Session:
             self.machine.machine.close()
             self._show(self.live, "")
 
-    def save(self) -> Path:
-        """Save the session as a result file in the first folder."""
-        return self._save(self.machine)
-
-    def save_live(self) -> Path:
-        """Save the session of the live machine, also while a replay is shown."""
-        return self._save(self.live)
-
-    def _save(self, machine: Machine) -> Path:
+    def save(self, machine: Machine | None = None) -> Path:
+        """Save the session, or that of another machine, as a result file in the first folder."""
         if not self.folders:
             raise Problem("save: no folder for results is open")
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        return write_trace(self.trace(machine), self.folders[0] / f"session-{stamp}.parquet")
-
-    def trace(self, machine: Machine | None = None) -> Trace:
-        """Trace of the session, or of another machine. Raises `Problem` if it is empty."""
         trace = (machine or self.machine).trace()
         if not len(trace.time):
             raise Problem("save: nothing has been recorded yet")
-        return trace
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        return write_trace(trace, self.folders[0] / f"session-{stamp}.parquet")
 
     def close(self) -> None:
         """Close all machines."""
