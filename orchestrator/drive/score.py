@@ -58,7 +58,6 @@ LINES = (
     *(f"{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
 )
 NEEDED = (*TIP, *SPEEDS, *VELOCITIES)
-SIGNALS = (*NEEDED, PRESSURE, FLOW, *LINES)
 UNITS = {
     **dict.fromkeys(TIP, "m"),
     **dict.fromkeys(SPEEDS, "rad/s"),

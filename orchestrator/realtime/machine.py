@@ -107,7 +107,8 @@ class MachineProcess:
         """The latest frame; NaN before the first one."""
         status, n = self.shared.status(), len(self.axes)
         begun = status.last >= self.first
-        row = self._row(status.last) if begun else np.full(self.shared.rows.shape[1], np.nan)
+        rows = self.shared.rows
+        row = rows[status.last % len(rows)].copy() if begun else np.full(rows.shape[1], np.nan)
         number = status.last if begun else self.first - 1
         state, message = self._state(status)
         axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
@@ -131,9 +132,6 @@ class MachineProcess:
         table = dict(zip(self.axes, np.ascontiguousarray(axes.T), strict=True))
         table |= dict(zip(self.setup.signals, np.ascontiguousarray(values.T), strict=True))
         return Trace(np.ascontiguousarray(times), table, self.units)
-
-    def _row(self, number: int) -> Array:
-        return np.array(self.shared.rows[number % len(self.shared.rows)])
 
     def _oldest(self, status: MachineStatus) -> int:
         """Number of the oldest frame in memory."""

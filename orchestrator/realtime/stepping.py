@@ -10,10 +10,11 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from math import inf, isfinite
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -55,43 +56,27 @@ def main(channel: Channel) -> None:
     )
     details: dict[str, Any] = {}
     try:
-        stepper = FrameStepper(task.setup)
-        _run(stepper, task, shared, details, lambda: not channel.ended.is_set())
+        with closing(FrameStepper(task.setup)) as stepper:
+            details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
+            shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
+            with shared.writing() as (counts, _):
+                counts[memory.LAST] = task.first
+            shared.set_state("paused", json.dumps(details))
+            _loop(stepper, task, shared, json.dumps(details), channel.ended)
+        shared.set_state("ended", json.dumps(details))
     except Exception as problem:
         message = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
         shared.set_state("failed", json.dumps(details | {"message": " ".join(message.split())}))
     channel.ended.wait()
 
 
-def _run(
-    stepper: FrameStepper,
-    task: Task,
-    shared: memory.SharedState,
-    details: dict[str, Any],
-    needed: Callable[[], bool],
-) -> None:
-    """Publish the first frame, run while the process is needed, and close the FMUs."""
-    try:
-        details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
-        shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
-        with shared.writing() as (counts, _):
-            counts[memory.LAST] = task.first
-        shared.set_state("paused", json.dumps(details))
-        _loop(stepper, task, shared, json.dumps(details), needed)
-    finally:
-        stepper.close()
-    shared.set_state("ended", json.dumps(details))
-
-
-def _loop(
-    stepper: FrameStepper, task: Task, shared: memory.SharedState, details: str, needed: Callable[[], bool]
-) -> None:
-    """Make one frame after the other, each when it is due."""
+def _loop(stepper: FrameStepper, task: Task, shared: memory.SharedState, details: str, ended: Event) -> None:
+    """Make one frame after the other, each when it is due, until the parent ends."""
     setup, clock, number = task.setup, DeadlineClock(), task.first
     limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
     command = memory.Command(False, 1.0, 0, limiter.rest)
     watchdog, running = CommandWatchdog(limiter.rest, setup.timeout, task.serial), False
-    while needed():
+    while not ended.is_set():
         if running:
             clock.wait()
         else:
