@@ -195,33 +195,17 @@ LONGEST = 600.0  # s; a longer attempt is given up, to limit memory
 LOAD = "payload_mass"  # input with the mass that the head is to hold
 STEM = 200.0  # kg
 EXERCISES: Mapping[str, Exercise] = {
-    "stem on the left": Exercise(
-        "stem on the left", (Target("pick", (2.25, 3.9, 0.3), STEM), Target("place", (3.4, -1.2, 1.0)))
-    ),
-    "stem on the right": Exercise(
-        "stem on the right", (Target("pick", (2.25, -3.9, 0.3), STEM), Target("place", (3.4, 1.2, 1.0)))
-    ),
+    name: Exercise(name, (Target("pick", (2.25, y, 0.3), STEM), Target("place", (3.4, to, 1.0))))
+    for name, y, to in (("stem on the left", 3.9, -1.2), ("stem on the right", -3.9, 1.2))
 }
 
 
 def rules() -> dict[str, Any]:
     """The task as data for a page that scores by itself (task.js)."""
+    signals = {"needed": NEEDED, "tip": TIP, "speeds": SPEEDS, "velocities": VELOCITIES}
+    signals |= {"lines": LINES, "supply": (PRESSURE, FLOW)}
     exercises = [asdict(exercise) for exercise in EXERCISES.values()]
-    names = {
-        "tip": TIP,
-        "speeds": SPEEDS,
-        "velocities": VELOCITIES,
-        "lines": LINES,
-        "supply": (PRESSURE, FLOW),
-    }
-    return {
-        "exercises": exercises,
-        "load": LOAD,
-        "moving": MOVING,
-        "longest": LONGEST,
-        "needed": NEEDED,
-        **names,
-    }
+    return {"exercises": exercises, "load": LOAD, "moving": MOVING, "longest": LONGEST, **signals}
 
 
 def distance(exercise: Exercise, progress: Progress, tip: Point) -> float:

@@ -156,17 +156,16 @@ def parse(raw: str | bytes) -> Message:
         raise Problem("message: expected JSON, found something else") from error
     if not isinstance(data, dict) or set(data) != KEYS:
         raise Problem(f"message: expected an object with {', '.join(sorted(KEYS))}, found {_short(data)}")
-    return Message(_number(data["n"]), _sticks(data["sticks"]), _switch(data["dead_man"]))
+    number, dead_man = data["n"], data["dead_man"]
+    if type(number) is not int or not 0 <= number < 2**53:
+        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(number)}")
+    if not isinstance(dead_man, bool):
+        raise Problem(f"message: dead_man: expected true or false, found {_short(dead_man)}")
+    return Message(number, _sticks(data["sticks"]), dead_man)
 
 
 def _constant(word: str) -> float:
     raise ValueError(f"{word} is not JSON")
-
-
-def _number(value: Any) -> int:
-    if type(value) is not int or not 0 <= value < 2**53:
-        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(value)}")
-    return value
 
 
 def _sticks(value: Any) -> StickAxes:
@@ -177,12 +176,6 @@ def _sticks(value: Any) -> StickAxes:
         if type(deflection) not in (int, float) or not -1 <= deflection <= 1:
             raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(deflection)}")
     return StickAxes(*map(float, value))
-
-
-def _switch(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise Problem(f"message: dead_man: expected true or false, found {_short(value)}")
-    return value
 
 
 def _short(value: Any) -> str:

@@ -105,11 +105,6 @@ class Gauge:
             raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
     @property
-    def factor(self) -> float:
-        """Factor from SI to the displayed unit."""
-        return 1.0 / parse_unit(self.unit).factor
-
-    @property
     def is_pressure(self) -> bool:
         """Is it a pressure? Then the bar has the colour of the pressure."""
         return parse_unit(self.unit).base() == parse_unit("Pa").base()
@@ -149,11 +144,6 @@ class Chart:
 
     def __post_init__(self) -> None:
         parse_unit(self.unit, f"chart {self.title}")
-
-    @property
-    def factor(self) -> float:
-        """Factor from SI to the displayed unit."""
-        return 1.0 / parse_unit(self.unit).factor
 
 
 @dataclass(frozen=True)
@@ -283,7 +273,11 @@ def of_variables(system: System) -> ViewDescription:
         curves = tuple(ChartCurve(name, name.replace("_", " "), colour) for name, colour in named)
         charts.append(Chart("Outputs", unit, curves, ends))
     sliders = tuple(_slider(system, port) for port in _free_inputs(system)[:MOST_SLIDERS])
-    return ViewDescription(groups, tuple(charts), axes=tuple(map(_axis, sliders)), sliders=sliders)
+    axes = []
+    for s in sliders:  # each goes from end to end within 1 s, and rests at its start value
+        limit = max(abs(s.low), abs(s.high), 1e-12) * parse_unit(s.unit).factor
+        axes.append(DrivenInput((s.name,), limit, s.rate, s.start))
+    return ViewDescription(groups, tuple(charts), axes=tuple(axes), sliders=sliders)
 
 
 def _free_inputs(system: System) -> list[Port]:
@@ -309,13 +303,6 @@ def _slider(system: System, port: Port) -> Slider:
     step = 10.0 ** math.floor(math.log10(factor * (high - low) / 200))
     text = port.variable.replace("_", " ")
     return Slider(port.variable, text, unit, factor * low, factor * high, step, high - low, start)
-
-
-def _axis(slider: Slider) -> DrivenInput:
-    """The input of a slider: it goes from end to end within 1 s, and rests at its start value."""
-    factor = parse_unit(slider.unit).factor
-    limit = max(abs(slider.low), abs(slider.high), 1e-12) * factor
-    return DrivenInput((slider.name,), limit, slider.rate, slider.start)
 
 
 def _shown_unit(variable: FmuVariable) -> str:

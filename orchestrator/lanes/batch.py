@@ -107,7 +107,7 @@ def batch(
         print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
     given = chosen(BatchArguments, options, "batch")
-    workers = given.pop("workers", None)
+    workers = given.pop("workers", None) or available_cores()
     limits = {name: given.pop(name) for name in ("time_limit", "memory_limit") if name in given}
     execution = Execution(**limits).begun()
     execution.check()
@@ -118,7 +118,9 @@ def batch(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
     arrays_in, count = machine_values(job, values)
-    signals = recorded(job.system, job.record.signals)
+    record = job.record.signals
+    chosen_ports = job.system.ports("output") if record is None else map(job.system.port, record)
+    signals = dict(zip(record or map(str, job.system.ports("output")), chosen_ports, strict=True))
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
@@ -133,38 +135,21 @@ def batch(
         wall = time.perf_counter() - began
         return BatchResult(recorded_times(times), arrays, status, reasons, units, every, wall)
 
+    ports, notes = [*signals.values()], tuple[str, ...]()
     try:
-        return result(
-            *_simulate(
-                job, times, arrays_in, count, [*signals.values()], rows, workers or available_cores(), lanes
-            )
-        )
+        if lanes is not False:
+            try:
+                together = Lanes(job, times, ports)
+                return result(run_in_lanes(together, arrays_in, count, rows, workers), ())
+            except NotInLanes as reason:
+                if lanes:
+                    raise
+                notes = (f"the machines ran one by one: {reason}",)
+        points = recorded_times(times)
+        return result(run_one_by_one(job, times, arrays_in, count, ports, rows, points, workers), notes)
     except KeyboardInterrupt:
         stopped = dict.fromkeys(unfinished(rows), Ended("interrupted", "by the user", np.nan))
         raise Interrupted(result(stopped, ())) from None
-
-
-def _simulate(
-    job: Job,
-    times: Grid,
-    values: Mapping[Port, Array],
-    count: int,
-    signals: Sequence[Port],
-    rows: Sequence[Array],
-    workers: int,
-    lanes: bool | None,
-) -> tuple[dict[int, Ended], tuple[str, ...]]:
-    """Fill the rows; returns those that ended early, and remarks."""
-    notes: tuple[str, ...] = ()
-    if lanes is not False:
-        try:
-            return run_in_lanes(Lanes(job, times, signals), values, count, rows, workers), ()
-        except NotInLanes as reason:
-            if lanes:
-                raise
-            notes = (f"the machines ran one by one: {reason}",)
-    points = recorded_times(times)
-    return run_one_by_one(job, times, values, count, signals, rows, points, workers), notes
 
 
 # ---- what differs and what is recorded

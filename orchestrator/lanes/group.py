@@ -71,13 +71,9 @@ class Instances:
         create = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
         tolerance = lanes.job.execution.tolerance or 0.0
         places = base + np.cumsum([0, *sizes[:-1]])
-        self.addresses = np.array(
-            [
-                create(m.struct.create)(int(place), tolerance)
-                for m, place in zip(lanes.models, places, strict=True)
-            ],
-            np.uint64,
-        )
+        pairs = zip(lanes.models, places.tolist(), strict=True)
+        made = [create(model.struct.create)(place, tolerance) for model, place in pairs]
+        self.addresses = np.array(made, np.uint64)
         structs = [header().Instance.from_address(int(address)) for address in self.addresses]
         self.values, self.slopes, self.last_set = (
             [(getattr(s, name) - base) // (8 * lane_count()) for s in structs]
@@ -164,40 +160,21 @@ class Lanes:
         self._alive.append(array)
         return ctypes.addressof(array)
 
-    def members(self) -> dict[str, Any]:
-        """The members of `Simulation` of engine.h that are the same for all groups."""
-        plan, control, times = self.plan, self.control, self.times
-        return {
-            "exchange": self.exchange,
-            "component_count": len(self.models),
-            "input_count": len(self.inputs),
-            "initial_rounds": self._network.order.count + 1,
-            "order": self.at(np.array(plan.order, np.int32)),
-            "degree": plan.degree,
-            "sequential": plan.sequential,
-            "passes": plan.passes,
-            "tolerance": plan.tolerance,
-            "error_tolerance": control.tolerance if control else 0.0,
-            "saves": self.saves,
-            "events": self.at(np.array(times.events, np.float64)),
-            "event_count": len(times.events),
-            "start": times.start,
-            "step": times.step,
-            "total": times.steps,
-        }
-
-    def group_members(self) -> dict[str, Any]:
-        """The members of `Group` of machines.h that are the same for all groups."""
-        h = header()
+    def fill(self, group: Any) -> None:
+        """Fill the members of `Group` of machines.h that are the same for all groups."""
+        h, sim, plan, times = header(), group.sim, self.plan, self.times
+        group.models = self.at(np.array([ctypes.addressof(m.struct) for m in self.models], np.uint64))
+        group.wires, group.wire_count = self.wires, self.wire_count
         signals = [h.Signal(self.index[p.component], self.reference(p)) for p in self.signals]
-        return {
-            "models": self.at(np.array([ctypes.addressof(m.struct) for m in self.models], np.uint64)),
-            "wires": self.wires,
-            "wire_count": self.wire_count,
-            "signals": self._array(h.Signal, signals),
-            "signal_count": len(signals),
-            "every": self.times.every,
-        }
+        group.signals, group.signal_count = self._array(h.Signal, signals), len(signals)
+        group.every = times.every
+        sim.exchange, sim.initial_rounds = self.exchange, self._network.order.count + 1
+        sim.component_count, sim.input_count = len(self.models), len(self.inputs)
+        sim.order, sim.degree = self.at(np.array(plan.order, np.int32)), plan.degree
+        sim.sequential, sim.passes, sim.tolerance = plan.sequential, plan.passes, plan.tolerance
+        sim.error_tolerance, sim.saves = self.control.tolerance if self.control else 0.0, self.saves
+        sim.events, sim.event_count = self.at(np.array(times.events, np.float64)), len(times.events)
+        sim.start, sim.step, sim.total = times.start, times.step, times.steps
 
     @property
     def saves(self) -> bool:
@@ -389,12 +366,12 @@ class Group:
     def __init__(self, lanes: Lanes) -> None:
         h, count = header(), lanes.inputs.size
         self.lanes, self._instances = lanes, Instances(lanes)
+        self.set = self._instances.set
         base = self._instances.memory.ctypes.data
         self._inputs = aligned(lanes.inputs.nbytes).view(lanes.inputs.dtype)
         self._template = lanes.inputs.copy()
-        self._template["source_slope"] = np.where(
-            lanes.slopes >= 0, base + 8 * lane_count() * lanes.slopes, 0
-        )
+        slopes = base + 8 * lane_count() * lanes.slopes
+        self._template["source_slope"] = np.where(lanes.slopes >= 0, slopes, 0)
         values, derivatives = ([vectors(n * max(count, 1)) for _ in lanes.models] for n in (1, h.DEGREE))
         self._components = lanes.components(values, derivatives)
         self._failures = (h.Failure * lane_count())()
@@ -403,14 +380,11 @@ class Group:
         self._alive_arrays = values, derivatives
         self._memory = aligned(ctypes.sizeof(h.Group))
         self.struct = h.Group.from_buffer(self._memory)
-        for name, value in lanes.group_members().items():
-            setattr(self.struct, name, value)
+        lanes.fill(self.struct)
         self.struct.instances = self._instances.addresses.ctypes.data
         self.struct.failures = ctypes.addressof(self._failures)
         self.struct.changed = self._changed.ctypes.data
         self._sim = self.struct.sim
-        for name, value in lanes.members().items():
-            setattr(self._sim, name, value)
         self._sim.reals, self._sim.inputs = base, self._inputs.ctypes.data
         self._sim.components = ctypes.addressof(self._components)
         self._sim.has_stepped = self._has_stepped.ctypes.data
@@ -447,10 +421,6 @@ class Group:
         self.struct.row = self._sim.done = 0
         if self._scenario:
             self._scenario.evaluated_at[:] = [np.nan] * lane_count()
-
-    def set(self, port: Port, value: float | Array) -> None:
-        """Set a parameter, an input or the start value of a state: one value, or shape (lanes,)."""
-        self._instances.set(port, value)
 
     # ---- the run
 
@@ -504,9 +474,8 @@ class Group:
         """
         if self.struct.stop:
             return {}
-        lanes = np.minimum(
-            first + np.arange(lane_count()), count - 1
-        )  # those in excess repeat the last machine
+        # those in excess repeat the last machine
+        lanes = np.minimum(first + np.arange(lane_count()), count - 1)
         self.reset()
         for port, array in values.items():
             self.set(port, array[lanes])
@@ -516,11 +485,6 @@ class Group:
         return {first + lane: ended for lane, ended in self.ended() if first + lane < count}
 
     # ---- failures
-
-    @property
-    def failed(self) -> NDArray[np.bool_]:
-        """Machines that have failed, shape (lanes,)."""
-        return np.asarray(self._alive == 0)
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""
@@ -540,10 +504,7 @@ class Group:
         elif f.kind == h.VALUE_NOT_FINITE:
             text = f"{model.name(f.index)} is {f.value:g} {when}, expected a finite number"
         else:
-            cause = (
-                "more inner steps than allowed"
-                if f.kind == h.TOO_MANY_INNER_STEPS
-                else "tolerance not reached"
-            )
+            many = f.kind == h.TOO_MANY_INNER_STEPS
+            cause = "more inner steps than allowed" if many else "tolerance not reached"
             text = f"{cause} {when}; the largest error is in {model.name(f.index)} = {f.value:.6g}"
         return f"{model.component}: {text}"

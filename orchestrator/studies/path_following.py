@@ -10,9 +10,11 @@ angle), not from what the controller reports. A file of the machine has the name
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import isclose
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -277,9 +279,8 @@ def track(
         print(f"note: {note}")
     for doubts in dict.fromkeys(filter(None, (d for m in systems.values() for d in doubtful_starts(m)))):
         print(f"warning: {doubts}")
-    runs = [
-        follow(systems[name], names, path, name, on, start) for path, name, start in tasks for on in feedback
-    ]
+    given_tasks = itertools.product(tasks, feedback)
+    runs = [follow(systems[name], names, path, name, on, at) for (path, name, at), on in given_tasks]
     figure, json = out / "tracking.png", out / "tracking.json"
     print(text(runs))
     figure.write_bytes(png(draw(runs)))
@@ -287,9 +288,8 @@ def track(
     print(figure, json)
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]
     for r in beyond:
-        print(
-            f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, got {MM * r.largest:.1f} mm"
-        )
+        got = f"got {MM * r.largest:.1f} mm"
+        print(f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, {got}")
     return not beyond and not any(r.failure for r in runs)
 
 
@@ -342,23 +342,19 @@ def differences(system: System, names: TrackedMachine) -> list[str]:
     for part, component in system.components.items():
         for name, value in {} if part == names.controller else component.real_parameters().items():
             assumed_name = f"{part}_{name}" if f"{part}_{name}" in assumed else name
-            if assumed_name not in assumed or _equal(assumed[assumed_name], value):
+            other = assumed.get(assumed_name)
+            if other is None or isclose(other, value, rel_tol=SAME_VALUE):
                 continue
             variable = component.interface.variables[name]
             unit = variable.unit
-            a, b = f"{names.controller}.{assumed_name}", f"{part}.{name}"
             if controller.interface.variables[assumed_name].unit == unit:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
-                meaning = f" ({variable.description})" if 0 in (value, assumed[assumed_name]) else ""
+                meaning = f" ({variable.description})" if 0 in (value, other) else ""
                 notes.append(
-                    f"{a} is {assumed[assumed_name]:.6g}{suffix}, {b} is {value:.6g}{suffix}{meaning}:"
-                    " the controller assumes another machine"
+                    f"{names.controller}.{assumed_name} is {other:.6g}{suffix}, {part}.{name} is"
+                    f" {value:.6g}{suffix}{meaning}: the controller assumes another machine"
                 )
     return notes
-
-
-def _equal(a: float, b: float) -> bool:
-    return abs(a - b) <= SAME_VALUE * max(abs(a), abs(b))
 
 
 def rows(runs: Sequence[PathRun]) -> list[tuple[str, ...]]:
@@ -378,14 +374,13 @@ def text(runs: Sequence[PathRun]) -> str:
     columns = len(HEAD) - all(r.feedback for r in runs)  # the last one compares with the run with feedback
     cells = [row[:columns] for row in rows(runs)]
     table = TextTable(HEAD[:columns], cells, left=range(3)).lines()
-    failed = [
-        f"{r.path}, {r.machine}: ended early at {r.time[-1]:.3g} s: {r.failure}" for r in runs if r.failure
-    ]
-    far = [
-        f"{r.path}, {r.machine}: the tip is up to {r.largest:.2f} m away, {r.last:.2f} m at the end{r.cause}"
-        for r in runs
-        if r.feedback and not r.failure and r.largest > FAR
-    ]
+    failed, far = list[str](), list[str]()
+    for r in runs:
+        if r.failure:
+            failed.append(f"{r.path}, {r.machine}: ended early at {r.time[-1]:.3g} s: {r.failure}")
+        elif r.feedback and r.largest > FAR:
+            away = f"the tip is up to {r.largest:.2f} m away, {r.last:.2f} m at the end{r.cause}"
+            far.append(f"{r.path}, {r.machine}: {away}")
     return "\n".join([*table, *failed, *far])
 
 
@@ -442,10 +437,8 @@ def side_view(commanded: Array) -> tuple[Callable[[Array], Array], str]:
     length = float(np.hypot(*along))
     across = np.abs(horizontal @ [along[1], -along[0]]).max()
     if np.ptp(commanded[:, 2]) > RISING * length > 0 and across < STRAIGHT * length**2:
-        direction = along / length
-        return lambda p: np.stack(
-            [(p[:, :2] - commanded[0, :2]) @ direction, p[:, 2]]
-        ), "along the ground [m]"
+        origin, direction = commanded[0, :2], along / length
+        return lambda p: np.stack([(p[:, :2] - origin) @ direction, p[:, 2]]), "along the ground [m]"
     return lambda p: np.stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]), "radius from the swing axis [m]"
 
 

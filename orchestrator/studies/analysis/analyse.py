@@ -96,9 +96,8 @@ def _where_failed(results: Results) -> list[str]:
     """Notes on factors that differ between failed and other runs, by Mann-Whitney tests."""
     failed = (results.table["status"] != OK).to_numpy()
     notes: list[str] = []
-    if min(failed.sum(), (~failed).sum()) < FEWEST_RUNS:
-        return notes
-    for factor in results.study.factors:
+    enough = min(failed.sum(), (~failed).sum()) >= FEWEST_RUNS
+    for factor in results.study.factors if enough else ():
         values = results.table[factor.column].to_numpy(float)
         of_failed, of_others = values[failed], values[~failed]
         test = mannwhitneyu(of_failed, of_others)
@@ -156,12 +155,10 @@ def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
         result = sensitivity.main_effects(data)
     elif study.method == "morris":
         result = morris_sobol.elementary_effects(data)
-    elif study.method != "saltelli":
-        result = sensitivity.from_sample(data)
-    elif morris_sobol.enough_base_samples(data):
-        result = morris_sobol.sobol_indices(data)
+    elif study.method == "saltelli":
+        result = _from_saltelli(data)
     else:
-        result = _from_independent_rows(data)
+        result = sensitivity.from_sample(data)
     if isinstance(result, str):
         return result
     options = {choice.name: choice.options for choice in study.choices}
@@ -169,19 +166,15 @@ def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
     return replace(result, effects=effects)
 
 
-def _from_independent_rows(data: OutputSamples) -> Sensitivity | str:
-    """Sensitivity from the independent rows of a Saltelli design alone.
-
-    For a design that is too small or has too many failed runs.
-    """
+def _from_saltelli(data: OutputSamples) -> Sensitivity | str:
+    """Sobol' indices; from the independent rows alone if the design is too small or too many runs failed."""
     width = len(data.names) + 2  # rows of a base sample: A, B and one for each factor
     design, count = data.blocks(width)
     complete = len(design.y) // width
-    size = (
-        f"only {complete} of {count} base samples are complete"
-        if complete < count
-        else f"{count} base samples"
-    )
+    if complete >= max(morris_sobol.LEAST_BASE_SAMPLES, (1 - morris_sobol.MOST_MISSING) * count):
+        return morris_sobol.sobol_indices(design, count)
+    size = f"only {complete} of {count} base samples are complete"
+    size = size if complete < count else f"{count} base samples"
     result = sensitivity.from_sample(morris_sobol.independent(data))
     if isinstance(result, str):
         return f"{size}, too few for a Saltelli design; {result}"

@@ -61,15 +61,9 @@ def intervals(estimate: Callable[[Rows], Array], count: int) -> list[IntervalEst
     estimate  function from indices of samples to values, shape (m,)
     count     number of samples; the bootstrap draws them with replacement
     """
-    rows = np.arange(count)
-    result = bootstrap(
-        (rows,),
-        estimate,
-        n_resamples=RESAMPLES,
-        method="percentile",
-        vectorized=False,
-        rng=np.random.default_rng(SEED),
-    )
+    rows, rng = np.arange(count), np.random.default_rng(SEED)
+    settings = {"n_resamples": RESAMPLES, "method": "percentile", "vectorized": False}
+    result = bootstrap((rows,), estimate, rng=rng, **settings)
     ends = zip(estimate(rows), *result.confidence_interval, strict=True)
     return [IntervalEstimate(float(value), float(low), float(high)) for value, low, high in ends]
 
@@ -125,9 +119,8 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     if complete < LEAST_TRAJECTORIES:
         return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
     apart = {name: _elementary_effects(design.alone(c)) for c, name in enumerate(design.combinations)}
-    effects = [_pooled(effects) for effects in zip(*apart.values(), strict=True)] + _option_effects(
-        design, width
-    )
+    effects = [_pooled(effects) for effects in zip(*apart.values(), strict=True)]
+    effects += _option_effects(design, width)
     notes = [
         "mu* is the change of the output over the whole range of a factor; it is not a fraction of a variance"
     ]
@@ -146,24 +139,16 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
 
 def _elementary_effects(design: OutputSamples) -> list[Effect]:
     """mu* and sigma of each factor in one combination of choices."""
-    y, rng = design.y[:, 0], np.random.default_rng(SEED)
-    result = morris.analyze(
-        problem(design.names), design.x, y, num_levels=LEVELS, num_resamples=RESAMPLES, seed=rng
-    )
+    y = design.y[:, 0]
+    settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": np.random.default_rng(SEED)}
+    result = morris.analyze(problem(design.names), design.x, y, **settings)
     columns = np.array([result[key] for key in ("mu_star", "mu_star_conf", "mu", "sigma")], float).T.tolist()
-    directions = rank_correlations(design, y)
-    return [
-        Effect(
-            dimension.name,
-            dimension.kind,
-            {MU_STAR: IntervalEstimate(star, star - half, star + half)},
-            {"mu": mu, "sigma": sigma},
-            direction,
-        )
-        for dimension, (star, half, mu, sigma), direction in zip(
-            design.dimensions, columns, directions, strict=True
-        )
-    ]
+    effects = []
+    for d, direction, row in zip(design.dimensions, rank_correlations(design, y), columns, strict=True):
+        star, half, mu, sigma = row
+        estimate = IntervalEstimate(star, star - half, star + half)
+        effects.append(Effect(d.name, d.kind, {MU_STAR: estimate}, {"mu": mu, "sigma": sigma}, direction))
+    return effects
 
 
 def _pooled(effects: tuple[Effect, ...]) -> Effect:
@@ -201,13 +186,6 @@ def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
 # ---- Sobol'
 
 
-def enough_base_samples(samples: OutputSamples) -> bool:
-    """Whether enough base samples of a Saltelli design are complete."""
-    width = len(samples.names) + 2
-    design, count = samples.blocks(width)
-    return len(design.y) // width >= max(LEAST_BASE_SAMPLES, (1 - MOST_MISSING) * count)
-
-
 def independent(samples: OutputSamples) -> OutputSamples:
     """The rows A and B of a Saltelli design; the rows between them repeat their columns."""
     width = len(samples.names) + 2
@@ -215,10 +193,9 @@ def independent(samples: OutputSamples) -> OutputSamples:
     return samples.at((position == 0) | (position == width - 1))
 
 
-def sobol_indices(samples: OutputSamples) -> Sensitivity:
-    """First-order and total indices of each factor and choice."""
-    width = len(samples.names) + 2
-    design, count = samples.blocks(width)
+def sobol_indices(design: OutputSamples, count: int) -> Sensitivity:
+    """First-order and total indices of each factor and choice, from the complete of `count` base samples."""
+    width = len(design.names) + 2
     independent_rows, y = independent(design), design.y.reshape(-1, width, design.y.shape[1])
     factors, complete = _sobol_effects(independent_rows, y), len(y)
     notes = []
@@ -235,7 +212,7 @@ def sobol_indices(samples: OutputSamples) -> Sensitivity:
     apart = {
         name: ordered(_sobol_effects(independent_rows.alone(c), y[:, :, [c]]), TOTAL)
         for c, name in enumerate(design.combinations)
-        if samples.crossed and independent_rows.y[:, c].std() > 0
+        if design.crossed and independent_rows.y[:, c].std() > 0
     }
     effects = ordered(factors + of_crossed(independent_rows), TOTAL)
     return Sensitivity(

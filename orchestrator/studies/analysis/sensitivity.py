@@ -176,10 +176,7 @@ def _epsilon_squared(group: Array, y: Array, fraction: float) -> IntervalEstimat
         groups, index = np.unique(group[rows], return_inverse=True)
         values = y[rows]
         means = np.bincount(index, values) / np.bincount(index)
-        total, within = (
-            float(((values - values.mean()) ** 2).sum()),
-            float(((values - means[index]) ** 2).sum()),
-        )
+        total, within = (float(((values - m) ** 2).sum()) for m in (values.mean(), means[index]))
         freedom = len(values) - len(groups)
         if total <= 0 or freedom < 1:
             return np.zeros(1)

@@ -6,7 +6,7 @@ Settings with equal results are drawn as one curve. Each curve is labelled at it
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,17 +50,10 @@ class SettingCurve:
     family: str
     index_in_family: int
 
-    stable: list[SettingRun] = field(init=False)
-    unstable: list[SettingRun] = field(init=False)
-
     def __post_init__(self) -> None:
+        self.colour = COLOURS[self.family]
         self.stable = [r for r in self.runs if r.stable]
         self.unstable = [r for r in self.runs if not r.stable and not r.refusal]
-
-    @property
-    def colour(self) -> str:
-        """The colour of the family."""
-        return COLOURS[self.family]
 
     @property
     def label(self) -> str:
@@ -72,15 +65,13 @@ class SettingCurve:
 def curves(study: ConvergenceStudy, group: str) -> list[SettingCurve]:
     """One curve for each setting; a setting with the results of an earlier one joins its curve."""
     distinct: list[SettingCurve] = []
-    count: dict[str, int] = {}
     for setting in study.settings:
         runs = study.of(setting)
         same = next((curve for curve in distinct if _equal_results(curve.runs, runs, group)), None)
         if same is not None:
             same.settings.append(setting.label)
             continue
-        index = count.get(setting.family, 0)
-        count[setting.family] = index + 1
+        index = sum(curve.family == setting.family for curve in distinct)
         distinct.append(SettingCurve([setting.label], runs, setting.family, index))
     return distinct
 
@@ -96,12 +87,11 @@ def _equal_results(first: Sequence[SettingRun], second: Sequence[SettingRun], gr
 def draw_error(study: ConvergenceStudy, group: str | None = None) -> Figure:
     """Error over communication step, of the worst signal of a group; default: of the first group."""
     group = group or next(iter(study.reference.groups))
-    figure, axes = _new_figure(study, group)
+    figure, axes = _new_figure(study, group, "communication step [ms]")
     every = curves(study, group)
     drawn = [curve for curve in every if curve.stable]
     for curve in drawn:
         _plot(axes, curve, lambda r: 1e3 * r.mean_step, group)
-    axes.set_xlabel("communication step [ms]", color=PALETTE.ink)
     steps = [1e3 * step for step in study.steps]
     axes.set_xticks(steps, [f"{step:g}" for step in steps])
     steps = sorted([*steps, *(1e3 * r.mean_step for curve in drawn for r in curve.stable)])
@@ -116,11 +106,10 @@ def draw_error(study: ConvergenceStudy, group: str | None = None) -> Figure:
 def draw_work_precision(study: ConvergenceStudy, group: str | None = None) -> Figure:
     """Work-precision diagram: error over wall time per simulated second; lower left is better."""
     group = group or next(iter(study.reference.groups))
-    figure, axes = _new_figure(study, group)
+    figure, axes = _new_figure(study, group, "wall time per simulated second [ms]")
     drawn = [curve for curve in curves(study, group) if curve.stable]
     for curve in drawn:
         _plot(axes, curve, lambda r: 1e3 * r.cost, group)
-    axes.set_xlabel("wall time per simulated second [ms]", color=PALETTE.ink)
     costs = [1e3 * r.cost for curve in drawn for r in curve.stable]
     if costs:
         axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** _label_margin(drawn))
@@ -131,12 +120,11 @@ def draw_work_precision(study: ConvergenceStudy, group: str | None = None) -> Fi
     return figure
 
 
-def _new_figure(study: ConvergenceStudy, group: str) -> tuple[Figure, Axes]:
+def _new_figure(study: ConvergenceStudy, group: str, x: str) -> tuple[Figure, Axes]:
     figure = new_figure(*SIZE)
     axes = figure.subplots()
-    style_axes(axes, y=f"worst {group}, root mean square error over range", size=10)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    style_axes(axes, x, f"worst {group}, root mean square error over range", size=10)
+    axes.set(xscale="log", yscale="log")
     axes.minorticks_off()
     axes.set_title(f"against: {study.reference.title}", loc="left", fontsize=9, color=PALETTE.faint)
     return figure, axes
@@ -160,10 +148,9 @@ def _mark_unstable(axes: Axes, every: Sequence[SettingCurve], group: str) -> Non
     level = high * (high / low) ** 0.05
     axes.set_ylim(low, level * (high / low) ** 0.05)
     unstable = [curve for curve in every if curve.unstable]
-    if not unstable:
-        return
-    axes.axhline(high, color=PALETTE.faint, linewidth=0.8, linestyle=(0, (1, 3)))
-    axes.text(0.01, level, "unstable", transform=axes.get_yaxis_transform(), **TEXT)
+    if unstable:
+        axes.axhline(high, color=PALETTE.faint, linewidth=0.8, linestyle=(0, (1, 3)))
+        axes.text(0.01, level, "unstable", transform=axes.get_yaxis_transform(), **TEXT)
     for i, curve in enumerate(unstable):
         shift = 1.045 ** (i - (len(unstable) - 1) / 2)
         x = [1e3 * r.mean_step * shift for r in curve.unstable]
