@@ -24,17 +24,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.base.errors import Problem
-from orchestrator.drive.sticks import (
-    Message,
-    ResponseCurve,
-    StickAxes,
-    commands,
-    functions,
-    modes,
-    parse,
-    pattern,
-    uncommanded,
-)
+from orchestrator.drive import sticks
+from orchestrator.drive.sticks import Message, ResponseCurve, StickAxes, parse
 from orchestrator.drive.view_description import DriveMode
 from orchestrator.realtime.setup import Frame, Machine
 
@@ -145,7 +136,7 @@ class CommandGate:
         self.live, self.why = False, "nobody drives"
         self.values = dict[str, float]()
         self._clock, self._frame, self._seen = clock, -1, clock()
-        self._pattern, self._mode = pattern("ISO"), ""
+        self._pattern, self._mode = sticks.pattern("ISO"), ""
 
     # ---- pattern and mode of the sticks
 
@@ -157,7 +148,7 @@ class CommandGate:
     @property
     def modes(self) -> tuple[str, ...]:
         """Names of the drive modes that the machine allows."""
-        return modes(self._available(), self.machine.axes)
+        return sticks.modes(self._available(), self.machine.axes)
 
     @property
     def mode(self) -> str:
@@ -167,7 +158,7 @@ class CommandGate:
     def choose(self, name: str | None, mode: str | None) -> None:
         """Choose pattern or mode. Raises `Problem` for an unknown one."""
         if name is not None:
-            self._pattern = pattern(name)
+            self._pattern = sticks.pattern(name)
         if mode is not None:
             if mode not in self.modes:
                 raise Problem(f"mode: expected one of {', '.join(self.modes)}, found {mode}")
@@ -175,18 +166,18 @@ class CommandGate:
 
     # ---- commands to the machine
 
-    def steer(self, sticks: StickAxes) -> bool:
+    def steer(self, deflections: StickAxes) -> bool:
         """Command these deflections. Returns False after a fault: the driver must be armed again."""
         try:
             frame = self.machine.latest()
             if reason := self._halted(frame):
                 return self._fault(reason)
-            commanded = functions(sticks, self._pattern, self.curve)
+            commanded = sticks.functions(deflections, self._pattern, self.curve)
             if not self.mode:
                 return self._fault("this machine has no input that sticks can drive")
             loads = {**self._loads(), **self._set()}
-            values = commands(commanded, self._available()[self.mode], self.machine.axes, loads)
-            if uncommanded(values, self.machine.axes, frame.axes):
+            values = sticks.commands(commanded, self._available()[self.mode], self.machine.axes, loads)
+            if sticks.uncommanded(values, self.machine.axes, frame.axes):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
             self.machine.command(values)
@@ -209,27 +200,23 @@ class CommandGate:
     def keep(self) -> None:
         """Command again the inputs that are set, while the sticks rest."""
         if self.values:
-            self._command(self._kept())
+            self._keep()
 
     def rest(self, why: str) -> None:
         """Command rest for all driven inputs, but for those that are set."""
         self.live, self.why = False, why
-        self._command(self._kept())
+        self._keep()
 
     def _set(self) -> dict[str, float]:
         """Input -> value that is set, unless the training task holds a load there."""
         loads = self._loads()
         return {name: value for name, value in self.values.items() if not loads.get(name)}
 
-    def _kept(self) -> dict[str, float]:
-        values = self._set()
-        return {
-            axis: values[bare] for axis in self.machine.axes if (bare := axis.rpartition(".")[2]) in values
-        }
-
-    def _command(self, values: Mapping[str, float]) -> None:
+    def _keep(self) -> None:
+        """Command only the inputs that are set."""
+        values, bare = self._set(), {axis: axis.rpartition(".")[2] for axis in self.machine.axes}
         try:
-            self.machine.command(values)
+            self.machine.command({axis: values[name] for axis, name in bare.items() if name in values})
         except Exception:
             log.exception("the machine does not accept the command")
 
@@ -270,9 +257,8 @@ class ControlAuthority:
         self._names = itertools.count(1)
         self._driver: OperatorStation | None = None
         self._asked: OperatorStation | None = None
-        self._last: OperatorStation | None = (
-            None  # the station that drove before; the reason concerns it alone
-        )
+        # the station that drove before; the reason concerns it alone
+        self._last: OperatorStation | None = None
 
     def join(self) -> OperatorStation:
         """Add a station for a new connection."""

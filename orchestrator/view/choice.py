@@ -56,12 +56,10 @@ def plan(choice: MachineChoice) -> ViewPlan:
     posed = parameter_sets.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
     description = view_description(loaded)
     scene = description.scene
+    driven = description.driven(system).items()
     setup = Setup(
         system=str(choice.system),
-        axes=tuple(
-            Axis(name, a.limit, a.rate, a.rest, a.rest_delay)
-            for name, a in description.driven(system).items()
-        ),
+        axes=tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven),
         signals=description.watched(system),
         swap=dict(choice.swap),
         parameters=(choice.pose,) if choice.pose else (),

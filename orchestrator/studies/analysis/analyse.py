@@ -40,15 +40,9 @@ def analyse(results: Results) -> Analysis:
     notes = [*results.warnings, *_missing_factors(results), *_where_failed(results)]
     if study.method in NOTES:
         notes.append(NOTES[study.method])
-    return Analysis(
-        study.title,
-        study.method,
-        len(results.table),
-        len(done(results)),
-        failures(results),
-        tuple(_analyse_output(results, output) for output in study.outputs),
-        tuple(notes),
-    )
+    findings = tuple(_analyse_output(results, output) for output in study.outputs)
+    counts = len(results.table), len(done(results))
+    return Analysis(study.title, study.method, *counts, failures(results), findings, tuple(notes))
 
 
 def spread(values: Array) -> Spread | None:
@@ -135,18 +129,9 @@ def _analyse_output(results: Results, output: Output) -> OutputAnalysis:
         notes.append(
             f"{runs} finished without a finite value of this output; the sensitivity treats this as a failure"
         )
-    return OutputAnalysis(
-        output.name,
-        output.signal,
-        output.measure,
-        (output.start, output.stop),
-        output.unit,
-        overall,
-        by_choice,
-        constant,
-        None if isinstance(result, str) else result,
-        tuple(notes),
-    )
+    of = output.name, output.signal, output.measure, (output.start, output.stop), output.unit
+    found = None if isinstance(result, str) else result
+    return OutputAnalysis(*of, overall, by_choice, constant, found, tuple(notes))
 
 
 def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:

@@ -102,10 +102,8 @@ def of_crossed(samples: OutputSamples) -> list[Effect]:
     if not samples.crossed:
         return []
     estimates = intervals(indices, len(samples.y))
-    return [
-        Effect(choice.name, choice.kind, {FIRST: first, TOTAL: total})
-        for choice, first, total in zip(samples.crossed, estimates[::2], estimates[1::2], strict=True)
-    ]
+    each = zip(samples.crossed, estimates[::2], estimates[1::2], strict=True)
+    return [Effect(choice.name, choice.kind, {FIRST: f, TOTAL: t}) for choice, f, t in each]
 
 
 # ---- Morris
@@ -126,15 +124,10 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     ]
     if complete < count:
         notes.append(f"{count - complete} of {count} trajectories are left out, as one of their runs failed")
-    return Sensitivity(
-        MORRIS,
-        MU_STAR,
-        complete,
-        float(design.y.var()),
-        ordered(effects, MU_STAR),
-        {name: ordered(effects, MU_STAR) for name, effects in apart.items()} if samples.crossed else {},
-        notes=tuple(notes),
-    )
+    each = {name: ordered(effects, MU_STAR) for name, effects in apart.items()} if samples.crossed else {}
+    variance = float(design.y.var())
+    largest_first = ordered(effects, MU_STAR)
+    return Sensitivity(MORRIS, MU_STAR, complete, variance, largest_first, each, notes=tuple(notes))
 
 
 def _elementary_effects(design: OutputSamples) -> list[Effect]:
@@ -159,13 +152,10 @@ def _pooled(effects: tuple[Effect, ...]) -> Effect:
     mu = np.array([effect.more["mu"] for effect in effects])
     sigma = np.sqrt(np.mean([effect.more["sigma"] ** 2 for effect in effects]) + mu.var())
     directions = [effect.direction for effect in effects if effect.direction is not None]
-    return Effect(
-        effects[0].name,
-        effects[0].kind,
-        {MU_STAR: IntervalEstimate(value, value - half, value + half)},
-        {"mu": float(mu.mean()), "sigma": float(sigma)},
-        float(np.mean(directions)) if directions else None,
-    )
+    estimate = IntervalEstimate(value, value - half, value + half)
+    more = {"mu": float(mu.mean()), "sigma": float(sigma)}
+    direction = float(np.mean(directions)) if directions else None
+    return Effect(effects[0].name, effects[0].kind, {MU_STAR: estimate}, more, direction)
 
 
 def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
