@@ -28,7 +28,7 @@ from orchestrator.engine.job import Execution, Job
 from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
-from orchestrator.lanes.compiled import NotInLanes, lane_count
+from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import FAILED, OK, Ended, Group, Lanes
 from orchestrator.lanes.one_by_one import run_one_by_one
 from orchestrator.ssp.plausible import doubtful, with_doubts
@@ -239,14 +239,14 @@ def run_in_lanes(
     lanes: Lanes, values: Mapping[Port, Array], count: int, rows: Sequence[Array], workers: int
 ) -> dict[int, Ended]:
     """Simulate all machines in groups, in threads; returns those that ended early."""
-    firsts = iter(range(0, count, lane_count()))
+    firsts = iter(range(0, count, LANES))
     ended: dict[int, Ended] = {}
 
     def work(group: Group) -> None:
         for first in firsts:
             ended.update(group.run(first, values, rows, count))
 
-    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // lane_count()))))]
+    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // LANES))))]
 
     def stop() -> None:
         for group in groups:

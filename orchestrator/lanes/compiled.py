@@ -24,7 +24,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import structures, without_comments
 from orchestrator.ssp.system import Component
 
-LANES = 8  # as in lanes.h
+LANES = 8  # number of machines in a group, as in lanes.h
 FOLDER = Path(__file__).parent / "native"
 ENGINE = Path(__file__).parents[1] / "engine" / "native"
 # files of the engine that machines.cpp includes
@@ -92,11 +92,6 @@ def header() -> Any:
     files = FOLDER / "lanes.h", FOLDER / "instance.h", ENGINE / "engine.h", FOLDER / "machines.h"
     text = without_comments("\n".join(file.read_text(encoding="utf-8") for file in files))
     return structures(text, LANES)
-
-
-def lane_count() -> int:
-    """Number of machines in a group."""
-    return LANES
 
 
 @cache

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from orchestrator.engine.network import Network
 from orchestrator.engine.open_job import step_control
 from orchestrator.engine.scenario import DrivenInputs
 from orchestrator.engine.time_grid import Grid
-from orchestrator.lanes.compiled import NotInLanes, compiled_model, header, lane_count, machines_library
+from orchestrator.lanes.compiled import LANES, NotInLanes, compiled_model, header, machines_library
 from orchestrator.ssp.system import Connection, Port, System
 
 MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
@@ -53,7 +53,7 @@ def aligned(size: int) -> NDArray[np.uint8]:
 
 def vectors(*shape: int) -> Array:
     """Aligned zeros, one for each machine: shape (..., lanes)."""
-    return aligned(8 * lane_count() * int(np.prod(shape))).view(np.float64).reshape(*shape, lane_count())
+    return aligned(8 * LANES * int(np.prod(shape))).view(np.float64).reshape(*shape, LANES)
 
 
 class Instances:
@@ -76,34 +76,28 @@ class Instances:
         self.addresses = np.array(made, np.uint64)
         structs = [header().Instance.from_address(int(address)) for address in self.addresses]
         self.values, self.slopes, self.last_set = (
-            [(getattr(s, name) - base) // (8 * lane_count()) for s in structs]
+            [(getattr(s, name) - base) // (8 * LANES) for s in structs]
             for name in ("values", "slopes", "last_set")
         )
         for name, component in lanes.system.components.items():
             for variable, value in component.start.items():
                 self.set(Port(name, variable), float(value))
-        self._defaults = self.memory.copy()
-
-    def reset(self) -> None:
-        """Go back to the values of the system before the start."""
-        self.memory[:] = self._defaults
-
-    def _view(self, component: int, name: str, rows: int) -> Array:
-        """An array of an instance, shape (rows, lanes)."""
-        instance = header().Instance.from_address(int(self.addresses[component]))
-        pointer = ctypes.cast(getattr(instance, name), ctypes.POINTER(ctypes.c_double))
-        return cast(Array, np.ctypeslib.as_array(pointer, (rows, lane_count())))
+        self.defaults = self.memory.copy()
 
     def set(self, port: Port, value: float | Array) -> None:
         """Set a parameter, an input or the start value of a state: one value, or shape (lanes,)."""
         k, reference = self._lanes.index[port.component], self._lanes.reference(port)
         model = self._lanes.models[k].struct
-        self._view(k, "values", reference + 1)[reference] = value
         number = reference - model.parameters
+        places = [("values", reference)]
         if 0 <= number < model.inputs:
-            self._view(k, "last_set", number + 1)[number] = value
+            places.append(("last_set", number))
         elif number >= 0:
-            self._view(k, "start", number - model.inputs + 1)[number - model.inputs] = value
+            places.append(("start", number - model.inputs))
+        instance = header().Instance.from_address(int(self.addresses[k]))
+        for name, row in places:
+            pointer = ctypes.cast(getattr(instance, name), ctypes.POINTER(ctypes.c_double))
+            np.ctypeslib.as_array(pointer, (row + 1, LANES))[row] = value
 
 
 class Lanes:
@@ -188,7 +182,7 @@ class Lanes:
         first = min(max(c.first, c.smallest), c.largest)
         limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": 1}
         struct = header().StepSize(**limits, power=self._inputs.power)
-        return (header().StepSize * lane_count())(*[struct] * lane_count())
+        return (header().StepSize * LANES)(*[struct] * LANES)
 
     def _input(self, port: Port) -> tuple[int, int, int]:
         """Index of an input in the memory, that of its last set value, number of its component."""
@@ -241,11 +235,11 @@ class Lanes:
             raise NotInLanes("the scenario drives inputs that are not continuous")
         instructions, wires = self._exchange()
         self.wires, self.wire_count = self._array(h.Wire, wires), len(wires)
-        first = 0
+        place = self.wires
         for instruction in instructions:
             if instruction.type == h.COPY:
-                instruction.operand = self.wires + first * ctypes.sizeof(h.Wire)
-                first += instruction.index
+                instruction.operand = place
+                place += instruction.index * ctypes.sizeof(h.Wire)
         self.exchange = self._program(instructions)
         used = {s.source_component for s in self._inputs.inputs} if plan.needs_slopes else set()
         held = self._inputs.held(plan.order) if plan.sequential else [[] for _ in self.models]
@@ -263,21 +257,14 @@ class Lanes:
         """The components of a group, as structures of engine.h."""
         targets = [self.index[port.component] for port in self._inputs.ports]
         first = np.searchsorted(targets, range(len(self.models) + 1))
-        return (header().Component * len(self.models))(
-            *(
-                header().Component(
-                    first_input=first[k],
-                    input_count=first[k + 1] - first[k],
-                    substeps=1,
-                    rollback=self.saves,
-                    repeated=k in self.plan.repeated,
-                    values=values[k].ctypes.data,
-                    derivatives=derivatives[k].ctypes.data,
-                    **programs,
-                )
-                for k, programs in enumerate(self.programs)
-            )
-        )
+        structs = (header().Component * len(self.models))()
+        for k, struct in enumerate(structs):
+            struct.first_input, struct.input_count = first[k], first[k + 1] - first[k]
+            struct.substeps, struct.rollback, struct.repeated = 1, self.saves, k in self.plan.repeated
+            struct.values, struct.derivatives = values[k].ctypes.data, derivatives[k].ctypes.data
+            for name, program in self.programs[k].items():
+                setattr(struct, name, program)
+        return structs
 
     def _exchange(self) -> tuple[list[Any], list[Any]]:
         """The instructions of an exchange, and the wires in the order in which they are copied.
@@ -308,11 +295,8 @@ class Lanes:
             program.append(h.Instruction(h.OUTPUTS, self.index[name]))
             pending -= ready[name]
             copy(ready[name])
-        rates = {
-            k
-            for p in self.signals
-            if self.models[k := self.index[p.component]].is_derivative(self.reference(p))
-        }
+        numbers = ((self.index[p.component], self.reference(p)) for p in self.signals)
+        rates = {k for k, reference in numbers if self.models[k].is_derivative(reference)}
         return program + [h.Instruction(h.DERIVATIVES, k) for k in sorted(rates)], ordered
 
 
@@ -361,20 +345,19 @@ def _settled(
 
 
 class Group:
-    """Machines in lanes. After `reset`, `set` changes values of single machines; `begin` starts the run."""
+    """Machines in lanes. `reset` chooses values of single machines; `begin` starts the run."""
 
     def __init__(self, lanes: Lanes) -> None:
         h, count = header(), lanes.inputs.size
         self.lanes, self._instances = lanes, Instances(lanes)
-        self.set = self._instances.set
         base = self._instances.memory.ctypes.data
         self._inputs = aligned(lanes.inputs.nbytes).view(lanes.inputs.dtype)
         self._template = lanes.inputs.copy()
-        slopes = base + 8 * lane_count() * lanes.slopes
+        slopes = base + 8 * LANES * lanes.slopes
         self._template["source_slope"] = np.where(lanes.slopes >= 0, slopes, 0)
         values, derivatives = ([vectors(n * max(count, 1)) for _ in lanes.models] for n in (1, h.DEGREE))
         self._components = lanes.components(values, derivatives)
-        self._failures = (h.Failure * lane_count())()
+        self._failures = (h.Failure * LANES)()
         self._changed = vectors(len(lanes.models))
         self._has_stepped = np.zeros(len(lanes.models), np.uint8)
         self._alive_arrays = values, derivatives
@@ -408,19 +391,21 @@ class Group:
 
     # ---- values before the start
 
-    def reset(self) -> None:
-        """Go back to the values of the system before the start."""
-        self._instances.reset()
+    def reset(self, values: Mapping[Port, Array]) -> None:
+        """Go back to the values of the system before the start, but for values of shape (lanes,)."""
+        self._instances.memory[:] = self._instances.defaults
+        for port, array in values.items():
+            self._instances.set(port, array)
         self._inputs[:] = self._template
         self._time[:] = self._length[:] = 0.0
         self._alive[:] = -1
         ctypes.memset(self._failures, 0, ctypes.sizeof(self._failures))
         self._step_sizes = self.lanes.step_sizes()
         self._sim.step_size = ctypes.addressof(self._step_sizes) if self._step_sizes else None
-        self._sim.event[:] = [0] * lane_count()
+        self._sim.event[:] = [0] * LANES
         self.struct.row = self._sim.done = 0
         if self._scenario:
-            self._scenario.evaluated_at[:] = [np.nan] * lane_count()
+            self._scenario.evaluated_at[:] = [np.nan] * LANES
 
     # ---- the run
 
@@ -450,13 +435,13 @@ class Group:
         """Record signals of the machines from `first` on in arrays of shape (count, points)."""
         self._rows = np.array([row.ctypes.data for row in rows], np.uint64)
         self.struct.rows, self.struct.points = self._rows.ctypes.data, rows[0].shape[1] if rows else 0
-        self.struct.machine, self.struct.machines = first, min(lane_count(), count - first)
+        self.struct.machine, self.struct.machines = first, min(LANES, count - first)
 
     def command(self, values: Array) -> None:
         """Hold commands in place of the scenario from now on, shape (columns of the scenario, lanes)."""
         self._commands[:] = values
         self._scenario.commands = self._commands.ctypes.data
-        self._scenario.evaluated_at[:] = [np.nan] * lane_count()
+        self._scenario.evaluated_at[:] = [np.nan] * LANES
         for component in self._components:
             component.sets_values = 1
 
@@ -475,10 +460,8 @@ class Group:
         if self.struct.stop:
             return {}
         # those in excess repeat the last machine
-        lanes = np.minimum(first + np.arange(lane_count()), count - 1)
-        self.reset()
-        for port, array in values.items():
-            self.set(port, array[lanes])
+        lanes = np.minimum(first + np.arange(LANES), count - 1)
+        self.reset({port: array[lanes] for port, array in values.items()})
         self.record(first, rows, count)
         self.begin()
         self.advance(self.lanes.times.steps)

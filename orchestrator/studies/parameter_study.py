@@ -26,7 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit
-from orchestrator.lanes.compiled import lane_count
+from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, OK
 from orchestrator.studies import design, processes, store
 from orchestrator.studies.analysis.results import without_numbers
@@ -156,7 +156,7 @@ def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
         by_options.setdefault(sample.options, []).append(sample)
     units = list[Unit]()
     for options, samples in by_options.items():
-        together = lanes and len(samples) >= lane_count()  # fewer are not worth a compilation
+        together = lanes and len(samples) >= LANES  # fewer are not worth a compilation
         size = group_size(study, cases[options]) if together else 1
         units += [tuple(samples[i : i + size]) for i in range(0, len(samples), size)]
     return sorted(units, key=lambda unit: unit[0].run)

@@ -46,11 +46,6 @@ def column_figure(height: float) -> Figure:
     return figure
 
 
-def label(name: str, unit: DisplayUnit) -> str:
-    """A quantity with its display unit."""
-    return name_with_unit(name, unit.display)
-
-
 PANELS = 4  # of a scatter figure; two more if the tornado next to it is long
 MOST_DOTS = 1500  # per panel; more would overlap
 LARGE_DOTS = 300  # number of runs up to which dots are larger
@@ -75,7 +70,8 @@ def scatter(
     choice = colouring(results, sensitivity)
     for axes, factor in zip(panels.ravel(), top, strict=False):
         unit = factor_unit(factor)
-        style_axes(axes, label(factor.name + (", times its value" if factor.relative else ""), unit), size=8)
+        varied = factor.name + (", times its value" if factor.relative else "")
+        style_axes(axes, name_with_unit(varied, unit.display), size=8)
         x = unit.factor * runs[factor.column].to_numpy(float)
         y = analysed.display.factor * runs[output.column].to_numpy(float)
         _dots(axes, x, y, choice, runs)
@@ -85,7 +81,7 @@ def scatter(
     for axes in panels.ravel()[len(top) :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
-        axes.set_ylabel(label(output.name, analysed.display), color=PALETTE.ink, fontsize=8)
+        axes.set_ylabel(name_with_unit(output.name, analysed.display.display), color=PALETTE.ink, fontsize=8)
         limit_ticks(axes.yaxis, 4)
     if choice:
         handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -142,7 +138,7 @@ def histogram(results: Results, output: Output, analysed: OutputAnalysis, choice
     """Histogram of an output, options stacked, with lines at the 5, 50 and 95 % quantiles."""
     figure = column_figure(2.5)
     axes = figure.subplots()
-    style_axes(axes, label(output.name, analysed.display), "runs")
+    style_axes(axes, name_with_unit(output.name, analysed.display.display), "runs")
     scale = analysed.display.factor
     runs = done(results).dropna(subset=[output.column])
     values = scale * runs[output.column].to_numpy(float)
@@ -210,7 +206,7 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
     unit = analysed.display if measure == MU_STAR else DisplayUnit("1", "%")
     figure = column_figure(1.25 + 0.27 * len(effects))
     axes = figure.subplots()
-    style_axes(axes, label(LABELS.get(measure, "fraction of the variance"), unit))
+    style_axes(axes, name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display))
     axes.grid(False, axis="y")
     for row, effect in enumerate(effects):
         _bar(axes, row, effect, measure, unit.factor)

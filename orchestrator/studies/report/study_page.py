@@ -48,13 +48,8 @@ from orchestrator.studies.study import START, Factor, Output
 PAGE, NUMBERS = "report.html", "analysis.json"
 TEMPLATE = Path(__file__).parent / "templates" / "study.html.j2"
 CaptionedFigure = tuple[str, Markup, str]  # title, figure, caption
-METHODS = {
-    "latin": "Latin hypercube",
-    "sobol": "Sobol' points",
-    "grid": "full grid",
-    "saltelli": "Saltelli design",
-    "morris": "Morris trajectories",
-}
+METHODS = {"latin": "Latin hypercube", "sobol": "Sobol' points", "grid": "full grid"}
+METHODS |= {"saltelli": "Saltelli design", "morris": "Morris trajectories"}
 COLUMNS = {
     TOTAL: "total",
     FIRST: "first order",
@@ -90,6 +85,8 @@ def render(results: Results, analysis: Analysis) -> str:
     study = results.study
     outputs = {output.name: output for output in study.outputs}
     over_time = _bands(results)
+    # without unit if the name sets several variables
+    units = {name: results.units.get(f"{START}{name}", "") for name in study.fixed}
     return html_page.render(
         TEMPLATE,
         title=analysis.title,
@@ -104,7 +101,7 @@ def render(results: Results, analysis: Analysis) -> str:
         sections=[_section(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)],
         bands=over_time,
         plots=bool(over_time),
-        fixed=[_fixed(results, *item) for item in study.fixed.items()],
+        fixed=[(name, display_unit(units[name], v).text(v, 6)) for name, v in study.fixed.items()],
     )
 
 
@@ -133,11 +130,6 @@ def _bar_heights(column: pd.Series) -> list[float]:
     return [round(float(count / counts.max()), 3) for count in counts]
 
 
-def _fixed(results: Results, name: str, value: float) -> tuple[str, str]:
-    """A fixed value with its unit; without unit if the name sets several variables."""
-    return name, display_unit(results.units.get(f"{START}{name}", ""), value).text(value, 6)
-
-
 def _tile(analysed: OutputAnalysis) -> dict[str, Any]:
     """Tile with the median and range of an output."""
     value, range_text, spread, unit = NO_VALUE, "no run has it", analysed.spread, analysed.display
@@ -146,12 +138,8 @@ def _tile(analysed: OutputAnalysis) -> dict[str, Any]:
         low, high = unit.text(spread.low, with_unit=False), unit.text(spread.high)
         range_text = f"median; {low} to {high} in nine of ten runs"
         range_text = f"in all {spread.runs} runs" if analysed.constant else range_text
-    return {
-        "name": analysed.name,
-        "value": value,
-        "range": range_text,
-        "description": output_description(analysed),
-    }
+    description = output_description(analysed)
+    return {"name": analysed.name, "value": value, "range": range_text, "description": description}
 
 
 def _section(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> dict[str, Any]:
@@ -209,14 +197,11 @@ def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
 
 def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     """The sensitivity measure of each factor in each combination of choices."""
-    measure = sensitivity.measure
+    measure, rows = sensitivity.measure, []
     combinations = [{e.name: e.estimates[measure] for e in effects} for effects in sensitivity.apart.values()]
-    rows = [
-        [_code(effect.name)]
-        + [size(c[effect.name], measure, unit) if effect.name in c else NO_VALUE for c in combinations]
-        for effect in sensitivity.effects
-        if effect.kind == "factor"
-    ]
+    for name in (effect.name for effect in sensitivity.effects if effect.kind == "factor"):
+        cells = [size(c[name], measure, unit) if name in c else NO_VALUE for c in combinations]
+        rows.append([_code(name), *cells])
     return TextTable(["factor", *sensitivity.apart], rows)
 
 
