@@ -71,13 +71,11 @@ class BatchResult:
 
     def trace(self, machine: int) -> Trace:
         """The signals of one machine, up to its failure."""
-        values = {name: signal[machine] for name, signal in self.signals.items()}
-        points = len(self.time)
-        for signal in values.values():
-            points = min(
-                points, int(np.argmin(np.isfinite(signal))) if not np.isfinite(signal).all() else points
-            )
-        return Trace(self.time[:points], {n: v[:points] for n, v in values.items()}, self.units)
+        finite = [np.isfinite(signal[machine]) for signal in self.signals.values()]
+        gaps = np.flatnonzero(~np.all(finite, axis=0))
+        points = int(gaps[0]) if gaps.size else len(self.time)
+        signals = {name: signal[machine, :points] for name, signal in self.signals.items()}
+        return Trace(self.time[:points], signals, self.units)
 
 
 @documented(BatchArguments)

@@ -24,9 +24,7 @@ except ModuleNotFoundError:
     raise
 
 Rewards = Callable[[Array, Array], Array]  # (observations, actions) -> rewards, shape (n,)
-Ends = Callable[
-    [Array], NDArray[np.bool_]
-]  # observations -> which machines have reached their end, shape (n,)
+Ends = Callable[[Array], NDArray[np.bool_]]  # observations -> machines at their end, shape (n,)
 Limits = Mapping[str, tuple[float, float]]
 STEP = 1e-3  # [s]
 

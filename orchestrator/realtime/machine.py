@@ -74,9 +74,8 @@ class MachineProcess:
             self._failure = message
         elif self.shared.status().state != "ended":  # the FMUs are not closed
             late = time.monotonic() - began > END_TIMEOUT
-            cause = (
-                f"did not end within {END_TIMEOUT:g} s, stopped" if late else f"ended: {self._worker.ending}"
-            )
+            told = f"did not end within {END_TIMEOUT:g} s, stopped"
+            cause = told if late else f"ended: {self._worker.ending}"
             self._failure = f"the process of the machine {cause} {self._where}"
         self.closed = True
 
@@ -96,9 +95,8 @@ class MachineProcess:
         status = self.shared.status()
         notes = [str(note) for note in _details(status).get("notes", ())]
         if status.slipped > 0:
-            notes.append(
-                f"the simulation was slower than real time: its clock was stopped for {status.slipped:.3g} s"
-            )
+            slower = "the simulation was slower than real time"
+            notes.append(f"{slower}: its clock was stopped for {status.slipped:.3g} s")
         if (lost := self._oldest(status) - self.first) > 0:
             notes.append(f"the first {lost} frames are no longer in memory")
         return tuple(notes)
@@ -146,9 +144,8 @@ class MachineProcess:
             return "failed", str(_details(status).get("message", lost))
         self._worker.cut_printed()
         if not self._failure and self._worker.memory > MEMORY:
-            self._failure = (
-                f"the machine uses more than {MEMORY / 1e9:.3g} GB of memory, stopped {self._where}"
-            )
+            most = f"{MEMORY / 1e9:.3g} GB of memory"
+            self._failure = f"the machine uses more than {most}, stopped {self._where}"
             self._worker.close()
         if self._failure:
             return "failed", self._failure

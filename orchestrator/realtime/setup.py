@@ -44,14 +44,11 @@ class Axis:
             if not (isfinite(value) and value > 0):
                 raise Problem(f"axis {self.name}: expected a positive {name}, got {value:g}")
         if not (isfinite(self.rest_delay) and self.rest_delay >= 0):
-            raise Problem(
-                f"axis {self.name}: expected a rest delay of 0 s or more, got {self.rest_delay:g} s"
-            )
+            got = f"got {self.rest_delay:g} s"
+            raise Problem(f"axis {self.name}: expected a rest delay of 0 s or more, {got}")
         if not abs(self.rest) <= self.limit:
-            raise Problem(
-                f"axis {self.name}: expected a rest value of at most {self.limit:g} in magnitude, "
-                f"got {self.rest:g}"
-            )
+            expected = f"expected a rest value of at most {self.limit:g} in magnitude"
+            raise Problem(f"axis {self.name}: {expected}, got {self.rest:g}")
 
 
 @dataclass(frozen=True)

@@ -412,9 +412,11 @@ def draw(runs: Sequence[PathRun]) -> Figure:
         on_path = [r for r in runs if r.path == path]
         title = f"{path}, up to {on_path[0].speed:.2g} m/s"
         left.set_title(title, loc="left", fontsize=10, color=PALETTE.ink)
-        _draw_view(left, on_path, machines, top_view, ("to the right [m]", "forward [m]"))
+        style_axes(left, "to the right [m]", "forward [m]", size=10)
+        _draw_view(left, on_path, machines, top_view)
         side, axis_label = side_view(on_path[0].commanded)
-        _draw_view(middle, on_path, machines, side, (axis_label, "height [m]"))
+        style_axes(middle, axis_label, "height [m]", size=10)
+        _draw_view(middle, on_path, machines, side)
         _draw_errors(right, on_path, machines)
     axes[-1][2].set_xlabel("time [s]", color=PALETTE.ink)
     _legend(figure, runs, machines)
@@ -443,14 +445,9 @@ def side_view(commanded: Array) -> tuple[Callable[[Array], Array], str]:
 
 
 def _draw_view(
-    axes: Axes,
-    runs: Sequence[PathRun],
-    machines: Sequence[str],
-    view: Callable[[Array], Array],
-    axis_labels: tuple[str, str],
+    axes: Axes, runs: Sequence[PathRun], machines: Sequence[str], view: Callable[[Array], Array]
 ) -> None:
     """Draw path and tips in one view; both axes have the same scale."""
-    style_axes(axes, *axis_labels, size=10)
     axes.plot(*view(runs[0].commanded), color=PALETTE.faint, linewidth=4, alpha=0.5)
     for r in runs:
         axes.plot(*view(r.tip), **_style(r, machines))

@@ -23,7 +23,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
-from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -174,18 +173,15 @@ class Store:
     def _put(self, rows: pa.Table) -> None:
         content = BytesIO()
         pq.write_table(rows, content)
-        name = f"batch-{rows['run'][0].as_py():09}-{_checksum(content.getvalue())}.parquet"
+        name = f"batch-{rows['run'][0].as_py():09}-{digest(content.getvalue())[:16]}.parquet"
         put(self._parts / name, lambda partial: partial.write_bytes(content.getvalue()))
 
     def add(self, batch: Sequence[RunOutcome]) -> None:
         """Store the outcomes of a batch."""
         self._parts.mkdir(exist_ok=True)
         batch = sorted(batch, key=lambda r: r.run)
-        columns = {
-            "run": pa.array([r.run for r in batch], pa.int64()),
-            "status": pa.array([r.status for r in batch], pa.string()),
-            "reason": pa.array([r.reason for r in batch], pa.string()),
-        }
+        kinds = {"run": pa.int64(), "status": pa.string(), "reason": pa.string()}
+        columns = {name: pa.array([getattr(r, name) for r in batch], kind) for name, kind in kinds.items()}
         for i, output in enumerate(self.study.outputs):
             columns[output.column] = pa.array([float(r.outputs[i]) for r in batch], pa.float64())
         columns["start"] = pa.array([r.start for r in batch], pa.float64())
@@ -256,13 +252,9 @@ def put(path: Path, write: Callable[[Path], object]) -> None:
         raise Problem(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _checksum(content: bytes) -> str:
-    return sha256(content).hexdigest()[:16]
-
-
 def _is_intact(part: Path, content: bytes) -> bool:
     """True if the content of a batch file matches its name; False for files of earlier versions."""
-    return part.stem.endswith(f"-{_checksum(content)}")
+    return part.stem.endswith(f"-{digest(content)[:16]}")
 
 
 def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
@@ -335,11 +327,8 @@ def to_json(study: Study) -> dict[str, Any]:
 
 def from_json(fields: Mapping[str, Any], title: str) -> Study:
     """The study that `to_json` wrote."""
-    items = {
-        "factors": tuple(Factor(**f) for f in fields["factors"]),
-        "choices": tuple(Choice(**c) for c in fields["choices"]),
-        "outputs": tuple(Output(**o) for o in fields["outputs"]),
-    }
+    kinds = {"factors": Factor, "choices": Choice, "outputs": Output}
+    items = {name: tuple(kind(**item) for item in fields[name]) for name, kind in kinds.items()}
     return Study(title=title, **{**fields, **items})
 
 

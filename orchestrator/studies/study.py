@@ -404,11 +404,6 @@ def _start(table: Table, name: str) -> float | tuple[float, str]:
 def _output(name: str, table: Table) -> Output:
     table.allow_only(("signal", "measure", "start", "stop", "band"))
     table.require("signal", "the name of a signal")
-    return Output(
-        name,
-        table.text("signal") or "",
-        table.one_of("measure", MEASURES),
-        seconds(table.data.get("start"), f"{table.where}: start"),
-        seconds(table.data.get("stop"), f"{table.where}: stop"),
-        table.boolean("band"),
-    )
+    signal, measure = table.text("signal") or "", table.one_of("measure", MEASURES)
+    start, stop = (seconds(table.data.get(end), f"{table.where}: {end}") for end in ("start", "stop"))
+    return Output(name, signal, measure, start, stop, table.boolean("band"))

@@ -415,16 +415,12 @@ def action(raw: str | bytes) -> Asked | None:
 
 def offered(now: MachineChoice) -> dict[str, Any]:
     """The choices before a start: systems in the same folder, poses, and variants by component."""
-    swap = {part: label for part, label in now.swap.items()}
+    swap, own = dict(now.swap), {part: {name: name} for part, name in now.swap.items()}
+    beside = sorted(path.name for path in now.system.parent.glob("*.ssp"))
     return {
-        "systems": list(
-            dict.fromkeys([now.system.name, *sorted(p.name for p in now.system.parent.glob("*.ssp"))])
-        ),
+        "systems": list(dict.fromkeys([now.system.name, *beside])),
         "poses": list(poses(now.system)),
-        "variants": {
-            part: {**({swap[part]: swap[part]} if part in swap else {}), **labels}
-            for part, labels in variants(now.system).items()
-        },
+        "variants": {p: own.get(p, {}) | dict(labels) for p, labels in variants(now.system).items()},
         "chosen": {"system": now.system.name, "pose": now.pose, "swap": swap},
     }
 

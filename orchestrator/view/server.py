@@ -115,37 +115,26 @@ def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Sta
             return Response(f"{problem}\n", 404, media_type="text/plain")
         return FileResponse(path, filename=path.name)
 
+    async def watch() -> None:
+        while True:
+            pages.authority.check()
+            await asyncio.sleep(WATCH)
+
     @contextlib.asynccontextmanager
     async def life(_: Starlette) -> AsyncIterator[None]:
-        """Run the watchdog and read the machine while the server runs."""
-        async with watching(pages.authority):
-            reading = asyncio.create_task(pages.run())
-            try:
-                began()
-                yield
-            finally:
-                reading.cancel()
+        """Run the watchdog and read the machine while the server runs. At the end the machine rests."""
+        tasks = [asyncio.create_task(watch()), asyncio.create_task(pages.run())]
+        try:
+            began()
+            yield
+        finally:
+            for task in tasks:
+                task.cancel()
+            pages.authority.stop()
 
     routes: list[BaseRoute] = [Route(path, file) for path in files]
     routes += [Route("/result/{name:path}", result), WebSocketRoute("/live", pages.serve)]
     return Starlette(routes=routes, lifespan=life, exception_handlers={404: _not_found})
-
-
-@contextlib.asynccontextmanager
-async def watching(authority: ControlAuthority) -> AsyncIterator[None]:
-    """Run the watchdog inside this block. At its end the machine rests."""
-
-    async def watch() -> None:
-        while True:
-            authority.check()
-            await asyncio.sleep(WATCH)
-
-    task = asyncio.create_task(watch())
-    try:
-        yield
-    finally:
-        task.cancel()
-        authority.stop()
 
 
 async def _not_found(*_: object) -> Response:

@@ -131,15 +131,10 @@ def _new_figure(study: ConvergenceStudy, group: str, x: str) -> tuple[Figure, Ax
 
 
 def _plot(axes: Axes, curve: SettingCurve, x: Callable[[SettingRun], float], group: str) -> None:
-    axes.plot(
-        [x(r) for r in curve.stable],
-        [r.error(group) for r in curve.stable],
-        color=curve.colour,
-        linestyle=DASHES[curve.index_in_family % len(DASHES)],
-        linewidth=1.4,
-        marker=MARKERS[curve.index_in_family % len(MARKERS)],
-        markersize=4,
-    )
+    style: dict[str, Any] = {"color": curve.colour, "linewidth": 1.4, "markersize": 4}
+    style |= {"linestyle": DASHES[curve.index_in_family % len(DASHES)]}
+    style |= {"marker": MARKERS[curve.index_in_family % len(MARKERS)]}
+    axes.plot([x(r) for r in curve.stable], [r.error(group) for r in curve.stable], **style)
 
 
 def _mark_unstable(axes: Axes, every: Sequence[SettingCurve], group: str) -> None:
@@ -190,19 +185,11 @@ def _label_curves(axes: Axes, ends: Mapping[SettingCurve, tuple[float, float]], 
     heights = _spread([float(positions[curve][1]) for curve in by_height])
     edges = [float(x) for x, _ in positions.values()] or [0.0]
     x = min(edges) - 0.03 if left else max(edges) + 0.03
+    style = TEXT | {"ha": "right" if left else "left", "xycoords": "axes fraction"}
     for curve, height in zip(by_height, heights, strict=True):
-        axes.annotate(
-            curve.label,
-            tuple(positions[curve]),
-            (x, height),
-            xycoords="axes fraction",
-            textcoords="axes fraction",
-            ha="right" if left else "left",
-            va="center",
-            fontsize=8,
-            color=curve.colour,
-            arrowprops=LEADER | {"color": curve.colour, "relpos": (1.0 if left else 0.0, 0.5)},
-        )
+        arrow = LEADER | {"color": curve.colour, "relpos": (1.0 if left else 0.0, 0.5)}
+        drawn = style | {"color": curve.colour, "textcoords": "axes fraction", "arrowprops": arrow}
+        axes.annotate(curve.label, tuple(positions[curve]), (x, height), **drawn)
 
 
 def _spread(heights: Sequence[float]) -> list[float]:
