@@ -26,7 +26,7 @@ from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
 from orchestrator.engine.open_job import opened
-from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
+from orchestrator.engine.scenario import ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
@@ -223,8 +223,12 @@ class FrameStepper:
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
         self._ramp = Ramp(self.t, self._at(times, self._steps), self.axes)
-        driven = _drive(system, setup, self._ramp)
-        system = driven.released(system) if driven else system
+        driven = None
+        if setup.axes:
+            at_rest = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
+            bound = drive(system, Trace(self._ramp.arrays[0].copy(), at_rest), "axes")
+            driven = replace(bound, table=self._ramp)
+            system = driven.released(system)
         self._times = times
         self.units = _units(system, setup)
         job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
@@ -271,15 +275,6 @@ def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
     if steps < 1 or abs(ratio - steps) > 1e-6 * steps:
         raise Problem(f"frame: expected a multiple of the step {step:g} s, got {setup.frame:g} s")
     return Grid(start, step, NEVER), steps
-
-
-def _drive(system: System, setup: Setup, ramp: Ramp) -> Scenario | None:
-    """The axes bound to the inputs that they drive."""
-    if not setup.axes:
-        return None
-    at_rest = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
-    bound = drive(system, Trace(ramp.arrays[0].copy(), at_rest), "axes")
-    return replace(bound, table=ramp)
 
 
 def _units(system: System, setup: Setup) -> Mapping[str, str]:

@@ -5,7 +5,7 @@ The systems are opened before anything runs, so mistakes are reported at once.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
@@ -91,7 +91,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
         for case in cases.values():
             _check_limits(study, case.system)
         cases = {o: _accurate(study, case) for o, case in cases.items()}
-        _check_windows(study, [_times(study, case) for case in cases.values()])
+        _check_windows(study, cases.values())
     return study, cases
 
 
@@ -320,16 +320,14 @@ def _accurate(study: Study, case: StudyCase) -> StudyCase:
     return replace(case, system=system, tolerance=fmu_tolerance(accuracy * SAFETY))
 
 
-def _times(study: Study, case: StudyCase) -> Grid:
-    """The communication points of the runs of a case."""
-    coupling = case.system.coupling or Coupling()
-    coupling.check(case.system.components)
-    given = case.system, case.scenario, study.step, None, study.stop, study.record_step
-    return grid(*given) if coupling.adaptive is None else free_grid(*given, ())
-
-
-def _check_windows(study: Study, times: Sequence[Grid]) -> None:
+def _check_windows(study: Study, cases: Iterable[StudyCase]) -> None:
     """Refuse a window that starts after the last run has ended, or that ends outside all runs."""
+    times = list[Grid]()
+    for case in cases:
+        coupling = case.system.coupling or Coupling()
+        coupling.check(case.system.components)
+        given = case.system, case.scenario, study.step, None, study.stop, study.record_step
+        times.append(grid(*given) if coupling.adaptive is None else free_grid(*given, ()))
     begin, end = min(t.start for t in times), max(t.stop for t in times)
     # A run ends at the communication point next to its stop time.
     last = max(end + TIME_ROUNDING * abs(end), study.stop or end)

@@ -52,6 +52,7 @@ LEAST_ERROR = 0.1  # [mm], lower end of the error axis
 HEAD = ("path", "machine", "feedback", "largest [mm]", "at [s]", "RMS [mm]", "last [mm]", "times as large")
 
 Start = Callable[[Mapping[str, float]], Mapping[str, float]]
+Starts = Mapping[str, Value | str]  # start values by name
 
 
 # ---- one run
@@ -179,12 +180,7 @@ class PathRun:
 
 
 def follow(
-    system: System,
-    names: TrackedMachine,
-    path: Path,
-    machine: str,
-    feedback: bool,
-    start: Mapping[str, Value | str],
+    system: System, names: TrackedMachine, path: Path, machine: str, feedback: bool, start: Starts
 ) -> PathRun:
     """Run a system along the path of a scenario; a Problem names machine and path."""
     scenario = read_trace(path)
@@ -251,7 +247,7 @@ def track(
     out: Path,
     feedback: Sequence[bool] = (True, False),
     limit: float | None = None,
-    given: Mapping[str, Value | str] = MappingProxyType({}),
+    given: Starts = MappingProxyType({}),
 ) -> bool:
     """Run every machine along every path; print a table, write tracking.png and tracking.json.
 
@@ -294,10 +290,7 @@ def track(
 
 
 def swapped_systems(
-    system: System,
-    names: TrackedMachine,
-    machines: Mapping[str, Mapping[str, str]],
-    start: Mapping[str, Value | str],
+    system: System, names: TrackedMachine, machines: Mapping[str, Mapping[str, str]], start: Starts
 ) -> dict[str, System]:
     """Every machine {name: variants} with these start values; all machines must have these variables."""
     systems = {name: with_swaps(system, variants) for name, variants in machines.items()}

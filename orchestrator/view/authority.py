@@ -31,6 +31,7 @@ from orchestrator.realtime.setup import Frame, Machine
 
 Modes = Callable[[], Mapping[str, DriveMode]]
 Loads = Callable[[], Mapping[str, float]]
+Clock = Callable[[], float]
 
 STILL = 0.5  # s without a new frame, after which the machine counts as hanging
 log = logging.getLogger(__name__)
@@ -123,12 +124,7 @@ class CommandGate:
     """
 
     def __init__(
-        self,
-        machine: Machine,
-        available: Modes,
-        curve: ResponseCurve,
-        clock: Callable[[], float],
-        loads: Loads = dict,
+        self, machine: Machine, available: Modes, curve: ResponseCurve, clock: Clock, loads: Loads
     ) -> None:
         """available: the current drive modes by name; clock: monotonic [s]; loads: as `ControlAuthority`."""
         self._loads = loads
@@ -247,7 +243,7 @@ class ControlAuthority:
         timeout: float = 0.25,
         silence_limit: float = 1.0,
         curve: ResponseCurve = ResponseCurve(),  # noqa: B008  frozen
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = time.monotonic,
         loads: Loads = dict,
     ) -> None:
         """loads: values of inputs that no stick drives, such as the payload of the training task."""

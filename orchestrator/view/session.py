@@ -168,12 +168,6 @@ class Session:
         description = self.plan.description
         return set(description.scene.joints if description.scene else description.shown)
 
-    @property
-    def _example(self) -> str:
-        """Full name of one of the required signals."""
-        full = by_bare_name(self.plan.setup.signals)
-        return next((full[name] for name in full if name in self._required), "component.output")
-
     def files(self) -> list[str]:
         """Names of the result files in the open folders that can be replayed."""
         results = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
@@ -191,10 +185,10 @@ class Session:
         recording = self._replay(trace)
         index = SignalIndex(recording)
         if not any(index.contains(name) for name in self._required):
-            raise Problem(
-                f"{path}: expected signals such as {self._example}, found"
-                f" {', '.join(list(trace.signals)[:4]) or 'none'}"
-            )
+            full = by_bare_name(self.plan.setup.signals)
+            example = next((full[name] for name in full if name in self._required), "component.output")
+            found = ", ".join(list(trace.signals)[:4]) or "none"
+            raise Problem(f"{path}: expected signals such as {example}, found {found}")
         self._show(recording, name or path.name)
         self._recording, self.span = recording, (float(trace.time[0]), float(trace.time[-1]))
         self.machine.play()

@@ -212,7 +212,7 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
         _bar(axes, row, effect, measure, unit.factor)
     dotted = 0 < len(sensitivity.apart) <= MOST_COMBINATIONS
     if dotted and sensitivity.variance > 0:
-        _combinations(axes, effects, sensitivity.apart, measure, unit.factor)
+        _combinations(axes, effects, sensitivity, unit.factor)
     names = [effect.label.replace(" (", "\n(") for effect in effects]
     axes.set_yticks(range(len(effects)), names, color=PALETTE.ink)
     axes.set_ylim(len(effects) - 0.4, -0.6)
@@ -244,16 +244,10 @@ def _drawn(value: float, measure: str, scale: float) -> float:
     return max(0.0, value if measure == MU_STAR else min(1.0, value)) * scale
 
 
-def _combinations(
-    axes: Axes,
-    effects: tuple[Effect, ...],
-    apart: Mapping[str, tuple[Effect, ...]],
-    measure: str,
-    scale: float,
-) -> None:
+def _combinations(axes: Axes, effects: tuple[Effect, ...], sensitivity: Sensitivity, scale: float) -> None:
     """Draw dots for each combination of choices; fractions refer to the variance of the combination."""
-    rows = {effect.name: row for row, effect in enumerate(effects)}
-    shown = [effect for combination in apart.values() for effect in combination if effect.name in rows]
+    rows, measure = {effect.name: row for row, effect in enumerate(effects)}, sensitivity.measure
+    shown = [e for combination in sensitivity.apart.values() for e in combination if e.name in rows]
     x = [_drawn(effect.estimates[measure].value, measure, scale) for effect in shown]
     y = [rows[effect.name] + 0.24 for effect in shown]
     axes.plot(x, y, "o", markersize=3, markerfacecolor="none", color=PALETTE.faint, alpha=0.9)
