@@ -94,11 +94,13 @@ def render(results: Results, analysis: Analysis) -> str:
         analysis=analysis,
         method=METHODS[study.method],
         measures=MEASURES,
-        short=short,
-        answers=[(k, f.name, sentences(f)) for k, f in enumerate(analysis.findings)],
-        tiles=[_tile(analysed) for analysed in analysis.findings],
+        sentences=sentences,
+        description=output_description,
         varied=[(f, distribution_text(f), _bar_heights(results.table[f.column])) for f in study.factors],
-        sections=[_section(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)],
+        sections=[
+            (f, _columns(results, outputs[f.name], f, k), _spreads(f), *_estimates(f))
+            for k, f in enumerate(analysis.findings)
+        ],
         bands=over_time,
         plots=bool(over_time),
         fixed=[(name, display_unit(units[name], v).text(v, 6)) for name, v in study.fixed.items()],
@@ -130,30 +132,12 @@ def _bar_heights(column: pd.Series) -> list[float]:
     return [round(float(count / counts.max()), 3) for count in counts]
 
 
-def _tile(analysed: OutputAnalysis) -> dict[str, Any]:
-    """Tile with the median and range of an output."""
-    value, range_text, spread, unit = NO_VALUE, "no run has it", analysed.spread, analysed.display
-    if spread is not None:
-        value = unit.text(spread.median)
-        low, high = unit.text(spread.low, with_unit=False), unit.text(spread.high)
-        range_text = f"median; {low} to {high} in nine of ten runs"
-        range_text = f"in all {spread.runs} runs" if analysed.constant else range_text
-    description = output_description(analysed)
-    return {"name": analysed.name, "value": value, "range": range_text, "description": description}
-
-
-def _section(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> dict[str, Any]:
-    """Figures and tables of an output."""
-    sensitivity = analysed.sensitivity
-    return {
-        "analysed": analysed,
-        "description": output_description(analysed),
-        "sentences": sentences(analysed),
-        "columns": _columns(results, output, analysed, index),
-        "spreads": _spreads(analysed),
-        "effects": sensitivity and _effects(sensitivity, analysed.display).html(),
-        "apart": sensitivity and sensitivity.apart and _apart(sensitivity, analysed.display).html(),
-    }
+def _estimates(analysed: OutputAnalysis) -> tuple[Markup | None, Markup | None]:
+    """Table of all effects, and that of each combination of choices."""
+    sensitivity, unit = analysed.sensitivity, analysed.display
+    if sensitivity is None:
+        return None, None
+    return _effects(sensitivity, unit).html(), _apart(sensitivity, unit).html() if sensitivity.apart else None
 
 
 def _spreads(analysed: OutputAnalysis) -> Markup | None:
