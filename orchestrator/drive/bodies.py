@@ -251,6 +251,7 @@ def _knife(side: int, z: float) -> Part:
 
 GREEN, LEAF, GLASS, TYRE = "#3c5a4a", "#4c6e5b", "#26333a", "#24282b"
 WHEEL = 0.68  # m; radius
+TREES = 46
 AXLES = (0.42, -1.08, -3.45)  # m
 GOLDEN = math.pi * (3 - math.sqrt(5))  # rad; the golden angle spreads points evenly
 
@@ -284,11 +285,11 @@ def _wheel(x: float, side: int, axle: float) -> list[Part]:
     return [replace(part, at=(x, part.at[1] + side * 1.18, axle)) for part in parts]
 
 
-def trees(count: int = 46) -> list[list[float]]:
+def trees() -> list[list[float]]:
     """Trees around the machine: x, y, height, radius [m], between 13 and 32 m away."""
     rows = []
-    for k in range(count):
-        angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / count)
+    for k in range(TREES):
+        angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / TREES)
         size = 0.75 + 0.5 * ((k * 7) % 11) / 10
         x, y = away * math.cos(angle), away * math.sin(angle)
         rows.append([round(v, 2) for v in (x, y, 7.5 * size, 1.5 * size)])

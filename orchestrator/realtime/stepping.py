@@ -24,7 +24,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
-from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
+from orchestrator.engine.job import Execution, Job, Record
 from orchestrator.engine.open_job import opened
 from orchestrator.engine.scenario import ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
@@ -211,7 +211,7 @@ class FrameStepper:
     notes    remarks on the run
     """
 
-    def __init__(self, setup: Setup, open: Opener = open_slave) -> None:
+    def __init__(self, setup: Setup) -> None:
         """Raises Problem for a mistake in the setup."""
         setup.check()
         system = with_sets(with_swaps(load(setup.system), setup.swap), setup.parameters)
@@ -231,7 +231,7 @@ class FrameStepper:
             system = driven.released(system)
         self._times = times
         self.units = _units(system, setup)
-        job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
+        job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution())
         latest = LatestValues()
         with ExitStack() as stack:
             running = stack.enter_context(opened(job, times, latest))

@@ -294,13 +294,14 @@ def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
     and samples, each under the name that a message about a change shows.
     """
     study, files = payload.study, dict[str, str]()
+    digests = {source: digest(archive) for source, archive in payload.archives.items()}
     for options, case in payload.cases.items():
         chosen = {c.name: f" {o}" for c, o in zip(study.choices, options, strict=True)}
         each = ", ".join(f"{c.name}={o}" for c, o in zip(study.choices, options, strict=True))
         combination = f" with {each}" if each else ""
         for name, component in case.system.components.items():
             if component.source is not None:
-                files[f"the FMU of {name}{chosen.get(name, '')}"] = payload.sources[component.source]
+                files[f"the FMU of {name}{chosen.get(name, '')}"] = digests[component.source]
             starts = repr(sorted(component.start.items())).encode()
             files[f"the start values of {name}{combination}"] = digest(starts)
         if case.scenario is not None:

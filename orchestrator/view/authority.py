@@ -33,6 +33,7 @@ Modes = Callable[[], Mapping[str, DriveMode]]
 Loads = Callable[[], Mapping[str, float]]
 Clock = Callable[[], float]
 
+CURVE = ResponseCurve()
 STILL = 0.5  # s without a new frame, after which the machine counts as hanging
 log = logging.getLogger(__name__)
 HOLD = "hold Space (or Shift) and move with W A S D and the arrows"
@@ -123,12 +124,10 @@ class CommandGate:
     values  inputs that the driver has set by sliders
     """
 
-    def __init__(
-        self, machine: Machine, available: Modes, curve: ResponseCurve, clock: Clock, loads: Loads
-    ) -> None:
+    def __init__(self, machine: Machine, available: Modes, clock: Clock, loads: Loads) -> None:
         """available: the current drive modes by name; clock: monotonic [s]; loads: as `ControlAuthority`."""
         self._loads = loads
-        self.machine, self._available, self.curve = machine, available, curve
+        self.machine, self._available = machine, available
         self.live, self.why = False, "nobody drives"
         self.values = dict[str, float]()
         self._clock, self._frame, self._seen = clock, -1, clock()
@@ -168,7 +167,7 @@ class CommandGate:
             frame = self.machine.latest()
             if reason := self._halted(frame):
                 return self._fault(reason)
-            commanded = sticks.functions(deflections, self._pattern, self.curve)
+            commanded = sticks.functions(deflections, self._pattern, CURVE)
             if not self.mode:
                 return self._fault("this machine has no input that sticks can drive")
             loads = {**self._loads(), **self._set()}
@@ -242,12 +241,11 @@ class ControlAuthority:
         available: Modes,
         timeout: float = 0.25,
         silence_limit: float = 1.0,
-        curve: ResponseCurve = ResponseCurve(),  # noqa: B008  frozen
         clock: Clock = time.monotonic,
         loads: Loads = dict,
     ) -> None:
         """loads: values of inputs that no stick drives, such as the payload of the training task."""
-        self.machine, self._gate = machine, CommandGate(machine, available, curve, clock, loads)
+        self.machine, self._gate = machine, CommandGate(machine, available, clock, loads)
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self.stations: list[OperatorStation] = []
         self._names = itertools.count(1)
