@@ -16,18 +16,10 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.processes import machine_memory
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
+from orchestrator.realtime import shared_memory
 from orchestrator.realtime.deadlines import latency_quantile, speed_factor
 from orchestrator.realtime.setup import Frame, Setup, Task, Timing
-from orchestrator.realtime.shared_memory import (
-    HEAD,
-    NUMBER,
-    TIME,
-    Command,
-    MachineStatus,
-    Memory,
-    SharedState,
-    size,
-)
+from orchestrator.realtime.shared_memory import HEAD, Command, MachineStatus, Memory, SharedState
 from orchestrator.worker.process import Worker
 
 KEPT = 1800.0  # [s]; frames of this time are kept
@@ -52,7 +44,7 @@ class MachineProcess:
         self.axes = tuple(axis.name for axis in setup.axes)
         sizes = len(setup.axes), len(setup.signals)
         rows = max(2, min(int(KEPT / setup.frame), MOST // (8 * (HEAD + sum(sizes)))))
-        memory = Memory(size(*sizes, rows))
+        memory = Memory(shared_memory.size(*sizes, rows))
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
         self._worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
@@ -112,7 +104,7 @@ class MachineProcess:
         axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
         median, p99 = (min(latency_quantile(status.latencies, q), status.worst) for q in (0.5, 0.99))
         timing = Timing(status.frames, status.missed, (median, p99, status.worst), status.load)
-        return Frame(number, float(row[TIME]), axes, values, state, message, timing)
+        return Frame(number, float(row[shared_memory.TIME]), axes, values, state, message, timing)
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number."""
@@ -120,9 +112,9 @@ class MachineProcess:
         begin = max(number + 1, self._oldest(status))
         numbers = np.arange(begin, max(status.last + 1, begin))
         frames = rows[numbers % len(rows)]
-        valid = frames[:, NUMBER] == numbers  # False if overwritten in the meantime
-        frames = frames[valid]
-        return numbers[valid], frames[:, TIME], frames[:, HEAD : HEAD + n], frames[:, HEAD + n :]
+        valid = frames[:, shared_memory.NUMBER] == numbers  # False if overwritten in the meantime
+        numbers, frames = numbers[valid], frames[valid]
+        return numbers, frames[:, shared_memory.TIME], frames[:, HEAD : HEAD + n], frames[:, HEAD + n :]
 
     def trace(self) -> Trace:
         """Axes and signals over time, of all frames in memory."""

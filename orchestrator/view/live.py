@@ -168,10 +168,9 @@ class Broadcast:
             if self._training.shown:
                 self._training.update()
             self.history.look()
-            timing = {**asdict(frame.timing), "latency": [*frame.timing.latency]}
-            span, factor = session.span, session.machine.factor
-            self.info = {"span": span, "factor": factor, "message": frame.message, "timing": timing}
-            self.info["task"] = self._training.status()
+            timing, factor = asdict(frame.timing), session.machine.factor
+            told = {"span": session.span, "factor": factor, "message": frame.message, "timing": timing}
+            self.info = told | {"task": self._training.status()}
         self._ticks += 1
 
     def _begin(self) -> None:
@@ -184,13 +183,10 @@ class Broadcast:
         self.number += 1
         self._ticks = 0
         self.hello = page_data(description, plan.geometry, plan.start)
-        self.hello |= {"names": names, "title": session.title, "inputs": _inputs(session)}
-
-
-def _inputs(session: Session) -> list[str]:
-    """Bare names of the inputs of the machine that are not for the sticks."""
-    driven = {name for mode in session.plan.description.modes.values() for name in mode.inputs}
-    return [name for axis in session.machine.axes if (name := axis.rpartition(".")[2]) not in driven]
+        driven = {name for mode in description.modes.values() for name in mode.inputs}
+        bare = (axis.rpartition(".")[2] for axis in session.machine.axes)
+        inputs = [name for name in bare if name not in driven]  # those that are not for the sticks
+        self.hello |= {"names": names, "title": session.title, "inputs": inputs}
 
 
 class Pages:

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,21 +55,17 @@ class SignalIndex:
 
 
 class ExchangeableMachine:
-    """A `Machine` that forwards all calls to another machine, which can be exchanged.
+    """A `Machine` that is another one, which can be exchanged: what is not here is that of `machine`.
 
     factor      the speed that was set last
     exchanges   number of exchanges; frames before and after an exchange are not related
     """
 
     def __init__(self, machine: Machine) -> None:
-        self.exchanges, self.factor = 0, 1.0
-        self._forward_to(machine)
+        self.machine, self.exchanges, self.factor = machine, 0, 1.0
 
-    def _forward_to(self, machine: Machine) -> None:
-        self.machine = machine
-        self.command, self.play, self.pause = machine.command, machine.play, machine.pause
-        self.latest, self.since, self.trace = machine.latest, machine.since, machine.trace
-        self.close = machine.close
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.machine, name)
 
     def exchange(self, machine: Machine) -> None:
         """Show another machine. The previous one is paused."""
@@ -77,20 +73,8 @@ class ExchangeableMachine:
             self.machine.command({})
         self.machine.pause()
         machine.speed(self.factor)
-        self._forward_to(machine)
+        self.machine = machine
         self.exchanges += 1
-
-    @property
-    def axes(self) -> Sequence[str]:
-        return self.machine.axes
-
-    @property
-    def signals(self) -> Sequence[str]:
-        return self.machine.signals
-
-    @property
-    def drives(self) -> bool:
-        return self.machine.drives
 
     def speed(self, factor: float) -> None:
         self.machine.speed(factor)

@@ -108,21 +108,19 @@ def _analyse_output(results: Results, output: Output) -> OutputAnalysis:
     overall, missing = spread(values), int((~np.isfinite(values)).sum())
     by_choice = {}
     for choice in study.compared:
-        column = completed[choice.column].astype(str)
-        spreads = {
-            o: spread(completed.loc[column == o, output.column].to_numpy(float)) for o in choice.options
-        }
-        by_choice[choice.name] = {option: value for option, value in spreads.items() if value is not None}
-    constant = False
-    result: Sensitivity | str = "no run has a finite value of this output"
-    if overall is not None:
-        constant = not moves(np.array([overall.minimum, overall.maximum]))
-        if constant:
-            result = "the output is the same in all runs"
-        elif not study.factors and not study.compared:
-            result = "nothing was varied"
-        else:
-            result = _sensitivity(study, samples(results, output))
+        column = completed[choice.column].astype(str).to_numpy()
+        spreads = ((option, spread(values[column == option])) for option in choice.options)
+        by_choice[choice.name] = {option: found for option, found in spreads if found is not None}
+    constant = overall is not None and not moves(np.array([overall.minimum, overall.maximum]))
+    result: Sensitivity | str
+    if overall is None:
+        result = "no run has a finite value of this output"
+    elif constant:
+        result = "the output is the same in all runs"
+    elif not study.factors and not study.compared:
+        result = "nothing was varied"
+    else:
+        result = _sensitivity(study, samples(results, output))
     notes = [result] if isinstance(result, str) else []
     if missing and overall is not None:
         runs = "1 run" if missing == 1 else f"{missing} runs"
