@@ -217,7 +217,7 @@ class Store:
         self._parts.rmdir()
 
     def _write_bands(self, file: Path) -> None:
-        """Write the signals of all runs, in the order of the runs."""
+        """Write the signals of all runs in their order, with a row for each point of time."""
         names, units = self.study.bands, {o.signal: o.signal_unit for o in self.study.outputs} | {"time": "s"}
         columns = [("run", pa.int64()), ("time", pa.float64()), *((name, pa.float64()) for name in names)]
         schema = _with_units(pa.schema(columns).empty_table(), units).schema
@@ -225,16 +225,13 @@ class Store:
         runs = pa.concat_tables([_read(part, stored) for part in self._files()]).sort_by("run")
         with pq.ParquetWriter(file, schema, write_page_checksum=True) as writer:
             for first in range(0, len(runs), GROUP):
-                writer.write_table(self._one_row_per_point(runs.slice(first, GROUP)).cast(schema))
-
-    def _one_row_per_point(self, runs: pa.Table) -> pa.Table:
-        """The stored signals of some runs, with a row for each point of time."""
-        lists = [runs[f"{BAND}{name}"].combine_chunks() for name in self.study.bands]
-        counts = lists[0].value_lengths().to_numpy()
-        starts = zip(runs["start"].to_pylist(), counts.tolist(), strict=True)
-        time = np.concatenate([band_times(self.study, start, count) for start, count in starts])
-        run = np.repeat(runs["run"].to_numpy(), counts)
-        return pa.table([run, time, *(x.flatten() for x in lists)], names=["run", "time", *self.study.bands])
+                some = runs.slice(first, GROUP)
+                lists = [some[f"{BAND}{name}"].combine_chunks() for name in names]
+                counts = lists[0].value_lengths().to_numpy()
+                starts = zip(some["start"].to_pylist(), counts.tolist(), strict=True)
+                time = np.concatenate([band_times(self.study, start, count) for start, count in starts])
+                run = np.repeat(some["run"].to_numpy(), counts)
+                writer.write_table(pa.table([run, time, *(x.flatten() for x in lists)], schema=schema))
 
     def _files(self) -> list[Path]:
         return sorted(self._parts.glob("batch-*.parquet"))
