@@ -52,19 +52,11 @@ TIP = ("tip_x", "tip_y", "tip_height")
 SPEEDS = ("swing_speed", "boom_speed", "stick_speed")
 VELOCITIES = ("tip_radial_velocity", "tip_vertical_velocity")
 PRESSURE, FLOW = "supply_pressure", "supply_flow"
-LINES = (
-    "swing_pressure_a",
-    "swing_pressure_b",
-    *(f"{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
-)
+ENDS = ("boom_head", "boom_rod", "stick_head", "stick_rod")
+LINES = ("swing_pressure_a", "swing_pressure_b", *(f"{end}_pressure" for end in ENDS))
 NEEDED = (*TIP, *SPEEDS, *VELOCITIES)
-UNITS = {
-    **dict.fromkeys(TIP, "m"),
-    **dict.fromkeys(SPEEDS, "rad/s"),
-    **dict.fromkeys(VELOCITIES, "m/s"),
-    **dict.fromkeys((PRESSURE, *LINES), "Pa"),
-    FLOW: "m3/s",
-}
+UNITS = dict.fromkeys(TIP, "m") | dict.fromkeys(SPEEDS, "rad/s") | dict.fromkeys(VELOCITIES, "m/s")
+UNITS |= dict.fromkeys((PRESSURE, *LINES), "Pa") | {FLOW: "m3/s"}
 
 
 @dataclass(frozen=True)

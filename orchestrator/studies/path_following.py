@@ -305,20 +305,16 @@ def swapped_systems(
                 f" {' and '.join(having)} one; to run one machine alone:"
                 f" {[*swaps, f'--swap {names.alone}'][0]}, for example"
             )
-    return {
-        name: machine.with_start({**copied_parameters(machine, names), **start})
-        for name, machine in systems.items()
-    }
+    copied = {name: copied_parameters(machine, names) for name, machine in systems.items()}
+    return {name: machine.with_start({**copied[name], **start}) for name, machine in systems.items()}
 
 
 def copied_parameters(system: System, names: TrackedMachine) -> dict[str, float]:
     """Parameters of the controller that it gets from this machine."""
-    return {
-        f"{names.controller}.{name}": value
-        for part, component in system.components.items()
-        for name, value in ({} if part == names.controller else component.real_parameters()).items()
-        if name.endswith(names.copied) and system.has(f"{names.controller}.{name}")
-    }
+    others = (c for part, c in system.components.items() if part != names.controller)
+    values = {name: value for part in others for name, value in part.real_parameters().items()}
+    copied = {f"{names.controller}.{n}": v for n, v in values.items() if n.endswith(names.copied)}
+    return {name: value for name, value in copied.items() if system.has(name)}
 
 
 def differences(system: System, names: TrackedMachine) -> list[str]:

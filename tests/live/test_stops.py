@@ -9,7 +9,7 @@ import pytest
 from kit import shards
 
 from orchestrator.drive.sticks import CraneFunctions, commands
-from orchestrator.realtime.setup import Array
+from orchestrator.data.table import Array
 from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.view.choice import MachineChoice, plan
 

@@ -186,15 +186,10 @@ def _columns(run: SettingRun) -> dict[str, Any]:
 
 
 def _json_run(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
-    errors = {
-        group: {
-            "order of convergence": study.order(run, group),
-            "signals": {
-                e.signal: {"nrmse": e.nrmse, "maximum": e.maximum, "unit": e.unit} for e in deviations
-            },
-        }
-        for group, deviations in run.errors.items()
-    }
+    errors = dict[str, Any]()
+    for group, deviations in run.errors.items():
+        signals = {e.signal: {"nrmse": e.nrmse, "maximum": e.maximum, "unit": e.unit} for e in deviations}
+        errors[group] = {"order of convergence": study.order(run, group), "signals": signals}
     return {**_columns(run), "walls [s]": list(run.walls), "errors": errors}
 
 
@@ -203,11 +198,9 @@ def _csv_row(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
     row = _columns(run)
     for group in study.reference.groups:
         worst = run.errors[group][0] if run.errors else None
-        row |= {
-            f"{group} nrmse": worst.nrmse if worst else None,
-            f"{group} worst signal": worst.signal if worst else None,
-            f"{group} order of convergence": study.order(run, group),
-        }
+        row[f"{group} nrmse"] = worst.nrmse if worst else None
+        row[f"{group} worst signal"] = worst.signal if worst else None
+        row[f"{group} order of convergence"] = study.order(run, group)
     return row
 
 
