@@ -372,22 +372,17 @@ class Group:
         self._sim.components = ctypes.addressof(self._components)
         self._sim.has_stepped = self._has_stepped.ctypes.data
         self._scenario: Any = None
-        if lanes.driven:
-            self._add_scenario()
+        if lanes.driven:  # the inputs that the scenario drives, and memory for commands in its place
+            self._ends = vectors(2, lanes.driven)
+            self._commands = vectors(lanes.scenario["width"])
+            self._scenario_memory = aligned(ctypes.sizeof(h.Scenario))
+            self._scenario = h.Scenario.from_buffer(self._scenario_memory)
+            for name, value in lanes.scenario.items():
+                setattr(self._scenario, name, value)
+            self._scenario.at_end, self._scenario.at_midpoint = (ends.ctypes.data for ends in self._ends)
+            self._sim.scenario = ctypes.addressof(self._scenario)
         self._time, self._alive = np.ctypeslib.as_array(self._sim.t), np.ctypeslib.as_array(self._sim.alive)
         self._length = np.ctypeslib.as_array(self._sim.length)
-
-    def _add_scenario(self) -> None:
-        """Add the inputs that the scenario drives, and memory for commands in its place."""
-        h, lanes = header(), self.lanes
-        self._ends = vectors(2, lanes.driven)
-        self._commands = vectors(lanes.scenario["width"])
-        self._scenario_memory = aligned(ctypes.sizeof(h.Scenario))
-        self._scenario = h.Scenario.from_buffer(self._scenario_memory)
-        for name, value in lanes.scenario.items():
-            setattr(self._scenario, name, value)
-        self._scenario.at_end, self._scenario.at_midpoint = (ends.ctypes.data for ends in self._ends)
-        self._sim.scenario = ctypes.addressof(self._scenario)
 
     # ---- values before the start
 

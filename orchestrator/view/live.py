@@ -28,7 +28,6 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from orchestrator.base.errors import Problem
@@ -107,22 +106,19 @@ class History:
         self.number = int(numbers[-1])
         table = np.full((len(numbers), len(self.names)), np.nan)
         table[:, self._known] = np.concatenate((axes, values), axis=1)[:, self._columns]
-        self._add(np.floor(times / BIN + 1e-9).astype(int), table)
-
-    def since(self, number: int) -> list[tuple[int, list[Any], list[Any]]]:
-        """Bins from this number on, as data."""
-        kept = [k for k in sorted(self.bins) if k >= number]
-        return [(k, numbers_of(self.bins[k][0]), numbers_of(self.bins[k][1])) for k in kept]
-
-    def _add(self, bins: NDArray[np.int64], table: Array) -> None:
+        bins = np.floor(times / BIN + 1e-9).astype(int)
         for k in np.unique(bins):
             rows = table[bins == k]
             if k in self.bins:
                 rows = np.concatenate((self.bins[k], rows))
             self.bins[int(k)] = extremes(rows)
         oldest = max(self.bins) - round(WINDOW / BIN)
-        for k in [k for k in self.bins if k < oldest]:
-            del self.bins[k]
+        self.bins = {k: rows for k, rows in self.bins.items() if k >= oldest}
+
+    def since(self, number: int) -> list[tuple[int, list[Any], list[Any]]]:
+        """Bins from this number on, as data."""
+        kept = [k for k in sorted(self.bins) if k >= number]
+        return [(k, numbers_of(self.bins[k][0]), numbers_of(self.bins[k][1])) for k in kept]
 
 
 def extremes(rows: Array) -> Array:
