@@ -43,10 +43,5 @@ def scene(geometry: Geometry) -> dict[str, Any]:
     machine = {"parts": [part.data() for part in every], "nodes": list(NODES), "sizes": asdict(geometry)}
     place = {"ground": GROUND, "sun": SUN}
     ground = {"trees": bodies.trees(), **place}
-    return {
-        "machine": machine | place,
-        "shade": SHADE,
-        "ground": {scheme: ground | colours for scheme, colours in SCHEMES.items()},
-        "level": GROUND,
-        "views": VIEWS,
-    }
+    grounds = {scheme: ground | colours for scheme, colours in SCHEMES.items()}
+    return {"machine": machine | place, "shade": SHADE, "ground": grounds, "level": GROUND, "views": VIEWS}

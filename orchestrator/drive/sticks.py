@@ -87,25 +87,18 @@ def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> Crane
     """Crane functions at these deflections. The response curve is the same for each function."""
     left, right = response(sticks.left_y, curve), response(sticks.right_y, curve)
     boom, stick = (right, left) if chosen.boom == "right" else (left, right)
-    return CraneFunctions(  # 0 - x avoids -0
-        swing=0.0 - response(sticks.left_x, curve),
-        boom=0.0 - boom,
-        stick=0.0 - stick,
-        curl=0.0 - response(sticks.right_x, curve),
-    )
+    swing, curl = response(sticks.left_x, curve), response(sticks.right_x, curve)
+    return CraneFunctions(0.0 - swing, 0.0 - boom, 0.0 - stick, 0.0 - curl)  # 0 - x avoids -0
 
 
 def legend(chosen: Pattern, words: FunctionLabels, has_curl: bool) -> dict[str, str]:
     """Labels of both ends of each stick axis: `left_up`, `left_down`, ... -> label."""
     boom, stick = (dict(zip(("down", "up"), ends, strict=True)) for ends in (words.boom, words.stick))
     hands = {chosen.boom: boom, "left" if chosen.boom == "right" else "right": stick}
-    return {
-        "left_left": "swing left",
-        "left_right": "swing right",
-        "right_left": "curl closed" if has_curl else "(no curl)",
-        "right_right": "curl open" if has_curl else "(no curl)",
-        **{f"{hand}_{end}": label for hand, ends in hands.items() for end, label in ends.items()},
-    }
+    closed, opened = ("curl closed", "curl open") if has_curl else ("(no curl)", "(no curl)")
+    sideways = {"left_left": "swing left", "left_right": "swing right"}
+    sideways |= {"right_left": closed, "right_right": opened}
+    return sideways | {f"{hand}_{end}": text for hand, ends in hands.items() for end, text in ends.items()}
 
 
 @dataclass(frozen=True)

@@ -72,12 +72,10 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
         study.check()
         cases = opened(study)
         systems = [case.system for case in cases.values()]
-        study = replace(
-            study,
-            fixed={name: _fixed(systems, name, value) for name, value in study.fixed.items()},
-            factors=tuple(_factor(systems, factor) for factor in study.factors),
-            outputs=tuple(_output(systems, output) for output in study.outputs),
-        )
+        fixed = {name: _fixed(systems, name, value) for name, value in study.fixed.items()}
+        factors = tuple(_factor(systems, factor) for factor in study.factors)
+        outputs = tuple(_output(systems, output) for output in study.outputs)
+        study = replace(study, fixed=fixed, factors=factors, outputs=outputs)
         for options, case in cases.items():
             _check_not_driven(study, options, case)
             _check_set_once(study, case)
