@@ -113,10 +113,9 @@ def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
         found = _outcome(study, case, sample.run, result.trace.time, result.trace.signals)
         reason = early_end(result.card.notes)
         return replace(found, status=EARLY, reason=reason) if reason else found
-    except Problem as problem:
-        return failed(study, sample.run, str(problem))
-    except Exception as defect:  # a defect ends this run only
-        return failed(study, sample.run, f"{type(defect).__name__}: {defect}")
+    except Exception as error:  # a defect ends this run only
+        kind = "" if isinstance(error, Problem) else f"{type(error).__name__}: "
+        return failed(study, sample.run, f"{kind}{error}")
 
 
 def _outcome(

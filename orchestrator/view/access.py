@@ -38,14 +38,14 @@ class Rules:
     cookie: str = "harvester_view"
 
 
-def rules(host: str, names: tuple[str, ...] = (), port: int = 0) -> Rules:
+def rules(host: str, names: tuple[str, ...] = (), port: int = 0, token: str = "") -> Rules:
     """Rules for a server that listens on `host`, with a random token unless `host` is a loopback address.
 
     All ports of a host share their cookies, so the name of the cookie contains the port.
     """
-    token = "" if is_loopback(host) else secrets.token_urlsafe(32)
-    hostname = [socket.gethostname()] if token else []
-    allowed = {name.lower() for name in (host, *names, *hostname) if name}
+    remote = () if is_loopback(host) else (socket.gethostname(),)
+    token = token or (secrets.token_urlsafe(32) if remote else "")
+    allowed = {name.lower() for name in (host, *names, *remote) if name}
     return Rules(frozenset(allowed), token, f"harvester_view_{port}")
 
 

@@ -9,7 +9,6 @@ import socket
 import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -60,8 +59,7 @@ class Server:
         )
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
-        default = rules(host, names=(_displayed(host),), port=self.port)
-        allowed = replace(default, token=token or default.token)
+        allowed = rules(host, (_displayed(host),), self.port, token)
         query = f"?token={allowed.token}" if allowed.token else ""
         self.url = f"http://{_displayed(host)}:{self.port}/{query}"
         app = application(Pages(session, self.authority, training), lambda: self._began())

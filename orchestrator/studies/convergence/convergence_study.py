@@ -137,9 +137,8 @@ def report(study: ConvergenceStudy, out: Path) -> None:
     print("\n".join([*lines, "", *map(str, write(study, out))]))
 
 
-def write(study: ConvergenceStudy, folder: str | Path) -> list[Path]:
+def write(study: ConvergenceStudy, home: Path) -> list[Path]:
     """Write convergence.csv, .json, .png and work_precision.png to a folder; figures of the first group."""
-    home = Path(folder)
     home.mkdir(parents=True, exist_ok=True)
     csv_path, json_path = home / "convergence.csv", home / "convergence.json"
     with csv_path.open("w", newline="", encoding="utf-8") as file:
@@ -247,21 +246,18 @@ def adaptive_table(study: ConvergenceStudy) -> TextTable | None:
 def tables(study: ConvergenceStudy) -> list[TextTable]:
     """All tables that the command prints."""
     errors = [error_table(study, group) for group in study.reference.groups]
-    adaptive = adaptive_table(study)
-    return [*errors, cost_table(study), *([adaptive] if adaptive else [])]
+    return [table for table in (*errors, cost_table(study), adaptive_table(study)) if table]
 
 
 def failures(study: ConvergenceStudy) -> Iterator[str]:
     """For each setting the first unstable step, or why it was not run."""
     for setting in study.settings:
         failed = next((run for run in study.of(setting) if not run.stable), None)
-        if failed is None:
-            continue
-        if failed.refusal:
+        if failed and failed.refusal:
             yield f"{setting.label}: {REFUSED}: {failed.refusal}"
-            continue
-        reason = failed.failure or "completed, but the error of a signal exceeded its range"
-        yield f"{setting.label}: {UNSTABLE} at {failed.case or milliseconds(failed.step)}: {reason}"
+        elif failed:
+            reason = failed.failure or "completed, but the error of a signal exceeded its range"
+            yield f"{setting.label}: {UNSTABLE} at {failed.case or milliseconds(failed.step)}: {reason}"
 
 
 def milliseconds(step: float) -> str:
