@@ -5,7 +5,6 @@ processes (`one_by_one`).
 """
 
 import math
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -211,10 +210,8 @@ def recorded(system: System, record: Sequence[str] | None) -> dict[str, Port]:
 
 def recorded_times(times: Grid) -> Array:
     """The recorded points [s], shape (m,)."""
-    points = [*range(0, times.steps + 1, times.every)]
-    if points[-1] != times.steps:
-        points.append(times.steps)
-    return times.start + np.array(points) * times.step
+    points = np.unique([*range(0, times.steps + 1, times.every), times.steps])
+    return times.start + points * times.step
 
 
 def _allocate(signals: Mapping[str, Port], count: int, points: int) -> list[Array]:
@@ -245,17 +242,17 @@ def run_in_lanes(
             ended.update(group.run(first, values, rows, count))
 
     groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // LANES))))]
+    execution = lanes.job.execution
 
     def stop() -> None:
         for group in groups:
             group.stop()
 
-    execution = lanes.job.execution
-    timer = threading.Timer(min(max(execution.deadline - time.monotonic(), 0.0), threading.TIMEOUT_MAX), stop)
-    timer.daemon = True
-    timer.start()
-    in_threads([partial(work, group) for group in groups], stop)
-    timer.cancel()
+    def watch() -> None:
+        if execution.late:
+            stop()
+
+    in_threads([partial(work, group) for group in groups], stop, watch)
     if execution.late:
         late = Ended(FAILED, f"not done within {execution.time_limit:g} s", math.nan)
         ended = dict.fromkeys(unfinished(rows), late) | ended

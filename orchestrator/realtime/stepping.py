@@ -222,7 +222,7 @@ class FrameStepper:
         times, self._steps = _grid(system, coupling, setup)
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
-        self._ramp = Ramp(self.t, self._at(times, self._steps), self.axes)
+        self._ramp = Ramp(self.t, times.start + self._steps * times.step, self.axes)
         driven = None
         if setup.axes:
             at_rest = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
@@ -246,7 +246,7 @@ class FrameStepper:
         """Step one frame, in which the axes move linearly to these values, shape (axes,)."""
         state = self._loop.state
         state.total = state.done + self._steps
-        self._ramp.aim(self.t, self._at(self._times, state.total), axes)
+        self._ramp.aim(self.t, self._times.start + state.total * self._times.step, axes)
         while state.done < state.total:
             self._loop.advance()
         self.t = state.t
@@ -255,10 +255,6 @@ class FrameStepper:
     def close(self) -> None:
         """Free the FMUs. May be repeated."""
         self._exit.close()
-
-    @staticmethod
-    def _at(times: Grid, steps: int) -> float:
-        return times.start + steps * times.step
 
 
 def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:

@@ -29,7 +29,7 @@ from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
-from orchestrator.studies.study import Factor, Output, Study, measure_unit
+from orchestrator.studies.study import Factor, Output, Study
 
 SCENARIO, PARAMETERS = "scenario", "parameters"  # names of choices that are not components
 ACCURACY = 1e-3  # default
@@ -223,10 +223,12 @@ def _output(systems: Sequence[System], output: Output) -> Output:
             port = signal(system, name)
         except Problem as problem:
             raise Problem(f"outputs.{quote_key(output.name)}: signal: {problem}") from None
-        unit = system.outputs[name].unit if name in system.outputs else system.variable(port).unit
-        units.add(unit.name if unit else "")
+        of = system.outputs[name].unit if name in system.outputs else system.variable(port).unit
+        units.add(of.name if of else "")
     common = units.pop() if len(units) == 1 else ""
-    return replace(output, unit=measure_unit(output.measure, common), signal_unit=common)
+    integral = f"{common}.s" if common not in ("", "1") else "s"
+    unit = {"time_of_maximum": "s", "integral": integral}.get(output.measure, common)
+    return replace(output, unit=unit, signal_unit=common)
 
 
 # ---- checks

@@ -313,15 +313,6 @@ def levels(dimension: Factor | Choice) -> int:
     return len(dimension.options if isinstance(dimension, Choice) else dimension.numbers["values"])
 
 
-def measure_unit(measure: str, unit: str) -> str:
-    """The unit of a measure of a signal with this unit."""
-    if measure == "time_of_maximum":
-        return "s"
-    if measure != "integral":
-        return unit
-    return f"{unit}.s" if unit and unit != "1" else "s"
-
-
 # ---- the file
 
 

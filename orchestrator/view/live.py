@@ -309,13 +309,11 @@ class OpenPage:
 
     # ---- actions
 
-    def take(self) -> None:
-        """Take the controls, or request them."""
+    def _take(self) -> None:
         if not self.authority.take(self.station) and self.session.machine.drives:
             self.answer("requested; the driver has to release the controls")
 
-    async def toggle(self) -> None:
-        """Pause, or go on."""
+    async def _toggle(self) -> None:
         machine = self.session.machine
         state = machine.latest().state
         if state in ("running", "starting"):
@@ -325,8 +323,7 @@ class OpenPage:
         else:
             await self.change(self.authority.halt, machine.play)
 
-    async def start(self, asked: Asked) -> None:
-        """Start what a page chooses."""
+    async def _start(self, asked: Asked) -> None:
         choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
         await self.change(self.authority.stop, self.session.start, choice)
 
@@ -337,18 +334,15 @@ class OpenPage:
         before()
         await asyncio.to_thread(action, *arguments)
 
-    async def save(self) -> None:
-        """Save the session."""
+    async def _save(self) -> None:
         path = await asyncio.to_thread(self.session.save)
         self.answer(f"saved: {path}", href=f"/result/{quote(path.name)}")
 
-    async def files(self) -> None:
-        """Tell which files can be replayed."""
+    async def _files(self) -> None:
         files = await asyncio.to_thread(self.session.files)
         self.answers.append({"files": files, "folders": [str(folder) for folder in self.session.folders]})
 
-    async def machines(self) -> None:
-        """Tell what can be started."""
+    async def _machines(self) -> None:
         self.answers.append({"machines": await asyncio.to_thread(offered, self.session.plan.choice)})
 
     def task(self, what: object, value: object) -> None:
@@ -372,24 +366,24 @@ class OpenPage:
 
 ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     "shown": lambda page, asked: page.credit.shown(asked.get("number")),
-    "take": lambda page, _: page.take(),
+    "take": lambda page, _: page._take(),
     "release": lambda page, _: page.authority.release(page.station),
     "choose": lambda page, asked: page.authority.choose(
         page.station, *(None if (v := asked.get(name)) is None else str(v) for name in ("pattern", "mode"))
     ),
     "set": lambda page, asked: page.authority.set(page.station, asked.get("name"), asked.get("value")),
-    "toggle": lambda page, _: page.toggle(),
+    "toggle": lambda page, _: page._toggle(),
     "speed": lambda page, asked: page.change(
         page.authority.halt, page.session.machine.speed, finite(asked.get("factor"), "speed")
     ),
     "again": lambda page, _: page.change(page.authority.stop, page.session.again),
     "back": lambda page, _: page.change(page.authority.stop, page.session.back),
     "replay": lambda page, asked: page.change(page.authority.stop, page.session.replay, asked.get("file")),
-    "start": lambda page, asked: page.start(asked),
+    "start": lambda page, asked: page._start(asked),
     "seek": lambda page, asked: page.session.seek(finite(asked.get("t"), "time")),
-    "save": lambda page, _: page.save(),
-    "files": lambda page, _: page.files(),
-    "machines": lambda page, _: page.machines(),
+    "save": lambda page, _: page._save(),
+    "files": lambda page, _: page._files(),
+    "machines": lambda page, _: page._machines(),
     "task": lambda page, asked: page.task(asked.get("what"), asked.get("value")),
 }
 
