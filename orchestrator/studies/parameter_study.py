@@ -29,7 +29,7 @@ from orchestrator.base.text import TextTable, display_unit
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, OK
 from orchestrator.studies import design, processes, store
-from orchestrator.studies.analysis.results import without_numbers
+from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
 from orchestrator.studies.processes import Payload, payload
 from orchestrator.studies.single_run import RunOutcome, group_size

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import isfinite, log2, prod
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
@@ -135,6 +135,11 @@ class Choice:
     def column(self) -> str:
         """Column of the options."""
         return f"choice:{self.name}"
+
+
+def short(option: str) -> str:
+    """An option of a choice for a reader: the stem of a file, or the option itself."""
+    return PurePath(option).stem if option.endswith((".csv", ".parquet", ".ssv", ".fmu")) else option
 
 
 @dataclass(frozen=True)

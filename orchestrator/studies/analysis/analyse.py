@@ -11,17 +11,8 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import moves
 from orchestrator.lanes.group import OK
 from orchestrator.studies.analysis import morris_sobol, sensitivity
-from orchestrator.studies.analysis.results import (
-    Analysis,
-    Failure,
-    OutputAnalysis,
-    OutputSamples,
-    Sensitivity,
-    Spread,
-    done,
-    samples,
-    without_numbers,
-)
+from orchestrator.studies.analysis.output_samples import OutputSamples, done, samples, without_numbers
+from orchestrator.studies.analysis.results import Analysis, Failure, OutputAnalysis, Sensitivity, Spread
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Output, Study
 

@@ -13,8 +13,8 @@ from orchestrator.studies.analysis.results import (
     IntervalEstimate,
     OutputAnalysis,
     Sensitivity,
-    short,
 )
+from orchestrator.studies.study import short
 
 MEASURES: dict[str, str] = {name: name.replace("_of_", " of the ") for name in study.MEASURES}
 MEASURES |= {"rms": "root mean square", "final": "final value"}

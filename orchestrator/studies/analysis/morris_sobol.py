@@ -28,15 +28,8 @@ from SALib.analyze.sobol import first_order, total_order
 from scipy.stats import bootstrap, spearmanr
 
 from orchestrator.data.table import Array
-from orchestrator.studies.analysis.results import (
-    FIRST,
-    MU_STAR,
-    TOTAL,
-    Effect,
-    IntervalEstimate,
-    OutputSamples,
-    Sensitivity,
-)
+from orchestrator.studies.analysis.output_samples import OutputSamples
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, IntervalEstimate, Sensitivity
 from orchestrator.studies.design import LEVELS, problem
 from orchestrator.studies.study import Factor
 

@@ -37,13 +37,13 @@ from orchestrator.studies.analysis.morris_sobol import (
     rank_correlation,
     rank_correlations,
 )
+from orchestrator.studies.analysis.output_samples import OutputSamples
 from orchestrator.studies.analysis.results import (
     FIRST,
     REGRESSION,
     TOTAL,
     Effect,
     IntervalEstimate,
-    OutputSamples,
     Sensitivity,
 )
 from orchestrator.studies.design import problem

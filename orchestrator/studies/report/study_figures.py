@@ -22,18 +22,10 @@ from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
 from orchestrator.data.table import Array
 from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
 from orchestrator.pages.plotting import legend, limit_ticks, new_figure, style_axes
-from orchestrator.studies.analysis.results import (
-    FIRST,
-    MU_STAR,
-    TOTAL,
-    Effect,
-    OutputAnalysis,
-    Sensitivity,
-    done,
-    short,
-)
+from orchestrator.studies.analysis.output_samples import done
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.store import Results
-from orchestrator.studies.study import Choice, Factor, Output
+from orchestrator.studies.study import Choice, Factor, Output, short
 
 WIDTH = 6.2  # [in], a column of the page; text is readable down to 500 pixels
 LIGHT, DARK = zip(*PALETTE.pairs[:3], strict=True)

@@ -20,6 +20,7 @@ from orchestrator.pages.html_page import json_values
 from orchestrator.pages.plotting import embed
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
+from orchestrator.studies.analysis.output_samples import done
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -29,8 +30,6 @@ from orchestrator.studies.analysis.results import (
     Effect,
     OutputAnalysis,
     Sensitivity,
-    done,
-    short,
 )
 from orchestrator.studies.report.study_figures import (
     MOST_BARS,
@@ -43,7 +42,7 @@ from orchestrator.studies.report.study_figures import (
     tornado,
 )
 from orchestrator.studies.store import Results, read
-from orchestrator.studies.study import START, Factor, Output
+from orchestrator.studies.study import START, Factor, Output, short
 
 PAGE, NUMBERS = "report.html", "analysis.json"
 TEMPLATE = Path(__file__).parent / "templates" / "study.html.j2"
