@@ -25,13 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from SALib.analyze import morris
 from SALib.analyze.sobol import first_order, total_order
-from scipy.stats import bootstrap, spearmanr
+from scipy.stats import bootstrap
 
 from orchestrator.data.table import Array
-from orchestrator.studies.analysis.output_samples import OutputSamples
+from orchestrator.studies.analysis.output_samples import OutputSamples, rank_correlations
 from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, IntervalEstimate, Sensitivity
 from orchestrator.studies.design import LEVELS, problem
-from orchestrator.studies.study import Factor
 
 RESAMPLES = 400  # of the bootstrap: ends of a 95 % interval are accurate to some percent of its width
 SEED = 20_01  # fixed, so that equal results give equal intervals
@@ -64,17 +63,6 @@ def intervals(estimate: Callable[[Rows], Array], count: int) -> list[IntervalEst
 def ordered(effects: list[Effect], measure: str) -> tuple[Effect, ...]:
     """Effects sorted by a measure, the largest first; equal ones by name."""
     return tuple(sorted(effects, key=lambda effect: (-effect.estimates[measure].value, effect.name)))
-
-
-def rank_correlations(samples: OutputSamples, y: Array) -> list[float | None]:
-    """Rank correlation of each factor with y; None for choices."""
-    pairs = zip(samples.dimensions, samples.x.T, strict=True)
-    return [rank_correlation(x, y) if isinstance(d, Factor) else None for d, x in pairs]
-
-
-def rank_correlation(x: Array, y: Array) -> float:
-    """Spearman's rank correlation; 0 if x or y is constant."""
-    return float(spearmanr(x, y).statistic) if np.ptp(x) > 0 and np.ptp(y) > 0 else 0.0
 
 
 def of_crossed(samples: OutputSamples) -> list[Effect]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.stats import spearmanr
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
@@ -98,3 +99,14 @@ def samples(results: Results, output: Output) -> OutputSamples:
         x[:, i] = column.to_numpy(float)
     y = np.column_stack([values.loc[block].to_numpy(float) for block in blocks])
     return OutputSamples(study.dimensions, x, y, study.crossed)
+
+
+def rank_correlations(samples: OutputSamples, y: Array) -> list[float | None]:
+    """Rank correlation of each factor with y; None for choices."""
+    pairs = zip(samples.dimensions, samples.x.T, strict=True)
+    return [rank_correlation(x, y) if isinstance(d, Factor) else None for d, x in pairs]
+
+
+def rank_correlation(x: Array, y: Array) -> float:
+    """Spearman's rank correlation; 0 if x or y is constant."""
+    return float(spearmanr(x, y).statistic) if np.ptp(x) > 0 and np.ptp(y) > 0 else 0.0

@@ -15,6 +15,18 @@ TOTAL = "total"  # total-effect index: the same with all interactions of the fac
 REGRESSION = "squared_regression"  # squared standardised coefficient of a linear model
 MU_STAR = "mu_star"  # mean of the absolute elementary effects, in the unit of the output
 
+# measures and further values, in the order of a table -> head of the column
+HEAD = {
+    TOTAL: "total",
+    FIRST: "first order",
+    REGRESSION: "linear model, squared",
+    MU_STAR: "μ*",
+    "mu": "μ",
+    "sigma": "\N{GREEK SMALL LETTER SIGMA}",
+    "regression": "coefficient",
+    "rank_regression": "coefficient of ranks",
+}
+
 LONGEST_LABEL = 44  # characters
 
 

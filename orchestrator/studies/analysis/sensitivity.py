@@ -28,16 +28,8 @@ from SALib.analyze import rbd_fast
 from scipy.stats import rankdata
 
 from orchestrator.data.table import Array
-from orchestrator.studies.analysis.morris_sobol import (
-    SEED,
-    Rows,
-    intervals,
-    of_crossed,
-    ordered,
-    rank_correlation,
-    rank_correlations,
-)
-from orchestrator.studies.analysis.output_samples import OutputSamples
+from orchestrator.studies.analysis.morris_sobol import SEED, Rows, intervals, of_crossed, ordered
+from orchestrator.studies.analysis.output_samples import OutputSamples, rank_correlation, rank_correlations
 from orchestrator.studies.analysis.results import (
     FIRST,
     REGRESSION,

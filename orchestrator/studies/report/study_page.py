@@ -21,16 +21,7 @@ from orchestrator.pages.plotting import embed
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
 from orchestrator.studies.analysis.output_samples import done
-from orchestrator.studies.analysis.results import (
-    FIRST,
-    MU_STAR,
-    REGRESSION,
-    TOTAL,
-    Analysis,
-    Effect,
-    OutputAnalysis,
-    Sensitivity,
-)
+from orchestrator.studies.analysis.results import HEAD, MU_STAR, Analysis, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
     MOST_BARS,
     bands,
@@ -49,16 +40,6 @@ TEMPLATE = Path(__file__).parent / "templates" / "study.html.j2"
 CaptionedFigure = tuple[str, Markup, str]  # title, figure, caption
 METHODS = {"latin": "Latin hypercube", "sobol": "Sobol' points", "grid": "full grid"}
 METHODS |= {"saltelli": "Saltelli design", "morris": "Morris trajectories"}
-COLUMNS = {
-    TOTAL: "total",
-    FIRST: "first order",
-    REGRESSION: "linear model, squared",
-    MU_STAR: "μ*",
-    "mu": "μ",
-    "sigma": "\N{GREEK SMALL LETTER SIGMA}",
-    "regression": "coefficient",
-    "rank_regression": "coefficient of ranks",
-}
 BINS = 16  # of the small histograms
 PURE = DisplayUnit("", "")
 
@@ -158,7 +139,7 @@ def _spreads(analysed: OutputAnalysis) -> Markup | None:
 def _effects(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     """A row per effect, in the order of the tornado, and a column for each measure that an effect has."""
     measures = {key for effect in sensitivity.effects for key in (*effect.estimates, *effect.more)}
-    columns = {key: head for key, head in COLUMNS.items() if key in measures}
+    columns = {key: head for key, head in HEAD.items() if key in measures}
     rows = []
     for effect in sensitivity.effects:
         trend = "" if effect.direction is None else f"{effect.direction:+.2f}".replace("-", MINUS)
