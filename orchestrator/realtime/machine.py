@@ -34,6 +34,7 @@ END_TIMEOUT = 0.7  # [s] for an orderly end, after which the process is killed: 
 class MachineProcess:
     """The process of one start of a machine, with shared memory for its frames.
 
+    worker   the process
     shared   the shared memory; readable even after the process has ended
     closed   True after `close`
     """
@@ -47,10 +48,10 @@ class MachineProcess:
         memory = Memory(shared_memory.size(*sizes, rows))
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
-        self._worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
-        self._worker.fmus = str(setup.system)
+        self.worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
+        self.worker.fmus = str(setup.system)
         memory.handed_over()
-        self._worker.put(Task(setup, memory.address, rows, first, serial))
+        self.worker.put(Task(setup, memory.address, rows, first, serial))
         self._began = self._heard = time.monotonic()
         self._heartbeat = -1
         self._failure = ""
@@ -61,20 +62,15 @@ class MachineProcess:
             return
         state, message = self._state(self.shared.status())
         began = time.monotonic()
-        self._worker.close()
+        self.worker.close()
         if state == "failed":
             self._failure = message
         elif self.shared.status().state != "ended":  # the FMUs are not closed
             late = time.monotonic() - began > END_TIMEOUT
             told = f"did not end within {END_TIMEOUT:g} s, stopped"
-            cause = told if late else f"ended: {self._worker.ending}"
-            self._failure = f"the process of the machine {cause} {self._where}"
+            cause = told if late else f"ended: {self.worker.ending}"
+            self._failure = f"the process of the machine {cause} {self.worker.where}"
         self.closed = True
-
-    @property
-    def pid(self) -> int:
-        """Identifier of the process."""
-        return self._worker.pid
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -132,40 +128,35 @@ class MachineProcess:
     def _state(self, status: MachineStatus) -> tuple[str, str]:
         """State and message. A process has failed if it ends, takes too much memory or does not answer."""
         if status.state == "failed":
-            lost = f"an FMU wrote over the memory of the machine {self._where}"
+            lost = f"an FMU wrote over the memory of the machine {self.worker.where}"
             return "failed", str(_details(status).get("message", lost))
-        self._worker.cut_printed()
-        if not self._failure and self._worker.memory > MEMORY:
+        self.worker.cut_printed()
+        if not self._failure and self.worker.memory > MEMORY:
             most = f"{MEMORY / 1e9:.3g} GB of memory"
-            self._failure = f"the machine uses more than {most}, stopped {self._where}"
-            self._worker.close()
+            self._failure = f"the machine uses more than {most}, stopped {self.worker.where}"
+            self.worker.close()
         if self._failure:
             return "failed", self._failure
         if self.closed:
             return "ended", ""
-        if ending := self._worker.ending:
-            return "failed", f"the process of the machine ended: {ending} {self._where}"
+        if ending := self.worker.ending:
+            return "failed", f"the process of the machine ended: {ending} {self.worker.where}"
         return self._heard_of(status)
 
     def _heard_of(self, status: MachineStatus) -> tuple[str, str]:
         """State and message by the last sign of life."""
         now, starting = time.monotonic(), status.state == "starting"
         if starting and now - self._began > START_TIMEOUT:
-            self._failure = f"the machine has not started within {START_TIMEOUT:g} s {self._where}"
-            self._worker.close()
+            self._failure = f"the machine has not started within {START_TIMEOUT:g} s {self.worker.where}"
+            self.worker.close()
             return "failed", self._failure
         if starting or status.heartbeat != self._heartbeat:
             self._heartbeat, self._heard = status.heartbeat, now
         if (silent := now - self._heard) > SILENT:
             with suppress(AttributeError, OSError):  # a hanging FMU keeps no core from others
-                os.sched_setscheduler(self.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
-            return "failed", f"the machine has not answered for {silent:.0f} s {self._where}"
+                os.sched_setscheduler(self.worker.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
+            return "failed", f"the machine has not answered for {silent:.0f} s {self.worker.where}"
         return status.state, ""
-
-    @property
-    def _where(self) -> str:
-        """The call into an FMU that is in progress, or was at the end."""
-        return self._worker.where
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:
@@ -231,7 +222,7 @@ class RealTimeMachine:
     @property
     def pid(self) -> int:
         """Identifier of the process that steps the machine."""
-        return self._process.pid
+        return self._process.worker.pid
 
     # ---- driving
 

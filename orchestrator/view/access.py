@@ -173,12 +173,9 @@ def _set_cookie(asked: HTTPConnection, rules: Rules) -> ASGIApp:
     return HTMLResponse(page, headers={**PRIVATE, "set-cookie": cookie})
 
 
-LIBRARIES = ("asyncio", "uvicorn.error")
-
-
 def shorten_library_logs() -> None:
     """Log errors of the libraries in one line each. Loggers of this project keep the traceback."""
-    for name in LIBRARIES:
+    for name in ("asyncio", "uvicorn.error"):
         logging.getLogger(name).addFilter(_one_line)
 
 

@@ -30,7 +30,6 @@ from orchestrator.studies.convergence.reference_solution import default_signals,
 from orchestrator.studies.convergence.runs import (
     ConvergenceStudy,
     SettingRun,
-    applicable,
     choose,
     rate_inputs,
     run_settings,
@@ -85,7 +84,8 @@ def convergence(
         solution = finest_run(coupled, default_signals(coupled, signals), step_list, **given)
         note = f"no reference for this run: {solution.title}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
-    fitting = applicable(settings, rates)
+    # without rate inputs plain settings would equal those of order 0
+    fitting = [setting for setting in settings if rates or not setting.without_rates]
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}"
     notes = [note, *solution.notes, plain_note if any(s.without_rates for s in fitting) else ""]
     try:

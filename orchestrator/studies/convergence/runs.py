@@ -88,11 +88,6 @@ def rate_inputs(system: System) -> tuple[str, ...]:
     )
 
 
-def applicable(settings: Sequence[Setting], rates: Sequence[str]) -> list[Setting]:
-    """Leave out plain settings if there are no rate inputs: they would equal those of order 0."""
-    return [setting for setting in settings if rates or not setting.without_rates]
-
-
 # ---- their runs
 
 
@@ -206,7 +201,7 @@ def run_settings(
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
     options = {"record": list(dict.fromkeys(ports))} | options
     any_run = False
-    for setting in applicable(settings, rates):
+    for setting in (s for s in settings if rates or not s.without_rates):
         coupled = system.without(*rates) if setting.without_rates else system
         adaptive = [SettingRun(setting, sorted_steps[0], case) for case in setting.cases]
         for plan in adaptive or [SettingRun(setting, step) for step in sorted_steps]:
