@@ -112,14 +112,10 @@ def of_values(time: Array, values: Mapping[str, Array]) -> Samples:
     tip = np.stack([columns[name] for name in TIP], axis=1)
     across = columns["swing_speed"] * np.hypot(tip[:, 0], tip[:, 1])
     lines = [columns[name] for name in LINES if name in columns]
-    return Samples(
-        time=np.asarray(time, float),
-        tip=tip,
-        speed=np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0),
-        functions=np.stack([columns[name] for name in SPEEDS], axis=1),
-        power=_power(values, columns),
-        pressure=np.max(lines, axis=0) if lines else np.empty(0),
-    )
+    speed = np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0)
+    functions = np.stack([columns[name] for name in SPEEDS], axis=1)
+    pressure = np.max(lines, axis=0) if lines else np.empty(0)
+    return Samples(np.asarray(time, float), tip, speed, functions, _power(values, columns), pressure)
 
 
 def _power(values: Mapping[str, Array], columns: Mapping[str, Array]) -> Array:

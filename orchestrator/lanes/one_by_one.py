@@ -128,7 +128,6 @@ def _with_values(system: System, values: Mapping[Port, float]) -> System:
     """The system with other start values, in the units of the FMUs."""
     components = dict(system.components)
     for port, value in values.items():
-        real = system.variable(port).is_real
-        start = {port.variable: value if real else round(value)}
+        start = {port.variable: value if system.variable(port).is_real else round(value)}
         components[port.component] = components[port.component].chosen(start, "")
     return replace(system, components=components)
