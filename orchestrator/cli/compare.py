@@ -76,13 +76,9 @@ def plot(
     first, *others = read_runs(chosen)
     title = ", ".join(run.label for run in (first, *others))
     names = first.trace.window(start, stop).chosen(signals or ())
+    beside = {run.label: run.trace for run in others}
     figure = first.trace.plot(
-        *(signals or ()),
-        title=title,
-        start=start,
-        stop=stop,
-        others={run.label: run.trace for run in others},
-        label=first.label,
+        *(signals or ()), title=title, start=start, stop=stop, others=beside, label=first.label
     )
     more = "" if signals else "; choose others with --signals PATTERN"
     print(f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}{more}")
@@ -90,7 +86,6 @@ def plot(
         return
     picture = out or BUILD / "plot.png"
     make_folder(picture.parent)
-    picture.write_bytes(
-        svg(figure, transparent=False).encode() if picture.suffix.lower() == ".svg" else png(figure)
-    )
+    as_svg = picture.suffix.lower() == ".svg"
+    picture.write_bytes(svg(figure, transparent=False).encode() if as_svg else png(figure))
     print(f"{'' if out else 'no display for a window; '}picture: {picture}")

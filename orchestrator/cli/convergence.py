@@ -5,16 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Unpack
 
 from orchestrator.base.options import Kind, Patterns
-from orchestrator.cli.options import (
-    BUILD,
-    File,
-    Folder,
-    Scenario,
-    System,
-    command,
-    system_file,
-    tell_built,
-)
+from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, command, system_file, tell_built
 from orchestrator.engine.arguments import CaseArguments
 
 

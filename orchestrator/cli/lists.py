@@ -95,10 +95,8 @@ def lines(system: FmuSystem, kind: str | None = None) -> Iterator[str]:
     if kind in (None, "input") and not single:
         yield from _table(f"{system.name}: inputs for --set and scenarios", _inlets(system))
     if kind in (None, "output"):
-        outputs = [
-            (o.name, o.unit, _description(system, o.source, f"from {o.source}"))
-            for o in system.outputs.values()
-        ]
+        outlets = system.outputs.values()
+        outputs = [(o.name, o.unit, _description(system, o.source, f"from {o.source}")) for o in outlets]
         yield from _table(f"{system.name}: outputs of the system", outputs)
     for component in system.components.values():
         if kind is None and component.interface.description:
@@ -131,12 +129,9 @@ def _variables(system: FmuSystem, component: Component, causality: str) -> list[
     """The variables of one component; a connected input also has its source."""
     from orchestrator.ssp.system import Port
 
-    source = {c.target: c.source for c in system.connections}
+    source = {c.target: f"from {c.source}" for c in system.connections}
     ports = [(Port(component.name, v.name), v.unit) for v in component.interface.of(causality)]
-    return [
-        (str(port), unit, _description(system, port, f"from {source[port]}" if port in source else ""))
-        for port, unit in ports
-    ]
+    return [(str(p), unit, _description(system, p, source.get(p, ""))) for p, unit in ports]
 
 
 def _table(title: str, entries: list[Entry]) -> Iterator[str]:

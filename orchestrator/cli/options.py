@@ -42,10 +42,7 @@ Scenario: TypeAlias = Annotated[
 
 
 app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
 )
 
 
@@ -95,9 +92,8 @@ def command(function: F) -> F:
     @wraps(function)
     def flat_command(**values: Any) -> None:
         given = {name: _value(name, option, values[name]) for name, option in options.items()}
-        status = function(
-            **{n: v for n, v in given.items() if n in defaults or v or (v == 0 and v is not False)}
-        )
+        chosen = {n: v for n, v in given.items() if n in defaults or v or (v == 0 and v is not False)}
+        status = function(**chosen)
         code = int(not status) if isinstance(status, bool) else status
         if code:
             raise typer.Exit(code)

@@ -38,7 +38,6 @@ def sweep(
     chosen = read_study(study)
     tell_built(chosen.system_file, {})
     if workers and scheduler:
-        raise Problem(
-            "--workers: expected none with --scheduler, whose cluster determines the number of workers"
-        )
-    return run(study, out, workers, scheduler, fresh, report=not no_report)
+        cluster = "whose cluster determines the number of workers"
+        raise Problem(f"--workers: expected none with --scheduler, {cluster}")
+    return run(chosen, out, report=not no_report, workers=workers, scheduler=scheduler, fresh=fresh)

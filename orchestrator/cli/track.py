@@ -10,15 +10,10 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.options import Kind, Swaps, Values
 from orchestrator.cli.options import BUILD, Folder, System, command, system_file, tell_built
 
-MACHINES = {
-    "lumped": dict[str, str](),
-    "detailed": {
-        "swing": "detailed",
-        "boom_stick": "detailed",
-        "manipulator": "pendulum_friction",
-        "supply": "engine_pump",
-    },
-}
+DETAILED = dict(
+    swing="detailed", boom_stick="detailed", manipulator="pendulum_friction", supply="engine_pump"
+)
+MACHINES = {"lumped": dict[str, str](), "detailed": DETAILED}
 PATHS = ("line", "square")
 
 

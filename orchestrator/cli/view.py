@@ -10,17 +10,8 @@ from typing import Annotated
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind, Swaps, Values
-from orchestrator.cli.options import (
-    BUILD,
-    SYSTEM,
-    File,
-    Folder,
-    System,
-    Text,
-    command,
-    system_file,
-    tell_built,
-)
+from orchestrator.cli import options
+from orchestrator.cli.options import BUILD, SYSTEM, File, Folder, System, Text, command, system_file
 
 CONTROL = BUILD / "harvester_control.ssp"
 
@@ -56,19 +47,11 @@ def view(
     from orchestrator.view.server import serve
 
     swapped = {name: str(file) for name, file in (swap or {}).items()}
+    starts = {name: str(value) for name, value in (set_ or {}).items()}
     chosen = system or _default_system(swapped)
-    tell_built(chosen, swapped)
+    options.tell_built(chosen, swapped)
     serve(
-        chosen,
-        replay,
-        pose,
-        swapped,
-        {name: str(value) for name, value in (set_ or {}).items()},
-        host=host,
-        port=port,
-        token=token,
-        open_=open_,
-        results=results,
+        chosen, replay, pose, swapped, starts, host=host, port=port, token=token, open_=open_, results=results
     )
 
 

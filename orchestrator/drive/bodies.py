@@ -7,7 +7,7 @@ trees have fixed dimensions.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from orchestrator.drive.geometry import GROUND, Geometry
@@ -87,22 +87,12 @@ BARREL, ROD, HOSE = 0.078, 0.040, 0.026  # m; radii: bores of 0.12 and 0.115 m w
 
 # outlines relative to the length of the link: along it, across it
 BOOM_TOP = (
-    (-0.040, 0.030),
-    (0.02, 0.058),
-    (0.16, 0.092),
-    (0.40, 0.150),
-    (0.62, 0.156),
-    (1.0, 0.112),
-    (1.03, 0.085),
+    *((-0.040, 0.030), (0.02, 0.058), (0.16, 0.092), (0.40, 0.150)),
+    *((0.62, 0.156), (1.0, 0.112), (1.03, 0.085)),
 )
 BOOM_BOTTOM = (
-    (1.03, 0.062),
-    (1.0, 0.040),
-    (0.62, 0.060),
-    (0.40, 0.048),
-    (0.14, -0.036),
-    (0.0, -0.040),
-    (-0.040, -0.02),
+    *((1.03, 0.062), (1.0, 0.040), (0.62, 0.060), (0.40, 0.048)),
+    *((0.14, -0.036), (0.0, -0.040), (-0.040, -0.02)),
 )
 STICK_TOP = ((-0.20, 0.022), (-0.165, 0.045), (-0.03, 0.078), (0.10, 0.062), (0.66, 0.040))
 STICK_BOTTOM = ((0.66, -0.040), (0.10, -0.052), (-0.03, -0.058), (-0.165, -0.040), (-0.20, -0.022))
@@ -118,21 +108,12 @@ def _column(g: Geometry) -> list[Part]:
     x, z = g.boom_pivot_x, g.boom_pivot_z
     foot_x, foot_z = x + g.boom_base_x, z + g.boom_base_z
     top = 0.62 * z
-    lower = [
-        (x - 0.26, 0.04),
-        (foot_x - 0.10, 0.04),
-        (foot_x - 0.12, top - 0.1),
-        (x + 0.1, top),
-        (x - 0.2, top),
-    ]
+    lower = [(x - 0.26, 0.04), (foot_x - 0.10, 0.04), (foot_x - 0.12, top - 0.1)]
+    lower += [(x + 0.1, top), (x - 0.2, top)]
     cheek = [(x - 0.22, 0.04), (x + 0.12, 0.30), (x + 0.15, z), (x + 0.08, z + 0.13), (x - 0.08, z + 0.13)]
     cheek += [(x - 0.16, z)]
-    lug = [
-        (x + 0.1, 0.02),
-        (foot_x + 0.14, 0.02),
-        (foot_x + 0.12, foot_z + 0.1),
-        (foot_x - 0.1, foot_z + 0.13),
-    ]
+    lug = [(x + 0.1, 0.02), (foot_x + 0.14, 0.02), (foot_x + 0.12, foot_z + 0.1)]
+    lug += [(foot_x - 0.1, foot_z + 0.13)]
     return [
         post("column", (0.0, 0.0, -0.22), (0.46, 0.44), 0.26, DARK),
         plate("column", lower, 0.30, BODY),
@@ -151,22 +132,12 @@ def _boom(g: Geometry) -> list[Part]:
     base_x, base_z = length + g.stick_base_x, rise + g.stick_base_z
     bracket = [(base_x - 0.22, base_z - 0.12), (base_x + 0.2, base_z - 0.12), (base_x + 0.05, base_z + 0.07)]
     bracket += [(base_x - 0.06, base_z + 0.07)]
-    ear = [
-        (length - 0.32, rise - 0.11),
-        (length + 0.08, rise - 0.12),
-        (length + 0.13, rise),
-        (length + 0.05, rise + 0.13),
-    ]
-    ear += [(length - 0.32, rise + 0.14)]
+    ear = [(length - 0.32, rise - 0.11), (length + 0.08, rise - 0.12), (length + 0.13, rise)]
+    ear += [(length + 0.05, rise + 0.13), (length - 0.32, rise + 0.14)]
+    side = [(u * length, 0.012 + v * length * 0.93) for u, v in (*BOOM_TOP[3:5], *BOOM_BOTTOM[2:4])]
     return [
         plate("boom", outline, 0.24, BODY),
-        *plates(
-            "boom",
-            [(u * length, 0.012 + v * length * 0.93) for u, v in (*BOOM_TOP[3:5], *BOOM_BOTTOM[2:4])],
-            0.02,
-            EDGE,
-            0.125,
-        ),
+        *plates("boom", side, 0.02, EDGE, 0.125),
         *plates("boom", bracket, 0.04, DARK, 0.11),
         *plates("boom", ear, 0.05, BODY, 0.145),
         pin("boom", base_x, base_z, 0.042, 0.30, STEEL),
@@ -240,15 +211,8 @@ def head_parts(g: Geometry) -> list[Part]:
     middle = -g.head_length
     top, low = middle + 0.40, middle - 0.48
     link = [(-0.07, 0.06), (0.07, 0.06), (0.05, top + 0.22), (-0.05, top + 0.22)]
-    frame = [
-        (-0.16, top),
-        (0.12, top),
-        (0.20, top - 0.14),
-        (0.20, middle - 0.1),
-        (0.12, low + 0.12),
-        (0.12, low),
-    ]
-    frame += [(-0.20, low), (-0.26, middle)]
+    frame = [(-0.16, top), (0.12, top), (0.20, top - 0.14), (0.20, middle - 0.1)]
+    frame += [(0.12, low + 0.12), (0.12, low), (-0.20, low), (-0.26, middle)]
     return [
         *plates("yoke", [(-0.08, 0.08), (0.08, 0.08), (0.07, -0.16), (-0.07, -0.16)], 0.03, DARK, 0.13),
         plate("head", link, 0.10, STEEL),
@@ -287,6 +251,7 @@ def _knife(side: int, z: float) -> Part:
 
 GREEN, LEAF, GLASS, TYRE = "#3c5a4a", "#4c6e5b", "#26333a", "#24282b"
 WHEEL = 0.68  # m; radius
+TREES = 46
 AXLES = (0.42, -1.08, -3.45)  # m
 GOLDEN = math.pi * (3 - math.sqrt(5))  # rad; the golden angle spreads points evenly
 
@@ -298,6 +263,7 @@ def site_parts() -> list[Part]:
     cab = [(-2.35, -0.5), (-0.98, -0.5), (-0.86, 0.25), (-1.08, 1.34), (-2.2, 1.40), (-2.35, 1.2)]
     window = [(-2.18, 0.18), (-1.02, 0.18), (-1.18, 1.18), (-2.12, 1.22)]
     frame = [(-4.5, -1.1), (0.6, -1.1), (0.85, -0.75), (0.75, -0.5), (-4.5, -0.5)]
+    bogie = [(-1.85, axle - 0.15), (1.2, axle - 0.15), (0.6, axle + 0.35), (-1.3, axle + 0.35)]
     return [
         plate("site", frame, 1.0, DARK),
         post("site", (0.0, 0.0, -0.55), (0.62, 0.52), 0.35, STEEL),
@@ -307,34 +273,23 @@ def site_parts() -> list[Part]:
         box("site", (-0.99, -0.62, 0.2), (-0.90, 0.62, 1.15), GLASS),
         box("site", (-2.40, -0.78, 1.36), (-1.0, 0.78, 1.46), DARK),
         post("site", (-3.0, 0.62, 0.4), (0.06, 0.06), 0.75, STEEL),
-        *plates(
-            "site",
-            [(-1.85, axle - 0.15), (1.2, axle - 0.15), (0.6, axle + 0.35), (-1.3, axle + 0.35)],
-            0.2,
-            DARK,
-            0.72,
-        ),
+        *plates("site", bogie, 0.2, DARK, 0.72),
         *(part for x in AXLES for side in (-1, 1) for part in _wheel(x, side, axle)),
     ]
 
 
 def _wheel(x: float, side: int, axle: float) -> list[Part]:
-    """Tyre and rim."""
-    y = side * 1.18
-    tyre, rim, hub = (
-        pin("site", x, axle, *size) for size in ((WHEEL, 0.62, TYRE), (0.36, 0.64, LEAF), (0.12, 0.70, DARK))
-    )
-    return [
-        Part(p.node, p.kind, p.size, (x, p.at[1] + y, axle), axis="y", colour=p.colour)
-        for p in (tyre, rim, hub)
-    ]
+    """Tyre, rim and hub."""
+    sizes = (WHEEL, 0.62, TYRE), (0.36, 0.64, LEAF), (0.12, 0.70, DARK)
+    parts = (pin("site", x, axle, *size) for size in sizes)
+    return [replace(part, at=(x, part.at[1] + side * 1.18, axle)) for part in parts]
 
 
-def trees(count: int = 46) -> list[list[float]]:
+def trees() -> list[list[float]]:
     """Trees around the machine: x, y, height, radius [m], between 13 and 32 m away."""
     rows = []
-    for k in range(count):
-        angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / count)
+    for k in range(TREES):
+        angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / TREES)
         size = 0.75 + 0.5 * ((k * 7) % 11) / 10
         x, y = away * math.cos(angle), away * math.sin(angle)
         rows.append([round(v, 2) for v in (x, y, 7.5 * size, 1.5 * size)])

@@ -23,9 +23,11 @@ UNKNOWN = "#8b9196"
 SCALE: Sequence[str] = tuple(to_hex(colormaps["plasma"](0.04 + 0.88 * k / (STEPS - 1))) for k in range(STEPS))
 
 
-SKY, FLOOR, SHADE, GRID, AXIS = "#dfe6e8", "#c9cfc4", "#aab2a6", "#b7beb3", "#98a094"
-DARK = {"sky": "#1d2427", "floor": "#2a312d", "grid": "#39433d", "axis": "#4d5951"}
-DARK_SHADE = "#191e1b"
+SCHEMES = {
+    "light": {"sky": "#dfe6e8", "floor": "#c9cfc4", "grid": "#b7beb3", "axis": "#98a094"},
+    "dark": {"sky": "#1d2427", "floor": "#2a312d", "grid": "#39433d", "axis": "#4d5951"},
+}
+SHADE = {"light": "#aab2a6", "dark": "#191e1b"}
 SUN = (4.0, -6.0, 12.0)  # direction of the sun
 VIEWS: Mapping[str, tuple[float, float, float, float, float, float]] = {
     "quarter": (8.4, -11.9, 4.8, 1.5, 0.0, 1.15),
@@ -35,21 +37,11 @@ VIEWS: Mapping[str, tuple[float, float, float, float, float, float]] = {
 }
 
 
-def machine(geometry: Geometry) -> dict[str, Any]:
-    """Data for `rig.js`."""
-    bodies_of_machine = [*bodies.site_parts(), *bodies.crane_parts(geometry), *bodies.head_parts(geometry)]
-    parts = [part.data() for part in bodies_of_machine]
-    sizes = asdict(geometry)
-    return {
-        "parts": parts,
-        "nodes": list(NODES),
-        "sizes": sizes,
-        "ground": GROUND,
-        "sun": SUN,
-    }
-
-
-def surroundings(dark: bool = False) -> dict[str, Any]:
-    """Data for `ground.js`."""
-    colours = DARK if dark else {"sky": SKY, "floor": FLOOR, "grid": GRID, "axis": AXIS}
-    return {"trees": bodies.trees(), "ground": GROUND, "sun": SUN, **colours}
+def scene(geometry: Geometry) -> dict[str, Any]:
+    """Data of the machine, and of its surroundings in both colour schemes."""
+    every = [*bodies.site_parts(), *bodies.crane_parts(geometry), *bodies.head_parts(geometry)]
+    machine = {"parts": [part.data() for part in every], "nodes": list(NODES), "sizes": asdict(geometry)}
+    place = {"ground": GROUND, "sun": SUN}
+    ground = {"trees": bodies.trees(), **place}
+    grounds = {scheme: ground | colours for scheme, colours in SCHEMES.items()}
+    return {"machine": machine | place, "shade": SHADE, "ground": grounds, "level": GROUND, "views": VIEWS}

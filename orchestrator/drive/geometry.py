@@ -59,10 +59,8 @@ def mechanics(system: System) -> Component:
     for component in system.components.values():
         if all(name in component.interface.variables for name in needed):
             return component
-    raise Problem(
-        f"{system.source or system.name}: expected a component with the arm's parameters,"
-        f" {needed[0]} to {needed[-1]}, found none in {', '.join(system.components)}"
-    )
+    expected = f"expected a component with the arm's parameters, {needed[0]} to {needed[-1]}"
+    raise Problem(f"{system.source or system.name}: {expected}, found none in {', '.join(system.components)}")
 
 
 def geometry(system: System) -> Geometry:

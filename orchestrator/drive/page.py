@@ -39,13 +39,8 @@ from orchestrator.base.files import FMI3, Location
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
 from orchestrator.drive import drawing, score, sticks
-from orchestrator.drive.geometry import GROUND, Geometry, Start, geometry, pose_names, start
-from orchestrator.drive.view_description import (
-    CAVITATION,
-    ViewDescription,
-    by_bare_name,
-    view_description,
-)
+from orchestrator.drive.geometry import Geometry, Start, geometry, pose_names, start
+from orchestrator.drive.view_description import CAVITATION, ViewDescription, by_bare_name, view_description
 from orchestrator.fmi.description import FmuInterface
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import VENDOR
@@ -56,6 +51,7 @@ from orchestrator.ssp.system import System
 HERE = Path(__file__).parent
 WEB = HERE / "web"
 MODULE = "binaries/wasm32-wasip1/{}.wasm"
+SERVED = ("loader", "socket", "worker", "dialogs")  # scripts that are no modules of a fragment
 PROGRAM = "extra/org.fmi-standard.fmi-ls-ref/input.csv"  # of the reference experiment
 FRAME = 0.01  # s; the commands change after this time, as in real time
 STEP = 1e-3  # s; communication step of an FMU that suggests none
@@ -133,12 +129,8 @@ def write_page(path: Path, system: Path, title: str) -> Path:
 
 def scripts() -> dict[str, str]:
     """The modules of a fragment, by the names under which they are imported; uPlot is a plain script."""
-    own = (
-        path
-        for path in sorted(WEB.glob("*.js"))
-        if path.stem not in ("loader", "socket", "worker", "dialogs")
-    )
-    return {f"drive/{path.name}": path.read_text(encoding="utf-8") for path in own} | libraries()
+    own = (path.name for path in sorted(WEB.glob("*.js")) if path.stem not in SERVED)
+    return {f"drive/{name}": _web(name) for name in own} | libraries()
 
 
 def libraries() -> dict[str, str]:
@@ -167,11 +159,10 @@ def served(title: str) -> dict[str, tuple[str, str]]:
     """What a server serves: path -> media type and text. The websocket of the page is `/live`."""
     section = Markup(f"<style>\n{style()}\n</style>\n{_web('section.html')}")
     page = html_page.render(HERE / "served.html.j2", title=title, section=section)
-    files = {path.name: path.read_text(encoding="utf-8") for path in WEB.glob("*.js")}
+    files = {path.name: _web(path.name) for path in WEB.glob("*.js")}
     files |= {f"{name}.js": text for name, text in libraries().items()}
-    return {"/": ("text/html", page)} | {
-        f"/drive/{n}": ("text/javascript", text) for n, text in files.items()
-    }
+    scripts = {f"/drive/{name}": ("text/javascript", text) for name, text in files.items()}
+    return {"/": ("text/html", page), **scripts}
 
 
 # ---- data
@@ -193,20 +184,19 @@ def page_data(description: ViewDescription, shape: Geometry | None, initial: Sta
     """
     scene = description.scene
     return {
-        "scene": _scene(shape) if shape and scene else None,
+        "scene": drawing.scene(shape) if shape and scene else None,
         "initial": [initial.swing, initial.boom, initial.stick, 0.0, 0.0],
         "full": description.full_pressure,
         "joints": scene.joints if scene else (),
         "pressures": dict(scene.pressures) if scene else {},
         "gauges": [
-            {"title": group.title}
-            | {"lines": [asdict(g) | {"factor": g.factor, "coloured": g.is_pressure} for g in group.lines]}
+            {"title": group.title, "lines": [_shown(g) | {"coloured": g.is_pressure} for g in group.lines]}
             for group in description.gauges
         ],
         "cavitation": CAVITATION,
-        "charts": [asdict(chart) | {"factor": chart.factor} for chart in description.charts],
+        "charts": list(map(_shown, description.charts)),
         "notices": [asdict(notice) for notice in description.notices],
-        "sliders": [asdict(s) | {"factor": 1 / parse_unit(s.unit).factor} for s in description.sliders],
+        "sliders": list(map(_shown, description.sliders)),
         "curve": asdict(sticks.ResponseCurve()),
         "patterns": {name: asdict(pattern) for name, pattern in sticks.PATTERNS.items()},
         "legends": {
@@ -222,15 +212,9 @@ def page_data(description: ViewDescription, shape: Geometry | None, initial: Sta
     }
 
 
-def _scene(shape: Geometry) -> dict[str, Any]:
-    dark = {"light": False, "dark": True}
-    return {
-        "machine": drawing.machine(shape),
-        "shade": {"light": drawing.SHADE, "dark": drawing.DARK_SHADE},
-        "ground": {scheme: drawing.surroundings(on) for scheme, on in dark.items()},
-        "level": GROUND,
-        "views": drawing.VIEWS,
-    }
+def _shown(part: Any) -> dict[str, Any]:
+    """A gauge, chart or slider, with the factor from SI to its displayed unit."""
+    return asdict(part) | {"factor": 1 / parse_unit(part.unit).factor}
 
 
 def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str, Any]:
@@ -241,9 +225,8 @@ def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str,
     axes = description.driven(fmu)
     name, mode = next(((n, m) for n, m in description.modes.items() if m.drives(axes)), ("", None))
     if scene is None or mode is None:
-        raise Problem(
-            f"{fmu.source}: expected a scene and a mode in resources/view.toml to drive the machine"
-        )
+        expected = "expected a scene and a mode in resources/view.toml to drive the machine"
+        raise Problem(f"{fmu.source}: {expected}")
     sliders = [s.name for s in description.sliders if s.name in interface.variables]
     inputs = [n for n in (*axes, *sliders) if interface.variables[n].causality == "input"]
     rates = {n: interface.rate_inputs[n] for n in inputs if n in interface.rate_inputs}
@@ -278,13 +261,9 @@ def _axis(
     driven = next((a for a in description.axes if name in a.name), None)
     slider = next((s for s in description.sliders if s.name == name), None)
     rate = slider.rate if slider else driven.rate if driven else 0.0
-    return {
-        "name": name,
-        "start": _start(interface, name),
-        "limit": driven.limit if driven and not slider else None,
-        "rate": rate,
-        "slope": rates.get(name, ""),
-    }
+    limit = driven.limit if driven and not slider else None
+    slope, start = rates.get(name, ""), _start(interface, name)
+    return {"name": name, "start": start, "limit": limit, "rate": rate, "slope": slope}
 
 
 def _start(interface: FmuInterface, name: str) -> float:
@@ -309,11 +288,8 @@ def _replay(shown: Iterable[str], joints: Iterable[str], replayed: Replayed) -> 
     count = max(2, round((run.time[-1] - run.time[0]) * REPLAY_RATE) + 1)
     time = np.linspace(run.time[0], run.time[-1], count)
     ghost = _columns(replayed.reference, time, joints) if replayed.reference else {}
-    return {
-        "time": [round(t, 4) for t in time.tolist()],
-        "columns": _columns(run, time, shown),
-        "ghost": ghost,
-    }
+    times = [round(t, 4) for t in time.tolist()]
+    return {"time": times, "columns": _columns(run, time, shown), "ghost": ghost}
 
 
 def _columns(trace: Trace, time: Any, names: Iterable[str]) -> dict[str, list[float]]:

@@ -45,28 +45,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
-
-Array = NDArray[np.float64]
 
 TIP = ("tip_x", "tip_y", "tip_height")
 SPEEDS = ("swing_speed", "boom_speed", "stick_speed")
 VELOCITIES = ("tip_radial_velocity", "tip_vertical_velocity")
 PRESSURE, FLOW = "supply_pressure", "supply_flow"
-LINES = (
-    "swing_pressure_a",
-    "swing_pressure_b",
-    *(f"{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
-)
+ENDS = ("boom_head", "boom_rod", "stick_head", "stick_rod")
+LINES = ("swing_pressure_a", "swing_pressure_b", *(f"{end}_pressure" for end in ENDS))
 NEEDED = (*TIP, *SPEEDS, *VELOCITIES)
-SIGNALS = (*NEEDED, PRESSURE, FLOW, *LINES)
-UNITS = {
-    **dict.fromkeys(TIP, "m"),
-    **dict.fromkeys(SPEEDS, "rad/s"),
-    **dict.fromkeys(VELOCITIES, "m/s"),
-    **dict.fromkeys((PRESSURE, *LINES), "Pa"),
-    FLOW: "m3/s",
-}
+UNITS = dict.fromkeys(TIP, "m") | dict.fromkeys(SPEEDS, "rad/s") | dict.fromkeys(VELOCITIES, "m/s")
+UNITS |= dict.fromkeys((PRESSURE, *LINES), "Pa") | {FLOW: "m3/s"}
 
 
 @dataclass(frozen=True)
@@ -89,22 +79,26 @@ class Samples:
     pressure: Array
 
     def __getitem__(self, part: slice) -> Samples:
-        return Samples(*(getattr(self, name)[part] for name in self.__dataclass_fields__))
+        return Samples(*(values[part] for values in vars(self).values()))
 
+    @staticmethod
+    def joined(parts: Sequence[Samples]) -> Samples:
+        """The samples of parts that follow each other."""
+        return Samples(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
-def task_signals(signals: Sequence[str]) -> tuple[str, ...]:
-    """The signals that a task uses."""
-    return tuple(name for name in signals if _variable(name) in SIGNALS)
+    @property
+    def tips(self) -> list[Point]:
+        """The positions of the tip."""
+        return [(x, y, z) for x, y, z in self.tip.tolist()]
 
 
 def of_trace(trace: Trace) -> Samples:
     """All samples of a run."""
-    names = task_signals(list(trace.signals))
-    for name in names:
-        unit = trace.units.get(name, UNITS[_variable(name)])
-        if unit != UNITS[_variable(name)]:
-            raise Problem(f"task: {name}: expected {UNITS[_variable(name)]}, found {unit}")
-    return of_values(trace.time, {name: trace[name] for name in names})
+    for name in trace.signals:
+        expected = UNITS.get(_variable(name))
+        if expected and (unit := trace.units.get(name, expected)) != expected:
+            raise Problem(f"task: {name}: expected {expected}, found {unit}")
+    return of_values(trace.time, trace.signals)
 
 
 def of_values(time: Array, values: Mapping[str, Array]) -> Samples:
@@ -116,21 +110,12 @@ def of_values(time: Array, values: Mapping[str, Array]) -> Samples:
         raise Problem(f"task: expected a run with {expected}, found none of {', '.join(missing)}")
     columns = {variable: np.asarray(values[name], float) for variable, name in first.items()}
     tip = np.stack([columns[name] for name in TIP], axis=1)
-    lines = [columns[name] for name in LINES if name in columns]
-    return Samples(
-        time=np.asarray(time, float),
-        tip=tip,
-        speed=_speed(tip, columns),
-        functions=np.stack([columns[name] for name in SPEEDS], axis=1),
-        power=_power(values, columns),
-        pressure=np.max(lines, axis=0) if lines else np.empty(0),
-    )
-
-
-def _speed(tip: Array, columns: Mapping[str, Array]) -> Array:
     across = columns["swing_speed"] * np.hypot(tip[:, 0], tip[:, 1])
-    speed: Array = np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0)
-    return speed
+    lines = [columns[name] for name in LINES if name in columns]
+    speed = np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0)
+    functions = np.stack([columns[name] for name in SPEEDS], axis=1)
+    pressure = np.max(lines, axis=0) if lines else np.empty(0)
+    return Samples(np.asarray(time, float), tip, speed, functions, _power(values, columns), pressure)
 
 
 def _power(values: Mapping[str, Array], columns: Mapping[str, Array]) -> Array:
@@ -198,33 +183,17 @@ LONGEST = 600.0  # s; a longer attempt is given up, to limit memory
 LOAD = "payload_mass"  # input with the mass that the head is to hold
 STEM = 200.0  # kg
 EXERCISES: Mapping[str, Exercise] = {
-    "stem on the left": Exercise(
-        "stem on the left", (Target("pick", (2.25, 3.9, 0.3), STEM), Target("place", (3.4, -1.2, 1.0)))
-    ),
-    "stem on the right": Exercise(
-        "stem on the right", (Target("pick", (2.25, -3.9, 0.3), STEM), Target("place", (3.4, 1.2, 1.0)))
-    ),
+    name: Exercise(name, (Target("pick", (2.25, y, 0.3), STEM), Target("place", (3.4, to, 1.0))))
+    for name, y, to in (("stem on the left", 3.9, -1.2), ("stem on the right", -3.9, 1.2))
 }
 
 
 def rules() -> dict[str, Any]:
     """The task as data for a page that scores by itself (task.js)."""
+    signals = {"needed": NEEDED, "tip": TIP, "speeds": SPEEDS, "velocities": VELOCITIES}
+    signals |= {"lines": LINES, "supply": (PRESSURE, FLOW)}
     exercises = [asdict(exercise) for exercise in EXERCISES.values()]
-    names = {
-        "tip": TIP,
-        "speeds": SPEEDS,
-        "velocities": VELOCITIES,
-        "lines": LINES,
-        "supply": (PRESSURE, FLOW),
-    }
-    return {
-        "exercises": exercises,
-        "load": LOAD,
-        "moving": MOVING,
-        "longest": LONGEST,
-        "needed": NEEDED,
-        **names,
-    }
+    return {"exercises": exercises, "load": LOAD, "moving": MOVING, "longest": LONGEST, **signals}
 
 
 def distance(exercise: Exercise, progress: Progress, tip: Point) -> float:
@@ -284,8 +253,7 @@ def advance(exercise: Exercise, progress: Progress, time: float, tip: Point, spe
 
 def follow(exercise: Exercise, progress: Progress, samples: Samples) -> Progress:
     """Progress after more samples."""
-    tips: Sequence[Point] = [(x, y, z) for x, y, z in samples.tip.tolist()]
-    for time, tip, speed in zip(samples.time.tolist(), tips, samples.speed.tolist(), strict=True):
+    for time, tip, speed in zip(samples.time.tolist(), samples.tips, samples.speed.tolist(), strict=True):
         progress = advance(exercise, progress, time, tip, speed)
     return progress
 

@@ -87,25 +87,18 @@ def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> Crane
     """Crane functions at these deflections. The response curve is the same for each function."""
     left, right = response(sticks.left_y, curve), response(sticks.right_y, curve)
     boom, stick = (right, left) if chosen.boom == "right" else (left, right)
-    return CraneFunctions(  # 0 - x avoids -0
-        swing=0.0 - response(sticks.left_x, curve),
-        boom=0.0 - boom,
-        stick=0.0 - stick,
-        curl=0.0 - response(sticks.right_x, curve),
-    )
+    swing, curl = response(sticks.left_x, curve), response(sticks.right_x, curve)
+    return CraneFunctions(0.0 - swing, 0.0 - boom, 0.0 - stick, 0.0 - curl)  # 0 - x avoids -0
 
 
 def legend(chosen: Pattern, words: FunctionLabels, has_curl: bool) -> dict[str, str]:
     """Labels of both ends of each stick axis: `left_up`, `left_down`, ... -> label."""
     boom, stick = (dict(zip(("down", "up"), ends, strict=True)) for ends in (words.boom, words.stick))
     hands = {chosen.boom: boom, "left" if chosen.boom == "right" else "right": stick}
-    return {
-        "left_left": "swing left",
-        "left_right": "swing right",
-        "right_left": "curl closed" if has_curl else "(no curl)",
-        "right_right": "curl open" if has_curl else "(no curl)",
-        **{f"{hand}_{end}": label for hand, ends in hands.items() for end, label in ends.items()},
-    }
+    closed, opened = ("curl closed", "curl open") if has_curl else ("(no curl)", "(no curl)")
+    sideways = {"left_left": "swing left", "left_right": "swing right"}
+    sideways |= {"right_left": closed, "right_right": opened}
+    return sideways | {f"{hand}_{end}": text for hand, ends in hands.items() for end, text in ends.items()}
 
 
 @dataclass(frozen=True)
@@ -156,17 +149,16 @@ def parse(raw: str | bytes) -> Message:
         raise Problem("message: expected JSON, found something else") from error
     if not isinstance(data, dict) or set(data) != KEYS:
         raise Problem(f"message: expected an object with {', '.join(sorted(KEYS))}, found {_short(data)}")
-    return Message(_number(data["n"]), _sticks(data["sticks"]), _switch(data["dead_man"]))
+    number, dead_man = data["n"], data["dead_man"]
+    if type(number) is not int or not 0 <= number < 2**53:
+        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(number)}")
+    if not isinstance(dead_man, bool):
+        raise Problem(f"message: dead_man: expected true or false, found {_short(dead_man)}")
+    return Message(number, _sticks(data["sticks"]), dead_man)
 
 
 def _constant(word: str) -> float:
     raise ValueError(f"{word} is not JSON")
-
-
-def _number(value: Any) -> int:
-    if type(value) is not int or not 0 <= value < 2**53:
-        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(value)}")
-    return value
 
 
 def _sticks(value: Any) -> StickAxes:
@@ -177,12 +169,6 @@ def _sticks(value: Any) -> StickAxes:
         if type(deflection) not in (int, float) or not -1 <= deflection <= 1:
             raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(deflection)}")
     return StickAxes(*map(float, value))
-
-
-def _switch(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise Problem(f"message: dead_man: expected true or false, found {_short(value)}")
-    return value
 
 
 def _short(value: Any) -> str:

@@ -24,7 +24,7 @@ from orchestrator.ssp.system import Port, System
 FILE = "view.toml"
 # Pa, gauge pressure; below it a gauge shows "cavitates": a cavity of some 2 mL (fmus/components/chamber.py)
 CAVITATION = -5e4
-MOST_GAUGES, MOST_CHARTS, MOST_CURVES, MOST_SLIDERS = 24, 3, 7, 24  # for a system without the file
+MOST_GAUGES, MOST_CHARTS, MOST_SLIDERS = 24, 3, 24  # for a system without the file
 RANGE = 200.0  # range of its gauges, in the displayed unit
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
@@ -105,11 +105,6 @@ class Gauge:
             raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
     @property
-    def factor(self) -> float:
-        """Factor from SI to the displayed unit."""
-        return 1.0 / parse_unit(self.unit).factor
-
-    @property
     def is_pressure(self) -> bool:
         """Is it a pressure? Then the bar has the colour of the pressure."""
         return parse_unit(self.unit).base() == parse_unit("Pa").base()
@@ -149,11 +144,6 @@ class Chart:
 
     def __post_init__(self) -> None:
         parse_unit(self.unit, f"chart {self.title}")
-
-    @property
-    def factor(self) -> float:
-        """Factor from SI to the displayed unit."""
-        return 1.0 / parse_unit(self.unit).factor
 
 
 @dataclass(frozen=True)
@@ -238,10 +228,9 @@ class ViewDescription:
         named = [(next((n for n in a.name if n in inputs), None), a) for a in self.axes]
         axes = {name: driven for name, driven in named if name}
         if self.axes and not axes:
-            raise Problem(
-                f"{system.source or system.name}: expected an input to drive, such as"
-                f" {self.axes[0].name[-1]}, found {', '.join(sorted(inputs)[:6]) or 'none'}"
-            )
+            expected = f"expected an input to drive, such as {self.axes[0].name[-1]}"
+            found = ", ".join(sorted(inputs)[:6]) or "none"
+            raise Problem(f"{system.source or system.name}: {expected}, found {found}")
         return axes
 
     def watched(self, system: System) -> tuple[str, ...]:
@@ -272,18 +261,21 @@ def of_variables(system: System) -> ViewDescription:
     by_unit = dict[str, list[str]]()
     for bare, variable in [(n, v) for n, v in outputs.items() if v.is_real][:MOST_GAUGES]:
         by_unit.setdefault(_shown_unit(variable), []).append(bare)
-    groups = tuple(
-        GaugeGroup(unit, tuple(Gauge(n, n.replace("_", " "), unit, RANGE, -RANGE) for n in bare))
-        for unit, bare in by_unit.items()
-    )
     ends = tuple(m * 10.0**k for k in range(-3, 7) for m in (1, 2, 5))
-    charts = []
-    for unit, shown in list(by_unit.items())[:MOST_CHARTS]:
-        named = zip(shown[:MOST_CURVES], COLOURS, strict=False)
-        curves = tuple(ChartCurve(name, name.replace("_", " "), colour) for name, colour in named)
+    groups, charts = list[GaugeGroup](), list[Chart]()
+    for unit, shown in by_unit.items():
+        texts = [name.replace("_", " ") for name in shown]
+        lines = (Gauge(n, text, unit, RANGE, -RANGE) for n, text in zip(shown, texts, strict=True))
+        groups.append(GaugeGroup(unit, tuple(lines)))
+        curves = tuple(map(ChartCurve, shown, texts, COLOURS))
         charts.append(Chart("Outputs", unit, curves, ends))
     sliders = tuple(_slider(system, port) for port in _free_inputs(system)[:MOST_SLIDERS])
-    return ViewDescription(groups, tuple(charts), axes=tuple(map(_axis, sliders)), sliders=sliders)
+    axes = []
+    for s in sliders:  # each goes from end to end within 1 s, and rests at its start value
+        limit = max(abs(s.low), abs(s.high), 1e-12) * parse_unit(s.unit).factor
+        axes.append(DrivenInput((s.name,), limit, s.rate, s.start))
+    shown_charts = tuple(charts[:MOST_CHARTS])
+    return ViewDescription(tuple(groups), shown_charts, axes=tuple(axes), sliders=sliders)
 
 
 def _free_inputs(system: System) -> list[Port]:
@@ -309,13 +301,6 @@ def _slider(system: System, port: Port) -> Slider:
     step = 10.0 ** math.floor(math.log10(factor * (high - low) / 200))
     text = port.variable.replace("_", " ")
     return Slider(port.variable, text, unit, factor * low, factor * high, step, high - low, start)
-
-
-def _axis(slider: Slider) -> DrivenInput:
-    """The input of a slider: it goes from end to end within 1 s, and rests at its start value."""
-    factor = parse_unit(slider.unit).factor
-    limit = max(abs(slider.low), abs(slider.high), 1e-12) * factor
-    return DrivenInput((slider.name,), limit, slider.rate, slider.start)
 
 
 def _shown_unit(variable: FmuVariable) -> str:

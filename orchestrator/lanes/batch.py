@@ -5,7 +5,6 @@ processes (`one_by_one`).
 """
 
 import math
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,21 +20,20 @@ from orchestrator.base.interrupts import in_threads
 from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.text import first_names
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import BatchArguments
 from orchestrator.engine.job import Execution, Job
 from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
-from orchestrator.lanes.compiled import NotInLanes, lane_count
+from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import FAILED, OK, Ended, Group, Lanes
 from orchestrator.lanes.one_by_one import run_one_by_one
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 
 MEMORY_SHARE = 0.5  # of the memory of this computer, for the arrays of a result
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -72,13 +70,11 @@ class BatchResult:
 
     def trace(self, machine: int) -> Trace:
         """The signals of one machine, up to its failure."""
-        values = {name: signal[machine] for name, signal in self.signals.items()}
-        points = len(self.time)
-        for signal in values.values():
-            points = min(
-                points, int(np.argmin(np.isfinite(signal))) if not np.isfinite(signal).all() else points
-            )
-        return Trace(self.time[:points], {n: v[:points] for n, v in values.items()}, self.units)
+        finite = [np.isfinite(signal[machine]) for signal in self.signals.values()]
+        gaps = np.flatnonzero(~np.all(finite, axis=0))
+        points = int(gaps[0]) if gaps.size else len(self.time)
+        signals = {name: signal[machine, :points] for name, signal in self.signals.items()}
+        return Trace(self.time[:points], signals, self.units)
 
 
 @documented(BatchArguments)
@@ -108,7 +104,7 @@ def batch(
         print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
     given = chosen(BatchArguments, options, "batch")
-    workers = given.pop("workers", None)
+    workers = given.pop("workers", None) or available_cores()
     limits = {name: given.pop(name) for name in ("time_limit", "memory_limit") if name in given}
     execution = Execution(**limits).begun()
     execution.check()
@@ -119,7 +115,9 @@ def batch(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
     arrays_in, count = machine_values(job, values)
-    signals = recorded(job.system, job.record.signals)
+    record = job.record.signals
+    chosen_ports = job.system.ports("output") if record is None else map(job.system.port, record)
+    signals = dict(zip(record or map(str, job.system.ports("output")), chosen_ports, strict=True))
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
@@ -134,38 +132,21 @@ def batch(
         wall = time.perf_counter() - began
         return BatchResult(recorded_times(times), arrays, status, reasons, units, every, wall)
 
+    ports, notes = [*signals.values()], tuple[str, ...]()
     try:
-        return result(
-            *_simulate(
-                job, times, arrays_in, count, [*signals.values()], rows, workers or available_cores(), lanes
-            )
-        )
+        if lanes is not False:
+            try:
+                together = Lanes(job, times, ports)
+                return result(run_in_lanes(together, arrays_in, count, rows, workers), ())
+            except NotInLanes as reason:
+                if lanes:
+                    raise
+                notes = (f"the machines ran one by one: {reason}",)
+        points = recorded_times(times)
+        return result(run_one_by_one(job, times, arrays_in, count, ports, rows, points, workers), notes)
     except KeyboardInterrupt:
         stopped = dict.fromkeys(unfinished(rows), Ended("interrupted", "by the user", np.nan))
         raise Interrupted(result(stopped, ())) from None
-
-
-def _simulate(
-    job: Job,
-    times: Grid,
-    values: Mapping[Port, Array],
-    count: int,
-    signals: Sequence[Port],
-    rows: Sequence[Array],
-    workers: int,
-    lanes: bool | None,
-) -> tuple[dict[int, Ended], tuple[str, ...]]:
-    """Fill the rows; returns those that ended early, and remarks."""
-    notes: tuple[str, ...] = ()
-    if lanes is not False:
-        try:
-            return run_in_lanes(Lanes(job, times, signals), values, count, rows, workers), ()
-        except NotInLanes as reason:
-            if lanes:
-                raise
-            notes = (f"the machines ran one by one: {reason}",)
-    points = recorded_times(times)
-    return run_one_by_one(job, times, values, count, signals, rows, points, workers), notes
 
 
 # ---- what differs and what is recorded
@@ -229,10 +210,8 @@ def recorded(system: System, record: Sequence[str] | None) -> dict[str, Port]:
 
 def recorded_times(times: Grid) -> Array:
     """The recorded points [s], shape (m,)."""
-    points = [*range(0, times.steps + 1, times.every)]
-    if points[-1] != times.steps:
-        points.append(times.steps)
-    return times.start + np.array(points) * times.step
+    points = np.unique([*range(0, times.steps + 1, times.every), times.steps])
+    return times.start + points * times.step
 
 
 def _allocate(signals: Mapping[str, Port], count: int, points: int) -> list[Array]:
@@ -255,25 +234,25 @@ def run_in_lanes(
     lanes: Lanes, values: Mapping[Port, Array], count: int, rows: Sequence[Array], workers: int
 ) -> dict[int, Ended]:
     """Simulate all machines in groups, in threads; returns those that ended early."""
-    firsts = iter(range(0, count, lane_count()))
+    firsts = iter(range(0, count, LANES))
     ended: dict[int, Ended] = {}
 
     def work(group: Group) -> None:
         for first in firsts:
             ended.update(group.run(first, values, rows, count))
 
-    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // lane_count()))))]
+    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // LANES))))]
+    execution = lanes.job.execution
 
     def stop() -> None:
         for group in groups:
             group.stop()
 
-    execution = lanes.job.execution
-    timer = threading.Timer(min(max(execution.deadline - time.monotonic(), 0.0), threading.TIMEOUT_MAX), stop)
-    timer.daemon = True
-    timer.start()
-    in_threads([partial(work, group) for group in groups], stop)
-    timer.cancel()
+    def watch() -> None:
+        if execution.late:
+            stop()
+
+    in_threads([partial(work, group) for group in groups], stop, watch)
     if execution.late:
         late = Ended(FAILED, f"not done within {execution.time_limit:g} s", math.nan)
         ended = dict.fromkeys(unfinished(rows), late) | ended

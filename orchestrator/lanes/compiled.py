@@ -24,14 +24,12 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import structures, without_comments
 from orchestrator.ssp.system import Component
 
-LANES = 8  # as in lanes.h
+LANES = 8  # number of machines in a group, as in lanes.h
 FOLDER = Path(__file__).parent / "native"
 ENGINE = Path(__file__).parents[1] / "engine" / "native"
 # files of the engine that machines.cpp includes
-STEPPING = (
-    *("engine.h", "coupling_input.c", "communication_step.c", "scenario.c", "simulation_loop.c"),
-    "step_size.c",
-)
+STEPPING = ["engine.h", "coupling_input.c", "communication_step.c", "scenario.c", "simulation_loop.c"]
+STEPPING += ["step_size.c"]
 # C files of a native FMU that model.cpp includes
 SOURCES = (
     *("sizes.h", "model.h", "model.c", "start.h", "start.c", "opening_curve.h"),
@@ -94,11 +92,6 @@ def header() -> Any:
     return structures(text, LANES)
 
 
-def lane_count() -> int:
-    """Number of machines in a group."""
-    return LANES
-
-
 @cache
 def machines_library() -> ctypes.CDLL:
     """The functions of machines.cpp."""
@@ -139,9 +132,8 @@ def sources_of(component: Component) -> dict[str, bytes]:
     assert component.source is not None
     where = f"{component.name} ({component.source})"
     try:
-        members = {
-            name.removesuffix(".inc"): name for name in component.source.names()
-        }  # earlier FMUs: model.c
+        # earlier FMUs: model.c
+        members = {name.removesuffix(".inc"): name for name in component.source.names()}
         wanted = {name: members.get(f"sources/{name}", name) for name in SOURCES}
         code = {name: component.source.member(member).read() for name, member in wanted.items()}
     except Problem:
@@ -159,9 +151,8 @@ def compiled_model(component: Component) -> Model:
     if others := [v.name for v in variables if not v.is_real]:
         raise NotInLanes(f"{component.name}.{others[0]} is not a Real variable")
     code = sources_of(component)
-    library = _loaded(
-        f"{component.name}: ", *recipe(component.interface.identifier, "model.cpp", code, processor())
-    )
+    made = recipe(component.interface.identifier, "model.cpp", code, processor())
+    library = _loaded(f"{component.name}: ", *made)
     library.lane_model.restype = ctypes.c_void_p
     struct = header().Model.from_address(library.lane_model())
     return Model(component.name, library, struct, {v.name: v.reference for v in variables})

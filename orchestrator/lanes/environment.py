@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import chosen
+from orchestrator.data.table import Array
 from orchestrator.engine.arguments import MachinesArguments
 from orchestrator.lanes.machines import Machines
 from orchestrator.ssp.system import System
@@ -22,11 +23,8 @@ except ModuleNotFoundError:
     require("learn", "MachinesEnv")
     raise
 
-Array = NDArray[np.float64]
 Rewards = Callable[[Array, Array], Array]  # (observations, actions) -> rewards, shape (n,)
-Ends = Callable[
-    [Array], NDArray[np.bool_]
-]  # observations -> which machines have reached their end, shape (n,)
+Ends = Callable[[Array], NDArray[np.bool_]]  # observations -> machines at their end, shape (n,)
 Limits = Mapping[str, tuple[float, float]]
 STEP = 1e-3  # [s]
 

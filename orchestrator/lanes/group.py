@@ -11,19 +11,20 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.processes import available_cores
+from orchestrator.data.table import Array
 from orchestrator.engine.job import Job
 from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
 from orchestrator.engine.network import Network
 from orchestrator.engine.open_job import step_control
 from orchestrator.engine.scenario import DrivenInputs
 from orchestrator.engine.time_grid import Grid
-from orchestrator.lanes.compiled import NotInLanes, compiled_model, header, lane_count, machines_library
+from orchestrator.lanes.compiled import LANES, NotInLanes, compiled_model, header, machines_library
 from orchestrator.ssp.system import Connection, Port, System
 
 MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
@@ -31,8 +32,6 @@ ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
 OK, EARLY, FAILED = "ok", "early", "failed"
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def aligned(size: int) -> NDArray[np.uint8]:
 
 def vectors(*shape: int) -> Array:
     """Aligned zeros, one for each machine: shape (..., lanes)."""
-    return aligned(8 * lane_count() * int(np.prod(shape))).view(np.float64).reshape(*shape, lane_count())
+    return aligned(8 * LANES * int(np.prod(shape))).view(np.float64).reshape(*shape, LANES)
 
 
 class Instances:
@@ -71,43 +70,33 @@ class Instances:
         create = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
         tolerance = lanes.job.execution.tolerance or 0.0
         places = base + np.cumsum([0, *sizes[:-1]])
-        self.addresses = np.array(
-            [
-                create(m.struct.create)(int(place), tolerance)
-                for m, place in zip(lanes.models, places, strict=True)
-            ],
-            np.uint64,
-        )
+        pairs = zip(lanes.models, places.tolist(), strict=True)
+        made = [create(model.struct.create)(place, tolerance) for model, place in pairs]
+        self.addresses = np.array(made, np.uint64)
         structs = [header().Instance.from_address(int(address)) for address in self.addresses]
         self.values, self.slopes, self.last_set = (
-            [(getattr(s, name) - base) // (8 * lane_count()) for s in structs]
+            [(getattr(s, name) - base) // (8 * LANES) for s in structs]
             for name in ("values", "slopes", "last_set")
         )
         for name, component in lanes.system.components.items():
             for variable, value in component.start.items():
                 self.set(Port(name, variable), float(value))
-        self._defaults = self.memory.copy()
-
-    def reset(self) -> None:
-        """Go back to the values of the system before the start."""
-        self.memory[:] = self._defaults
-
-    def _view(self, component: int, name: str, rows: int) -> Array:
-        """An array of an instance, shape (rows, lanes)."""
-        instance = header().Instance.from_address(int(self.addresses[component]))
-        pointer = ctypes.cast(getattr(instance, name), ctypes.POINTER(ctypes.c_double))
-        return cast(Array, np.ctypeslib.as_array(pointer, (rows, lane_count())))
+        self.defaults = self.memory.copy()
 
     def set(self, port: Port, value: float | Array) -> None:
         """Set a parameter, an input or the start value of a state: one value, or shape (lanes,)."""
         k, reference = self._lanes.index[port.component], self._lanes.reference(port)
         model = self._lanes.models[k].struct
-        self._view(k, "values", reference + 1)[reference] = value
         number = reference - model.parameters
+        places = [("values", reference)]
         if 0 <= number < model.inputs:
-            self._view(k, "last_set", number + 1)[number] = value
+            places.append(("last_set", number))
         elif number >= 0:
-            self._view(k, "start", number - model.inputs + 1)[number - model.inputs] = value
+            places.append(("start", number - model.inputs))
+        instance = header().Instance.from_address(int(self.addresses[k]))
+        for name, row in places:
+            pointer = ctypes.cast(getattr(instance, name), ctypes.POINTER(ctypes.c_double))
+            np.ctypeslib.as_array(pointer, (row + 1, LANES))[row] = value
 
 
 class Lanes:
@@ -164,40 +153,21 @@ class Lanes:
         self._alive.append(array)
         return ctypes.addressof(array)
 
-    def members(self) -> dict[str, Any]:
-        """The members of `Simulation` of engine.h that are the same for all groups."""
-        plan, control, times = self.plan, self.control, self.times
-        return {
-            "exchange": self.exchange,
-            "component_count": len(self.models),
-            "input_count": len(self.inputs),
-            "initial_rounds": self._network.order.count + 1,
-            "order": self.at(np.array(plan.order, np.int32)),
-            "degree": plan.degree,
-            "sequential": plan.sequential,
-            "passes": plan.passes,
-            "tolerance": plan.tolerance,
-            "error_tolerance": control.tolerance if control else 0.0,
-            "saves": self.saves,
-            "events": self.at(np.array(times.events, np.float64)),
-            "event_count": len(times.events),
-            "start": times.start,
-            "step": times.step,
-            "total": times.steps,
-        }
-
-    def group_members(self) -> dict[str, Any]:
-        """The members of `Group` of machines.h that are the same for all groups."""
-        h = header()
+    def fill(self, group: Any) -> None:
+        """Fill the members of `Group` of machines.h that are the same for all groups."""
+        h, sim, plan, times = header(), group.sim, self.plan, self.times
+        group.models = self.at(np.array([ctypes.addressof(m.struct) for m in self.models], np.uint64))
+        group.wires, group.wire_count = self.wires, self.wire_count
         signals = [h.Signal(self.index[p.component], self.reference(p)) for p in self.signals]
-        return {
-            "models": self.at(np.array([ctypes.addressof(m.struct) for m in self.models], np.uint64)),
-            "wires": self.wires,
-            "wire_count": self.wire_count,
-            "signals": self._array(h.Signal, signals),
-            "signal_count": len(signals),
-            "every": self.times.every,
-        }
+        group.signals, group.signal_count = self._array(h.Signal, signals), len(signals)
+        group.every = times.every
+        sim.exchange, sim.initial_rounds = self.exchange, self._network.order.count + 1
+        sim.component_count, sim.input_count = len(self.models), len(self.inputs)
+        sim.order, sim.degree = self.at(np.array(plan.order, np.int32)), plan.degree
+        sim.sequential, sim.passes, sim.tolerance = plan.sequential, plan.passes, plan.tolerance
+        sim.error_tolerance, sim.saves = self.control.tolerance if self.control else 0.0, self.saves
+        sim.events, sim.event_count = self.at(np.array(times.events, np.float64)), len(times.events)
+        sim.start, sim.step, sim.total = times.start, times.step, times.steps
 
     @property
     def saves(self) -> bool:
@@ -211,7 +181,7 @@ class Lanes:
         first = min(max(c.first, c.smallest), c.largest)
         limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": 1}
         struct = header().StepSize(**limits, power=self._inputs.power)
-        return (header().StepSize * lane_count())(*[struct] * lane_count())
+        return (header().StepSize * LANES)(*[struct] * LANES)
 
     def _input(self, port: Port) -> tuple[int, int, int]:
         """Index of an input in the memory, that of its last set value, number of its component."""
@@ -264,11 +234,11 @@ class Lanes:
             raise NotInLanes("the scenario drives inputs that are not continuous")
         instructions, wires = self._exchange()
         self.wires, self.wire_count = self._array(h.Wire, wires), len(wires)
-        first = 0
+        place = self.wires
         for instruction in instructions:
             if instruction.type == h.COPY:
-                instruction.operand = self.wires + first * ctypes.sizeof(h.Wire)
-                first += instruction.index
+                instruction.operand = place
+                place += instruction.index * ctypes.sizeof(h.Wire)
         self.exchange = self._program(instructions)
         used = {s.source_component for s in self._inputs.inputs} if plan.needs_slopes else set()
         held = self._inputs.held(plan.order) if plan.sequential else [[] for _ in self.models]
@@ -286,21 +256,14 @@ class Lanes:
         """The components of a group, as structures of engine.h."""
         targets = [self.index[port.component] for port in self._inputs.ports]
         first = np.searchsorted(targets, range(len(self.models) + 1))
-        return (header().Component * len(self.models))(
-            *(
-                header().Component(
-                    first_input=first[k],
-                    input_count=first[k + 1] - first[k],
-                    substeps=1,
-                    rollback=self.saves,
-                    repeated=k in self.plan.repeated,
-                    values=values[k].ctypes.data,
-                    derivatives=derivatives[k].ctypes.data,
-                    **programs,
-                )
-                for k, programs in enumerate(self.programs)
-            )
-        )
+        structs = (header().Component * len(self.models))()
+        for k, struct in enumerate(structs):
+            struct.first_input, struct.input_count = first[k], first[k + 1] - first[k]
+            struct.substeps, struct.rollback, struct.repeated = 1, self.saves, k in self.plan.repeated
+            struct.values, struct.derivatives = values[k].ctypes.data, derivatives[k].ctypes.data
+            for name, program in self.programs[k].items():
+                setattr(struct, name, program)
+        return structs
 
     def _exchange(self) -> tuple[list[Any], list[Any]]:
         """The instructions of an exchange, and the wires in the order in which they are copied.
@@ -331,11 +294,8 @@ class Lanes:
             program.append(h.Instruction(h.OUTPUTS, self.index[name]))
             pending -= ready[name]
             copy(ready[name])
-        rates = {
-            k
-            for p in self.signals
-            if self.models[k := self.index[p.component]].is_derivative(self.reference(p))
-        }
+        numbers = ((self.index[p.component], self.reference(p)) for p in self.signals)
+        rates = {k for k, reference in numbers if self.models[k].is_derivative(reference)}
         return program + [h.Instruction(h.DERIVATIVES, k) for k in sorted(rates)], ordered
 
 
@@ -384,7 +344,7 @@ def _settled(
 
 
 class Group:
-    """Machines in lanes. After `reset`, `set` changes values of single machines; `begin` starts the run."""
+    """Machines in lanes. `reset` chooses values of single machines; `begin` starts the run."""
 
     def __init__(self, lanes: Lanes) -> None:
         h, count = header(), lanes.inputs.size
@@ -392,65 +352,54 @@ class Group:
         base = self._instances.memory.ctypes.data
         self._inputs = aligned(lanes.inputs.nbytes).view(lanes.inputs.dtype)
         self._template = lanes.inputs.copy()
-        self._template["source_slope"] = np.where(
-            lanes.slopes >= 0, base + 8 * lane_count() * lanes.slopes, 0
-        )
+        slopes = base + 8 * LANES * lanes.slopes
+        self._template["source_slope"] = np.where(lanes.slopes >= 0, slopes, 0)
         values, derivatives = ([vectors(n * max(count, 1)) for _ in lanes.models] for n in (1, h.DEGREE))
         self._components = lanes.components(values, derivatives)
-        self._failures = (h.Failure * lane_count())()
+        self._failures = (h.Failure * LANES)()
         self._changed = vectors(len(lanes.models))
         self._has_stepped = np.zeros(len(lanes.models), np.uint8)
         self._alive_arrays = values, derivatives
         self._memory = aligned(ctypes.sizeof(h.Group))
         self.struct = h.Group.from_buffer(self._memory)
-        for name, value in lanes.group_members().items():
-            setattr(self.struct, name, value)
+        lanes.fill(self.struct)
         self.struct.instances = self._instances.addresses.ctypes.data
         self.struct.failures = ctypes.addressof(self._failures)
         self.struct.changed = self._changed.ctypes.data
         self._sim = self.struct.sim
-        for name, value in lanes.members().items():
-            setattr(self._sim, name, value)
         self._sim.reals, self._sim.inputs = base, self._inputs.ctypes.data
         self._sim.components = ctypes.addressof(self._components)
         self._sim.has_stepped = self._has_stepped.ctypes.data
         self._scenario: Any = None
-        if lanes.driven:
-            self._add_scenario()
+        if lanes.driven:  # the inputs that the scenario drives, and memory for commands in its place
+            self._ends = vectors(2, lanes.driven)
+            self._commands = vectors(lanes.scenario["width"])
+            self._scenario_memory = aligned(ctypes.sizeof(h.Scenario))
+            self._scenario = h.Scenario.from_buffer(self._scenario_memory)
+            for name, value in lanes.scenario.items():
+                setattr(self._scenario, name, value)
+            self._scenario.at_end, self._scenario.at_midpoint = (ends.ctypes.data for ends in self._ends)
+            self._sim.scenario = ctypes.addressof(self._scenario)
         self._time, self._alive = np.ctypeslib.as_array(self._sim.t), np.ctypeslib.as_array(self._sim.alive)
         self._length = np.ctypeslib.as_array(self._sim.length)
 
-    def _add_scenario(self) -> None:
-        """Add the inputs that the scenario drives, and memory for commands in its place."""
-        h, lanes = header(), self.lanes
-        self._ends = vectors(2, lanes.driven)
-        self._commands = vectors(lanes.scenario["width"])
-        self._scenario_memory = aligned(ctypes.sizeof(h.Scenario))
-        self._scenario = h.Scenario.from_buffer(self._scenario_memory)
-        for name, value in lanes.scenario.items():
-            setattr(self._scenario, name, value)
-        self._scenario.at_end, self._scenario.at_midpoint = (ends.ctypes.data for ends in self._ends)
-        self._sim.scenario = ctypes.addressof(self._scenario)
-
     # ---- values before the start
 
-    def reset(self) -> None:
-        """Go back to the values of the system before the start."""
-        self._instances.reset()
+    def reset(self, values: Mapping[Port, Array]) -> None:
+        """Go back to the values of the system before the start, but for values of shape (lanes,)."""
+        self._instances.memory[:] = self._instances.defaults
+        for port, array in values.items():
+            self._instances.set(port, array)
         self._inputs[:] = self._template
         self._time[:] = self._length[:] = 0.0
         self._alive[:] = -1
         ctypes.memset(self._failures, 0, ctypes.sizeof(self._failures))
         self._step_sizes = self.lanes.step_sizes()
         self._sim.step_size = ctypes.addressof(self._step_sizes) if self._step_sizes else None
-        self._sim.event[:] = [0] * lane_count()
+        self._sim.event[:] = [0] * LANES
         self.struct.row = self._sim.done = 0
         if self._scenario:
-            self._scenario.evaluated_at[:] = [np.nan] * lane_count()
-
-    def set(self, port: Port, value: float | Array) -> None:
-        """Set a parameter, an input or the start value of a state: one value, or shape (lanes,)."""
-        self._instances.set(port, value)
+            self._scenario.evaluated_at[:] = [np.nan] * LANES
 
     # ---- the run
 
@@ -480,13 +429,13 @@ class Group:
         """Record signals of the machines from `first` on in arrays of shape (count, points)."""
         self._rows = np.array([row.ctypes.data for row in rows], np.uint64)
         self.struct.rows, self.struct.points = self._rows.ctypes.data, rows[0].shape[1] if rows else 0
-        self.struct.machine, self.struct.machines = first, min(lane_count(), count - first)
+        self.struct.machine, self.struct.machines = first, min(LANES, count - first)
 
     def command(self, values: Array) -> None:
         """Hold commands in place of the scenario from now on, shape (columns of the scenario, lanes)."""
         self._commands[:] = values
         self._scenario.commands = self._commands.ctypes.data
-        self._scenario.evaluated_at[:] = [np.nan] * lane_count()
+        self._scenario.evaluated_at[:] = [np.nan] * LANES
         for component in self._components:
             component.sets_values = 1
 
@@ -504,23 +453,15 @@ class Group:
         """
         if self.struct.stop:
             return {}
-        lanes = np.minimum(
-            first + np.arange(lane_count()), count - 1
-        )  # those in excess repeat the last machine
-        self.reset()
-        for port, array in values.items():
-            self.set(port, array[lanes])
+        # those in excess repeat the last machine
+        lanes = np.minimum(first + np.arange(LANES), count - 1)
+        self.reset({port: array[lanes] for port, array in values.items()})
         self.record(first, rows, count)
         self.begin()
         self.advance(self.lanes.times.steps)
         return {first + lane: ended for lane, ended in self.ended() if first + lane < count}
 
     # ---- failures
-
-    @property
-    def failed(self) -> NDArray[np.bool_]:
-        """Machines that have failed, shape (lanes,)."""
-        return np.asarray(self._alive == 0)
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""
@@ -540,10 +481,7 @@ class Group:
         elif f.kind == h.VALUE_NOT_FINITE:
             text = f"{model.name(f.index)} is {f.value:g} {when}, expected a finite number"
         else:
-            cause = (
-                "more inner steps than allowed"
-                if f.kind == h.TOO_MANY_INNER_STEPS
-                else "tolerance not reached"
-            )
+            many = f.kind == h.TOO_MANY_INNER_STEPS
+            cause = "more inner steps than allowed" if many else "tolerance not reached"
             text = f"{cause} {when}; the largest error is in {model.name(f.index)} = {f.value:.6g}"
         return f"{model.component}: {text}"

@@ -11,17 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import chosen
 from orchestrator.base.processes import available_cores
+from orchestrator.data.table import Array
 from orchestrator.engine.arguments import MachinesArguments
 from orchestrator.engine.job import Execution
 from orchestrator.engine.run import prepare
 from orchestrator.lanes.batch import machine_values
-from orchestrator.lanes.compiled import lane_count
+from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import Group, Lanes
 from orchestrator.ssp.system import System
 
 FOREVER = 1e6  # [s], stop time: steps of 1 ms are equal to 1e-7 until then
-
-Array = NDArray[np.float64]
 
 
 class Machines:
@@ -56,18 +55,14 @@ class Machines:
         self._job, times = prepare(system, held, signals, Execution(isolate=False), stop=FOREVER, **given)
         self.system = self._job.system
         lanes = Lanes(self._job, times, [self._job.system.port(name) for name in signals])
-        self.count, self.step, self.commands, self.signals = (
-            count,
-            times.step,
-            tuple(commands),
-            tuple(signals),
-        )
+        self.count, self.step = count, times.step
+        self.commands, self.signals = tuple(commands), tuple(signals)
         self._rows = np.full((len(signals), count, 1), np.nan)
-        self._groups = [Group(lanes) for _ in range(0, count, lane_count())]
+        self._groups = [Group(lanes) for _ in range(0, count, LANES)]
         self._fresh = Group(lanes)  # in it machines start before they replace others
         self._threads = ThreadPoolExecutor(max(1, min(workers or available_cores(), len(self._groups))))
         self._point = 0
-        for group, first in zip(self._groups, range(0, count, lane_count()), strict=True):
+        for group, first in zip(self._groups, range(0, count, LANES), strict=True):
             group.record(first, [*self._rows], count)
         self.start()
 
@@ -89,13 +84,12 @@ class Machines:
             lanes = self._lanes(k)
             if not chosen[lanes].any():
                 continue
-            target = group if chosen[lanes].all() else self._fresh
-            target.reset()
-            for port, array in given.items():
-                target.set(port, array[lanes])
-            target.command(np.zeros((len(self.commands), lane_count())))
+            whole = chosen[lanes].all()
+            target = group if whole else self._fresh
+            target.reset({port: array[lanes] for port, array in given.items()})
+            target.command(np.zeros((len(self.commands), LANES)))
             target.begin()
-            if target is group:
+            if whole:
                 group.move(self._point)
             else:
                 group.adopt(target, chosen[lanes])
@@ -117,8 +111,8 @@ class Machines:
 
     def _lanes(self, group: int) -> NDArray[np.intp]:
         """The machine in each lane of a group; lanes in excess repeat the last one."""
-        first = group * lane_count()
-        return np.minimum(first + np.arange(lane_count()), self.count - 1)
+        first = group * LANES
+        return np.minimum(first + np.arange(LANES), self.count - 1)
 
     def _read(self, point: int) -> Array:
         """The signals at a communication point, to which all groups step."""
@@ -128,12 +122,9 @@ class Machines:
     @property
     def reasons(self) -> list[str]:
         """Why each machine has failed; empty if it has not."""
-        found = {
-            k * lane_count() + lane: ended.reason
-            for k, group in enumerate(self._groups)
-            for lane, ended in group.ended()
-        }
-        return [found.get(machine, "") for machine in range(self.count)]
+        found = [dict(group.ended()) for group in self._groups]
+        places = (divmod(machine, LANES) for machine in range(self.count))
+        return [found[k][lane].reason if lane in found[k] else "" for k, lane in places]
 
     def close(self) -> None:
         """End the threads."""

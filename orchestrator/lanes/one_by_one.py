@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, temporary_folder
 from orchestrator.base.interrupts import in_threads
+from orchestrator.data.table import Array
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import library
 from orchestrator.engine.isolated import run_isolated
@@ -21,8 +21,6 @@ from orchestrator.lanes.group import EARLY, FAILED, Ended
 from orchestrator.ssp.system import Port, System
 
 SAME_TIME = 1e-6  # relative to the step: a point of a run is one of the result
-
-Array = NDArray[np.float64]
 
 
 def run_one_by_one(
@@ -130,7 +128,6 @@ def _with_values(system: System, values: Mapping[Port, float]) -> System:
     """The system with other start values, in the units of the FMUs."""
     components = dict(system.components)
     for port, value in values.items():
-        real = system.variable(port).is_real
-        start = {port.variable: value if real else round(value)}
+        start = {port.variable: value if system.variable(port).is_real else round(value)}
         components[port.component] = components[port.component].chosen(start, "")
     return replace(system, components=components)

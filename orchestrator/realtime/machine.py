@@ -14,19 +14,12 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.processes import machine_memory
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
+from orchestrator.realtime import shared_memory
 from orchestrator.realtime.deadlines import latency_quantile, speed_factor
-from orchestrator.realtime.setup import Array, Frame, Setup, Task, Timing
-from orchestrator.realtime.shared_memory import (
-    HEAD,
-    NUMBER,
-    TIME,
-    Command,
-    MachineStatus,
-    Memory,
-    SharedState,
-    size,
-)
+from orchestrator.realtime.setup import Frame, Setup, Task, Timing
+from orchestrator.realtime.shared_memory import HEAD, Command, MachineStatus, Memory, SharedState
 from orchestrator.worker.process import Worker
 
 KEPT = 1800.0  # [s]; frames of this time are kept
@@ -41,6 +34,7 @@ END_TIMEOUT = 0.7  # [s] for an orderly end, after which the process is killed: 
 class MachineProcess:
     """The process of one start of a machine, with shared memory for its frames.
 
+    worker   the process
     shared   the shared memory; readable even after the process has ended
     closed   True after `close`
     """
@@ -51,13 +45,13 @@ class MachineProcess:
         self.axes = tuple(axis.name for axis in setup.axes)
         sizes = len(setup.axes), len(setup.signals)
         rows = max(2, min(int(KEPT / setup.frame), MOST // (8 * (HEAD + sum(sizes)))))
-        memory = Memory(size(*sizes, rows))
+        memory = Memory(shared_memory.size(*sizes, rows))
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
-        self._worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
-        self._worker.fmus = str(setup.system)
+        self.worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
+        self.worker.fmus = str(setup.system)
         memory.handed_over()
-        self._worker.put(Task(setup, memory.address, rows, first, serial))
+        self.worker.put(Task(setup, memory.address, rows, first, serial))
         self._began = self._heard = time.monotonic()
         self._heartbeat = -1
         self._failure = ""
@@ -68,21 +62,15 @@ class MachineProcess:
             return
         state, message = self._state(self.shared.status())
         began = time.monotonic()
-        self._worker.close()
+        self.worker.close()
         if state == "failed":
             self._failure = message
         elif self.shared.status().state != "ended":  # the FMUs are not closed
             late = time.monotonic() - began > END_TIMEOUT
-            cause = (
-                f"did not end within {END_TIMEOUT:g} s, stopped" if late else f"ended: {self._worker.ending}"
-            )
-            self._failure = f"the process of the machine {cause} {self._where}"
+            told = f"did not end within {END_TIMEOUT:g} s, stopped"
+            cause = told if late else f"ended: {self.worker.ending}"
+            self._failure = f"the process of the machine {cause} {self.worker.where}"
         self.closed = True
-
-    @property
-    def pid(self) -> int:
-        """Identifier of the process."""
-        return self._worker.pid
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -95,9 +83,8 @@ class MachineProcess:
         status = self.shared.status()
         notes = [str(note) for note in _details(status).get("notes", ())]
         if status.slipped > 0:
-            notes.append(
-                f"the simulation was slower than real time: its clock was stopped for {status.slipped:.3g} s"
-            )
+            slower = "the simulation was slower than real time"
+            notes.append(f"{slower}: its clock was stopped for {status.slipped:.3g} s")
         if (lost := self._oldest(status) - self.first) > 0:
             notes.append(f"the first {lost} frames are no longer in memory")
         return tuple(notes)
@@ -106,13 +93,14 @@ class MachineProcess:
         """The latest frame; NaN before the first one."""
         status, n = self.shared.status(), len(self.axes)
         begun = status.last >= self.first
-        row = self._row(status.last) if begun else np.full(self.shared.rows.shape[1], np.nan)
+        rows = self.shared.rows
+        row = rows[status.last % len(rows)].copy() if begun else np.full(rows.shape[1], np.nan)
         number = status.last if begun else self.first - 1
         state, message = self._state(status)
         axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
         median, p99 = (min(latency_quantile(status.latencies, q), status.worst) for q in (0.5, 0.99))
         timing = Timing(status.frames, status.missed, (median, p99, status.worst), status.load)
-        return Frame(number, float(row[TIME]), axes, values, state, message, timing)
+        return Frame(number, float(row[shared_memory.TIME]), axes, values, state, message, timing)
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number."""
@@ -120,9 +108,9 @@ class MachineProcess:
         begin = max(number + 1, self._oldest(status))
         numbers = np.arange(begin, max(status.last + 1, begin))
         frames = rows[numbers % len(rows)]
-        valid = frames[:, NUMBER] == numbers  # False if overwritten in the meantime
-        frames = frames[valid]
-        return numbers[valid], frames[:, TIME], frames[:, HEAD : HEAD + n], frames[:, HEAD + n :]
+        valid = frames[:, shared_memory.NUMBER] == numbers  # False if overwritten in the meantime
+        numbers, frames = numbers[valid], frames[valid]
+        return numbers, frames[:, shared_memory.TIME], frames[:, HEAD : HEAD + n], frames[:, HEAD + n :]
 
     def trace(self) -> Trace:
         """Axes and signals over time, of all frames in memory."""
@@ -130,9 +118,6 @@ class MachineProcess:
         table = dict(zip(self.axes, np.ascontiguousarray(axes.T), strict=True))
         table |= dict(zip(self.setup.signals, np.ascontiguousarray(values.T), strict=True))
         return Trace(np.ascontiguousarray(times), table, self.units)
-
-    def _row(self, number: int) -> Array:
-        return np.array(self.shared.rows[number % len(self.shared.rows)])
 
     def _oldest(self, status: MachineStatus) -> int:
         """Number of the oldest frame in memory."""
@@ -143,41 +128,35 @@ class MachineProcess:
     def _state(self, status: MachineStatus) -> tuple[str, str]:
         """State and message. A process has failed if it ends, takes too much memory or does not answer."""
         if status.state == "failed":
-            lost = f"an FMU wrote over the memory of the machine {self._where}"
+            lost = f"an FMU wrote over the memory of the machine {self.worker.where}"
             return "failed", str(_details(status).get("message", lost))
-        self._worker.cut_printed()
-        if not self._failure and self._worker.memory > MEMORY:
-            self._failure = (
-                f"the machine uses more than {MEMORY / 1e9:.3g} GB of memory, stopped {self._where}"
-            )
-            self._worker.close()
+        self.worker.cut_printed()
+        if not self._failure and self.worker.memory > MEMORY:
+            most = f"{MEMORY / 1e9:.3g} GB of memory"
+            self._failure = f"the machine uses more than {most}, stopped {self.worker.where}"
+            self.worker.close()
         if self._failure:
             return "failed", self._failure
         if self.closed:
             return "ended", ""
-        if ending := self._worker.ending:
-            return "failed", f"the process of the machine ended: {ending} {self._where}"
+        if ending := self.worker.ending:
+            return "failed", f"the process of the machine ended: {ending} {self.worker.where}"
         return self._heard_of(status)
 
     def _heard_of(self, status: MachineStatus) -> tuple[str, str]:
         """State and message by the last sign of life."""
         now, starting = time.monotonic(), status.state == "starting"
         if starting and now - self._began > START_TIMEOUT:
-            self._failure = f"the machine has not started within {START_TIMEOUT:g} s {self._where}"
-            self._worker.close()
+            self._failure = f"the machine has not started within {START_TIMEOUT:g} s {self.worker.where}"
+            self.worker.close()
             return "failed", self._failure
         if starting or status.heartbeat != self._heartbeat:
             self._heartbeat, self._heard = status.heartbeat, now
         if (silent := now - self._heard) > SILENT:
             with suppress(AttributeError, OSError):  # a hanging FMU keeps no core from others
-                os.sched_setscheduler(self.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
-            return "failed", f"the machine has not answered for {silent:.0f} s {self._where}"
+                os.sched_setscheduler(self.worker.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
+            return "failed", f"the machine has not answered for {silent:.0f} s {self.worker.where}"
         return status.state, ""
-
-    @property
-    def _where(self) -> str:
-        """The call into an FMU that is in progress, or was at the end."""
-        return self._worker.where
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:
@@ -243,7 +222,7 @@ class RealTimeMachine:
     @property
     def pid(self) -> int:
         """Identifier of the process that steps the machine."""
-        return self._process.pid
+        return self._process.worker.pid
 
     # ---- driving
 

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.realtime.deadlines import speed_factor
-from orchestrator.realtime.setup import Array, Frame, Setup, Timing
+from orchestrator.realtime.setup import Frame, Setup, Timing
 
 FRAME = 0.01  # [s]
 

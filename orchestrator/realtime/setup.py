@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 
 INTERVAL = 0.1  # [s] between two looks at the state
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -46,14 +44,11 @@ class Axis:
             if not (isfinite(value) and value > 0):
                 raise Problem(f"axis {self.name}: expected a positive {name}, got {value:g}")
         if not (isfinite(self.rest_delay) and self.rest_delay >= 0):
-            raise Problem(
-                f"axis {self.name}: expected a rest delay of 0 s or more, got {self.rest_delay:g} s"
-            )
+            got = f"got {self.rest_delay:g} s"
+            raise Problem(f"axis {self.name}: expected a rest delay of 0 s or more, {got}")
         if not abs(self.rest) <= self.limit:
-            raise Problem(
-                f"axis {self.name}: expected a rest value of at most {self.limit:g} in magnitude, "
-                f"got {self.rest:g}"
-            )
+            expected = f"expected a rest value of at most {self.limit:g} in magnitude"
+            raise Problem(f"axis {self.name}: {expected}, got {self.rest:g}")
 
 
 @dataclass(frozen=True)
@@ -148,7 +143,7 @@ class Frame:
 class Machine(Protocol):
     """Interface of a machine that a page shows: simulated (`machine.RealTimeMachine`) or `replay.Replay`.
 
-    axes, signals, units   names and units of the values in `Frame`
+    axes, signals   names of the values in `Frame`
     drives     True if it takes commands
     command    command new values by axis; other axes go to rest; raises `Problem` for a value that is not
                finite; a command expires
@@ -162,8 +157,6 @@ class Machine(Protocol):
     def axes(self) -> Sequence[str]: ...
     @property
     def signals(self) -> Sequence[str]: ...
-    @property
-    def units(self) -> Mapping[str, str]: ...
     @property
     def drives(self) -> bool: ...
 

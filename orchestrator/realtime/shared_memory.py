@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.data.table import Array
 from orchestrator.realtime.deadlines import BINS
-from orchestrator.realtime.setup import Array
 
 
 class Memory:

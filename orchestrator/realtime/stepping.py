@@ -10,25 +10,27 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from math import inf, isfinite
+from threading import Event
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
-from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
+from orchestrator.engine.job import Execution, Job, Record
 from orchestrator.engine.open_job import opened
-from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
+from orchestrator.engine.scenario import ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
-from orchestrator.realtime.setup import Array, Axis, Setup, Task
+from orchestrator.realtime.setup import Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, attach
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import load
@@ -54,43 +56,27 @@ def main(channel: Channel) -> None:
     )
     details: dict[str, Any] = {}
     try:
-        stepper = FrameStepper(task.setup)
-        _run(stepper, task, shared, details, lambda: not channel.ended.is_set())
+        with closing(FrameStepper(task.setup)) as stepper:
+            details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
+            shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
+            with shared.writing() as (counts, _):
+                counts[memory.LAST] = task.first
+            shared.set_state("paused", json.dumps(details))
+            _loop(stepper, task, shared, json.dumps(details), channel.ended)
+        shared.set_state("ended", json.dumps(details))
     except Exception as problem:
         message = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
         shared.set_state("failed", json.dumps(details | {"message": " ".join(message.split())}))
     channel.ended.wait()
 
 
-def _run(
-    stepper: FrameStepper,
-    task: Task,
-    shared: memory.SharedState,
-    details: dict[str, Any],
-    needed: Callable[[], bool],
-) -> None:
-    """Publish the first frame, run while the process is needed, and close the FMUs."""
-    try:
-        details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
-        shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
-        with shared.writing() as (counts, _):
-            counts[memory.LAST] = task.first
-        shared.set_state("paused", json.dumps(details))
-        _loop(stepper, task, shared, json.dumps(details), needed)
-    finally:
-        stepper.close()
-    shared.set_state("ended", json.dumps(details))
-
-
-def _loop(
-    stepper: FrameStepper, task: Task, shared: memory.SharedState, details: str, needed: Callable[[], bool]
-) -> None:
-    """Make one frame after the other, each when it is due."""
+def _loop(stepper: FrameStepper, task: Task, shared: memory.SharedState, details: str, ended: Event) -> None:
+    """Make one frame after the other, each when it is due, until the parent ends."""
     setup, clock, number = task.setup, DeadlineClock(), task.first
     limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
     command = memory.Command(False, 1.0, 0, limiter.rest)
     watchdog, running = CommandWatchdog(limiter.rest, setup.timeout, task.serial), False
-    while needed():
+    while not ended.is_set():
         if running:
             clock.wait()
         else:
@@ -222,7 +208,7 @@ class FrameStepper:
     notes    remarks on the run
     """
 
-    def __init__(self, setup: Setup, open: Opener = open_slave) -> None:
+    def __init__(self, setup: Setup) -> None:
         """Raises Problem for a mistake in the setup."""
         setup.check()
         system = with_sets(with_swaps(load(setup.system), setup.swap), setup.parameters)
@@ -233,12 +219,16 @@ class FrameStepper:
         times, self._steps = _grid(system, coupling, setup)
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
-        self._ramp = Ramp(self.t, self._at(times, self._steps), self.axes)
-        driven = _drive(system, setup, self._ramp)
-        system = driven.released(system) if driven else system
+        self._ramp = Ramp(self.t, times.start + self._steps * times.step, self.axes)
+        driven = None
+        if setup.axes:
+            at_rest = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
+            bound = drive(system, Trace(self._ramp.arrays[0].copy(), at_rest), "axes")
+            driven = replace(bound, table=self._ramp)
+            system = driven.released(system)
         self._times = times
         self.units = _units(system, setup)
-        job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
+        job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution())
         latest = LatestValues()
         with ExitStack() as stack:
             self._loop = stack.enter_context(opened(job, times, latest))
@@ -252,7 +242,7 @@ class FrameStepper:
         """Step one frame, in which the axes move linearly to these values, shape (axes,)."""
         state = self._loop.state
         state.total = state.done + self._steps
-        self._ramp.aim(self.t, self._at(self._times, state.total), axes)
+        self._ramp.aim(self.t, self._times.start + state.total * self._times.step, axes)
         while state.done < state.total:
             self._loop.advance()
         self.t = state.t
@@ -261,10 +251,6 @@ class FrameStepper:
     def close(self) -> None:
         """Free the FMUs. May be repeated."""
         self._exit.close()
-
-    @staticmethod
-    def _at(times: Grid, steps: int) -> float:
-        return times.start + steps * times.step
 
 
 def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
@@ -281,15 +267,6 @@ def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
     if steps < 1 or abs(ratio - steps) > 1e-6 * steps:
         raise Problem(f"frame: expected a multiple of the step {step:g} s, got {setup.frame:g} s")
     return Grid(start, step, NEVER), steps
-
-
-def _drive(system: System, setup: Setup, ramp: Ramp) -> Scenario | None:
-    """The axes bound to the inputs that they drive."""
-    if not setup.axes:
-        return None
-    at_rest = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
-    bound = drive(system, Trace(ramp.arrays[0].copy(), at_rest), "axes")
-    return replace(bound, table=ramp)
 
 
 def _units(system: System, setup: Setup) -> Mapping[str, str]:

@@ -25,16 +25,10 @@ if TYPE_CHECKING:
     from orchestrator.studies.study import Choice, Factor, Output, Study
     from orchestrator.studies.study import read as read_study
 
-_LOCATIONS = {
-    "Choice": "study:Choice",
-    "Factor": "study:Factor",
-    "Output": "study:Output",
-    "Results": "store:Results",
-    "Study": "study:Study",
-    "analyse": "analysis.analyse:analyse",
-    "read_results": "store:read",
-    "read_study": "study:read",
-    "sweep": "parameter_study:sweep",
+_MODULES = {
+    **dict.fromkeys(("Choice", "Factor", "Output", "Study", "read_study"), "study"),
+    **dict.fromkeys(("Results", "read_results"), "store"),
+    **{"analyse": "analysis.analyse", "sweep": "parameter_study"},
 }
 
 __all__ = [
@@ -44,7 +38,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import on first use."""
-    if name not in _LOCATIONS:
+    if name not in _MODULES:
         raise AttributeError(f"module 'orchestrator.studies' has no attribute {name!r}")
-    module, _, attribute = _LOCATIONS[name].partition(":")
-    return getattr(import_module(f"orchestrator.studies.{module}"), attribute)
+    module = import_module(f"orchestrator.studies.{_MODULES[name]}")
+    return getattr(module, "read" if name.startswith("read_") else name)

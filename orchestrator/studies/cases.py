@@ -5,7 +5,7 @@ The systems are opened before anything runs, so mistakes are reported at once.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
@@ -18,6 +18,7 @@ from orchestrator.base.units import factor_and_offset
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
+from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.run import chooses_freely, run, take_coupling
 from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
@@ -28,7 +29,7 @@ from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
-from orchestrator.studies.study import Factor, Output, Study, measure_unit
+from orchestrator.studies.study import Factor, Output, Study
 
 SCENARIO, PARAMETERS = "scenario", "parameters"  # names of choices that are not components
 ACCURACY = 1e-3  # default
@@ -71,12 +72,10 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
         study.check()
         cases = opened(study)
         systems = [case.system for case in cases.values()]
-        study = replace(
-            study,
-            fixed={name: _fixed(systems, name, value) for name, value in study.fixed.items()},
-            factors=tuple(_factor(systems, factor) for factor in study.factors),
-            outputs=tuple(_output(systems, output) for output in study.outputs),
-        )
+        fixed = {name: _fixed(systems, name, value) for name, value in study.fixed.items()}
+        factors = tuple(_factor(systems, factor) for factor in study.factors)
+        outputs = tuple(_output(systems, output) for output in study.outputs)
+        study = replace(study, fixed=fixed, factors=factors, outputs=outputs)
         for options, case in cases.items():
             _check_not_driven(study, options, case)
             _check_set_once(study, case)
@@ -90,7 +89,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
         for case in cases.values():
             _check_limits(study, case.system)
         cases = {o: _accurate(study, case) for o, case in cases.items()}
-        _check_windows(study, [_times(study, case) for case in cases.values()])
+        _check_windows(study, cases.values())
     return study, cases
 
 
@@ -102,12 +101,10 @@ def opened(study: Study) -> dict[Options, StudyCase]:
 
 
 def _case(study: Study, system: System, options: Options) -> StudyCase:
-    chosen: dict[str, Any] = {
-        c.name: find(option, (*SUFFIXES, ".ssv", ".fmu"), study.folder)
-        if c.name == SCENARIO or option.lower().endswith((".ssv", ".fmu"))
-        else option
-        for c, option in zip(study.choices, options, strict=True)
-    }
+    chosen: dict[str, Any] = {c.name: option for c, option in zip(study.choices, options, strict=True)}
+    for name, option in chosen.items():
+        if name == SCENARIO or option.lower().endswith((".ssv", ".fmu")):
+            chosen[name] = find(option, (*SUFFIXES, ".ssv", ".fmu"), study.folder)
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
     system = with_sets(with_swaps(system, chosen), sets)
@@ -150,19 +147,14 @@ def _nominal(factor: Factor, system: System) -> float:
         raise Problem(f"factors.{factor.name}: a relative factor needs one value, got {each}")
     nominal = next(iter(values.values()))
     if not isfinite(nominal) or nominal == 0.0:
-        raise Problem(
-            f"factors.{factor.name}: relative: expected a start value other than 0, got {nominal:g}"
-        )
+        expected = "expected a start value other than 0"
+        raise Problem(f"factors.{factor.name}: relative: {expected}, got {nominal:g}")
     return nominal
 
 
 def _with_fixed(study: Study, system: System) -> System:
-    given: dict[str, Value] = {
-        name: value if is_real(system, name) else int(value)
-        for name, value in study.fixed.items()
-        if system.has(name)
-    }
-    return system.with_start(given)
+    fixed = {name: value for name, value in study.fixed.items() if system.has(name)}
+    return system.with_start({name: v if is_real(system, name) else int(v) for name, v in fixed.items()})
 
 
 # ---- units
@@ -215,27 +207,28 @@ def _factor(systems: Sequence[System], factor: Factor) -> Factor:
     if factor.relative and given != unit:
         raise Problem(f"{factor.key}: unit: expected none, as the numbers are relative, got {given!r}")
     scale, offset = factor_and_offset(given, unit, f"{factor.key}: unit")
-    numbers = {
-        key: tuple(scale * v + offset for v in value)
-        if isinstance(value, tuple)
-        else scale * value + (0.0 if key == "sd" else offset)
-        for key, value in factor.numbers.items()
-    }
+    numbers: dict[str, Any] = {}
+    for key, value in factor.numbers.items():
+        shift = 0.0 if key == "sd" else offset
+        each = isinstance(value, tuple)
+        numbers[key] = tuple(scale * v + shift for v in value) if each else scale * value + shift
     return replace(factor, numbers=numbers, unit=unit)
 
 
 def _output(systems: Sequence[System], output: Output) -> Output:
     units = set()
+    name = output.signal
     for system in systems:
         try:
-            port = signal(system, output.signal)
+            port = signal(system, name)
         except Problem as problem:
             raise Problem(f"outputs.{quote_key(output.name)}: signal: {problem}") from None
-        name = output.signal
-        unit = system.outputs[name].unit if name in system.outputs else system.variable(port).unit
-        units.add(unit.name if unit else "")
+        of = system.outputs[name].unit if name in system.outputs else system.variable(port).unit
+        units.add(of.name if of else "")
     common = units.pop() if len(units) == 1 else ""
-    return replace(output, unit=measure_unit(output.measure, common), signal_unit=common)
+    integral = f"{common}.s" if common not in ("", "1") else "s"
+    unit = {"time_of_maximum": "s", "integral": integral}.get(output.measure, common)
+    return replace(output, unit=unit, signal_unit=common)
 
 
 # ---- checks
@@ -319,29 +312,22 @@ def _accurate(study: Study, case: StudyCase) -> StudyCase:
         return case
     outputs = set(decisive_signals(system, ["*"]))
     signals = {str(signal(system, o.signal)) for o in study.outputs}
-    result = run(
-        system,
-        case.scenario,
-        stop=study.stop,
-        record_step=study.record_step,
-        accuracy=accuracy * SAFETY,
-        accuracy_of=sorted(signals & outputs),
-    )
+    options: RunArguments = {"stop": study.stop, "record_step": study.record_step}
+    options |= {"accuracy": accuracy * SAFETY, "accuracy_of": sorted(signals & outputs)}
+    result = run(system, case.scenario, **options)
     step = result.card.step if result.coupling.adaptive is None else None
     system = replace(system, suggestion=Suggestion(result.coupling, step))
     return replace(case, system=system, tolerance=fmu_tolerance(accuracy * SAFETY))
 
 
-def _times(study: Study, case: StudyCase) -> Grid:
-    """The communication points of the runs of a case."""
-    coupling = case.system.coupling or Coupling()
-    coupling.check(case.system.components)
-    given = case.system, case.scenario, study.step, None, study.stop, study.record_step
-    return grid(*given) if coupling.adaptive is None else free_grid(*given, ())
-
-
-def _check_windows(study: Study, times: Sequence[Grid]) -> None:
+def _check_windows(study: Study, cases: Iterable[StudyCase]) -> None:
     """Refuse a window that starts after the last run has ended, or that ends outside all runs."""
+    times = list[Grid]()
+    for case in cases:
+        coupling = case.system.coupling or Coupling()
+        coupling.check(case.system.components)
+        given = case.system, case.scenario, study.step, None, study.stop, study.record_step
+        times.append(grid(*given) if coupling.adaptive is None else free_grid(*given, ()))
     begin, end = min(t.start for t in times), max(t.stop for t in times)
     # A run ends at the communication point next to its stop time.
     last = max(end + TIME_ROUNDING * abs(end), study.stop or end)

@@ -119,12 +119,7 @@ class Batches:
     """The samples of a study as tasks of a cluster."""
 
     def __init__(
-        self,
-        connection: Client,
-        name: str,
-        study: Study,
-        units: Sequence[Unit],
-        poll: Callable[[], None],
+        self, connection: Client, name: str, study: Study, units: Sequence[Unit], poll: Callable[[], None]
     ) -> None:
         self._connection, self._name, self._study, self._poll = connection, name, study, poll
         self._waiting = list(units)[::-1]

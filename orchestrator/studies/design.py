@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.stats import qmc
 
-from orchestrator.base.units import LinearTransformation
-from orchestrator.ssp.system import Port, System, coerce
+from orchestrator.data.table import Array
+from orchestrator.ssp.system import Port, coerce
 from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
 
@@ -32,8 +32,6 @@ EDGE = 2.0**-53  # smallest distance from 0 and 1: there quantiles of unbounded 
 LOWEST_LEVEL = 0.01  # lowest Morris level of an unbounded distribution: its 1 % quantile
 UNBOUNDED = ("normal", "lognormal")
 TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Enumeration": pa.int64(), "Boolean": pa.bool_()}
-
-Array = NDArray[np.float64]
 
 
 # ---- samples in the unit cube
@@ -147,11 +145,10 @@ def starts(
     rows: dict[Options, list[int]] = {options: [] for options in cases}
     for i, sample in enumerate(samples):
         rows[sample.options].append(i)
-    types: dict[str, pa.DataType] = {}
-    columns: dict[str, list[Any]] = {}
-    units: dict[str, str] = {}
+    types, columns, units = dict[str, pa.DataType](), dict[str, list[Any]](), dict[str, str]()
     for options, case in cases.items():
-        varied = _varied(study, case.system)
+        names = [f.name for f in study.factors if case.system.has(f.name)]
+        varied = {port: (name, linear) for name in names for port, linear in case.system.targets(name)}
         for port in _settable(case):
             variable, name = case.system.variable(port), f"{START}{port}"
             types[name] = TYPES.get(variable.kind, pa.string())
@@ -178,9 +175,3 @@ def _settable(case: StudyCase) -> list[Port]:
     driven |= {port for name in names if system.has(name) for port, _ in system.targets(name)}
     ports = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
     return [port for port in ports if system.variable(port).settable and port not in driven]
-
-
-def _varied(study: Study, system: System) -> dict[Port, tuple[str, LinearTransformation]]:
-    """Variable -> the factor that sets it, and the conversion to the unit of the FMU."""
-    names = [f.name for f in study.factors if system.has(f.name)]
-    return {port: (name, conversion) for name in names for port, conversion in system.targets(name)}

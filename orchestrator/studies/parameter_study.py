@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import pandas as pd
 import pyarrow as pa
@@ -26,10 +26,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit
-from orchestrator.lanes.compiled import lane_count
+from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, OK
 from orchestrator.studies import design, processes, store
-from orchestrator.studies.analysis.results import without_numbers
+from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
 from orchestrator.studies.processes import Payload, payload
 from orchestrator.studies.single_run import RunOutcome, group_size
@@ -42,9 +42,8 @@ FOLDER = Path("build/sweeps")
 PROGRESS_LINES = 10  # printed if the output is not a terminal
 REASONS = 5  # of failures that are printed
 
-Watch = Callable[
-    [int, int, Sequence[RunOutcome]], None
-]  # all runs, finished runs, outcomes of the last batch
+# all runs, finished runs, outcomes of the last batch
+Watch = Callable[[int, int, Sequence[RunOutcome]], None]
 
 
 @dataclass(frozen=True)
@@ -106,12 +105,8 @@ def sweep(
         stack.enter_context(store.locked(folder))
         if fresh:
             store.clear(folder)
-        results = store.Store(
-            folder,
-            prepared.payload.study,
-            store.fingerprint(prepared.payload, prepared.table),
-            prepared.warnings,
-        )
+        fingerprint = store.fingerprint(prepared.payload, prepared.table)
+        results = store.Store(folder, prepared.payload.study, fingerprint, prepared.warnings)
         results.forget_stopped()
         if not store.finished(folder):
             _run_missing(prepared, results, client, workers or available_cores(), watch or (lambda *_: None))
@@ -161,7 +156,7 @@ def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
         by_options.setdefault(sample.options, []).append(sample)
     units = list[Unit]()
     for options, samples in by_options.items():
-        together = lanes and len(samples) >= lane_count()  # fewer are not worth a compilation
+        together = lanes and len(samples) >= LANES  # fewer are not worth a compilation
         size = group_size(study, cases[options]) if together else 1
         units += [tuple(samples[i : i + size]) for i in range(0, len(samples), size)]
     return sorted(units, key=lambda unit: unit[0].run)
@@ -170,21 +165,14 @@ def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
 # ---- the command line
 
 
-def run(
-    file: Path,
-    out: Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    fresh: bool = False,
-    report: bool = True,
-) -> bool:
+def run(study: Study, out: Path | None, report: bool, **options: Any) -> bool:
     """Run a study with a progress bar and print a summary; False if no run came to its end.
 
-    report  write the page of the analysis, too; other options: `sweep`
+    report  write the page of the analysis, too; options: of `sweep`
     """
-    folder = out or FOLDER / file.stem
+    folder = out or FOLDER / Path(study.source).stem
     with progress() as watch:
-        results = sweep(file, folder, workers=workers, scheduler=scheduler, fresh=fresh, watch=watch)
+        results = sweep(study, folder, watch=watch, **options)
     table = results.table
     print(summary(results))
     print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
@@ -253,10 +241,10 @@ def _reasons(results: store.Results) -> list[str]:
     reasons = results.table.loc[results.table["status"] == FAILED, "reason"]
     same = reasons.groupby(without_numbers(reasons), sort=False)
     groups = sorted((group for _, group in same), key=len, reverse=True)
-    lines = [
-        f"{len(group)} failed{', such as' if group.nunique() > 1 else ''}: {group.iloc[0]}"
-        for group in groups[:REASONS]
-    ]
+    lines = []
+    for group in groups[:REASONS]:
+        example = ", such as" if group.nunique() > 1 else ""
+        lines.append(f"{len(group)} failed{example}: {group.iloc[0]}")
     if len(groups) > REASONS:
         lines.append(f"... and for {len(groups) - REASONS} other reasons")
     return ["", *lines] if lines else []

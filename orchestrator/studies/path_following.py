@@ -10,9 +10,11 @@ angle), not from what the controller reports. A file of the machine has the name
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import isclose
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -21,12 +23,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
 from orchestrator.base.text import TextTable
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, read_trace, rms
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
@@ -39,8 +41,6 @@ from orchestrator.ssp.plausible import doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
-Array = NDArray[np.float64]
-
 RECORD_STEP = 5e-3  # [s], sampling interval of the paths
 SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal
 FAR = 0.1  # [m]: a larger error is reported with its cause; usual errors are ten times smaller
@@ -52,6 +52,7 @@ LEAST_ERROR = 0.1  # [mm], lower end of the error axis
 HEAD = ("path", "machine", "feedback", "largest [mm]", "at [s]", "RMS [mm]", "last [mm]", "times as large")
 
 Start = Callable[[Mapping[str, float]], Mapping[str, float]]
+Starts = Mapping[str, Value | str]  # start values by name
 
 
 # ---- one run
@@ -179,12 +180,7 @@ class PathRun:
 
 
 def follow(
-    system: System,
-    names: TrackedMachine,
-    path: Path,
-    machine: str,
-    feedback: bool,
-    start: Mapping[str, Value | str],
+    system: System, names: TrackedMachine, path: Path, machine: str, feedback: bool, start: Starts
 ) -> PathRun:
     """Run a system along the path of a scenario; a Problem names machine and path."""
     scenario = read_trace(path)
@@ -251,7 +247,7 @@ def track(
     out: Path,
     feedback: Sequence[bool] = (True, False),
     limit: float | None = None,
-    given: Mapping[str, Value | str] = MappingProxyType({}),
+    given: Starts = MappingProxyType({}),
 ) -> bool:
     """Run every machine along every path; print a table, write tracking.png and tracking.json.
 
@@ -279,9 +275,8 @@ def track(
         print(f"note: {note}")
     for doubts in dict.fromkeys(filter(None, (d for m in systems.values() for d in doubtful_starts(m)))):
         print(f"warning: {doubts}")
-    runs = [
-        follow(systems[name], names, path, name, on, start) for path, name, start in tasks for on in feedback
-    ]
+    given_tasks = itertools.product(tasks, feedback)
+    runs = [follow(systems[name], names, path, name, on, at) for (path, name, at), on in given_tasks]
     figure, json = out / "tracking.png", out / "tracking.json"
     print(text(runs))
     figure.write_bytes(png(draw(runs)))
@@ -289,17 +284,13 @@ def track(
     print(figure, json)
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]
     for r in beyond:
-        print(
-            f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, got {MM * r.largest:.1f} mm"
-        )
+        got = f"got {MM * r.largest:.1f} mm"
+        print(f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, {got}")
     return not beyond and not any(r.failure for r in runs)
 
 
 def swapped_systems(
-    system: System,
-    names: TrackedMachine,
-    machines: Mapping[str, Mapping[str, str]],
-    start: Mapping[str, Value | str],
+    system: System, names: TrackedMachine, machines: Mapping[str, Mapping[str, str]], start: Starts
 ) -> dict[str, System]:
     """Every machine {name: variants} with these start values; all machines must have these variables."""
     systems = {name: with_swaps(system, variants) for name, variants in machines.items()}
@@ -314,20 +305,16 @@ def swapped_systems(
                 f" {' and '.join(having)} one; to run one machine alone:"
                 f" {[*swaps, f'--swap {names.alone}'][0]}, for example"
             )
-    return {
-        name: machine.with_start({**copied_parameters(machine, names), **start})
-        for name, machine in systems.items()
-    }
+    copied = {name: copied_parameters(machine, names) for name, machine in systems.items()}
+    return {name: machine.with_start({**copied[name], **start}) for name, machine in systems.items()}
 
 
 def copied_parameters(system: System, names: TrackedMachine) -> dict[str, float]:
     """Parameters of the controller that it gets from this machine."""
-    return {
-        f"{names.controller}.{name}": value
-        for part, component in system.components.items()
-        for name, value in ({} if part == names.controller else component.real_parameters()).items()
-        if name.endswith(names.copied) and system.has(f"{names.controller}.{name}")
-    }
+    others = (c for part, c in system.components.items() if part != names.controller)
+    values = {name: value for part in others for name, value in part.real_parameters().items()}
+    copied = {f"{names.controller}.{n}": v for n, v in values.items() if n.endswith(names.copied)}
+    return {name: value for name, value in copied.items() if system.has(name)}
 
 
 def differences(system: System, names: TrackedMachine) -> list[str]:
@@ -344,23 +331,19 @@ def differences(system: System, names: TrackedMachine) -> list[str]:
     for part, component in system.components.items():
         for name, value in {} if part == names.controller else component.real_parameters().items():
             assumed_name = f"{part}_{name}" if f"{part}_{name}" in assumed else name
-            if assumed_name not in assumed or _equal(assumed[assumed_name], value):
+            other = assumed.get(assumed_name)
+            if other is None or isclose(other, value, rel_tol=SAME_VALUE):
                 continue
             variable = component.interface.variables[name]
             unit = variable.unit
-            a, b = f"{names.controller}.{assumed_name}", f"{part}.{name}"
             if controller.interface.variables[assumed_name].unit == unit:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
-                meaning = f" ({variable.description})" if 0 in (value, assumed[assumed_name]) else ""
+                meaning = f" ({variable.description})" if 0 in (value, other) else ""
                 notes.append(
-                    f"{a} is {assumed[assumed_name]:.6g}{suffix}, {b} is {value:.6g}{suffix}{meaning}:"
-                    " the controller assumes another machine"
+                    f"{names.controller}.{assumed_name} is {other:.6g}{suffix}, {part}.{name} is"
+                    f" {value:.6g}{suffix}{meaning}: the controller assumes another machine"
                 )
     return notes
-
-
-def _equal(a: float, b: float) -> bool:
-    return abs(a - b) <= SAME_VALUE * max(abs(a), abs(b))
 
 
 def rows(runs: Sequence[PathRun]) -> list[tuple[str, ...]]:
@@ -380,14 +363,13 @@ def text(runs: Sequence[PathRun]) -> str:
     columns = len(HEAD) - all(r.feedback for r in runs)  # the last one compares with the run with feedback
     cells = [row[:columns] for row in rows(runs)]
     table = TextTable(HEAD[:columns], cells, left=range(3)).lines()
-    failed = [
-        f"{r.path}, {r.machine}: ended early at {r.time[-1]:.3g} s: {r.failure}" for r in runs if r.failure
-    ]
-    far = [
-        f"{r.path}, {r.machine}: the tip is up to {r.largest:.2f} m away, {r.last:.2f} m at the end{r.cause}"
-        for r in runs
-        if r.feedback and not r.failure and r.largest > FAR
-    ]
+    failed, far = list[str](), list[str]()
+    for r in runs:
+        if r.failure:
+            failed.append(f"{r.path}, {r.machine}: ended early at {r.time[-1]:.3g} s: {r.failure}")
+        elif r.feedback and r.largest > FAR:
+            away = f"the tip is up to {r.largest:.2f} m away, {r.last:.2f} m at the end{r.cause}"
+            far.append(f"{r.path}, {r.machine}: {away}")
     return "\n".join([*table, *failed, *far])
 
 
@@ -419,9 +401,11 @@ def draw(runs: Sequence[PathRun]) -> Figure:
         on_path = [r for r in runs if r.path == path]
         title = f"{path}, up to {on_path[0].speed:.2g} m/s"
         left.set_title(title, loc="left", fontsize=10, color=PALETTE.ink)
-        _draw_view(left, on_path, machines, top_view, ("to the right [m]", "forward [m]"))
+        style_axes(left, "to the right [m]", "forward [m]", size=10)
+        _draw_view(left, on_path, machines, top_view)
         side, axis_label = side_view(on_path[0].commanded)
-        _draw_view(middle, on_path, machines, side, (axis_label, "height [m]"))
+        style_axes(middle, axis_label, "height [m]", size=10)
+        _draw_view(middle, on_path, machines, side)
         _draw_errors(right, on_path, machines)
     axes[-1][2].set_xlabel("time [s]", color=PALETTE.ink)
     _legend(figure, runs, machines)
@@ -444,22 +428,15 @@ def side_view(commanded: Array) -> tuple[Callable[[Array], Array], str]:
     length = float(np.hypot(*along))
     across = np.abs(horizontal @ [along[1], -along[0]]).max()
     if np.ptp(commanded[:, 2]) > RISING * length > 0 and across < STRAIGHT * length**2:
-        direction = along / length
-        return lambda p: np.stack(
-            [(p[:, :2] - commanded[0, :2]) @ direction, p[:, 2]]
-        ), "along the ground [m]"
+        origin, direction = commanded[0, :2], along / length
+        return lambda p: np.stack([(p[:, :2] - origin) @ direction, p[:, 2]]), "along the ground [m]"
     return lambda p: np.stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]), "radius from the swing axis [m]"
 
 
 def _draw_view(
-    axes: Axes,
-    runs: Sequence[PathRun],
-    machines: Sequence[str],
-    view: Callable[[Array], Array],
-    axis_labels: tuple[str, str],
+    axes: Axes, runs: Sequence[PathRun], machines: Sequence[str], view: Callable[[Array], Array]
 ) -> None:
     """Draw path and tips in one view; both axes have the same scale."""
-    style_axes(axes, *axis_labels, size=10)
     axes.plot(*view(runs[0].commanded), color=PALETTE.faint, linewidth=4, alpha=0.5)
     for r in runs:
         axes.plot(*view(r.tip), **_style(r, machines))

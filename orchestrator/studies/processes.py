@@ -58,14 +58,12 @@ def digest(data: bytes) -> str:
 class Payload:
     """A study, its systems, and their FMUs, so that no file has to exist on the computer of a process.
 
-    sources   location of an FMU in the systems -> digest of its archive
-    archives  digest of an archive -> its bytes
+    archives  location of an FMU in the systems -> the bytes of its archive
     """
 
     study: Study
     cases: Mapping[Options, StudyCase]
-    sources: Mapping[Location, str]
-    archives: Mapping[str, bytes]
+    archives: Mapping[Location, bytes]
 
     def unpacked(self, folder: Path) -> tuple[dict[Options, StudyCase], dict[str, str]]:
         """The cases with FMUs that are unpacked in a folder, and unpacked FMU -> original FMU."""
@@ -75,7 +73,7 @@ class Payload:
 
     def _unpack(self, source: Location, folder: Path) -> None:
         archive = folder.with_suffix(".fmu")
-        archive.write_bytes(self.archives[self.sources[source]])
+        archive.write_bytes(self.archives[source])
         try:
             Location(archive).extract(folder)
         except Problem as problem:  # with the name of the source instead of that of the copy
@@ -85,14 +83,9 @@ class Payload:
 
 def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
     """The payload of a study."""
-    sources, archives = dict[Location, str](), dict[str, bytes]()
-    for case in cases.values():
-        for component in case.system.components.values():
-            if component.source is not None and component.source not in sources:
-                data = _archive(component.source)
-                sources[component.source] = digest(data)
-                archives[digest(data)] = data
-    return Payload(study, cases, sources, archives)
+    components = (c for case in cases.values() for c in case.system.components.values())
+    sources = dict.fromkeys(c.source for c in components if c.source)
+    return Payload(study, cases, {source: _archive(source) for source in sources})
 
 
 def _archive(source: Location) -> bytes:

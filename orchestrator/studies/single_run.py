@@ -8,21 +8,19 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.engine.run import prepare, run
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.batch import machine_values, recorded_times
-from orchestrator.lanes.compiled import lane_count
+from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, OK, Group, Lanes
 from orchestrator.lanes.one_by_one import early_end
 from orchestrator.studies.cases import Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
 
 NAN = float("nan")
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -69,11 +67,9 @@ def _in_lanes(study: Study, case: StudyCase, unit: Unit) -> dict[int, RunOutcome
     ended = group.run(0, values, rows, len(unit))
     time = recorded_times(times)
     signals = dict(zip(map(str, group.lanes.signals), rows, strict=True))
-    return {
-        sample.run: _outcome(study, case, sample.run, time, {n: v[i] for n, v in signals.items()})
-        for i, sample in enumerate(unit)
-        if i not in ended
-    }
+    complete = {sample.run: i for i, sample in enumerate(unit) if i not in ended}
+    of = {run: {name: values[i] for name, values in signals.items()} for run, i in complete.items()}
+    return {run: _outcome(study, case, run, time, found) for run, found in of.items()}
 
 
 def group_size(study: Study, case: StudyCase) -> int:
@@ -82,7 +78,7 @@ def group_size(study: Study, case: StudyCase) -> int:
         _lane_group(study, case)
     except Problem:
         return 1
-    return lane_count()
+    return LANES
 
 
 def _lane_group(study: Study, case: StudyCase) -> tuple[Group, Grid]:
@@ -117,10 +113,9 @@ def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
         found = _outcome(study, case, sample.run, result.trace.time, result.trace.signals)
         reason = early_end(result.card.notes)
         return replace(found, status=EARLY, reason=reason) if reason else found
-    except Problem as problem:
-        return failed(study, sample.run, str(problem))
-    except Exception as defect:  # a defect ends this run only
-        return failed(study, sample.run, f"{type(defect).__name__}: {defect}")
+    except Exception as error:  # a defect ends this run only
+        kind = "" if isinstance(error, Problem) else f"{type(error).__name__}: "
+        return failed(study, sample.run, f"{kind}{error}")
 
 
 def _outcome(
@@ -133,23 +128,12 @@ def _outcome(
         values = signals[str(signal(case.system, name))]
         return values if outlet is None else outlet.map.factor * values + outlet.map.offset
 
-    return RunOutcome(
-        run=run,
-        status=OK,
-        reason="",
-        outputs=np.array([measure(o, time, values(o.signal)) for o in study.outputs], np.float64),
-        bands=_bands(study, time, [values(name) for name in study.bands]),
-        start=float(time[0]),
-    )
-
-
-def _bands(study: Study, time: Array, signals: list[Array]) -> Array | None:
-    """Signals at `band_times` up to the end of the run, interpolated linearly between recorded points."""
-    if not signals:
-        return None
-    count = int((time[-1] - time[0]) / study.band_step + 1e-6) + 1
-    times = band_times(study, float(time[0]), count)
-    return np.stack([np.interp(times, time, values) for values in signals])
+    start = float(time[0])
+    outputs = np.array([measure(o, time, values(o.signal)) for o in study.outputs], np.float64)
+    # up to the end of the run, interpolated linearly between recorded points
+    times = band_times(study, start, int((time[-1] - time[0]) / study.band_step + 1e-6) + 1)
+    bands = [np.interp(times, time, values(name)) for name in study.bands]
+    return RunOutcome(run, OK, "", outputs, np.stack(bands) if bands else None, start)
 
 
 def band_times(study: Study, start: float, count: int) -> Array:

@@ -23,7 +23,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
-from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -174,18 +173,15 @@ class Store:
     def _put(self, rows: pa.Table) -> None:
         content = BytesIO()
         pq.write_table(rows, content)
-        name = f"batch-{rows['run'][0].as_py():09}-{_checksum(content.getvalue())}.parquet"
+        name = f"batch-{rows['run'][0].as_py():09}-{digest(content.getvalue())[:16]}.parquet"
         put(self._parts / name, lambda partial: partial.write_bytes(content.getvalue()))
 
     def add(self, batch: Sequence[RunOutcome]) -> None:
         """Store the outcomes of a batch."""
         self._parts.mkdir(exist_ok=True)
         batch = sorted(batch, key=lambda r: r.run)
-        columns = {
-            "run": pa.array([r.run for r in batch], pa.int64()),
-            "status": pa.array([r.status for r in batch], pa.string()),
-            "reason": pa.array([r.reason for r in batch], pa.string()),
-        }
+        kinds = {"run": pa.int64(), "status": pa.string(), "reason": pa.string()}
+        columns = {name: pa.array([getattr(r, name) for r in batch], kind) for name, kind in kinds.items()}
         for i, output in enumerate(self.study.outputs):
             columns[output.column] = pa.array([float(r.outputs[i]) for r in batch], pa.float64())
         columns["start"] = pa.array([r.start for r in batch], pa.float64())
@@ -221,7 +217,7 @@ class Store:
         self._parts.rmdir()
 
     def _write_bands(self, file: Path) -> None:
-        """Write the signals of all runs, in the order of the runs."""
+        """Write the signals of all runs in their order, with a row for each point of time."""
         names, units = self.study.bands, {o.signal: o.signal_unit for o in self.study.outputs} | {"time": "s"}
         columns = [("run", pa.int64()), ("time", pa.float64()), *((name, pa.float64()) for name in names)]
         schema = _with_units(pa.schema(columns).empty_table(), units).schema
@@ -229,16 +225,13 @@ class Store:
         runs = pa.concat_tables([_read(part, stored) for part in self._files()]).sort_by("run")
         with pq.ParquetWriter(file, schema, write_page_checksum=True) as writer:
             for first in range(0, len(runs), GROUP):
-                writer.write_table(self._one_row_per_point(runs.slice(first, GROUP)).cast(schema))
-
-    def _one_row_per_point(self, runs: pa.Table) -> pa.Table:
-        """The stored signals of some runs, with a row for each point of time."""
-        lists = [runs[f"{BAND}{name}"].combine_chunks() for name in self.study.bands]
-        counts = lists[0].value_lengths().to_numpy()
-        starts = zip(runs["start"].to_pylist(), counts.tolist(), strict=True)
-        time = np.concatenate([band_times(self.study, start, count) for start, count in starts])
-        run = np.repeat(runs["run"].to_numpy(), counts)
-        return pa.table([run, time, *(x.flatten() for x in lists)], names=["run", "time", *self.study.bands])
+                some = runs.slice(first, GROUP)
+                lists = [some[f"{BAND}{name}"].combine_chunks() for name in names]
+                counts = lists[0].value_lengths().to_numpy()
+                starts = zip(some["start"].to_pylist(), counts.tolist(), strict=True)
+                time = np.concatenate([band_times(self.study, start, count) for start, count in starts])
+                run = np.repeat(some["run"].to_numpy(), counts)
+                writer.write_table(pa.table([run, time, *(x.flatten() for x in lists)], schema=schema))
 
     def _files(self) -> list[Path]:
         return sorted(self._parts.glob("batch-*.parquet"))
@@ -256,13 +249,9 @@ def put(path: Path, write: Callable[[Path], object]) -> None:
         raise Problem(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _checksum(content: bytes) -> str:
-    return sha256(content).hexdigest()[:16]
-
-
 def _is_intact(part: Path, content: bytes) -> bool:
     """True if the content of a batch file matches its name; False for files of earlier versions."""
-    return part.stem.endswith(f"-{_checksum(content)}")
+    return part.stem.endswith(f"-{digest(content)[:16]}")
 
 
 def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
@@ -302,13 +291,14 @@ def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
     and samples, each under the name that a message about a change shows.
     """
     study, files = payload.study, dict[str, str]()
+    digests = {source: digest(archive) for source, archive in payload.archives.items()}
     for options, case in payload.cases.items():
         chosen = {c.name: f" {o}" for c, o in zip(study.choices, options, strict=True)}
         each = ", ".join(f"{c.name}={o}" for c, o in zip(study.choices, options, strict=True))
         combination = f" with {each}" if each else ""
         for name, component in case.system.components.items():
             if component.source is not None:
-                files[f"the FMU of {name}{chosen.get(name, '')}"] = payload.sources[component.source]
+                files[f"the FMU of {name}{chosen.get(name, '')}"] = digests[component.source]
             starts = repr(sorted(component.start.items())).encode()
             files[f"the start values of {name}{combination}"] = digest(starts)
         if case.scenario is not None:
@@ -335,11 +325,8 @@ def to_json(study: Study) -> dict[str, Any]:
 
 def from_json(fields: Mapping[str, Any], title: str) -> Study:
     """The study that `to_json` wrote."""
-    items = {
-        "factors": tuple(Factor(**f) for f in fields["factors"]),
-        "choices": tuple(Choice(**c) for c in fields["choices"]),
-        "outputs": tuple(Output(**o) for o in fields["outputs"]),
-    }
+    kinds = {"factors": Factor, "choices": Choice, "outputs": Output}
+    items = {name: tuple(kind(**item) for item in fields[name]) for name, kind in kinds.items()}
     return Study(title=title, **{**fields, **items})
 
 

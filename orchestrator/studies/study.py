@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import isfinite, log2, prod
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
@@ -135,6 +135,11 @@ class Choice:
     def column(self) -> str:
         """Column of the options."""
         return f"choice:{self.name}"
+
+
+def short(option: str) -> str:
+    """An option of a choice for a reader: the stem of a file, or the option itself."""
+    return PurePath(option).stem if option.endswith((".csv", ".parquet", ".ssv", ".fmu")) else option
 
 
 @dataclass(frozen=True)
@@ -313,15 +318,6 @@ def levels(dimension: Factor | Choice) -> int:
     return len(dimension.options if isinstance(dimension, Choice) else dimension.numbers["values"])
 
 
-def measure_unit(measure: str, unit: str) -> str:
-    """The unit of a measure of a signal with this unit."""
-    if measure == "time_of_maximum":
-        return "s"
-    if measure != "integral":
-        return unit
-    return f"{unit}.s" if unit and unit != "1" else "s"
-
-
 # ---- the file
 
 
@@ -400,11 +396,6 @@ def _start(table: Table, name: str) -> float | tuple[float, str]:
 def _output(name: str, table: Table) -> Output:
     table.allow_only(("signal", "measure", "start", "stop", "band"))
     table.require("signal", "the name of a signal")
-    return Output(
-        name,
-        table.text("signal") or "",
-        table.one_of("measure", MEASURES),
-        seconds(table.data.get("start"), f"{table.where}: start"),
-        seconds(table.data.get("stop"), f"{table.where}: stop"),
-        table.boolean("band"),
-    )
+    signal, measure = table.text("signal") or "", table.one_of("measure", MEASURES)
+    start, stop = (seconds(table.data.get(end), f"{table.where}: {end}") for end in ("start", "stop"))
+    return Output(name, signal, measure, start, stop, table.boolean("band"))

@@ -103,12 +103,8 @@ def combinations(
 def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
     """Largest RMS difference of a watched signal over the common time, relative to its range."""
     count = min(len(trace.time), len(first.time))
-    changes = [0.0]
-    for name in watch if count else ():
-        reference = first[name][:count]
-        if size := span(reference):
-            changes.append(rms(trace[name][:count] - reference) / size)
-    return max(changes)
+    pairs = [(trace[name][:count], first[name][:count]) for name in watch] if count else []
+    return max((rms(a - b) / size for a, b in pairs if (size := span(b))), default=0.0)
 
 
 # Attribute of a combination, headings on the terminal and in the CSV file, and how its value is printed
@@ -127,10 +123,8 @@ RUN: RunArguments = {"step": STEP, "record_step": 0.02}  # options of all runs [
 
 def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, str], float]:
     """(component, variant) -> time [us] per step inside its FMU, with the default variants of the others."""
-    default = load(system)
-    machines = [with_swaps(default, {part: variant}) for part, variant in variants]
-    options: RunArguments = {**RUN, "stop": LENGTH}
-    spent = inside(machines, REPEATS, **options)
+    default, options = load(system), RUN | {"stop": LENGTH}
+    spent = inside([with_swaps(default, {p: v}) for p, v in variants], REPEATS, **options)
     return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
 
 

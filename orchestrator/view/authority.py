@@ -24,23 +24,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.base.errors import Problem
-from orchestrator.drive.sticks import (
-    Message,
-    ResponseCurve,
-    StickAxes,
-    commands,
-    functions,
-    modes,
-    parse,
-    pattern,
-    uncommanded,
-)
+from orchestrator.drive import sticks
+from orchestrator.drive.sticks import Message, ResponseCurve, StickAxes, parse
 from orchestrator.drive.view_description import DriveMode
 from orchestrator.realtime.setup import Frame, Machine
 
 Modes = Callable[[], Mapping[str, DriveMode]]
 Loads = Callable[[], Mapping[str, float]]
+Clock = Callable[[], float]
 
+CURVE = ResponseCurve()
 STILL = 0.5  # s without a new frame, after which the machine counts as hanging
 log = logging.getLogger(__name__)
 HOLD = "hold Space (or Shift) and move with W A S D and the arrows"
@@ -116,6 +109,13 @@ class Status:
     modes: tuple[str, ...]
 
 
+def finite(value: object, name: str) -> float:
+    """A number from a page; a `Problem` for anything else."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
+    return float(value)
+
+
 class CommandGate:
     """The only path from a browser to `Machine.command`.
 
@@ -124,21 +124,14 @@ class CommandGate:
     values  inputs that the driver has set by sliders
     """
 
-    def __init__(
-        self,
-        machine: Machine,
-        available: Modes,
-        curve: ResponseCurve,
-        clock: Callable[[], float],
-        loads: Loads = dict,
-    ) -> None:
+    def __init__(self, machine: Machine, available: Modes, clock: Clock, loads: Loads) -> None:
         """available: the current drive modes by name; clock: monotonic [s]; loads: as `ControlAuthority`."""
         self._loads = loads
-        self.machine, self._available, self.curve = machine, available, curve
+        self.machine, self._available = machine, available
         self.live, self.why = False, "nobody drives"
         self.values = dict[str, float]()
         self._clock, self._frame, self._seen = clock, -1, clock()
-        self._pattern, self._mode = pattern("ISO"), ""
+        self._pattern, self._mode = sticks.pattern("ISO"), ""
 
     # ---- pattern and mode of the sticks
 
@@ -150,7 +143,7 @@ class CommandGate:
     @property
     def modes(self) -> tuple[str, ...]:
         """Names of the drive modes that the machine allows."""
-        return modes(self._available(), self.machine.axes)
+        return sticks.modes(self._available(), self.machine.axes)
 
     @property
     def mode(self) -> str:
@@ -160,7 +153,7 @@ class CommandGate:
     def choose(self, name: str | None, mode: str | None) -> None:
         """Choose pattern or mode. Raises `Problem` for an unknown one."""
         if name is not None:
-            self._pattern = pattern(name)
+            self._pattern = sticks.pattern(name)
         if mode is not None:
             if mode not in self.modes:
                 raise Problem(f"mode: expected one of {', '.join(self.modes)}, found {mode}")
@@ -168,18 +161,18 @@ class CommandGate:
 
     # ---- commands to the machine
 
-    def steer(self, sticks: StickAxes) -> bool:
+    def steer(self, deflections: StickAxes) -> bool:
         """Command these deflections. Returns False after a fault: the driver must be armed again."""
         try:
             frame = self.machine.latest()
             if reason := self._halted(frame):
                 return self._fault(reason)
-            commanded = functions(sticks, self._pattern, self.curve)
+            commanded = sticks.functions(deflections, self._pattern, CURVE)
             if not self.mode:
                 return self._fault("this machine has no input that sticks can drive")
             loads = {**self._loads(), **self._set()}
-            values = commands(commanded, self._available()[self.mode], self.machine.axes, loads)
-            if uncommanded(values, self.machine.axes, frame.axes):
+            values = sticks.commands(commanded, self._available()[self.mode], self.machine.axes, loads)
+            if sticks.uncommanded(values, self.machine.axes, frame.axes):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
             self.machine.command(values)
@@ -197,34 +190,28 @@ class CommandGate:
         names = sorted({axis.rpartition(".")[2] for axis in self.machine.axes} - driven)
         if not isinstance(name, str) or name not in names:
             raise Problem(f"input: expected one of {', '.join(names) or 'none'}, found {ascii(name)[:60]}")
-        if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-            raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
-        self.values[name] = float(value)
+        self.values[name] = finite(value, name)
 
     def keep(self) -> None:
         """Command again the inputs that are set, while the sticks rest."""
         if self.values:
-            self._command(self._kept())
+            self._keep()
 
     def rest(self, why: str) -> None:
         """Command rest for all driven inputs, but for those that are set."""
         self.live, self.why = False, why
-        self._command(self._kept())
+        self._keep()
 
     def _set(self) -> dict[str, float]:
         """Input -> value that is set, unless the training task holds a load there."""
         loads = self._loads()
         return {name: value for name, value in self.values.items() if not loads.get(name)}
 
-    def _kept(self) -> dict[str, float]:
-        values = self._set()
-        return {
-            axis: values[bare] for axis in self.machine.axes if (bare := axis.rpartition(".")[2]) in values
-        }
-
-    def _command(self, values: Mapping[str, float]) -> None:
+    def _keep(self) -> None:
+        """Command only the inputs that are set."""
+        values, bare = self._set(), {axis: axis.rpartition(".")[2] for axis in self.machine.axes}
         try:
-            self.machine.command(values)
+            self.machine.command({axis: values[name] for axis, name in bare.items() if name in values})
         except Exception:
             log.exception("the machine does not accept the command")
 
@@ -254,20 +241,18 @@ class ControlAuthority:
         available: Modes,
         timeout: float = 0.25,
         silence_limit: float = 1.0,
-        curve: ResponseCurve = ResponseCurve(),  # noqa: B008  frozen
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock = time.monotonic,
         loads: Loads = dict,
     ) -> None:
         """loads: values of inputs that no stick drives, such as the payload of the training task."""
-        self.machine, self._gate = machine, CommandGate(machine, available, curve, clock, loads)
+        self.machine, self._gate = machine, CommandGate(machine, available, clock, loads)
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self.stations: list[OperatorStation] = []
         self._names = itertools.count(1)
         self._driver: OperatorStation | None = None
         self._asked: OperatorStation | None = None
-        self._last: OperatorStation | None = (
-            None  # the station that drove before; the reason concerns it alone
-        )
+        # the station that drove before; the reason concerns it alone
+        self._last: OperatorStation | None = None
 
     def join(self) -> OperatorStation:
         """Add a station for a new connection."""
@@ -376,17 +361,9 @@ class ControlAuthority:
             why = SLIDE
         elif station is not None and self._driver is station and station.held and not station.armed:
             why = AGAIN if why == HOLD else f"{why}: {AGAIN}"
-        return Status(
-            role=role,
-            driver=self._driver.name if self._driver else "",
-            asked=self._asked.name if self._asked else "",
-            live=gate.live,
-            why="" if gate.live else why,
-            drives=self.machine.drives,
-            pattern=gate.pattern,
-            mode=gate.mode,
-            modes=gate.modes,
-        )
+        driver, asked = (known.name if known else "" for known in (self._driver, self._asked))
+        why, controls = "" if gate.live else why, (gate.pattern, gate.mode, gate.modes)
+        return Status(role, driver, asked, gate.live, why, self.machine.drives, *controls)
 
     def _follow(self, station: OperatorStation, message: Message) -> None:
         if not message.dead_man:

@@ -47,26 +47,18 @@ class ViewPlan:
 
 def plan(choice: MachineChoice) -> ViewPlan:
     """Load the chosen system. Raises `Problem` for a choice that does not work."""
-    loaded = load(choice.system)
-    if choice.pose and choice.pose not in poses(choice.system):
-        names = poses(choice.system)
+    loaded, names = load(choice.system), poses(choice.system) if choice.pose else ()
+    if choice.pose and choice.pose not in names:
         hint = suggest(choice.pose, names) or f"; there are {', '.join(names) or 'none'}"
         raise Problem(f"{choice.system}: no pose {choice.pose!r}{hint}")
     system = with_swaps(loaded, choice.swap)
-    posed = parameter_sets.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
+    sets = (choice.pose,) if choice.pose else ()
+    posed = parameter_sets.with_sets(system, sets).with_start(choice.set)
     description = view_description(loaded)
     scene = description.scene
-    setup = Setup(
-        system=str(choice.system),
-        axes=tuple(
-            Axis(name, a.limit, a.rate, a.rest, a.rest_delay)
-            for name, a in description.driven(system).items()
-        ),
-        signals=description.watched(system),
-        swap=dict(choice.swap),
-        parameters=(choice.pose,) if choice.pose else (),
-        set=dict(choice.set),
-    )
+    driven = description.driven(system).items()
+    axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven)
+    setup = Setup(str(choice.system), axes, description.watched(system), choice.swap, sets, choice.set)
     drawn = geometry(posed) if scene else None
     return ViewPlan(choice, setup, description, drawn, start(posed, scene.initial if scene else ()))
 

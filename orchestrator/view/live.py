@@ -21,26 +21,26 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.drive.page import page_data
 from orchestrator.drive.score import EXERCISES
 from orchestrator.realtime.setup import Machine
-from orchestrator.view.authority import ControlAuthority, OperatorStation
+from orchestrator.view.authority import ControlAuthority, OperatorStation, finite
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
 from orchestrator.view.session import Session, SignalIndex
 from orchestrator.view.training import Training
 
-Array = NDArray[np.float64]
+Asked = dict[str, Any]  # the action of a page, with its name in "do"
 
 RATE, INFO = 25.0, 5.0  # 1/s; rates of pictures and of the rest
 TELL = 0.1  # s between two states of the controls
@@ -72,9 +72,9 @@ class Credit:
             self._heard = self._clock()
         return self.sent + 1
 
-    def shown(self, number: int) -> None:
+    def shown(self, number: object) -> None:
         """The browser has drawn this picture."""
-        if self.drawn < number <= self.sent:
+        if type(number) is int and self.drawn < number <= self.sent:
             self.drawn, self._heard = number, self._clock()
 
 
@@ -106,22 +106,19 @@ class History:
         self.number = int(numbers[-1])
         table = np.full((len(numbers), len(self.names)), np.nan)
         table[:, self._known] = np.concatenate((axes, values), axis=1)[:, self._columns]
-        self._add(np.floor(times / BIN + 1e-9).astype(int), table)
-
-    def since(self, number: int) -> list[tuple[int, list[Any], list[Any]]]:
-        """Bins from this number on, as data."""
-        kept = [k for k in sorted(self.bins) if k >= number]
-        return [(k, numbers_of(self.bins[k][0]), numbers_of(self.bins[k][1])) for k in kept]
-
-    def _add(self, bins: NDArray[np.int64], table: Array) -> None:
+        bins = np.floor(times / BIN + 1e-9).astype(int)
         for k in np.unique(bins):
             rows = table[bins == k]
             if k in self.bins:
                 rows = np.concatenate((self.bins[k], rows))
             self.bins[int(k)] = extremes(rows)
         oldest = max(self.bins) - round(WINDOW / BIN)
-        for k in [k for k in self.bins if k < oldest]:
-            del self.bins[k]
+        self.bins = {k: rows for k, rows in self.bins.items() if k >= oldest}
+
+    def since(self, number: int) -> list[tuple[int, list[Any], list[Any]]]:
+        """Bins from this number on, as data."""
+        kept = [k for k in sorted(self.bins) if k >= number]
+        return [(k, numbers_of(self.bins[k][0]), numbers_of(self.bins[k][1])) for k in kept]
 
 
 def extremes(rows: Array) -> Array:
@@ -167,10 +164,9 @@ class Broadcast:
             if self._training.shown:
                 self._training.update()
             self.history.look()
-            timing = {**asdict(frame.timing), "latency": [*frame.timing.latency]}
-            span, factor = session.span, session.machine.factor
-            self.info = {"span": span, "factor": factor, "message": frame.message, "timing": timing}
-            self.info["task"] = self._training.status()
+            timing, factor = asdict(frame.timing), session.machine.factor
+            told = {"span": session.span, "factor": factor, "message": frame.message, "timing": timing}
+            self.info = told | {"task": self._training.status()}
         self._ticks += 1
 
     def _begin(self) -> None:
@@ -183,13 +179,10 @@ class Broadcast:
         self.number += 1
         self._ticks = 0
         self.hello = page_data(description, plan.geometry, plan.start)
-        self.hello |= {"names": names, "title": session.title, "inputs": _inputs(session)}
-
-
-def _inputs(session: Session) -> list[str]:
-    """Bare names of the inputs of the machine that are not for the sticks."""
-    driven = {name for mode in session.plan.description.modes.values() for name in mode.inputs}
-    return [name for axis in session.machine.axes if (name := axis.rpartition(".")[2]) not in driven]
+        driven = {name for mode in description.modes.values() for name in mode.inputs}
+        bare = (axis.rpartition(".")[2] for axis in session.machine.axes)
+        inputs = [name for name in bare if name not in driven]  # those that are not for the sticks
+        self.hello |= {"names": names, "title": session.title, "inputs": inputs}
 
 
 class Pages:
@@ -232,18 +225,18 @@ class OpenPage:
     """One open page."""
 
     def __init__(self, pages: Pages, socket: WebSocket) -> None:
-        self._socket, self._session = socket, pages.session
-        self._authority, self._training, self._broadcast = pages.authority, pages.training, pages.broadcast
+        self._socket, self.session = socket, pages.session
+        self.authority, self.training, self._broadcast = pages.authority, pages.training, pages.broadcast
         self.station: OperatorStation = pages.authority.join()
-        self._credit = Credit()
+        self.credit = Credit()
         self._task_shown, self._action = False, asyncio.Lock()
         self._running = set[asyncio.Task[None]]()
-        self._answers: list[dict[str, Any]] = []
+        self.answers: list[dict[str, Any]] = []
 
     def close(self) -> None:
         """The page is gone."""
-        self._authority.leave(self.station)
-        self._show_task(False)
+        self.authority.leave(self.station)
+        self.show_task(False)
 
     # ---- to the page
 
@@ -260,19 +253,20 @@ class OpenPage:
                     info = new["info"] = shared.info
                     if bins := shared.history.since(latest):
                         new["bins"], latest = bins, bins[-1][0]
-                if sent != shared.frame and shared.frame and (number := self._credit.next()):
-                    sent, self._credit.sent = shared.frame, number
+                if sent != shared.frame and shared.frame and (number := self.credit.next()):
+                    sent, self.credit.sent = shared.frame, number
                     new["frame"] = [number, *shared.frame]
                 if now - told >= TELL:
-                    told, new["status"] = now, asdict(self._authority.status(self.station))
-                if self._answers:
-                    new["answer"] = self._answers.pop(0)
+                    told, new["status"] = now, asdict(self.authority.status(self.station))
+                if self.answers:
+                    new["answer"] = self.answers.pop(0)
                 if new:
                     await self._socket.send_text(json.dumps(new, separators=(",", ":")))
                 await asyncio.sleep(1 / RATE)
 
-    def _answer(self, text: str, bad: bool = False, href: str = "") -> None:
-        self._answers.append({"text": text, "bad": bad, "href": href})
+    def answer(self, text: str, bad: bool = False, href: str = "") -> None:
+        """Answer an action in a line."""
+        self.answers.append({"text": text, "bad": bad, "href": href})
 
     # ---- from the page
 
@@ -296,7 +290,7 @@ class OpenPage:
         """Process a message; False if it is ignored. What is no action is of the sticks, or a mistake."""
         asked = action(raw)
         if asked is None:
-            return self._authority.hear(self.station, raw)
+            return self.authority.hear(self.station, raw)
         if not self.station.bucket.take(time.monotonic()):
             self.station.counts["flood"] += 1
             return False
@@ -306,7 +300,7 @@ class OpenPage:
         task.add_done_callback(self._running.discard)
         return True
 
-    async def _act(self, act: Callable[..., Any], asked: dict[str, Any]) -> None:
+    async def _act(self, act: Callable[..., Any], asked: Asked) -> None:
         """Do what the operator asks; a mistake is answered in one line."""
         try:
             result = act(self, asked)
@@ -314,143 +308,116 @@ class OpenPage:
                 async with self._action:  # one after the other
                     await result
         except Problem as problem:
-            self._answer(str(problem), bad=True)
+            self.answer(str(problem), bad=True)
         except Exception:  # of a message that no page of ours sends, too
             log.exception("an action of a page failed")
-            self._answer("that could not be done", bad=True)
+            self.answer("that could not be done", bad=True)
 
     # ---- actions
 
-    def _shown(self, asked: dict[str, Any]) -> None:
-        if type(asked.get("number")) is int:
-            self._credit.shown(asked["number"])
+    def _take(self) -> None:
+        if not self.authority.take(self.station) and self.session.machine.drives:
+            self.answer("requested; the driver has to release the controls")
 
-    def _take(self, _: dict[str, Any]) -> None:
-        if not self._authority.take(self.station) and self._session.machine.drives:
-            self._answer("requested; the driver has to release the controls")
-
-    def _release(self, _: dict[str, Any]) -> None:
-        self._authority.release(self.station)
-
-    def _choose(self, asked: dict[str, Any]) -> None:
-        pattern, mode = (None if (v := asked.get(name)) is None else str(v) for name in ("pattern", "mode"))
-        self._authority.choose(self.station, pattern, mode)
-
-    def _set(self, asked: dict[str, Any]) -> None:
-        self._authority.set(self.station, asked.get("name"), asked.get("value"))
-
-    async def _toggle(self, _: dict[str, Any]) -> None:
-        machine = self._session.machine
+    async def _toggle(self) -> None:
+        machine = self.session.machine
         state = machine.latest().state
         if state in ("running", "starting"):
             machine.pause()  # every page may pause
         elif state in ("ended", "failed"):
-            await self._change(self._authority.stop, self._session.again)
+            await self.change(self.authority.stop, self.session.again)
         else:
-            await self._change(self._authority.halt, machine.play)
+            await self.change(self.authority.halt, machine.play)
 
-    async def _speed(self, asked: dict[str, Any]) -> None:
-        factor = _number(asked.get("factor"), "speed")
-        await self._change(self._authority.halt, self._session.machine.speed, factor)
+    async def _start(self, asked: Asked) -> None:
+        choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
+        await self.change(self.authority.stop, self.session.start, choice)
 
-    async def _again(self, _: dict[str, Any]) -> None:
-        await self._change(self._authority.stop, self._session.again)
-
-    async def _back(self, _: dict[str, Any]) -> None:
-        await self._change(self._authority.stop, self._session.back)
-
-    async def _replay(self, asked: dict[str, Any]) -> None:
-        await self._change(self._authority.stop, self._session.replay, asked.get("file"))
-
-    async def _start(self, asked: dict[str, Any]) -> None:
-        choice = await asyncio.to_thread(chosen, self._session.plan.choice, asked)
-        await self._change(self._authority.stop, self._session.start, choice)
-
-    async def _change(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> None:
+    async def change(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> None:
         """Change what all pages see, after the machine rests, unless another page drives."""
-        if self._authority.status(self.station).role == "watching":
+        if self.authority.status(self.station).role == "watching":
             raise Problem("another page drives the machine and decides")
         before()
         await asyncio.to_thread(action, *arguments)
 
-    def _seek(self, asked: dict[str, Any]) -> None:
-        self._session.seek(_number(asked.get("t"), "time"))
+    async def _save(self) -> None:
+        path = await asyncio.to_thread(self.session.save)
+        self.answer(f"saved: {path}", href=f"/result/{quote(path.name)}")
 
-    async def _save(self, _: dict[str, Any]) -> None:
-        path = await asyncio.to_thread(self._session.save)
-        self._answer(f"saved: {path}", href=f"/result/{quote(path.name)}")
+    async def _files(self) -> None:
+        files = await asyncio.to_thread(self.session.files)
+        self.answers.append({"files": files, "folders": [str(folder) for folder in self.session.folders]})
 
-    async def _files(self, _: dict[str, Any]) -> None:
-        files = await asyncio.to_thread(self._session.files)
-        self._answers.append({"files": files, "folders": [str(folder) for folder in self._session.folders]})
+    async def _machines(self) -> None:
+        self.answers.append({"machines": await asyncio.to_thread(offered, self.session.plan.choice)})
 
-    async def _machines(self, _: dict[str, Any]) -> None:
-        self._answers.append({"machines": await asyncio.to_thread(offered, self._session.plan.choice)})
-
-    def _task(self, asked: dict[str, Any]) -> None:
-        what, value = asked.get("what"), asked.get("value")
+    def task(self, what: object, value: object) -> None:
+        """Show, choose, repeat or write the training task."""
+        training, folders, name = self.training, self.session.folders, str(value)
         if what == "show":
-            self._show_task(bool(value))
+            self.show_task(bool(value))
         elif what == "again":
-            self._training.again()
-        elif what == "choose":
-            self._choose_exercise(str(value))
-        elif what == "write" and self._session.folders:
-            self._answer(f"written: {self._training.write(self._session.folders[0] / TABLE).name}")
+            training.again()
+        elif what == "choose" and name in EXERCISES and name != training.exercise.name:
+            training.choose(EXERCISES[name])
+        elif what == "write" and folders:
+            self.answer(f"written: {training.write(folders[0] / TABLE).name}")
 
-    def _choose_exercise(self, name: str) -> None:
-        if name in EXERCISES and name != self._training.exercise.name:
-            self._training.choose(EXERCISES[name])
-
-    def _show_task(self, on: bool) -> None:
+    def show_task(self, on: bool) -> None:
+        """Show or hide the training task on this page."""
         if on != self._task_shown:
             self._task_shown = on
-            (self._training.open if on else self._training.close)()
+            (self.training.open if on else self.training.close)()
 
 
-ACTIONS: dict[str, Callable[[OpenPage, dict[str, Any]], Any]] = {
-    name.removeprefix("_"): getattr(OpenPage, name)
-    for name in (
-        *("_shown", "_take", "_release", "_choose", "_set", "_toggle", "_speed", "_again", "_back"),
-        *("_replay", "_start", "_seek", "_save", "_files", "_machines", "_task"),
-    )
+ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
+    "shown": lambda page, asked: page.credit.shown(asked.get("number")),
+    "take": lambda page, _: page._take(),
+    "release": lambda page, _: page.authority.release(page.station),
+    "choose": lambda page, asked: page.authority.choose(
+        page.station, *(None if (v := asked.get(name)) is None else str(v) for name in ("pattern", "mode"))
+    ),
+    "set": lambda page, asked: page.authority.set(page.station, asked.get("name"), asked.get("value")),
+    "toggle": lambda page, _: page._toggle(),
+    "speed": lambda page, asked: page.change(
+        page.authority.halt, page.session.machine.speed, finite(asked.get("factor"), "speed")
+    ),
+    "again": lambda page, _: page.change(page.authority.stop, page.session.again),
+    "back": lambda page, _: page.change(page.authority.stop, page.session.back),
+    "replay": lambda page, asked: page.change(page.authority.stop, page.session.replay, asked.get("file")),
+    "start": lambda page, asked: page._start(asked),
+    "seek": lambda page, asked: page.session.seek(finite(asked.get("t"), "time")),
+    "save": lambda page, _: page._save(),
+    "files": lambda page, _: page._files(),
+    "machines": lambda page, _: page._machines(),
+    "task": lambda page, asked: page.task(asked.get("what"), asked.get("value")),
 }
 
 
-def action(raw: str | bytes) -> dict[str, Any] | None:
+def action(raw: str | bytes) -> Asked | None:
     """The action in a message; None for anything else."""
     if not isinstance(raw, str) or not raw.startswith('{"do":') or len(raw) > LONGEST:
         return None
     try:
-        asked: dict[str, Any] = json.loads(raw)
+        asked: Asked = json.loads(raw)
     except (ValueError, RecursionError):
         return None
     return asked if isinstance(asked["do"], str) and asked["do"] in ACTIONS else None
 
 
-def _number(value: object, name: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise Problem(f"{name}: expected a finite number, found {ascii(value)[:60]}")
-    return float(value)
-
-
 def offered(now: MachineChoice) -> dict[str, Any]:
     """The choices before a start: systems in the same folder, poses, and variants by component."""
-    swap = {part: label for part, label in now.swap.items()}
+    swap, own = dict(now.swap), {part: {name: name} for part, name in now.swap.items()}
+    beside = sorted(path.name for path in now.system.parent.glob("*.ssp"))
     return {
-        "systems": list(
-            dict.fromkeys([now.system.name, *sorted(p.name for p in now.system.parent.glob("*.ssp"))])
-        ),
+        "systems": list(dict.fromkeys([now.system.name, *beside])),
         "poses": list(poses(now.system)),
-        "variants": {
-            part: {**({swap[part]: swap[part]} if part in swap else {}), **labels}
-            for part, labels in variants(now.system).items()
-        },
+        "variants": {p: own.get(p, {}) | dict(labels) for p, labels in variants(now.system).items()},
         "chosen": {"system": now.system.name, "pose": now.pose, "swap": swap},
     }
 
 
-def chosen(now: MachineChoice, asked: dict[str, Any]) -> MachineChoice:
+def chosen(now: MachineChoice, asked: Asked) -> MachineChoice:
     """What a page chooses; a `Problem` for what was not offered, such as a file elsewhere."""
     offer = offered(now)
     system, pose, swap = asked.get("system"), asked.get("pose"), asked.get("swap")

@@ -9,7 +9,7 @@ import socket
 import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import uvicorn
@@ -59,11 +59,10 @@ class Server:
         )
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
-        default = rules(host, names=(_displayed(host),), port=self.port)
-        allowed = replace(default, token=token or default.token)
+        allowed = rules(host, (_displayed(host),), self.port, token)
         query = f"?token={allowed.token}" if allowed.token else ""
         self.url = f"http://{_displayed(host)}:{self.port}/{query}"
-        app = application(Pages(session, self.authority, training), self._begin)
+        app = application(Pages(session, self.authority, training), lambda: self._began())
         app.add_middleware(Guard, rules=allowed)
         config = uvicorn.Config(
             app,
@@ -98,9 +97,6 @@ class Server:
         if self._thread is not None:
             self._thread.join(4 * GRACE)
 
-    def _begin(self) -> None:
-        self._began()
-
 
 def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Starlette:
     """The page and its websocket, without access control. began: called when it serves."""
@@ -117,37 +113,26 @@ def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Sta
             return Response(f"{problem}\n", 404, media_type="text/plain")
         return FileResponse(path, filename=path.name)
 
+    async def watch() -> None:
+        while True:
+            pages.authority.check()
+            await asyncio.sleep(WATCH)
+
     @contextlib.asynccontextmanager
     async def life(_: Starlette) -> AsyncIterator[None]:
-        """Run the watchdog and read the machine while the server runs."""
-        async with watching(pages.authority):
-            reading = asyncio.create_task(pages.run())
-            try:
-                began()
-                yield
-            finally:
-                reading.cancel()
+        """Run the watchdog and read the machine while the server runs. At the end the machine rests."""
+        tasks = [asyncio.create_task(watch()), asyncio.create_task(pages.run())]
+        try:
+            began()
+            yield
+        finally:
+            for task in tasks:
+                task.cancel()
+            pages.authority.stop()
 
     routes: list[BaseRoute] = [Route(path, file) for path in files]
     routes += [Route("/result/{name:path}", result), WebSocketRoute("/live", pages.serve)]
     return Starlette(routes=routes, lifespan=life, exception_handlers={404: _not_found})
-
-
-@contextlib.asynccontextmanager
-async def watching(authority: ControlAuthority) -> AsyncIterator[None]:
-    """Run the watchdog inside this block. At its end the machine rests."""
-
-    async def watch() -> None:
-        while True:
-            authority.check()
-            await asyncio.sleep(WATCH)
-
-    task = asyncio.create_task(watch())
-    try:
-        yield
-    finally:
-        task.cancel()
-        authority.stop()
 
 
 async def _not_found(*_: object) -> Response:
@@ -207,7 +192,7 @@ def serve(
             if open_:  # in a thread, because on some systems the call waits for the browser
                 threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
 
-        with failures_reported(session.live, session.save_live):
+        with failures_reported(session.live, partial(session.save, session.live)):
             server.run(began)
         raise KeyboardInterrupt  # uvicorn returns without it if SIGINT is ignored, as in a background job
     finally:

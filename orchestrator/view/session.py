@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.drive.view_description import by_bare_name
-from orchestrator.realtime.setup import Array, Frame, Machine, Setup
+from orchestrator.realtime.setup import Frame, Machine, Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
 
@@ -55,15 +55,17 @@ class SignalIndex:
 
 
 class ExchangeableMachine:
-    """A `Machine` that forwards all calls to another machine, which can be exchanged.
+    """A `Machine` that is another one, which can be exchanged: what is not here is that of `machine`.
 
     factor      the speed that was set last
     exchanges   number of exchanges; frames before and after an exchange are not related
     """
 
     def __init__(self, machine: Machine) -> None:
-        self.machine = machine
-        self.exchanges, self.factor = 0, 1.0
+        self.machine, self.exchanges, self.factor = machine, 0, 1.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.machine, name)
 
     def exchange(self, machine: Machine) -> None:
         """Show another machine. The previous one is paused."""
@@ -74,31 +76,6 @@ class ExchangeableMachine:
         self.machine = machine
         self.exchanges += 1
 
-    @property
-    def axes(self) -> Sequence[str]:
-        return self.machine.axes
-
-    @property
-    def signals(self) -> Sequence[str]:
-        return self.machine.signals
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        return self.machine.units
-
-    @property
-    def drives(self) -> bool:
-        return self.machine.drives
-
-    def command(self, values: Mapping[str, float]) -> None:
-        self.machine.command(values)
-
-    def play(self) -> None:
-        self.machine.play()
-
-    def pause(self) -> None:
-        self.machine.pause()
-
     def speed(self, factor: float) -> None:
         self.machine.speed(factor)
         self.factor = factor
@@ -106,18 +83,6 @@ class ExchangeableMachine:
     def restart(self, setup: Setup | None = None) -> None:
         self.machine.restart(setup)
         self.exchanges += 1
-
-    def latest(self) -> Frame:
-        return self.machine.latest()
-
-    def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
-        return self.machine.since(number)
-
-    def trace(self) -> Trace:
-        return self.machine.trace()
-
-    def close(self) -> None:
-        self.machine.close()
 
 
 class SeekableMachine(Machine, Protocol):
@@ -187,12 +152,6 @@ class Session:
         description = self.plan.description
         return set(description.scene.joints if description.scene else description.shown)
 
-    @property
-    def _example(self) -> str:
-        """Full name of one of the required signals."""
-        full = by_bare_name(self.plan.setup.signals)
-        return next((full[name] for name in full if name in self._required), "component.output")
-
     def files(self) -> list[str]:
         """Names of the result files in the open folders that can be replayed."""
         results = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
@@ -210,10 +169,10 @@ class Session:
         recording = self._replay(trace)
         index = SignalIndex(recording)
         if not any(index.contains(name) for name in self._required):
-            raise Problem(
-                f"{path}: expected signals such as {self._example}, found"
-                f" {', '.join(list(trace.signals)[:4]) or 'none'}"
-            )
+            full = by_bare_name(self.plan.setup.signals)
+            example = next((full[name] for name in full if name in self._required), "component.output")
+            found = ", ".join(list(trace.signals)[:4]) or "none"
+            raise Problem(f"{path}: expected signals such as {example}, found {found}")
         self._show(recording, name or path.name)
         self._recording, self.span = recording, (float(trace.time[0]), float(trace.time[-1]))
         self.machine.play()
@@ -230,26 +189,15 @@ class Session:
             self.machine.machine.close()
             self._show(self.live, "")
 
-    def save(self) -> Path:
-        """Save the session as a result file in the first folder."""
-        return self._save(self.machine)
-
-    def save_live(self) -> Path:
-        """Save the session of the live machine, also while a replay is shown."""
-        return self._save(self.live)
-
-    def _save(self, machine: Machine) -> Path:
+    def save(self, machine: Machine | None = None) -> Path:
+        """Save the session, or that of another machine, as a result file in the first folder."""
         if not self.folders:
             raise Problem("save: no folder for results is open")
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        return write_trace(self.trace(machine), self.folders[0] / f"session-{stamp}.parquet")
-
-    def trace(self, machine: Machine | None = None) -> Trace:
-        """Trace of the session, or of another machine. Raises `Problem` if it is empty."""
         trace = (machine or self.machine).trace()
         if not len(trace.time):
             raise Problem("save: nothing has been recorded yet")
-        return trace
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        return write_trace(trace, self.folders[0] / f"session-{stamp}.parquet")
 
     def close(self) -> None:
         """Close all machines."""

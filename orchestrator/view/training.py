@@ -13,24 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.drive.score import (
-    DEFAULT,
-    LOAD,
-    LONGEST,
-    Exercise,
-    Progress,
-    Samples,
-    Score,
-    clock,
-    distance,
-    follow,
-    judge,
-    load,
-    of_values,
-    phase,
-    task_signals,
-    way,
-)
+from orchestrator.drive import score
+from orchestrator.drive.score import DEFAULT, LOAD, Exercise, Progress, Samples, Score
 from orchestrator.realtime.setup import Machine
 
 
@@ -88,7 +72,7 @@ class Training:
             return
         self._number = int(numbers[-1])
         for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(times) < 0) + 1):
-            if len(self._time) and times[part[0]] < self._time[-1][-1]:  # restarted
+            if self._samples and times[part[0]] < self._samples[-1].time[-1]:  # restarted
                 self.again()
             self._add(times[part], values[part])
 
@@ -99,22 +83,22 @@ class Training:
         inside = self._progress.inside
         return {
             "exercise": self.exercise.name,
-            "phase": phase(self.exercise, self._progress),
+            "phase": score.phase(self.exercise, self._progress),
             "target": asdict(left[0]) if left else None,
             "radius": self.exercise.radius,
             "done": len(self._progress.done),
-            "distance": distance(self.exercise, self._progress, tip) if tip else None,
-            "way": way(tip, left[0].at) if tip and left else None,
+            "distance": score.distance(self.exercise, self._progress, tip) if tip else None,
+            "way": score.way(tip, left[0].at) if tip and left else None,
             "held": 0.0 if inside is None else (self._progress.now - inside) / self.exercise.hold,
-            "time": clock(self._progress),
-            "load": load(self.exercise, self._progress),
+            "time": score.clock(self._progress),
+            "load": score.load(self.exercise, self._progress),
             "problem": self._problem,
             "table": self.table(),
         }
 
     def loads(self) -> dict[str, float]:
         """Input -> its value: the load of the head while a page shows the task, else none."""
-        return {LOAD: load(self.exercise, self._progress) if self._open else 0.0}
+        return {LOAD: score.load(self.exercise, self._progress) if self._open else 0.0}
 
     def table(self) -> list[dict[str, Any]]:
         """The finished attempts, one row each."""
@@ -137,7 +121,6 @@ class Training:
 
     def _clear(self) -> None:
         self._progress = Progress()
-        self._time: list[NDArray[np.float64]] = []
         self._samples: list[Samples] = []
         self._tip: tuple[float, float, float] | None = None
         self._problem = ""
@@ -146,35 +129,27 @@ class Training:
     def _add(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
         if self._kept:
             return
-        names = list(self._machine.signals)
         try:
-            part = of_values(times, {name: values[:, names.index(name)] for name in task_signals(names)})
+            part = score.of_values(times, dict(zip(self._machine.signals, values.T, strict=True)))
         except Problem as error:
             self._problem = str(error)
             return
         if self._progress.started is None:  # samples before the start are not needed; a pause may be long
-            self._time, self._samples = [], []
-        self._time.append(times)
+            self._samples = []
         self._samples.append(part)
-        self._tip = (float(part.tip[-1, 0]), float(part.tip[-1, 1]), float(part.tip[-1, 2]))
-        self._progress = follow(self.exercise, self._progress, part)
-        if phase(self.exercise, self._progress) == "done":
+        self._tip = part.tips[-1]
+        self._progress = score.follow(self.exercise, self._progress, part)
+        if score.phase(self.exercise, self._progress) == "done":
             self._keep()
-        elif self._progress.started is not None and times[-1] - self._progress.started > LONGEST:
+        elif self._progress.started is not None and times[-1] - self._progress.started > score.LONGEST:
             self.again()
 
     def _keep(self) -> None:
-        result = self._score()
-        if result and not self._kept:
+        if self._progress.started is not None and not self._kept:
+            result = score.judge(Samples.joined(self._samples), self.exercise, self._progress)
+            assert result is not None  # the clock has started
             self.attempts.append(Attempt(len(self.attempts) + 1, self.exercise.name, result))
         self._kept = True
-
-    def _score(self) -> Score | None:
-        if self._progress.started is None:
-            return None
-        names = Samples.__dataclass_fields__
-        samples = Samples(*(np.concatenate([getattr(s, name) for s in self._samples]) for name in names))
-        return judge(samples, self.exercise, self._progress)
 
 
 def _source(machine: Machine) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orchestrator.base.compiler import shared_library
-from orchestrator.lanes.compiled import lane_count, processor, recipe
+from orchestrator.lanes.compiled import LANES, processor, recipe
 
 
 @pytest.fixture(scope="module")
@@ -19,9 +19,9 @@ def functions():
     def call(name, x, y=None):
         x = np.broadcast_arrays(np.asarray(x, float), np.zeros(1 if y is None else np.shape(y)))[0]
         y = np.broadcast_to(np.asarray(0.0 if y is None else y, float), x.shape)
-        count = -(-x.size // lane_count())
-        padded = [np.resize(v, count * lane_count()).astype(float) for v in (x, y)]
-        out = np.zeros(count * lane_count())
+        count = -(-x.size // LANES)
+        padded = [np.resize(v, count * LANES).astype(float) for v in (x, y)]
+        out = np.zeros(count * LANES)
         pointers = [v.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for v in (*padded, out)]
         getattr(library, f"{name}_of")(*pointers, count)
         return out[: x.size]

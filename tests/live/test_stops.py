@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from kit import shards
 
+from orchestrator.data.table import Array
 from orchestrator.drive.sticks import CraneFunctions, commands
-from orchestrator.realtime.setup import Array
 from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.view.choice import MachineChoice, plan
 

@@ -11,7 +11,7 @@ from sweep.pages import with_reasons
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
 from orchestrator.lanes.group import FAILED, OK
-from orchestrator.studies.analysis.results import without_numbers
+from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.parameter_study import StudyProgress, summary
 from orchestrator.studies.single_run import RunOutcome
 from orchestrator.studies.store import Results

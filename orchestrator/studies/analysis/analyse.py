@@ -7,21 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import mannwhitneyu
 
+from orchestrator.data.table import Array
 from orchestrator.data.trace import moves
 from orchestrator.lanes.group import OK
 from orchestrator.studies.analysis import morris_sobol, sensitivity
-from orchestrator.studies.analysis.results import (
-    Analysis,
-    Array,
-    Failure,
-    OutputAnalysis,
-    OutputSamples,
-    Sensitivity,
-    Spread,
-    done,
-    samples,
-    without_numbers,
-)
+from orchestrator.studies.analysis.output_samples import OutputSamples, done, samples, without_numbers
+from orchestrator.studies.analysis.results import Analysis, Failure, OutputAnalysis, Sensitivity, Spread
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Output, Study
 
@@ -40,15 +31,9 @@ def analyse(results: Results) -> Analysis:
     notes = [*results.warnings, *_missing_factors(results), *_where_failed(results)]
     if study.method in NOTES:
         notes.append(NOTES[study.method])
-    return Analysis(
-        study.title,
-        study.method,
-        len(results.table),
-        len(done(results)),
-        failures(results),
-        tuple(_analyse_output(results, output) for output in study.outputs),
-        tuple(notes),
-    )
+    findings = tuple(_analyse_output(results, output) for output in study.outputs)
+    counts = len(results.table), len(done(results))
+    return Analysis(study.title, study.method, *counts, failures(results), findings, tuple(notes))
 
 
 def spread(values: Array) -> Spread | None:
@@ -96,9 +81,8 @@ def _where_failed(results: Results) -> list[str]:
     """Notes on factors that differ between failed and other runs, by Mann-Whitney tests."""
     failed = (results.table["status"] != OK).to_numpy()
     notes: list[str] = []
-    if min(failed.sum(), (~failed).sum()) < FEWEST_RUNS:
-        return notes
-    for factor in results.study.factors:
+    enough = min(failed.sum(), (~failed).sum()) >= FEWEST_RUNS
+    for factor in results.study.factors if enough else ():
         values = results.table[factor.column].to_numpy(float)
         of_failed, of_others = values[failed], values[~failed]
         test = mannwhitneyu(of_failed, of_others)
@@ -115,39 +99,28 @@ def _analyse_output(results: Results, output: Output) -> OutputAnalysis:
     overall, missing = spread(values), int((~np.isfinite(values)).sum())
     by_choice = {}
     for choice in study.compared:
-        column = completed[choice.column].astype(str)
-        spreads = {
-            o: spread(completed.loc[column == o, output.column].to_numpy(float)) for o in choice.options
-        }
-        by_choice[choice.name] = {option: value for option, value in spreads.items() if value is not None}
-    constant = False
-    result: Sensitivity | str = "no run has a finite value of this output"
-    if overall is not None:
-        constant = not moves(np.array([overall.minimum, overall.maximum]))
-        if constant:
-            result = "the output is the same in all runs"
-        elif not study.factors and not study.compared:
-            result = "nothing was varied"
-        else:
-            result = _sensitivity(study, samples(results, output))
+        column = completed[choice.column].astype(str).to_numpy()
+        spreads = ((option, spread(values[column == option])) for option in choice.options)
+        by_choice[choice.name] = {option: found for option, found in spreads if found is not None}
+    constant = overall is not None and not moves(np.array([overall.minimum, overall.maximum]))
+    result: Sensitivity | str
+    if overall is None:
+        result = "no run has a finite value of this output"
+    elif constant:
+        result = "the output is the same in all runs"
+    elif not study.factors and not study.compared:
+        result = "nothing was varied"
+    else:
+        result = _sensitivity(study, samples(results, output))
     notes = [result] if isinstance(result, str) else []
     if missing and overall is not None:
         runs = "1 run" if missing == 1 else f"{missing} runs"
         notes.append(
             f"{runs} finished without a finite value of this output; the sensitivity treats this as a failure"
         )
-    return OutputAnalysis(
-        output.name,
-        output.signal,
-        output.measure,
-        (output.start, output.stop),
-        output.unit,
-        overall,
-        by_choice,
-        constant,
-        None if isinstance(result, str) else result,
-        tuple(notes),
-    )
+    of = output.name, output.signal, output.measure, (output.start, output.stop), output.unit
+    found = None if isinstance(result, str) else result
+    return OutputAnalysis(*of, overall, by_choice, constant, found, tuple(notes))
 
 
 def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
@@ -156,12 +129,10 @@ def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
         result = sensitivity.main_effects(data)
     elif study.method == "morris":
         result = morris_sobol.elementary_effects(data)
-    elif study.method != "saltelli":
-        result = sensitivity.from_sample(data)
-    elif morris_sobol.enough_base_samples(data):
-        result = morris_sobol.sobol_indices(data)
+    elif study.method == "saltelli":
+        result = _from_saltelli(data)
     else:
-        result = _from_independent_rows(data)
+        result = sensitivity.from_sample(data)
     if isinstance(result, str):
         return result
     options = {choice.name: choice.options for choice in study.choices}
@@ -169,19 +140,15 @@ def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
     return replace(result, effects=effects)
 
 
-def _from_independent_rows(data: OutputSamples) -> Sensitivity | str:
-    """Sensitivity from the independent rows of a Saltelli design alone.
-
-    For a design that is too small or has too many failed runs.
-    """
+def _from_saltelli(data: OutputSamples) -> Sensitivity | str:
+    """Sobol' indices; from the independent rows alone if the design is too small or too many runs failed."""
     width = len(data.names) + 2  # rows of a base sample: A, B and one for each factor
     design, count = data.blocks(width)
     complete = len(design.y) // width
-    size = (
-        f"only {complete} of {count} base samples are complete"
-        if complete < count
-        else f"{count} base samples"
-    )
+    if complete >= max(morris_sobol.LEAST_BASE_SAMPLES, (1 - morris_sobol.MOST_MISSING) * count):
+        return morris_sobol.sobol_indices(design, count)
+    size = f"only {complete} of {count} base samples are complete"
+    size = size if complete < count else f"{count} base samples"
     result = sensitivity.from_sample(morris_sobol.independent(data))
     if isinstance(result, str):
         return f"{size}, too few for a Saltelli design; {result}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.base.text import DisplayUnit, join_words
+from orchestrator.studies import study
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -12,19 +13,11 @@ from orchestrator.studies.analysis.results import (
     IntervalEstimate,
     OutputAnalysis,
     Sensitivity,
-    short,
 )
+from orchestrator.studies.study import short
 
-MEASURES = {
-    "maximum": "maximum",
-    "minimum": "minimum",
-    "mean": "mean",
-    "rms": "root mean square",
-    "range": "range",
-    "final": "final value",
-    "integral": "integral",
-    "time_of_maximum": "time of the maximum",
-}
+MEASURES: dict[str, str] = {name: name.replace("_of_", " of the ") for name in study.MEASURES}
+MEASURES |= {"rms": "root mean square", "final": "final value"}
 FRACTIONS = {FIRST: "of its variance by itself", TOTAL: "of its variance", REGRESSION: "of its variance"}
 NOTICEABLE = 0.05  # fraction of the variance, or of the largest mu*, from which a factor is mentioned
 INTERACTION = 0.1  # fraction of the variance from which interactions are mentioned
@@ -45,14 +38,12 @@ def sentences(analysed: OutputAnalysis) -> list[str]:
     """Sentences about an output; the first one answers which factors affect it most."""
     if analysed.spread is None:
         return [f"No run has {analysed.name}."]
-    spread = analysed.spread
+    spread, text = analysed.spread, analysed.display.text
+    median = text(spread.median)
     if analysed.constant:
-        value = analysed.display.text(spread.median)
-        return [f"{analysed.name} is {value} in all {spread.runs} runs: no factor has an effect on it."]
-    ends = f"{analysed.display.text(spread.low)} and {analysed.display.text(spread.high)}"
-    distribution = (
-        f"Nine of ten runs lie between {ends}; the median is {analysed.display.text(spread.median)}."
-    )
+        return [f"{analysed.name} is {median} in all {spread.runs} runs: no factor has an effect on it."]
+    ends = f"{text(spread.low)} and {text(spread.high)}"
+    distribution = f"Nine of ten runs lie between {ends}; the median is {median}."
     if analysed.sensitivity is None:
         notes = "; ".join(analysed.notes)
         return [f"The sensitivities of {analysed.name} cannot be estimated: {notes}.", distribution]
@@ -69,9 +60,13 @@ def _answer(analysed: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
     effects, measure = sensitivity.effects, sensitivity.measure
     if len(effects) == 1:
         return [f"{effects[0].label} is the only factor that was varied{_direction(analysed, effects[0])}."]
-    leaders = _leaders(effects, measure)
+    # the largest effect, and those whose intervals overlap with its interval
+    floor = effects[0].estimates[measure].floor
+    leaders = [e for e in effects if e.estimates[measure].ceiling >= floor]
     answer = [_first(analysed, effects, leaders, measure)]
-    followers = [e for e in effects if e not in leaders and _noticeable(e, effects[0], measure)]
+    least = NOTICEABLE * (effects[0].estimates[measure].value if measure == MU_STAR else 1.0)
+    smaller = [e for e in effects if e not in leaders and e.estimates[measure].floor > 0]
+    followers = [e for e in smaller if e.estimates[measure].value >= least]
     if followers and len(leaders) <= MOST_LEADERS:
         sizes = [f"{e.label} {size(e.estimates[measure], measure, analysed.display)}" for e in followers[:4]]
         answer.append(f"Next: {', '.join(sizes)}.")
@@ -79,16 +74,11 @@ def _answer(analysed: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
     return [*answer, interaction] if interaction else answer
 
 
-def _leaders(effects: tuple[Effect, ...], measure: str) -> list[Effect]:
-    """The largest effect, and those whose intervals overlap with its interval."""
-    first = effects[0].estimates[measure]
-    return [e for e in effects if e.estimates[measure].ceiling >= first.floor]
-
-
 def _first(analysed: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
     """Sentence about the leading factors, or about their absence."""
     top, fraction = effects[0], FRACTIONS.get(measure, "over its range")
-    if _none_stands_out(effects, leaders, measure):
+    significant = top.estimates[measure].floor > (0.0 if measure == MU_STAR else NOTICEABLE)
+    if not significant or len(leaders) > MOST_LEADERS or len(leaders) == len(effects):
         others = len(leaders) - 1
         similar = f"; {others} more cannot be distinguished from it" if others else ""
         largest = size(top.estimates[measure], measure, analysed.display)
@@ -100,20 +90,6 @@ def _first(analysed: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[
     if len(leaders) > 1:
         ending = "; these runs do not show which of them has the larger effect"
     return f"{analysed.name} depends most on {join_words(names)}: {join_words(sizes)} {fraction}{ending}."
-
-
-def _none_stands_out(effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> bool:
-    """Whether the largest effect is not significant, or cannot be distinguished from many others."""
-    top = effects[0].estimates[measure]
-    threshold = 0.0 if measure == MU_STAR else NOTICEABLE
-    return top.floor <= threshold or len(leaders) > MOST_LEADERS or len(leaders) == len(effects)
-
-
-def _noticeable(effect: Effect, top: Effect, measure: str) -> bool:
-    """Whether an effect is large enough to be mentioned."""
-    scale = top.estimates[measure].value if measure == MU_STAR else 1.0
-    estimate = effect.estimates[measure]
-    return estimate.value >= NOTICEABLE * scale and estimate.floor > 0
 
 
 def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
@@ -133,11 +109,8 @@ def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
 def _direction(analysed: OutputAnalysis, effect: Effect) -> str:
     """Direction of the effect of a factor, or the medians of the options of a choice."""
     if effect.kind == "choice":
-        options = analysed.by_choice[effect.name]
-        medians = [
-            f"{analysed.display.text(spread.median)} with {short(option)}"
-            for option, spread in options.items()
-        ]
+        text, options = analysed.display.text, analysed.by_choice[effect.name]
+        medians = [f"{text(spread.median)} with {short(option)}" for option, spread in options.items()]
         return f"; its median is {join_words(medians)}" if len(medians) <= MOST_LEADERS else ""
     direction = effect.direction or 0.0
     if abs(direction) < CLEAR:

@@ -25,20 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from SALib.analyze import morris
 from SALib.analyze.sobol import first_order, total_order
-from scipy.stats import bootstrap, spearmanr
+from scipy.stats import bootstrap
 
-from orchestrator.studies.analysis.results import (
-    FIRST,
-    MU_STAR,
-    TOTAL,
-    Array,
-    Effect,
-    IntervalEstimate,
-    OutputSamples,
-    Sensitivity,
-)
+from orchestrator.data.table import Array
+from orchestrator.studies.analysis.output_samples import OutputSamples, rank_correlations
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, IntervalEstimate, Sensitivity
 from orchestrator.studies.design import LEVELS, problem
-from orchestrator.studies.study import Factor
 
 RESAMPLES = 400  # of the bootstrap: ends of a 95 % interval are accurate to some percent of its width
 SEED = 20_01  # fixed, so that equal results give equal intervals
@@ -61,15 +53,9 @@ def intervals(estimate: Callable[[Rows], Array], count: int) -> list[IntervalEst
     estimate  function from indices of samples to values, shape (m,)
     count     number of samples; the bootstrap draws them with replacement
     """
-    rows = np.arange(count)
-    result = bootstrap(
-        (rows,),
-        estimate,
-        n_resamples=RESAMPLES,
-        method="percentile",
-        vectorized=False,
-        rng=np.random.default_rng(SEED),
-    )
+    rows, rng = np.arange(count), np.random.default_rng(SEED)
+    settings = {"n_resamples": RESAMPLES, "method": "percentile", "vectorized": False}
+    result = bootstrap((rows,), estimate, rng=rng, **settings)
     ends = zip(estimate(rows), *result.confidence_interval, strict=True)
     return [IntervalEstimate(float(value), float(low), float(high)) for value, low, high in ends]
 
@@ -77,17 +63,6 @@ def intervals(estimate: Callable[[Rows], Array], count: int) -> list[IntervalEst
 def ordered(effects: list[Effect], measure: str) -> tuple[Effect, ...]:
     """Effects sorted by a measure, the largest first; equal ones by name."""
     return tuple(sorted(effects, key=lambda effect: (-effect.estimates[measure].value, effect.name)))
-
-
-def rank_correlations(samples: OutputSamples, y: Array) -> list[float | None]:
-    """Rank correlation of each factor with y; None for choices."""
-    pairs = zip(samples.dimensions, samples.x.T, strict=True)
-    return [rank_correlation(x, y) if isinstance(d, Factor) else None for d, x in pairs]
-
-
-def rank_correlation(x: Array, y: Array) -> float:
-    """Spearman's rank correlation; 0 if x or y is constant."""
-    return float(spearmanr(x, y).statistic) if np.ptp(x) > 0 and np.ptp(y) > 0 else 0.0
 
 
 def of_crossed(samples: OutputSamples) -> list[Effect]:
@@ -108,10 +83,8 @@ def of_crossed(samples: OutputSamples) -> list[Effect]:
     if not samples.crossed:
         return []
     estimates = intervals(indices, len(samples.y))
-    return [
-        Effect(choice.name, choice.kind, {FIRST: first, TOTAL: total})
-        for choice, first, total in zip(samples.crossed, estimates[::2], estimates[1::2], strict=True)
-    ]
+    each = zip(samples.crossed, estimates[::2], estimates[1::2], strict=True)
+    return [Effect(choice.name, choice.kind, {FIRST: f, TOTAL: t}) for choice, f, t in each]
 
 
 # ---- Morris
@@ -125,45 +98,31 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     if complete < LEAST_TRAJECTORIES:
         return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
     apart = {name: _elementary_effects(design.alone(c)) for c, name in enumerate(design.combinations)}
-    effects = [_pooled(effects) for effects in zip(*apart.values(), strict=True)] + _option_effects(
-        design, width
-    )
+    effects = [_pooled(effects) for effects in zip(*apart.values(), strict=True)]
+    effects += _option_effects(design, width)
     notes = [
         "mu* is the change of the output over the whole range of a factor; it is not a fraction of a variance"
     ]
     if complete < count:
         notes.append(f"{count - complete} of {count} trajectories are left out, as one of their runs failed")
-    return Sensitivity(
-        MORRIS,
-        MU_STAR,
-        complete,
-        float(design.y.var()),
-        ordered(effects, MU_STAR),
-        {name: ordered(effects, MU_STAR) for name, effects in apart.items()} if samples.crossed else {},
-        notes=tuple(notes),
-    )
+    each = {name: ordered(effects, MU_STAR) for name, effects in apart.items()} if samples.crossed else {}
+    variance = float(design.y.var())
+    largest_first = ordered(effects, MU_STAR)
+    return Sensitivity(MORRIS, MU_STAR, complete, variance, largest_first, each, notes=tuple(notes))
 
 
 def _elementary_effects(design: OutputSamples) -> list[Effect]:
     """mu* and sigma of each factor in one combination of choices."""
-    y, rng = design.y[:, 0], np.random.default_rng(SEED)
-    result = morris.analyze(
-        problem(design.names), design.x, y, num_levels=LEVELS, num_resamples=RESAMPLES, seed=rng
-    )
+    y = design.y[:, 0]
+    settings = {"num_levels": LEVELS, "num_resamples": RESAMPLES, "seed": np.random.default_rng(SEED)}
+    result = morris.analyze(problem(design.names), design.x, y, **settings)
     columns = np.array([result[key] for key in ("mu_star", "mu_star_conf", "mu", "sigma")], float).T.tolist()
-    directions = rank_correlations(design, y)
-    return [
-        Effect(
-            dimension.name,
-            dimension.kind,
-            {MU_STAR: IntervalEstimate(star, star - half, star + half)},
-            {"mu": mu, "sigma": sigma},
-            direction,
-        )
-        for dimension, (star, half, mu, sigma), direction in zip(
-            design.dimensions, columns, directions, strict=True
-        )
-    ]
+    effects = []
+    for d, direction, row in zip(design.dimensions, rank_correlations(design, y), columns, strict=True):
+        star, half, mu, sigma = row
+        estimate = IntervalEstimate(star, star - half, star + half)
+        effects.append(Effect(d.name, d.kind, {MU_STAR: estimate}, {"mu": mu, "sigma": sigma}, direction))
+    return effects
 
 
 def _pooled(effects: tuple[Effect, ...]) -> Effect:
@@ -174,13 +133,10 @@ def _pooled(effects: tuple[Effect, ...]) -> Effect:
     mu = np.array([effect.more["mu"] for effect in effects])
     sigma = np.sqrt(np.mean([effect.more["sigma"] ** 2 for effect in effects]) + mu.var())
     directions = [effect.direction for effect in effects if effect.direction is not None]
-    return Effect(
-        effects[0].name,
-        effects[0].kind,
-        {MU_STAR: IntervalEstimate(value, value - half, value + half)},
-        {"mu": float(mu.mean()), "sigma": float(sigma)},
-        float(np.mean(directions)) if directions else None,
-    )
+    estimate = IntervalEstimate(value, value - half, value + half)
+    more = {"mu": float(mu.mean()), "sigma": float(sigma)}
+    direction = float(np.mean(directions)) if directions else None
+    return Effect(effects[0].name, effects[0].kind, {MU_STAR: estimate}, more, direction)
 
 
 def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
@@ -201,13 +157,6 @@ def _option_effects(design: OutputSamples, width: int) -> list[Effect]:
 # ---- Sobol'
 
 
-def enough_base_samples(samples: OutputSamples) -> bool:
-    """Whether enough base samples of a Saltelli design are complete."""
-    width = len(samples.names) + 2
-    design, count = samples.blocks(width)
-    return len(design.y) // width >= max(LEAST_BASE_SAMPLES, (1 - MOST_MISSING) * count)
-
-
 def independent(samples: OutputSamples) -> OutputSamples:
     """The rows A and B of a Saltelli design; the rows between them repeat their columns."""
     width = len(samples.names) + 2
@@ -215,10 +164,9 @@ def independent(samples: OutputSamples) -> OutputSamples:
     return samples.at((position == 0) | (position == width - 1))
 
 
-def sobol_indices(samples: OutputSamples) -> Sensitivity:
-    """First-order and total indices of each factor and choice."""
-    width = len(samples.names) + 2
-    design, count = samples.blocks(width)
+def sobol_indices(design: OutputSamples, count: int) -> Sensitivity:
+    """First-order and total indices of each factor and choice, from the complete of `count` base samples."""
+    width = len(design.names) + 2
     independent_rows, y = independent(design), design.y.reshape(-1, width, design.y.shape[1])
     factors, complete = _sobol_effects(independent_rows, y), len(y)
     notes = []
@@ -235,7 +183,7 @@ def sobol_indices(samples: OutputSamples) -> Sensitivity:
     apart = {
         name: ordered(_sobol_effects(independent_rows.alone(c), y[:, :, [c]]), TOTAL)
         for c, name in enumerate(design.combinations)
-        if samples.crossed and independent_rows.y[:, c].std() > 0
+        if design.crossed and independent_rows.y[:, c].std() > 0
     }
     effects = ordered(factors + of_crossed(independent_rows), TOTAL)
     return Sensitivity(

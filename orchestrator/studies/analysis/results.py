@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import PurePath
+from dataclasses import dataclass, field
 
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
-
-from orchestrator.base.errors import Problem
 from orchestrator.base.text import DisplayUnit, display_unit
-from orchestrator.lanes.group import OK
-from orchestrator.studies.store import Results
-from orchestrator.studies.study import Choice, Factor, Output
-
-# A number that is not part of a name, such as swing_1_rise.
-_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-
-
-def without_numbers(reasons: pd.Series) -> pd.Series:
-    """Each reason with # for its numbers: equal ones differ only in their numbers."""
-    return reasons.astype(str).map(lambda reason: _NUMBER.sub("#", reason))
-
+from orchestrator.studies.study import short
 
 # Names of sensitivity measures.
 FIRST = "first_order"  # first-order index: fraction of the variance due to the factor alone
 TOTAL = "total"  # total-effect index: the same with all interactions of the factor
 REGRESSION = "squared_regression"  # squared standardised coefficient of a linear model
 MU_STAR = "mu_star"  # mean of the absolute elementary effects, in the unit of the output
+
+# measures and further values, in the order of a table -> head of the column
+HEAD = {
+    TOTAL: "total",
+    FIRST: "first order",
+    REGRESSION: "linear model, squared",
+    MU_STAR: "μ*",
+    "mu": "μ",
+    "sigma": "\N{GREEK SMALL LETTER SIGMA}",
+    "regression": "coefficient",
+    "rank_regression": "coefficient of ranks",
+}
 
 LONGEST_LABEL = 44  # characters
 
@@ -79,11 +72,6 @@ class Effect:
         """The name, with the options of a choice if they are short."""
         text = f"{self.name} ({' or '.join(map(short, self.options))})"
         return text if self.options and len(text) <= LONGEST_LABEL else self.name
-
-
-def short(option: str) -> str:
-    """An option of a choice for a reader: the stem of a file, or the option itself."""
-    return PurePath(option).stem if option.endswith((".csv", ".parquet", ".ssv", ".fmu")) else option
 
 
 @dataclass(frozen=True)
@@ -180,81 +168,3 @@ class Analysis:
     failures: tuple[Failure, ...]
     findings: tuple[OutputAnalysis, ...]
     notes: tuple[str, ...] = ()
-
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class OutputSamples:
-    """Values of one output by sample.
-
-    dimensions   factors and sampled choices
-    x            values of the dimensions, shape (n, k); for a choice the index of the option
-    y            output, shape (n, c), a column per combination of crossed choices; NaN if it is missing
-    crossed      the other choices; the columns of y are the product of their options, the last varies fastest
-    """
-
-    dimensions: tuple[Factor | Choice, ...]
-    x: Array
-    y: Array
-    crossed: tuple[Choice, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the dimensions."""
-        return tuple(dimension.name for dimension in self.dimensions)
-
-    @property
-    def combinations(self) -> tuple[str, ...]:
-        """A name for each column of y."""
-        return tuple(", ".join(options) for options in itertools.product(*(c.options for c in self.crossed)))
-
-    @property
-    def complete(self) -> NDArray[np.bool_]:
-        """Whether each sample has the output in every combination, shape (n,)."""
-        return np.asarray(np.isfinite(self.y).all(axis=1))
-
-    def blocks(self, width: int) -> tuple[OutputSamples, int]:
-        """The samples of all complete blocks of `width` samples, and the number of all blocks."""
-        count = len(self.y) // width
-        complete = self.complete[: count * width].reshape(count, width).all(axis=1)
-        rows = np.flatnonzero(complete)[:, None] * width + np.arange(width)
-        return self.at(rows.ravel()), count
-
-    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> OutputSamples:
-        """The samples of these rows."""
-        return replace(self, x=self.x[rows], y=self.y[rows])
-
-    def alone(self, column: int) -> OutputSamples:
-        """The samples of one combination of choices."""
-        return replace(self, y=self.y[:, [column]], crossed=())
-
-
-def done(results: Results) -> pd.DataFrame:
-    """The runs that finished; others are left out of all statistics and reported with reasons."""
-    return results.table[results.table["status"] == OK]
-
-
-def samples(results: Results, output: Output) -> OutputSamples:
-    """Values of an output; each sample was run in each combination of crossed choices, in the same order."""
-    study, runs = results.study, results.table.sort_values("run", kind="stable")
-    values = runs[output.column].where(runs["status"] == OK)
-    blocks = [runs.index]
-    for choice in study.crossed:
-        option = runs[choice.column].astype(str)
-        blocks = [block[option[block] == o] for block in blocks for o in choice.options]
-    count = {len(block) for block in blocks}
-    if len(count) != 1:
-        raise Problem(
-            f"results of study {study.title!r}: {min(count)} to {max(count)} runs for each combination of"
-            " choices, expected an equal number; is the study finished?"
-        )
-    x = np.empty((count.pop(), len(study.dimensions)))
-    for i, dimension in enumerate(study.dimensions):
-        column = runs.loc[blocks[0], dimension.column]
-        if isinstance(dimension, Choice):
-            column = column.astype(str).map(dimension.options.index)
-        x[:, i] = column.to_numpy(float)
-    y = np.column_stack([values.loc[block].to_numpy(float) for block in blocks])
-    return OutputSamples(study.dimensions, x, y, study.crossed)

@@ -27,23 +27,15 @@ import pandas as pd
 from SALib.analyze import rbd_fast
 from scipy.stats import rankdata
 
-from orchestrator.studies.analysis.morris_sobol import (
-    SEED,
-    Rows,
-    intervals,
-    of_crossed,
-    ordered,
-    rank_correlation,
-    rank_correlations,
-)
+from orchestrator.data.table import Array
+from orchestrator.studies.analysis.morris_sobol import SEED, Rows, intervals, of_crossed, ordered
+from orchestrator.studies.analysis.output_samples import OutputSamples, rank_correlation, rank_correlations
 from orchestrator.studies.analysis.results import (
     FIRST,
     REGRESSION,
     TOTAL,
-    Array,
     Effect,
     IntervalEstimate,
-    OutputSamples,
     Sensitivity,
 )
 from orchestrator.studies.design import problem
@@ -89,21 +81,15 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
         )
     if not reliable:
         notes.append("the linear model does not fit: it cannot rank the factors")
-    return Sensitivity(
-        FAST if fast else LINEAR,
-        measure,
-        count,
-        float(complete.y.var()),
-        ordered(_effects(complete, fast) + crossed, measure),
-        {
-            combination: ordered(_effects(complete.alone(c), fast), measure)
-            for c, combination in enumerate(complete.combinations)
-            if complete.crossed and np.ptp(complete.y[:, c]) > 0
-        },
-        {"r_squared": fits[0], "r_squared_of_ranks": fits[1]},
-        tuple(notes),
-        reliable,
-    )
+    apart = {
+        combination: ordered(_effects(complete.alone(c), fast), measure)
+        for c, combination in enumerate(complete.combinations)
+        if complete.crossed and np.ptp(complete.y[:, c]) > 0
+    }
+    method, variance = FAST if fast else LINEAR, float(complete.y.var())
+    effects = ordered(_effects(complete, fast) + crossed, measure)
+    quality = {"r_squared": fits[0], "r_squared_of_ranks": fits[1]}
+    return Sensitivity(method, measure, count, variance, effects, apart, quality, tuple(notes), reliable)
 
 
 def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
@@ -176,10 +162,7 @@ def _epsilon_squared(group: Array, y: Array, fraction: float) -> IntervalEstimat
         groups, index = np.unique(group[rows], return_inverse=True)
         values = y[rows]
         means = np.bincount(index, values) / np.bincount(index)
-        total, within = (
-            float(((values - values.mean()) ** 2).sum()),
-            float(((values - means[index]) ** 2).sum()),
-        )
+        total, within = (float(((values - m) ** 2).sum()) for m in (values.mean(), means[index]))
         freedom = len(values) - len(groups)
         if total <= 0 or freedom < 1:
             return np.zeros(1)
@@ -194,12 +177,10 @@ def _rbd_fast(samples: OutputSamples, y: Array, fraction: float) -> list[Interva
     x = np.column_stack([_shuffled_ranks(column, rng) for column in samples.x.T])
     standard = (y - y.mean()) / y.std()
     result = rbd_fast.analyze(problem(samples.names), x, standard, num_resamples=FAST_RESAMPLES, seed=rng)
-    indices, halves = fraction * np.array(result["S1"], float), fraction * np.array(result["S1_conf"], float)
-    estimates = zip(indices.tolist(), (indices - halves).tolist(), (indices + halves).tolist(), strict=True)
-    return [
-        IntervalEstimate(*estimate) if np.ptp(column) > 0 else ZERO
-        for estimate, column in zip(estimates, samples.x.T, strict=True)
-    ]
+    indices, halves = (fraction * np.array(result[name], float) for name in ("S1", "S1_conf"))
+    rows = np.column_stack([indices, indices - halves, indices + halves]).tolist()
+    varied = np.ptp(samples.x, axis=0) > 0
+    return [IntervalEstimate(*row) if v else ZERO for row, v in zip(rows, varied, strict=True)]
 
 
 def _shuffled_ranks(x: Array, rng: np.random.Generator) -> Array:

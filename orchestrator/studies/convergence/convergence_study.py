@@ -30,7 +30,6 @@ from orchestrator.studies.convergence.reference_solution import default_signals,
 from orchestrator.studies.convergence.runs import (
     ConvergenceStudy,
     SettingRun,
-    applicable,
     choose,
     rate_inputs,
     run_settings,
@@ -85,7 +84,8 @@ def convergence(
         solution = finest_run(coupled, default_signals(coupled, signals), step_list, **given)
         note = f"no reference for this run: {solution.title}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
-    fitting = applicable(settings, rates)
+    # without rate inputs plain settings would equal those of order 0
+    fitting = [setting for setting in settings if rates or not setting.without_rates]
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}"
     notes = [note, *solution.notes, plain_note if any(s.without_rates for s in fitting) else ""]
     try:
@@ -137,9 +137,8 @@ def report(study: ConvergenceStudy, out: Path) -> None:
     print("\n".join([*lines, "", *map(str, write(study, out))]))
 
 
-def write(study: ConvergenceStudy, folder: str | Path) -> list[Path]:
+def write(study: ConvergenceStudy, home: Path) -> list[Path]:
     """Write convergence.csv, .json, .png and work_precision.png to a folder; figures of the first group."""
-    home = Path(folder)
     home.mkdir(parents=True, exist_ok=True)
     csv_path, json_path = home / "convergence.csv", home / "convergence.json"
     with csv_path.open("w", newline="", encoding="utf-8") as file:
@@ -186,15 +185,10 @@ def _columns(run: SettingRun) -> dict[str, Any]:
 
 
 def _json_run(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
-    errors = {
-        group: {
-            "order of convergence": study.order(run, group),
-            "signals": {
-                e.signal: {"nrmse": e.nrmse, "maximum": e.maximum, "unit": e.unit} for e in deviations
-            },
-        }
-        for group, deviations in run.errors.items()
-    }
+    errors = dict[str, Any]()
+    for group, deviations in run.errors.items():
+        signals = {e.signal: {"nrmse": e.nrmse, "maximum": e.maximum, "unit": e.unit} for e in deviations}
+        errors[group] = {"order of convergence": study.order(run, group), "signals": signals}
     return {**_columns(run), "walls [s]": list(run.walls), "errors": errors}
 
 
@@ -203,11 +197,9 @@ def _csv_row(study: ConvergenceStudy, run: SettingRun) -> dict[str, Any]:
     row = _columns(run)
     for group in study.reference.groups:
         worst = run.errors[group][0] if run.errors else None
-        row |= {
-            f"{group} nrmse": worst.nrmse if worst else None,
-            f"{group} worst signal": worst.signal if worst else None,
-            f"{group} order of convergence": study.order(run, group),
-        }
+        row[f"{group} nrmse"] = worst.nrmse if worst else None
+        row[f"{group} worst signal"] = worst.signal if worst else None
+        row[f"{group} order of convergence"] = study.order(run, group)
     return row
 
 
@@ -254,21 +246,18 @@ def adaptive_table(study: ConvergenceStudy) -> TextTable | None:
 def tables(study: ConvergenceStudy) -> list[TextTable]:
     """All tables that the command prints."""
     errors = [error_table(study, group) for group in study.reference.groups]
-    adaptive = adaptive_table(study)
-    return [*errors, cost_table(study), *([adaptive] if adaptive else [])]
+    return [table for table in (*errors, cost_table(study), adaptive_table(study)) if table]
 
 
 def failures(study: ConvergenceStudy) -> Iterator[str]:
     """For each setting the first unstable step, or why it was not run."""
     for setting in study.settings:
         failed = next((run for run in study.of(setting) if not run.stable), None)
-        if failed is None:
-            continue
-        if failed.refusal:
+        if failed and failed.refusal:
             yield f"{setting.label}: {REFUSED}: {failed.refusal}"
-            continue
-        reason = failed.failure or "completed, but the error of a signal exceeded its range"
-        yield f"{setting.label}: {UNSTABLE} at {failed.case or milliseconds(failed.step)}: {reason}"
+        elif failed:
+            reason = failed.failure or "completed, but the error of a signal exceeded its range"
+            yield f"{setting.label}: {UNSTABLE} at {failed.case or milliseconds(failed.step)}: {reason}"
 
 
 def milliseconds(step: float) -> str:
@@ -300,6 +289,6 @@ def _table(study: ConvergenceStudy, title: str, cell: Callable[[SettingRun], str
 
 
 def _cell(run: SettingRun | None, cell: Callable[[SettingRun], str]) -> str:
-    if run is None:
-        return ""
-    return REFUSED if run.refusal else cell(run) if run.stable else UNSTABLE
+    if run is None or run.stable:
+        return cell(run) if run else ""
+    return REFUSED if run.refusal else UNSTABLE

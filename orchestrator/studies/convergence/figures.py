@@ -5,8 +5,8 @@ Settings with equal results are drawn as one curve. Each curve is labelled at it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,17 +50,10 @@ class SettingCurve:
     family: str
     index_in_family: int
 
-    stable: list[SettingRun] = field(init=False)
-    unstable: list[SettingRun] = field(init=False)
-
     def __post_init__(self) -> None:
+        self.colour = COLOURS[self.family]
         self.stable = [r for r in self.runs if r.stable]
         self.unstable = [r for r in self.runs if not r.stable and not r.refusal]
-
-    @property
-    def colour(self) -> str:
-        """The colour of the family."""
-        return COLOURS[self.family]
 
     @property
     def label(self) -> str:
@@ -72,15 +65,13 @@ class SettingCurve:
 def curves(study: ConvergenceStudy, group: str) -> list[SettingCurve]:
     """One curve for each setting; a setting with the results of an earlier one joins its curve."""
     distinct: list[SettingCurve] = []
-    count: dict[str, int] = {}
     for setting in study.settings:
         runs = study.of(setting)
         same = next((curve for curve in distinct if _equal_results(curve.runs, runs, group)), None)
         if same is not None:
             same.settings.append(setting.label)
             continue
-        index = count.get(setting.family, 0)
-        count[setting.family] = index + 1
+        index = sum(curve.family == setting.family for curve in distinct)
         distinct.append(SettingCurve([setting.label], runs, setting.family, index))
     return distinct
 
@@ -96,19 +87,13 @@ def _equal_results(first: Sequence[SettingRun], second: Sequence[SettingRun], gr
 def draw_error(study: ConvergenceStudy, group: str | None = None) -> Figure:
     """Error over communication step, of the worst signal of a group; default: of the first group."""
     group = group or next(iter(study.reference.groups))
-    figure, axes = _new_figure(study, group)
-    every = curves(study, group)
-    drawn = [curve for curve in every if curve.stable]
-    for curve in drawn:
-        _plot(axes, curve, lambda r: 1e3 * r.mean_step, group)
-    axes.set_xlabel("communication step [ms]", color=PALETTE.ink)
+    figure, axes, ends = _draw(study, group, "communication step [ms]", lambda run: 1e3 * run.mean_step)
     steps = [1e3 * step for step in study.steps]
     axes.set_xticks(steps, [f"{step:g}" for step in steps])
-    steps = sorted([*steps, *(1e3 * r.mean_step for curve in drawn for r in curve.stable)])
-    axes.set_xlim(steps[0] / (1.5 * steps[-1] / steps[0]) ** _label_margin(drawn), steps[-1] * 1.35)
-    _mark_unstable(axes, every, group)
+    steps = sorted([*steps, *(1e3 * r.mean_step for curve in ends for r in curve.stable)])
+    axes.set_xlim(steps[0] / (1.5 * steps[-1] / steps[0]) ** _label_margin(ends), steps[-1] * 1.35)
+    _mark_unstable(axes, curves(study, group), group)
     _draw_slope_triangles(axes, steps)
-    ends = {curve: (1e3 * curve.stable[0].mean_step, curve.stable[0].error(group)) for curve in drawn}
     _label_curves(axes, ends, left=True)
     return figure
 
@@ -116,42 +101,34 @@ def draw_error(study: ConvergenceStudy, group: str | None = None) -> Figure:
 def draw_work_precision(study: ConvergenceStudy, group: str | None = None) -> Figure:
     """Work-precision diagram: error over wall time per simulated second; lower left is better."""
     group = group or next(iter(study.reference.groups))
-    figure, axes = _new_figure(study, group)
-    drawn = [curve for curve in curves(study, group) if curve.stable]
-    for curve in drawn:
-        _plot(axes, curve, lambda r: 1e3 * r.cost, group)
-    axes.set_xlabel("wall time per simulated second [ms]", color=PALETTE.ink)
-    costs = [1e3 * r.cost for curve in drawn for r in curve.stable]
+    label = "wall time per simulated second [ms]"
+    figure, axes, ends = _draw(study, group, label, lambda run: 1e3 * run.cost)
+    costs = [1e3 * r.cost for curve in ends for r in curve.stable]
     if costs:
-        axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** _label_margin(drawn))
+        axes.set_xlim(min(costs) / 1.3, max(costs) * (1.5 * max(costs) / min(costs)) ** _label_margin(ends))
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
-    ends = {curve: (1e3 * curve.stable[0].cost, curve.stable[0].error(group)) for curve in drawn}
     _label_curves(axes, ends, left=False)
     return figure
 
 
-def _new_figure(study: ConvergenceStudy, group: str) -> tuple[Figure, Axes]:
-    figure = new_figure(*SIZE)
+def _draw(
+    study: ConvergenceStudy, group: str, label: str, x: Callable[[SettingRun], float]
+) -> tuple[Figure, Axes, dict[SettingCurve, tuple[float, float]]]:
+    """Draw the stable runs; returns the first point of each drawn curve, too."""
+    figure, ends = new_figure(*SIZE), dict[SettingCurve, tuple[float, float]]()
     axes = figure.subplots()
-    style_axes(axes, y=f"worst {group}, root mean square error over range", size=10)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    style_axes(axes, label, f"worst {group}, root mean square error over range", size=10)
+    axes.set(xscale="log", yscale="log")
     axes.minorticks_off()
     axes.set_title(f"against: {study.reference.title}", loc="left", fontsize=9, color=PALETTE.faint)
-    return figure, axes
-
-
-def _plot(axes: Axes, curve: SettingCurve, x: Callable[[SettingRun], float], group: str) -> None:
-    axes.plot(
-        [x(r) for r in curve.stable],
-        [r.error(group) for r in curve.stable],
-        color=curve.colour,
-        linestyle=DASHES[curve.index_in_family % len(DASHES)],
-        linewidth=1.4,
-        marker=MARKERS[curve.index_in_family % len(MARKERS)],
-        markersize=4,
-    )
+    for curve in (curve for curve in curves(study, group) if curve.stable):
+        points = [(x(run), run.error(group)) for run in curve.stable]
+        ends[curve] = points[0]
+        dashes, marker = (own[curve.index_in_family % len(own)] for own in (DASHES, MARKERS))
+        style: dict[str, Any] = {"color": curve.colour, "linestyle": dashes, "marker": marker}
+        axes.plot(*zip(*points, strict=True), linewidth=1.4, markersize=4, **style)
+    return figure, axes, ends
 
 
 def _mark_unstable(axes: Axes, every: Sequence[SettingCurve], group: str) -> None:
@@ -160,10 +137,9 @@ def _mark_unstable(axes: Axes, every: Sequence[SettingCurve], group: str) -> Non
     level = high * (high / low) ** 0.05
     axes.set_ylim(low, level * (high / low) ** 0.05)
     unstable = [curve for curve in every if curve.unstable]
-    if not unstable:
-        return
-    axes.axhline(high, color=PALETTE.faint, linewidth=0.8, linestyle=(0, (1, 3)))
-    axes.text(0.01, level, "unstable", transform=axes.get_yaxis_transform(), **TEXT)
+    if unstable:
+        axes.axhline(high, color=PALETTE.faint, linewidth=0.8, linestyle=(0, (1, 3)))
+        axes.text(0.01, level, "unstable", transform=axes.get_yaxis_transform(), **TEXT)
     for i, curve in enumerate(unstable):
         shift = 1.045 ** (i - (len(unstable) - 1) / 2)
         x = [1e3 * r.mean_step * shift for r in curve.unstable]
@@ -189,7 +165,7 @@ def _draw_slope_triangles(axes: Axes, steps: Sequence[float]) -> None:
         right = left / 1.08
 
 
-def _label_margin(drawn: Sequence[SettingCurve]) -> float:
+def _label_margin(drawn: Iterable[SettingCurve]) -> float:
     """Margin for the labels, as a fraction of the width of the data."""
     width = 0.05 + LETTER_WIDTH * max((len(curve.label) for curve in drawn), default=0)
     return width / (1 - width)
@@ -203,19 +179,11 @@ def _label_curves(axes: Axes, ends: Mapping[SettingCurve, tuple[float, float]], 
     heights = _spread([float(positions[curve][1]) for curve in by_height])
     edges = [float(x) for x, _ in positions.values()] or [0.0]
     x = min(edges) - 0.03 if left else max(edges) + 0.03
+    style = TEXT | {"ha": "right" if left else "left", "xycoords": "axes fraction"}
     for curve, height in zip(by_height, heights, strict=True):
-        axes.annotate(
-            curve.label,
-            tuple(positions[curve]),
-            (x, height),
-            xycoords="axes fraction",
-            textcoords="axes fraction",
-            ha="right" if left else "left",
-            va="center",
-            fontsize=8,
-            color=curve.colour,
-            arrowprops=LEADER | {"color": curve.colour, "relpos": (1.0 if left else 0.0, 0.5)},
-        )
+        arrow = LEADER | {"color": curve.colour, "relpos": (1.0 if left else 0.0, 0.5)}
+        drawn = style | {"color": curve.colour, "textcoords": "axes fraction", "arrowprops": arrow}
+        axes.annotate(curve.label, tuple(positions[curve]), (x, height), **drawn)
 
 
 def _spread(heights: Sequence[float]) -> list[float]:

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace, rms, span
 from orchestrator.engine.run import run
 from orchestrator.results.metrics import AT_REST
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import System
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 SAME_INSTANT = 1e-6  # relative to the step: instants that are closer than this are the same
@@ -90,10 +90,7 @@ class ReferenceSolution:
             raise Problem(f"step {step:g} s: expected {expected}, got {count}")
         interval = float(self.time[1] - self.time[0])
         steps = round(interval / step)
-        equal = (
-            abs(start - self.time[0]) < SAME_INSTANT * step
-            and np.ptp(np.diff(self.time)) < SAME_INSTANT * step
-        )
+        equal = max(abs(start - self.time[0]), np.ptp(np.diff(self.time))) < SAME_INSTANT * step
         return steps * step if equal and steps and abs(interval / step - steps) < SAME_INSTANT else step
 
     def adaptive_record_step(self, start: float) -> float:
@@ -101,10 +98,8 @@ class ReferenceSolution:
         intervals = len(self.time) - 1
         duration = self.time[-1] - self.time[0]
         offset = (start - self.time[0]) * intervals / duration
-        if (
-            np.ptp(np.diff(self.time)) >= SAME_INSTANT * duration
-            or abs(offset - round(offset)) > SAME_INSTANT
-        ):
+        equal = np.ptp(np.diff(self.time)) < SAME_INSTANT * duration
+        if not equal or abs(offset - round(offset)) > SAME_INSTANT:
             raise Problem(f"{self.title}: expected equally spaced samples from {start:g} s on")
         return float(self.time[max(intervals // MOST_INSTANTS, 1)] - self.time[0])
 
@@ -150,17 +145,18 @@ def from_recording(recording: Recording, patterns: Sequence[str] = ()) -> Refere
         return _without_rest(recording.heading, recording.time, chosen)
     groups = list(dict.fromkeys(s.group for s in signals))
     default = [g for g in DEFAULT_QUANTITIES if g in groups] or groups
-    return _without_rest(recording.heading, recording.time, _grouped(signals, default))
+    chosen = {group: [s for s in signals if s.group == group] for group in default}
+    return _without_rest(recording.heading, recording.time, chosen)
 
 
 def from_run(title: str, trace: Trace) -> ReferenceSolution:
     """The signals of a run, one group for each quantity."""
-    signals = [
-        ReferenceSignal(name, values, unit, quantity(unit))
-        for name, values in trace.signals.items()
-        for unit in (trace.units.get(name, ""),)
-    ]
-    return _without_rest(title, trace.time, _grouped(signals, dict.fromkeys(s.group for s in signals)))
+    groups: dict[str, list[ReferenceSignal]] = {}
+    for name, values in trace.signals.items():
+        unit = trace.units.get(name, "")
+        signal = ReferenceSignal(name, values, unit, quantity(unit))
+        groups.setdefault(signal.group, []).append(signal)
+    return _without_rest(title, trace.time, groups)
 
 
 def finest_run(
@@ -191,10 +187,6 @@ def _matching(pattern: str, names: Iterable[str]) -> list[str]:
         near = suggest(pattern, signals) or f"; there are {', '.join(signals[:6]) or 'none'}"
         raise Problem(f"signals {pattern}: no signal matches{near}")
     return matching
-
-
-def _grouped(signals: Sequence[ReferenceSignal], groups: Iterable[str]) -> dict[str, list[ReferenceSignal]]:
-    return {group: [s for s in signals if s.group == group] for group in groups}
 
 
 def _without_rest(

@@ -12,7 +12,7 @@ from typing import Any
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
-from orchestrator.ssp.coupling import MASTERS, Coupling
+from orchestrator.ssp.coupling import MASTERS, Coupling, Master
 from orchestrator.ssp.swap import used_ports
 from orchestrator.ssp.system import System
 from orchestrator.studies.convergence.reference_solution import ReferenceSolution, SignalDeviation
@@ -49,15 +49,10 @@ class Setting:
 
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
+EXTRAPOLATING: tuple[Master, ...] = ("jacobi", "gauss-seidel")
 SETTINGS = (
-    Setting("jacobi plain", Coupling("jacobi", 0), without_rates=True),
-    Setting("gauss-seidel plain", Coupling("gauss-seidel", 0), without_rates=True),
-    Setting("jacobi order 0", Coupling("jacobi", 0)),
-    Setting("jacobi order 1", Coupling("jacobi", 1)),
-    Setting("jacobi order 2", Coupling("jacobi", 2)),
-    Setting("gauss-seidel order 0", Coupling("gauss-seidel", 0)),
-    Setting("gauss-seidel order 1", Coupling("gauss-seidel", 1)),
-    Setting("gauss-seidel order 2", Coupling("gauss-seidel", 2)),
+    *(Setting(f"{master} plain", Coupling(master, 0), without_rates=True) for master in EXTRAPOLATING),
+    *(Setting(f"{m} order {order}", Coupling(m, order)) for m in EXTRAPOLATING for order in range(3)),
     Setting("hermite 1 pass", Coupling("hermite", passes=1, guard=0)),  # the same as gauss-seidel of order 3
     Setting("hermite 2 passes", Coupling("hermite", passes=2, guard=0)),
     Setting("hermite to tolerance", Coupling("hermite", guard=0)),
@@ -91,11 +86,6 @@ def rate_inputs(system: System) -> tuple[str, ...]:
         for name, port in used_ports(system, component).items()
         if port.optional and port.connections and port.declared.causality == "input"
     )
-
-
-def applicable(settings: Sequence[Setting], rates: Sequence[str]) -> list[Setting]:
-    """Leave out plain settings if there are no rate inputs: they would equal those of order 0."""
-    return [setting for setting in settings if rates or not setting.without_rates]
 
 
 # ---- their runs
@@ -205,18 +195,16 @@ def run_settings(
     """
     reference.check(system)
     rates = rate_inputs(system) if rates is None else tuple(rates)
-    start = float(next((t for t in (options.get("start"), system.start) if t is not None), 0.0))
+    start = float(system.start or 0.0 if options.get("start") is None else options["start"])
     sorted_steps = sorted(steps)
     record_steps = {h: reference.record_step(start, options.get("stop"), h) for h in sorted_steps}
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
     options = {"record": list(dict.fromkeys(ports))} | options
     any_run = False
-    for setting in applicable(settings, rates):
+    for setting in (s for s in settings if rates or not s.without_rates):
         coupled = system.without(*rates) if setting.without_rates else system
-        planned = [SettingRun(setting, step) for step in sorted_steps]
-        if setting.cases:
-            planned = [SettingRun(setting, sorted_steps[0], case) for case in setting.cases]
-        for plan in planned:
+        adaptive = [SettingRun(setting, sorted_steps[0], case) for case in setting.cases]
+        for plan in adaptive or [SettingRun(setting, step) for step in sorted_steps]:
             coupling = setting.cases.get(plan.case, setting.coupling)
             record_step = reference.adaptive_record_step(start) if plan.case else record_steps[plan.step]
             run_options = {"master": coupling, "step": plan.step, "record_step": record_step} | options

@@ -19,21 +19,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
+from orchestrator.data.table import Array
 from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
 from orchestrator.pages.plotting import legend, limit_ticks, new_figure, style_axes
-from orchestrator.studies.analysis.results import (
-    FIRST,
-    MU_STAR,
-    TOTAL,
-    Array,
-    Effect,
-    OutputAnalysis,
-    Sensitivity,
-    done,
-    short,
-)
+from orchestrator.studies.analysis.output_samples import done
+from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.store import Results
-from orchestrator.studies.study import Choice, Factor, Output
+from orchestrator.studies.study import Choice, Factor, Output, short
 
 WIDTH = 6.2  # [in], a column of the page; text is readable down to 500 pixels
 LIGHT, DARK = zip(*PALETTE.pairs[:3], strict=True)
@@ -44,11 +36,6 @@ def column_figure(height: float) -> Figure:
     figure = new_figure(WIDTH, height, h_pad=0.05, w_pad=0.05)
     figure.set_dpi(144)
     return figure
-
-
-def label(name: str, unit: DisplayUnit) -> str:
-    """A quantity with its display unit."""
-    return name_with_unit(name, unit.display)
 
 
 PANELS = 4  # of a scatter figure; two more if the tornado next to it is long
@@ -75,7 +62,8 @@ def scatter(
     choice = colouring(results, sensitivity)
     for axes, factor in zip(panels.ravel(), top, strict=False):
         unit = factor_unit(factor)
-        style_axes(axes, label(factor.name + (", times its value" if factor.relative else ""), unit), size=8)
+        varied = factor.name + (", times its value" if factor.relative else "")
+        style_axes(axes, name_with_unit(varied, unit.display), size=8)
         x = unit.factor * runs[factor.column].to_numpy(float)
         y = analysed.display.factor * runs[output.column].to_numpy(float)
         _dots(axes, x, y, choice, runs)
@@ -85,7 +73,7 @@ def scatter(
     for axes in panels.ravel()[len(top) :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
-        axes.set_ylabel(label(output.name, analysed.display), color=PALETTE.ink, fontsize=8)
+        axes.set_ylabel(name_with_unit(output.name, analysed.display.display), color=PALETTE.ink, fontsize=8)
         limit_ticks(axes.yaxis, 4)
     if choice:
         handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -142,7 +130,7 @@ def histogram(results: Results, output: Output, analysed: OutputAnalysis, choice
     """Histogram of an output, options stacked, with lines at the 5, 50 and 95 % quantiles."""
     figure = column_figure(2.5)
     axes = figure.subplots()
-    style_axes(axes, label(output.name, analysed.display), "runs")
+    style_axes(axes, name_with_unit(output.name, analysed.display.display), "runs")
     scale = analysed.display.factor
     runs = done(results).dropna(subset=[output.column])
     values = scale * runs[output.column].to_numpy(float)
@@ -210,13 +198,13 @@ def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
     unit = analysed.display if measure == MU_STAR else DisplayUnit("1", "%")
     figure = column_figure(1.25 + 0.27 * len(effects))
     axes = figure.subplots()
-    style_axes(axes, label(LABELS.get(measure, "fraction of the variance"), unit))
+    style_axes(axes, name_with_unit(LABELS.get(measure, "fraction of the variance"), unit.display))
     axes.grid(False, axis="y")
     for row, effect in enumerate(effects):
         _bar(axes, row, effect, measure, unit.factor)
     dotted = 0 < len(sensitivity.apart) <= MOST_COMBINATIONS
     if dotted and sensitivity.variance > 0:
-        _combinations(axes, effects, sensitivity.apart, measure, unit.factor)
+        _combinations(axes, effects, sensitivity, unit.factor)
     names = [effect.label.replace(" (", "\n(") for effect in effects]
     axes.set_yticks(range(len(effects)), names, color=PALETTE.ink)
     axes.set_ylim(len(effects) - 0.4, -0.6)
@@ -248,16 +236,10 @@ def _drawn(value: float, measure: str, scale: float) -> float:
     return max(0.0, value if measure == MU_STAR else min(1.0, value)) * scale
 
 
-def _combinations(
-    axes: Axes,
-    effects: tuple[Effect, ...],
-    apart: Mapping[str, tuple[Effect, ...]],
-    measure: str,
-    scale: float,
-) -> None:
+def _combinations(axes: Axes, effects: tuple[Effect, ...], sensitivity: Sensitivity, scale: float) -> None:
     """Draw dots for each combination of choices; fractions refer to the variance of the combination."""
-    rows = {effect.name: row for row, effect in enumerate(effects)}
-    shown = [effect for combination in apart.values() for effect in combination if effect.name in rows]
+    rows, measure = {effect.name: row for row, effect in enumerate(effects)}, sensitivity.measure
+    shown = [e for combination in sensitivity.apart.values() for e in combination if e.name in rows]
     x = [_drawn(effect.estimates[measure].value, measure, scale) for effect in shown]
     y = [rows[effect.name] + 0.24 for effect in shown]
     axes.plot(x, y, "o", markersize=3, markerfacecolor="none", color=PALETTE.faint, alpha=0.9)

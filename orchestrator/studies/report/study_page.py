@@ -20,18 +20,8 @@ from orchestrator.pages.html_page import json_values
 from orchestrator.pages.plotting import embed
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
-from orchestrator.studies.analysis.results import (
-    FIRST,
-    MU_STAR,
-    REGRESSION,
-    TOTAL,
-    Analysis,
-    Effect,
-    OutputAnalysis,
-    Sensitivity,
-    done,
-    short,
-)
+from orchestrator.studies.analysis.output_samples import done
+from orchestrator.studies.analysis.results import HEAD, MU_STAR, Analysis, Effect, OutputAnalysis, Sensitivity
 from orchestrator.studies.report.study_figures import (
     MOST_BARS,
     bands,
@@ -43,28 +33,13 @@ from orchestrator.studies.report.study_figures import (
     tornado,
 )
 from orchestrator.studies.store import Results, read
-from orchestrator.studies.study import START, Factor, Output
+from orchestrator.studies.study import START, Factor, Output, short
 
 PAGE, NUMBERS = "report.html", "analysis.json"
 TEMPLATE = Path(__file__).parent / "templates" / "study.html.j2"
 CaptionedFigure = tuple[str, Markup, str]  # title, figure, caption
-METHODS = {
-    "latin": "Latin hypercube",
-    "sobol": "Sobol' points",
-    "grid": "full grid",
-    "saltelli": "Saltelli design",
-    "morris": "Morris trajectories",
-}
-COLUMNS = {
-    TOTAL: "total",
-    FIRST: "first order",
-    REGRESSION: "linear model, squared",
-    MU_STAR: "μ*",
-    "mu": "μ",
-    "sigma": "\N{GREEK SMALL LETTER SIGMA}",
-    "regression": "coefficient",
-    "rank_regression": "coefficient of ranks",
-}
+METHODS = {"latin": "Latin hypercube", "sobol": "Sobol' points", "grid": "full grid"}
+METHODS |= {"saltelli": "Saltelli design", "morris": "Morris trajectories"}
 BINS = 16  # of the small histograms
 PURE = DisplayUnit("", "")
 
@@ -90,6 +65,8 @@ def render(results: Results, analysis: Analysis) -> str:
     study = results.study
     outputs = {output.name: output for output in study.outputs}
     over_time = _bands(results)
+    # without unit if the name sets several variables
+    units = {name: results.units.get(f"{START}{name}", "") for name in study.fixed}
     return html_page.render(
         TEMPLATE,
         title=analysis.title,
@@ -97,14 +74,16 @@ def render(results: Results, analysis: Analysis) -> str:
         analysis=analysis,
         method=METHODS[study.method],
         measures=MEASURES,
-        short=short,
-        answers=[(k, f.name, sentences(f)) for k, f in enumerate(analysis.findings)],
-        tiles=[_tile(analysed) for analysed in analysis.findings],
+        sentences=sentences,
+        description=output_description,
         varied=[(f, distribution_text(f), _bar_heights(results.table[f.column])) for f in study.factors],
-        sections=[_section(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)],
+        sections=[
+            (f, _columns(results, outputs[f.name], f, k), _spreads(f), *_estimates(f))
+            for k, f in enumerate(analysis.findings)
+        ],
         bands=over_time,
         plots=bool(over_time),
-        fixed=[_fixed(results, *item) for item in study.fixed.items()],
+        fixed=[(name, display_unit(units[name], v).text(v, 6)) for name, v in study.fixed.items()],
     )
 
 
@@ -133,39 +112,12 @@ def _bar_heights(column: pd.Series) -> list[float]:
     return [round(float(count / counts.max()), 3) for count in counts]
 
 
-def _fixed(results: Results, name: str, value: float) -> tuple[str, str]:
-    """A fixed value with its unit; without unit if the name sets several variables."""
-    return name, display_unit(results.units.get(f"{START}{name}", ""), value).text(value, 6)
-
-
-def _tile(analysed: OutputAnalysis) -> dict[str, Any]:
-    """Tile with the median and range of an output."""
-    value, range_text, spread, unit = NO_VALUE, "no run has it", analysed.spread, analysed.display
-    if spread is not None:
-        value = unit.text(spread.median)
-        low, high = unit.text(spread.low, with_unit=False), unit.text(spread.high)
-        range_text = f"median; {low} to {high} in nine of ten runs"
-        range_text = f"in all {spread.runs} runs" if analysed.constant else range_text
-    return {
-        "name": analysed.name,
-        "value": value,
-        "range": range_text,
-        "description": output_description(analysed),
-    }
-
-
-def _section(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> dict[str, Any]:
-    """Figures and tables of an output."""
-    sensitivity = analysed.sensitivity
-    return {
-        "analysed": analysed,
-        "description": output_description(analysed),
-        "sentences": sentences(analysed),
-        "columns": _columns(results, output, analysed, index),
-        "spreads": _spreads(analysed),
-        "effects": sensitivity and _effects(sensitivity, analysed.display).html(),
-        "apart": sensitivity and sensitivity.apart and _apart(sensitivity, analysed.display).html(),
-    }
+def _estimates(analysed: OutputAnalysis) -> tuple[Markup | None, Markup | None]:
+    """Table of all effects, and that of each combination of choices."""
+    sensitivity, unit = analysed.sensitivity, analysed.display
+    if sensitivity is None:
+        return None, None
+    return _effects(sensitivity, unit).html(), _apart(sensitivity, unit).html() if sensitivity.apart else None
 
 
 def _spreads(analysed: OutputAnalysis) -> Markup | None:
@@ -187,7 +139,7 @@ def _spreads(analysed: OutputAnalysis) -> Markup | None:
 def _effects(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     """A row per effect, in the order of the tornado, and a column for each measure that an effect has."""
     measures = {key for effect in sensitivity.effects for key in (*effect.estimates, *effect.more)}
-    columns = {key: head for key, head in COLUMNS.items() if key in measures}
+    columns = {key: head for key, head in HEAD.items() if key in measures}
     rows = []
     for effect in sensitivity.effects:
         trend = "" if effect.direction is None else f"{effect.direction:+.2f}".replace("-", MINUS)
@@ -209,14 +161,11 @@ def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
 
 def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     """The sensitivity measure of each factor in each combination of choices."""
-    measure = sensitivity.measure
+    measure, rows = sensitivity.measure, []
     combinations = [{e.name: e.estimates[measure] for e in effects} for effects in sensitivity.apart.values()]
-    rows = [
-        [_code(effect.name)]
-        + [size(c[effect.name], measure, unit) if effect.name in c else NO_VALUE for c in combinations]
-        for effect in sensitivity.effects
-        if effect.kind == "factor"
-    ]
+    for name in (effect.name for effect in sensitivity.effects if effect.kind == "factor"):
+        cells = [size(c[name], measure, unit) if name in c else NO_VALUE for c in combinations]
+        rows.append([_code(name), *cells])
     return TextTable(["factor", *sensitivity.apart], rows)
 
 
