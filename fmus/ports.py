@@ -61,10 +61,6 @@ class LineInputs(Group):
     load_sensing_pressure_rate: Scalar = rate_input("load_sensing_pressure", "Pa/s", 1e8)
 
 
-def _direction(drives: bool) -> Literal["in", "out"]:
-    return "out" if drives else "in"
-
-
 def shaft(axis: str, drives: bool) -> Terminal:
     """Rotating shaft: torque and its rate to the mechanics, speed and acceleration to the drive."""
     return Terminal(
@@ -72,7 +68,7 @@ def shaft(axis: str, drives: bool) -> Terminal:
         "shaft",
         f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics",
         (
-            Member("torque", f"{axis}_torque", _direction(drives)),
+            Member("torque", f"{axis}_torque", "out" if drives else "in"),
             *(Member(name, f"{axis}_{name}") for name in ("torque_rate", "speed", "acceleration")),
         ),
     )
@@ -86,7 +82,7 @@ def rod(axis: str, drives: bool) -> Terminal:
         "rod",
         f"Rod of the {axis} cylinder: force on the mechanics, motion of the piston",
         (
-            Member("force", f"{axis}_force", _direction(drives)),
+            Member("force", f"{axis}_force", "out" if drives else "in"),
             *(Member(name, f"{axis}_{name}") for name in motion),
         ),
     )

@@ -32,9 +32,8 @@ import casadi as ca
 
 from fmus.contract import Group, Quantity, Scalar
 
-CAVITY_CAPACITANCE = (
-    1e-12  # C_ref [m3/Pa], similar to the capacitance of a 4 m hose, so the cavity matters from P_v on
-)
+# C_ref [m3/Pa], similar to the capacitance of a 4 m hose, so the cavity matters from P_v on
+CAVITY_CAPACITANCE = 1e-12
 VAPOUR_PRESSURE = -20e3  # P_v [Pa] gauge
 CAVITY_SCALE = 5e3  # dP [Pa]
 _LARGEST_EXPONENT = 40.0  # a cavity of 1e9 m3; keeps trial steps of a solver finite

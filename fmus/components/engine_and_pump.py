@@ -175,6 +175,11 @@ class StrokeLimits:
     torque: Scalar
 
 
+def compensated_stroke(d: Pump, pressure: Scalar) -> Scalar:
+    """Stroke s_target that the compensator demands."""
+    return unit_limited((d.setting - pressure) / d.band, d.rounding)
+
+
 def limited_stroke(d: Pump, limits: StrokeLimits, pressure: Scalar, rise: Scalar) -> Scalar:
     """Stroke s_target of the lowest of three: compensator, pressure cut-off, power limit."""
     compensated = (d.setting - pressure) / d.band
@@ -186,7 +191,7 @@ def limited_stroke(d: Pump, limits: StrokeLimits, pressure: Scalar, rise: Scalar
 
 def stroke_rate(d: Pump, stroke: Scalar, pressure: Scalar) -> Scalar:
     """ds/dt [1/s] of a pump with a compensator alone."""
-    return servo_rate(d, stroke, unit_limited((d.setting - pressure) / d.band, d.rounding))
+    return servo_rate(d, stroke, compensated_stroke(d, pressure))
 
 
 def servo_rate(d: Pump, stroke: Scalar, target: Scalar) -> Scalar:

@@ -1,7 +1,9 @@
 """Initial poses of the machine: joint angles, and the start values with which all FMUs are at rest."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
@@ -21,6 +23,17 @@ class Pose:
     boom: float
     stick: float
     swing: float = 0.0
+
+
+# range of joint angles [rad] of the work space; the strokes allow slightly more
+WORK_SPACE: Mapping[str, tuple[float, float]] = {"boom_angle": (-0.45, 1.0), "stick_angle": (-2.15, -0.6)}
+
+
+def pose_grid(count: int = 9) -> Iterator[tuple[float, float]]:
+    """A grid of count x count poses (boom angle, stick angle) [rad] over the work space."""
+    for boom in np.linspace(*WORK_SPACE["boom_angle"], count):
+        for stick in np.linspace(*WORK_SPACE["stick_angle"], count):
+            yield float(boom), float(stick)
 
 
 def parameter(joint: str) -> str:

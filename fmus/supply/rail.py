@@ -164,11 +164,14 @@ def shaft_rate(
     engine, load = DieselEngine.of(p, "engine"), sum(o.torque for o in outlets)
     drained = sum(o.leakage - o.suction for o in outlets) + relief_flow(x, p) + leakage
     net = return_flow(u) - _into_tank(x, p)
+    # heat [W] into the oil: power that the drives take, and the losses without those of the engine
+    taken = x.supply_pressure * supply_flow(u) - x.tank_pressure * return_flow(u)
+    heat = taken + dissipated_power(outlets, leakage, x, p) - _engine_heat(x, p)
     return {
         "engine_speed": engine_and_pump.speed_rate(engine, x.engine_speed, x.engine_torque, load),
         "engine_torque": engine_and_pump.torque_rate(engine, x.engine_speed, x.engine_torque),
         "tank_pressure": chamber.pressure_rate(x.tank_pressure, net, p.return_capacitance),
-        "oil_temperature": (_heating(outlets, leakage, u, x, p) - cooling_power(x, p)) / p.heat_capacity,
+        "oil_temperature": (heat - cooling_power(x, p)) / p.heat_capacity,
         "reservoir_volume": _into_tank(x, p) + drained,
     }
 
@@ -198,14 +201,6 @@ def _into_tank(x: ShaftState, p: RailParameters) -> Scalar:
     return engine_and_pump.check_flow(
         x.tank_pressure, return_pressure(p), *valve
     ) - engine_and_pump.check_flow(p.reservoir_pressure, x.tank_pressure, *valve)
-
-
-def _heating(
-    outlets: Sequence[Outlet], leakage: Scalar, u: SupplyInputs, x: ShaftState, p: RailParameters
-) -> Scalar:
-    """Heat [W] into the oil: power that the drives take, and the losses without those of the engine."""
-    taken = x.supply_pressure * supply_flow(u) - x.tank_pressure * return_flow(u)
-    return taken + dissipated_power(outlets, leakage, x, p) - _engine_heat(x, p)
 
 
 def cooling_power(x: ShaftState, p: Any) -> Scalar:

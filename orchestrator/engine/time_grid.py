@@ -146,8 +146,8 @@ def step_length(system: System, step: float | None) -> float:
     """The given step [s], else the suggestion of the system, else the smallest one of an FMU, else 1 ms."""
     if step is not None:
         return step
-    if refusal := system.suggestion.refusal:
-        raise Problem(f"{refusal}; {OVERRIDE_HINT}")
+    if system.refusal:
+        raise Problem(f"{system.refusal}; {OVERRIDE_HINT}")
     if system.step is not None:
         return system.step
     steps = (component.interface.step for component in system.components.values())

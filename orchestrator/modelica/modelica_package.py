@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.files import Location
 from orchestrator.base.text import rendered
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import FmuVariable
@@ -41,7 +40,8 @@ class PackageBlocks:
     def add(self, component: Component) -> FmuBlock:
         """The block of a component."""
         assert component.source is not None  # components come from files
-        stem = _stem(component.source)
+        members, path = component.source.members, component.source.path
+        stem = (PurePosixPath(members[-1]) if members else path).name.removesuffix(".fmu")
         key = component.source.member("modelDescription.xml").read()
         block = self.blocks.get(key)
         if stem in self.names and self.names[stem][1] is not block:
@@ -98,12 +98,6 @@ def write_package(
             folder.rename(Path(temporary) / "old")
         (Path(temporary) / name).rename(folder)
     return Path(out) / name / "package.mo"
-
-
-def _stem(source: Location) -> str:
-    """The file name of an FMU without .fmu."""
-    name = PurePosixPath(source.members[-1]).name if source.members else source.path.name
-    return name.removesuffix(".fmu")
 
 
 def _write(folder: Path, name: str, text: str, blocks: PackageBlocks) -> None:

@@ -45,9 +45,6 @@ class _Candidate(NamedTuple):
     def inputs(self) -> set[Port]:
         return {self.effort.target, self.flow.target}
 
-    def shares_one_connection(self, other: _Candidate) -> bool:
-        return (self.effort is other.effort) != (self.flow is other.flow)
-
 
 def find_bonds(system: System) -> list[Bond]:
     """The bonds that follow from the units.
@@ -75,7 +72,8 @@ def find_bonds(system: System) -> list[Bond]:
             c
             for port in candidate.inputs
             for c in of_input[port]
-            if c.shares_one_connection(candidate) and len(c.prefix) >= len(candidate.prefix)
+            if (c.effort is candidate.effort) != (c.flow is candidate.flow)
+            and len(c.prefix) >= len(candidate.prefix)
         ]
         if candidate.inputs & used or any(not rival.inputs & used for rival in rivals):
             continue

@@ -303,7 +303,8 @@ def _mismatch(use: UsedPort, new: FmuVariable) -> str:
     """How a variable differs from the port in use; empty if it fits."""
     old = use.declared
     if new.causality not in REPLACEMENTS[old.causality]:
-        return f"expected {use}, got {_article(new.causality)}"
+        noun = "local variable" if new.causality == "local" else new.causality
+        return f"expected {use}, got {'an' if noun[0] in 'aeiou' else 'a'} {noun}"
     if connectable_type(new) != connectable_type(old):
         return f"expected {old.causality} {old.name} of type {old.kind}, got type {new.kind}"
     if new.unit and use.unit and new.unit.exponents is None and new.unit.name != use.unit.name:
@@ -313,11 +314,6 @@ def _mismatch(use: UsedPort, new: FmuVariable) -> str:
     except Problem:
         return f"expected {use}, got {new.unit}"
     return ""
-
-
-def _article(causality: str) -> str:
-    noun = "local variable" if causality == "local" else causality
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def _lost_rates(system: System, used: Mapping[str, UsedPort], dropped: Iterable[str]) -> list[str]:

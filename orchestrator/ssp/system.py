@@ -163,6 +163,11 @@ class System:
         return self.suggestion.step
 
     @property
+    def refusal(self) -> str:
+        """The reason why the coupling of the file is not supported; a given step or master replaces it."""
+        return self.suggestion.refusal
+
+    @property
     def resources(self) -> Mapping[str, Location]:
         """Files in the resources of the system's SSP, by name under `resources/`; empty without an SSP."""
         if self.source is None or not str(self.source).endswith(".ssd"):

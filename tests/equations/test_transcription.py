@@ -8,9 +8,9 @@ import pytest
 from equations import transcription
 from kit import shards
 from kit.equations import EDGES, JOINTS, random_curve
-from kit.poses import pose_grid
 
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.poses import pose_grid
 from fmus.monolith import join, simulate
 
 DATA = Path(__file__).parents[2] / "data"

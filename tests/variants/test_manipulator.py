@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
 from kit.equations import JOINTS, Part, machine, played
-from kit.poses import pose_grid
 from kit.properties import examples
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from fmus.components.friction import CREEP, Bristles, lugre, viscous
 from fmus.contract import quantities
+from fmus.machine.poses import pose_grid
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.manipulator.pendulum import SIDE_LIMIT, STOP_ROUNDING
 from fmus.parameters import values

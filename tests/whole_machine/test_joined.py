@@ -11,7 +11,6 @@ from fmpy import extract
 from fmpy.validation import validate_fmu
 from kit import mistakes
 from kit.fmu import driving
-from kit.poses import pose_grid
 from kit.toy import toy
 
 from fmus.composition import compose, declared, flat_names
@@ -19,6 +18,7 @@ from fmus.contract import Quantity, Subsystem, quantities, symbolic
 from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.poses import pose_grid
 from fmus.monolith import join
 from fmus.parameters import Number, numbers, read, values
 from orchestrator import run

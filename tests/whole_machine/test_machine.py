@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from kit.equations import machine, piston_areas
 from kit.mistakes import table
-from kit.poses import WORK_SPACE, pose_grid
 
 from fmus.machine.parts import SUBSYSTEMS
-from fmus.machine.poses import parameter
+from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
 from fmus.parameters import values
 from orchestrator import Problem, run

@@ -130,14 +130,8 @@ def _header(guid: str) -> bytes:
 # ---- inputs inside a step ----------------------------------------------------------------------------
 
 
-def rate_indices(inputs: Sequence[Variable]) -> list[int]:
-    """For each input the index of its rate input, or -1."""
-    index = {v.name: i for i, v in enumerate(inputs)}
-    return [index[v.quantity.rate] if v.quantity.rate else -1 for v in inputs]
-
-
 def _derivative(s: InstanceState, rates: Sequence[int], u: Array, i: int, order: int) -> float:
-    """Derivative of the given order of input i; u: values of the inputs, rates: as `rate_indices` returns."""
+    """Derivative of the given order of input i; u: values of the inputs, rates: see `Instance`."""
     if s.has_derivatives[i]:
         return float(s.input_derivatives[i, order - 1])
     if rates[i] < 0:
@@ -181,7 +175,9 @@ class Instance:
         self.model, self.guid, self.warn, self.variables = model, guid, warn, model.interface.variables
         self.references = {v.name: v.reference for v in self.variables}
         self.ends = np.cumsum([len(group) for group in model.interface.groups]).tolist()
-        self.rates = rate_indices(model.interface.inputs)
+        index = {v.name: i for i, v in enumerate(model.interface.inputs)}
+        # for each input the index of its rate input, or -1
+        self.rates = [index.get(v.quantity.rate or "", -1) for v in model.interface.inputs]
         self._watched = [v for v in self.variables[self.ends[0] :] if v.watched]
         self.reset()
 

@@ -37,7 +37,7 @@ from typing import Annotated, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from fmus.contract import Quantity, Subsystem, Symbolic, quantities
+from fmus.contract import Quantity, Subsystem, Symbolic, quantities, unstack
 from fmus.export.interface import Interface, Variable, make_interface, variable_groups
 from fmus.export.model_description import Unknowns
 from fmus.export.python.instance import Instance, InstanceState
@@ -260,10 +260,6 @@ def _initial_states(model: Model, values: object, states: Collection[str]) -> Ma
     return values
 
 
-def _group(group: type[Any], values: Sequence[float]) -> Any:
-    return group(**{f.name: value for f, value in zip(fields(group), values, strict=True)})
-
-
 class UserModel:
     """A model by hand as `subsystem_model.RunnableModel`."""
 
@@ -280,7 +276,11 @@ class UserModel:
 
     def _groups(self, x: Array, u: Array, p: Array) -> tuple[Any, Any, Any]:
         m = self.model
-        return (_group(m.State, x.tolist()), _group(m.Inputs, u.tolist()), _group(m.Parameters, p.tolist()))
+        return (
+            unstack(m.State, x.tolist()),
+            unstack(m.Inputs, u.tolist()),
+            unstack(m.Parameters, p.tolist()),
+        )
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
         """See `RunnableModel`."""
