@@ -89,9 +89,7 @@ def found(file: str = "parameters.toml") -> dict[str, dict]:
 def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys, monkeypatch):
     """One entry per parameter with unit, source, interval and sd; equal values in machine, page and JSON."""
     if which == "recordings":  # the drawings take longest: tests/identification/report
-        monkeypatch.setattr(
-            "fmus.identification.report.identification_page.draw_procedure", lambda *_, **__: None
-        )
+        monkeypatch.setattr("fmus.identification.report.figures.draw_procedure", lambda *_, **__: None)
     here(request.getfixturevalue(which))
     assert main(["identify", "mine", "--no-joint"]) == 0
     printed, tables = capsys.readouterr().out, found()
