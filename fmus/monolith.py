@@ -109,7 +109,7 @@ def breakpoints(time: Array, samples: Array, tolerance: float = 1e-9) -> NDArray
     """Indices at which piecewise linear samples (n, m) over time (n,) change slope, and of both ends.
 
     Corners are found from each sample and its neighbours. Where the samples of a curve are so dense that no
-    single one is a corner, the worst sample between two corners becomes one.
+    single one is a corner, the worst sample between two corners becomes one [Douglas, Peucker 1973].
 
     tolerance   distance of a sample from the line between corners up to which it is on the line;
                 at least the rounding error of the samples, for example of a pressure in Pa

@@ -183,10 +183,12 @@ def window_starts(good: Mask, size: int) -> Indices:
     return np.flatnonzero(whole & (np.arange(whole.size) % _hop(size) == 0))
 
 
-def steady(
+def samples_of(
     model: Law, sensors: Iterable[str], raw: Array, noise: Array, known: Sequence[float] = (0.0,)
 ) -> Samples:
-    """`Samples` of which each is a balance of its own, such as the means of sensors over steady stretches.
+    """`Samples` of some signals, each a balance of its own, such as the means over a steady stretch.
+
+    For balances over windows of moving signals the caller replaces rate, bump, slope and starts.
 
     raw     shape (k, n)
     noise   standard deviations, shape (k, n) or (k,); a perfect sensor gets one above zero

@@ -218,7 +218,8 @@ def _run_joint(
         return
     try:
         with activity(f"refinement from {starts} random starts"):
-            identified.starts.extend(multistart(refined, starts))
+            for start in multistart(refined, starts):  # an interrupt keeps those that ended
+                identified.starts.append(start)
     finally:
         if found := identified.starts:
             away = f"up to {100 * SPREAD:.0f} % away or twice the prior standard deviation"

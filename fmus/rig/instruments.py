@@ -47,7 +47,11 @@ def generator(seed: int, file: str, signal: str) -> np.random.Generator:
 
 
 def read(instrument: SignalDescription, true: Array, random: np.random.Generator) -> Array:
-    """Readings, shape (n,), in the instrument's unit, of a true signal in SI."""
+    """Readings, shape (n,), in the instrument's unit, of a true signal in SI.
+
+    Of the instrument: `noise`, standard deviation of one sample; `resolution`, step of the converter, 0
+    without one; `span`, its lowest and highest reading; `dead_zone`, true magnitude below which it reads 0.
+    """
     value = true / parse_unit(instrument.unit).factor
     in_dead_zone = np.abs(value) < instrument.dead_zone
     if instrument.noise:

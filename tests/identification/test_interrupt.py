@@ -11,6 +11,7 @@ import pytest
 from fmus.identification import command, pipeline
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
+from fmus.identification.refinement.refine import RandomStart
 from fmus.identification.results import Estimate, ProcedureResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
@@ -41,22 +42,30 @@ def searched(reason):
     return lambda *_: SimpleNamespace(reason=reason, problem=WITHOUT_ZEROS, estimates=lambda: better)
 
 
+def one_start(*_):
+    """The second one is interrupted."""
+    yield RandomStart(np.zeros(1), 0.0, 1.0, 5)
+    raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize(
-    ("refine", "restart", "area"),
+    ("refine", "restart", "area", "starts"),
     [
-        (interrupt, None, AREA.value),  # before its first iteration: the valve is left
-        (searched("interrupted"), lambda *_, **__: pytest.fail("restarted"), 3e-5),
-        (searched("converged"), interrupt, 3e-5),  # at the first start
+        (interrupt, None, AREA.value, 0),  # before its first iteration: the valve is left
+        (searched("interrupted"), lambda *_, **__: pytest.fail("restarted"), 3e-5, 0),
+        (searched("converged"), one_start, 3e-5, 1),
     ],
 )
-def test_an_interrupt_keeps_what_is_finished(quick, refine, restart, area):
-    """In the search its best point so far, and the random starts are skipped; in these its result."""
+def test_an_interrupt_keeps_what_is_finished(quick, refine, restart, area, starts):
+    """In the search its best point so far, and the random starts are skipped; in these its result, and those
+    that ended."""
     quick.setattr(pipeline, "refine_together", refine)
     quick.setattr(pipeline, "multistart", restart)
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert list(found.estimates) == ["valve_area"]
     assert found.parameters["swing.valve_area"].value == area
+    assert len(found.starts) == starts
     assert (found.refined is None) == (refine is interrupt)
     assert identify([VALVE]).interrupted is False
 

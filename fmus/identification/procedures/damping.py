@@ -61,11 +61,24 @@ class FrictionContact:
         return f"manipulator.{self.parameter}"
 
 
-_GEAR = ("swing speed", "rad/s"), ("torque of the gear's friction", "N.m")
-CONTACTS = {"swing": FrictionContact("swing", "swing_damping", "N.m.s/rad", *_GEAR)}
-for _joint in ("boom", "stick"):
-    _piston = (f"speed of the {_joint} piston", "m/s"), ("force of its friction", "N")
-    CONTACTS[_joint] = FrictionContact(_joint, f"{_joint}_piston_damping", "N.s/m", *_piston)
+def _piston(joint: str) -> FrictionContact:
+    return FrictionContact(
+        joint,
+        f"{joint}_piston_damping",
+        "N.s/m",
+        speed=(f"speed of the {joint} piston", "m/s"),
+        resistance=("force of its friction", "N"),
+    )
+
+
+_GEAR = FrictionContact(
+    "swing",
+    "swing_damping",
+    "N.m.s/rad",
+    speed=("swing speed", "rad/s"),
+    resistance=("torque of the gear's friction", "N.m"),
+)
+CONTACTS = {"swing": _GEAR, "boom": _piston("boom"), "stick": _piston("stick")}
 
 
 @dataclass(frozen=True)

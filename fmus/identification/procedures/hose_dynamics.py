@@ -199,7 +199,7 @@ def prepared(recording: Recording, equation: Equation) -> Samples:
     bump, slope = balance.modulating_function(max(round(equation.half_width * rate), 3), rate)
     raw = np.array([recording.interpolated(n) for n in SIGNALS])
     noise = np.array([data.noise_sd(recording, n) for n in SIGNALS])
-    samples = balance.steady(equation.law, SIGNALS, raw, noise, [equation.transition_flow])
+    samples = balance.samples_of(equation.law, SIGNALS, raw, noise, [equation.transition_flow])
     starts = balance.window_starts(good_all(recording, SIGNALS), bump.size)
     return replace(samples, rate=rate, bump=bump, slope=slope, starts=starts)
 

@@ -170,7 +170,7 @@ def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, floa
     means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
 
     def fitted(name: str, **initial: float) -> Solution:
-        samples = balance.steady(laws()[name], SIGNALS, means, errors, (transition_flow,))
+        samples = balance.samples_of(laws()[name], SIGNALS, means, errors, (transition_flow,))
         return balance.solve([samples], initial, "hose_resistance", limits)
 
     fits = {

@@ -15,8 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -31,7 +30,7 @@ from fmus.identification.balance import (
     Solution,
     law,
     modulating_function,
-    steady,
+    samples_of,
     window_starts,
 )
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
@@ -69,9 +68,28 @@ _PARTS = (SWING, BOOM_STICK, MANIPULATOR)
 PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
 
 
+@dataclass(frozen=True)
+class Equations:
+    """Symbols q, w, pressures, tank pressure and parameters, and expressions in them.
+
+    momentum, force        h and f of the joints, shape (3, 1)
+    position, moment_arm   of the pistons of boom and stick, shape (2, 1)
+    """
+
+    q: ca.SX
+    w: ca.SX
+    pressures: ca.SX
+    tank: ca.SX
+    p: ca.SX
+    momentum: ca.SX
+    force: ca.SX
+    position: ca.SX
+    moment_arm: ca.SX
+
+
 @lru_cache(maxsize=1)
-def symbolic_equations() -> SimpleNamespace:
-    """Momenta h, forces f, positions and moment arms of the pistons, and what they depend on."""
+def symbolic_equations() -> Equations:
+    """The equations of motion at measured pressures."""
     q, w, tank = ca.SX.sym("q", 3), ca.SX.sym("w", 3), ca.SX.sym("tank")
     pressures, p = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("p", len(PARAMETERS))
     measured = {name.partition(".")[2]: pressures[k] for k, name in enumerate(ALL_PRESSURES)}
@@ -89,8 +107,13 @@ def symbolic_equations() -> SimpleNamespace:
     mechanics, rods = arm.mechanics(x, own_p, POINT_MASS), arm.pistons(x, own_p)
     momentum = mechanics.mass @ w
     tau = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
-    return SimpleNamespace(
-        **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
+    return Equations(
+        q,
+        w,
+        pressures,
+        tank,
+        p,
+        momentum,
         force=tau + ca.jtimes(momentum, q, w) - mechanics.coriolis - mechanics.gravity,
         position=ca.vertcat(*(r.position for r in rods)),
         moment_arm=ca.vertcat(*(r.triangle.arm for r in rods)),
@@ -163,14 +186,23 @@ def needed_signals(joints: Sequence[str]) -> tuple[str, ...]:
     return (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
 
 
-def filtered(
-    recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay
-) -> tuple[Array, list[tuple[int, Array]], Array, Mask]:
-    """Angles and pressures through one filter; N samples, n filtered ones.
+class Filtered(NamedTuple):
+    """Angles and pressures through one filter: N samples, n filtered ones.
 
-    Samples without gaps, zero of pressures that are not needed, shape (9, N); sensor and filter of each row
-    of z; z, that is angles, speeds, pressures, shape (12, n); whether all samples under the filter are good.
+    raw        samples without gaps, zero of pressures that are not needed, shape (9, N)
+    channels   sensor and filter of each row of z
+    z          angles, speeds, pressures, shape (12, n)
+    good       whether all samples under the filter are good, shape (n,)
     """
+
+    raw: Array
+    channels: list[tuple[int, Array]]
+    z: Array
+    good: Mask
+
+
+def filtered(recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay) -> Filtered:
+    """The signals that the balance of some joints needs, through a filter."""
     names, none = needed_signals(joints), np.zeros(recording.time.size)
     raw = np.array([recording.interpolated(n) if n in names else none for n in SIGNALS])
     value, derivative, _ = kernel.weights
@@ -178,7 +210,7 @@ def filtered(
     channels += [(k, value) for k in range(3, len(raw))]
     z = np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels])
     good: Mask = np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1))
-    return raw, channels, z, good
+    return Filtered(raw, channels, z, good)
 
 
 @dataclass(frozen=True)
@@ -239,7 +271,7 @@ def joint_recording(
     noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])
     known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
     samples = replace(
-        steady(momentum_law(joints, theta), SIGNALS, raw, noise, known),
+        samples_of(momentum_law(joints, theta), SIGNALS, raw, noise, known),
         channels=channels,
         rate=rate,
         bump=bump,

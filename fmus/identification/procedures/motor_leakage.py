@@ -82,7 +82,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     tests = data.training_recordings(recordings, "motor_leakage", SIGNALS)
     points = steady_points(tests)
     solution = balance.solve(
-        [balance.steady(leakage_law(), SIGNALS, points.means, points.errors)],
+        [balance.samples_of(leakage_law(), SIGNALS, points.means, points.errors)],
         dict.fromkeys(EQUATIONS, GUESS) | dict.fromkeys(QUADRATIC_TERMS, 0.0),
         "motor_leakage",
         data.zero_limits(tests, SIGNALS),

@@ -279,7 +279,7 @@ class RandomStart:
     z            of the initial parameters
     apart        largest distance of the end from the reference, in standard deviations of the coarse problem;
                  infinite if the model cannot be simulated from the start
-    residual     root mean square residual at the end
+    residual     root mean square residual at the end, in standard deviations of the sensors
     joined       its fit of predictions ended at that of the reference, whose end it gets
     """
 
@@ -296,7 +296,9 @@ class RandomStart:
 
 
 def multistart(refined: RefinementResult, count: int) -> Iterator[RandomStart]:
-    """Search again from `count` random starts; raises KeyboardInterrupt after an interrupt.
+    """Search again from `count` random starts, one after the other as they are asked for.
+
+    An interrupt raises KeyboardInterrupt; keep each start as it comes, and those that ended are not lost.
 
     Every fourth sample is used; the reference is the result of a search on the same samples from the optimum.
     """

@@ -242,10 +242,10 @@ def _draw_legend(axes: Axes, panel: Panel, columns: int) -> None:
     lines = _legend_lines(panel, columns) or [[]]
     # matplotlib fills column by column
     order = [line[k] for k in range(len(lines[0])) for line in lines if k < len(line)]
-    handles, labels = axes.get_legend_handles_labels()
+    handles = {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     shown = legend(
         axes,
-        handles=[handles[labels.index(label)] for label in order],
+        handles=[handles[label] for label in order],
         labels=order,
         ncols=max(1, len(lines[0])),
         title=panel.title or None,

@@ -167,7 +167,7 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
     and `starts` for each search from a random start:
 
     away       root mean square distance of the start from the values before, relative changes of parameters
-    ...        `START`
+    ...        the attributes `START` of a `RandomStart`
     """
     problem = refined.problem
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"

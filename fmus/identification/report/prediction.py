@@ -90,8 +90,8 @@ def predict(
     machine = parts(**(variants or {}))
     pose = {f"manipulator.initial_{joint}_angle": angle for joint, angle in excitation.pose.items()}
     known, chosen = {**parameters, **pose}, {part: values(sub) for part, sub in machine.items()}
-    for part, of in chosen.items():
-        chosen[part] = replace(of, p={n: known.get(f"{part}.{n}", p) for n, p in of.p.items()})
+    for part, own in chosen.items():
+        chosen[part] = replace(own, p={n: known.get(f"{part}.{n}", p) for n, p in own.p.items()})
     model = join(machine, *wiring(machine), chosen)
     u = np.tile(model.u, (excitation.time.size, 1))
     for name, samples in {**excitation.commands, **excitation.lines}.items():
