@@ -19,7 +19,6 @@ from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.base.text import rendered
 
 Element = Any  # lxml ships no types
 # The largest descriptions in use have 100 000 variables, 1.5 million elements and attributes, and 40 MB.
@@ -253,6 +252,8 @@ def attributes(values: Mapping[str, object] | None = None, /, **more: object) ->
 def rendered_xml(template: Path, **content: object) -> bytes:
     """The content of an XML file from a Jinja template, which can call `attributes`."""
     from lxml import etree
+
+    from orchestrator.base.text import rendered  # with NumPy, which readers do not need
 
     text = rendered(template, escaped=True, attributes=attributes, **content)
     root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))

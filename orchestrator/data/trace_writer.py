@@ -607,6 +607,7 @@ def write_trace(trace: Trace, path: str | Path, origin: str = "") -> Path:
         columns = [trace.time, *trace.signals.values()]
         for first in range(0, len(trace.time), CHUNK):
             rows = np.column_stack([column[first : first + CHUNK] for column in columns])
+            rows = rows.astype(np.float64, copy=False)  # a trace of whole numbers, too
             file.append(rows[:, 0], rows[:, 1:])
         file.publish(file.finish()[0])
     except BaseException:

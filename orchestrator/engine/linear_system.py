@@ -22,7 +22,7 @@ from orchestrator.engine.result import EstimatedError
 from orchestrator.fmi.calls import Buffer, Call, Slave, calls_by_type
 from orchestrator.ssp.system import Connection, Port
 
-STAGES = 8  # vectors of the states that C uses as working memory
+PREDICTION_ROWS, ERROR_ROWS = 6, 8  # vectors of the states that C uses as working memory
 LONGEST_LAG = 20  # number of steps between two linearisations, at most
 LONGEST_SECTION = 16  # number of steps over which errors are advanced at once, at most
 BLOCK = 256  # evaluations of the outputs between two calls of `collect`, at most
@@ -224,7 +224,7 @@ class JoinedSystem(LinearSystem):
         self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
         self.w, self.w0 = np.zeros(broad), np.zeros(broad)
         self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
-        self.forcing, self.stages = np.zeros((3, wide)), np.zeros((STAGES, wide))
+        self.forcing, self.stages = np.zeros((3, wide)), np.zeros((PREDICTION_ROWS, wide))
 
     def struct(self, binding: Binding, **members: Any) -> Any:
         """`LinearPrediction` of engine.h with these arrays and further members."""
@@ -358,7 +358,7 @@ class ErrorPropagation:
         n = sum(len(self._slaves[k].interface.states) for k in self._members)
         self._system = LinearSystem(n, m := len(self._inputs))
         wide, broad = self._system.n_padded, self._system.m_padded
-        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((n, wide))
+        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((ERROR_ROWS, wide)), np.zeros((n, wide))
         self.w, self.middle, self.diagonal = np.zeros(broad), np.zeros(broad), np.zeros(n)
         self.defects, self.lengths, self.starts = np.zeros((m, 2)), np.zeros(3), np.zeros(2)
         self._outputs = [

@@ -115,9 +115,7 @@ def batch(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
     arrays_in, count = machine_values(job, values)
-    record = job.record.signals
-    chosen_ports = job.system.ports("output") if record is None else map(job.system.port, record)
-    signals = dict(zip(record or map(str, job.system.ports("output")), chosen_ports, strict=True))
+    signals = recorded(job.system, job.record.signals)
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}

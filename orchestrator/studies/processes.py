@@ -85,7 +85,11 @@ def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
     """The payload of a study."""
     components = (c for case in cases.values() for c in case.system.components.values())
     sources = dict.fromkeys(c.source for c in components if c.source)
-    return Payload(study, cases, {source: _archive(source) for source in sources})
+    archives = {source: _archive(source) for source in sources}
+    once = {
+        content: content for content in archives.values()
+    }  # pickle sends an object once, however often it is named
+    return Payload(study, cases, {source: once[content] for source, content in archives.items()})
 
 
 def _archive(source: Location) -> bytes:

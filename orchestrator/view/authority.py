@@ -361,9 +361,17 @@ class ControlAuthority:
             why = SLIDE
         elif station is not None and self._driver is station and station.held and not station.armed:
             why = AGAIN if why == HOLD else f"{why}: {AGAIN}"
-        driver, asked = (known.name if known else "" for known in (self._driver, self._asked))
-        why, controls = "" if gate.live else why, (gate.pattern, gate.mode, gate.modes)
-        return Status(role, driver, asked, gate.live, why, self.machine.drives, *controls)
+        return Status(
+            role=role,
+            driver=self._driver.name if self._driver else "",
+            asked=self._asked.name if self._asked else "",
+            live=gate.live,
+            why="" if gate.live else why,
+            drives=self.machine.drives,
+            pattern=gate.pattern,
+            mode=gate.mode,
+            modes=gate.modes,
+        )
 
     def _follow(self, station: OperatorStation, message: Message) -> None:
         if not message.dead_man:

@@ -210,9 +210,10 @@ class Pages:
         sending, listening = asyncio.create_task(page.send()), asyncio.create_task(page.listen())
         try:
             await asyncio.wait((sending, listening), return_when=asyncio.FIRST_COMPLETED)
+            for task in (sending, listening):
+                if task.done() and task.exception():
+                    log.error("the connection of a page ended", exc_info=task.exception())
             if not listening.done():  # a page that is sent nothing has to connect again
-                if sending.exception():
-                    log.error("the pictures of a page ended", exc_info=sending.exception())
                 with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
                     await socket.close(1011, "the pictures ended")
         finally:
@@ -315,11 +316,11 @@ class OpenPage:
 
     # ---- actions
 
-    def _take(self) -> None:
+    def take(self) -> None:
         if not self.authority.take(self.station) and self.session.machine.drives:
             self.answer("requested; the driver has to release the controls")
 
-    async def _toggle(self) -> None:
+    async def toggle(self) -> None:
         machine = self.session.machine
         state = machine.latest().state
         if state in ("running", "starting"):
@@ -329,7 +330,7 @@ class OpenPage:
         else:
             await self.change(self.authority.halt, machine.play)
 
-    async def _start(self, asked: Asked) -> None:
+    async def start(self, asked: Asked) -> None:
         choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
         await self.change(self.authority.stop, self.session.start, choice)
 
@@ -340,15 +341,15 @@ class OpenPage:
         before()
         await asyncio.to_thread(action, *arguments)
 
-    async def _save(self) -> None:
+    async def save(self) -> None:
         path = await asyncio.to_thread(self.session.save)
         self.answer(f"saved: {path}", href=f"/result/{quote(path.name)}")
 
-    async def _files(self) -> None:
+    async def files(self) -> None:
         files = await asyncio.to_thread(self.session.files)
         self.answers.append({"files": files, "folders": [str(folder) for folder in self.session.folders]})
 
-    async def _machines(self) -> None:
+    async def machines(self) -> None:
         self.answers.append({"machines": await asyncio.to_thread(offered, self.session.plan.choice)})
 
     def task(self, what: object, value: object) -> None:
@@ -372,24 +373,24 @@ class OpenPage:
 
 ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     "shown": lambda page, asked: page.credit.shown(asked.get("number")),
-    "take": lambda page, _: page._take(),
+    "take": lambda page, _: page.take(),
     "release": lambda page, _: page.authority.release(page.station),
     "choose": lambda page, asked: page.authority.choose(
         page.station, *(None if (v := asked.get(name)) is None else str(v) for name in ("pattern", "mode"))
     ),
     "set": lambda page, asked: page.authority.set(page.station, asked.get("name"), asked.get("value")),
-    "toggle": lambda page, _: page._toggle(),
+    "toggle": lambda page, _: page.toggle(),
     "speed": lambda page, asked: page.change(
         page.authority.halt, page.session.machine.speed, finite(asked.get("factor"), "speed")
     ),
     "again": lambda page, _: page.change(page.authority.stop, page.session.again),
     "back": lambda page, _: page.change(page.authority.stop, page.session.back),
     "replay": lambda page, asked: page.change(page.authority.stop, page.session.replay, asked.get("file")),
-    "start": lambda page, asked: page._start(asked),
+    "start": lambda page, asked: page.start(asked),
     "seek": lambda page, asked: page.session.seek(finite(asked.get("t"), "time")),
-    "save": lambda page, _: page._save(),
-    "files": lambda page, _: page._files(),
-    "machines": lambda page, _: page._machines(),
+    "save": lambda page, _: page.save(),
+    "files": lambda page, _: page.files(),
+    "machines": lambda page, _: page.machines(),
     "task": lambda page, asked: page.task(asked.get("what"), asked.get("value")),
 }
 

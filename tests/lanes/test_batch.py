@@ -285,6 +285,14 @@ def test_a_mistake_is_told_in_one_line(system, parameters, options, message):
     assert message in problem(lambda: batch(system, parameters, **{"stop": 0.1, **options}))
 
 
+@pytest.mark.parametrize("lanes", [True, False])
+def test_nothing_has_to_be_recorded(system, lanes):
+    """Then the status of each machine is the result."""
+    result = batch(system, MASSES, stop=0.01, record=[], lanes=lanes, workers=1)
+    assert result.status.tolist() == ["ok"] * 3
+    assert not result.signals
+
+
 def test_a_record_that_is_too_large_or_has_no_step_is_refused(system):
     """Signals of a thousand machines over hours, and adaptive steps, which are not common to all machines."""
     message = problem(lambda: batch(system, {MASS: [300.0] * 1000}, stop=1e6))

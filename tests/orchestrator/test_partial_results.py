@@ -117,6 +117,13 @@ def test_two_runs_do_not_write_the_same_file(tmp_path, suffix):
     assert len(read_trace(second.path).time) == 9
 
 
+def test_whole_numbers_are_written_as_numbers(tmp_path):
+    """A trace of integers gives the file of the same numbers."""
+    whole, real = (Trace(np.arange(3, dtype=t), {"a.b": np.arange(3, dtype=t)}) for t in (int, float))
+    files = [write_trace(trace, tmp_path / f"{k}.csv").read_bytes() for k, trace in enumerate((whole, real))]
+    assert files[0] == files[1]
+
+
 @pytest.mark.parametrize("name", ["t.partial.csv", "folder.csv"])
 def test_a_name_that_cannot_be_written_is_refused_at_once(tmp_path, name):
     """A name for unfinished results, and a folder; nothing is removed."""

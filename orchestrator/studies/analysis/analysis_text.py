@@ -16,8 +16,11 @@ from orchestrator.studies.analysis.results import (
 )
 from orchestrator.studies.study import short
 
-MEASURES: dict[str, str] = {name: name.replace("_of_", " of the ") for name in study.MEASURES}
-MEASURES |= {"rms": "root mean square", "final": "final value"}
+MEASURES = {name: name for name in study.MEASURES} | {
+    "rms": "root mean square",
+    "final": "final value",
+    "time_of_maximum": "time of the maximum",
+}
 FRACTIONS = {FIRST: "of its variance by itself", TOTAL: "of its variance", REGRESSION: "of its variance"}
 NOTICEABLE = 0.05  # fraction of the variance, or of the largest mu*, from which a factor is mentioned
 INTERACTION = 0.1  # fraction of the variance from which interactions are mentioned

@@ -289,6 +289,6 @@ def _table(study: ConvergenceStudy, title: str, cell: Callable[[SettingRun], str
 
 
 def _cell(run: SettingRun | None, cell: Callable[[SettingRun], str]) -> str:
-    if run is None or run.stable:
-        return cell(run) if run else ""
-    return REFUSED if run.refusal else UNSTABLE
+    if run is None:
+        return ""
+    return REFUSED if run.refusal else cell(run) if run.stable else UNSTABLE

@@ -195,7 +195,8 @@ def run_settings(
     """
     reference.check(system)
     rates = rate_inputs(system) if rates is None else tuple(rates)
-    start = float(system.start or 0.0 if options.get("start") is None else options["start"])
+    given = options.get("start")
+    start = float((system.start or 0.0) if given is None else given)
     sorted_steps = sorted(steps)
     record_steps = {h: reference.record_step(start, options.get("stop"), h) for h in sorted_steps}
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
