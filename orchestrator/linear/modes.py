@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance
 
+from orchestrator.base.text import short_names
 from orchestrator.base.units import DeclaredUnit
 
 # Main states: the fewest with this sum of participation factors, up to this number.
@@ -41,12 +42,6 @@ class LinearVariable(NamedTuple):
     unit: DeclaredUnit | None
     description: str
     nominal: float
-
-
-def short_names(states: Sequence[LinearVariable]) -> list[str]:
-    """Names of states, without the component if the variable is unique."""
-    bare = [s.name.rpartition(".")[2] for s in states]
-    return [b if bare.count(b) == 1 else s.name for b, s in zip(bare, states, strict=True)]
 
 
 def mode_name(
@@ -181,7 +176,8 @@ def modes(a: Array, states: Sequence[LinearVariable]) -> tuple[Mode, ...]:
     if not states:
         return ()
     values, left, right = eigen(a, np.array([s.nominal for s in states]))
-    labels, units, result = short_names(states), [s.unit for s in states], list[Mode]()
+    labels = list(short_names(s.name for s in states).values())
+    units, result = [s.unit for s in states], list[Mode]()
     for k in np.lexsort((values.imag, np.abs(values), values.imag == 0.0)):
         value = complex(values[k])
         if value.imag >= 0.0:
