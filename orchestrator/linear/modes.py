@@ -17,6 +17,7 @@ from scipy.linalg import eig, matrix_balance
 
 from orchestrator.base.text import short_names
 from orchestrator.base.units import DeclaredUnit
+from orchestrator.data.table import Array
 
 # Main states: the fewest with this sum of participation factors, up to this number.
 MAIN_PARTICIPATION, MAIN_COUNT = 0.8, 4
@@ -46,7 +47,7 @@ class LinearVariable(NamedTuple):
 
 def mode_name(
     value: complex,
-    participation: NDArray[np.float64],
+    participation: Array,
     labels: Sequence[str],
     units: Sequence[DeclaredUnit | None],
 ) -> tuple[str, tuple[str, ...]]:
@@ -71,7 +72,7 @@ def quantity_kind(unit: DeclaredUnit | None) -> str:
     return KINDS.get((base[0], base[1], base[2]), "")
 
 
-def _main_states(participation: NDArray[np.float64]) -> list[int]:
+def _main_states(participation: Array) -> list[int]:
     """Indices of the main states in descending order of participation."""
     order, indices, total = np.argsort(-participation, kind="stable"), list[int](), 0.0
     for i in order[:MAIN_COUNT]:
@@ -119,7 +120,6 @@ def _subject(names: Sequence[str]) -> str:
     return " and ".join(sorted(dict.fromkeys(first), key=lambda w: (-first.count(w), first.index(w)))[:2])
 
 
-Array = NDArray[np.float64]
 ZERO_EIGENVALUE = 1e-18  # relative to the norm of the balanced matrix; smaller eigenvalues are zero
 
 
