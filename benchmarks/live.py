@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.machine.parts import MACHINES
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.deadlines import PRIORITY_VARIABLE
 from orchestrator.realtime.machine import RealTimeMachine
@@ -32,13 +33,6 @@ from orchestrator.realtime.setup import Machine
 SYSTEM = Path("build/harvester.ssp")
 BAR = 0.005  # share of deadlines
 EVERY = 1 / 30  # s between commands, as from a page
-DETAILED = {
-    "swing": "detailed",
-    "boom_stick": "detailed",
-    "manipulator": "pendulum_friction",
-    "supply": "engine_pump",
-}
-MACHINES: Mapping[str, Mapping[str, str]] = {"lumped": {}, "detailed": DETAILED}
 FLAGS = (  # drawing by the processor, and no word to any other host
     *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
     *("--disable-quic", "--disable-background-networking", "--disable-component-update", "--disable-sync"),

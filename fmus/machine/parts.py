@@ -29,6 +29,16 @@ FAMILIES: Mapping[str, Mapping[str, Subsystem]] = Parts(
 )
 # variants with another circuit than the paper's machine: differences from the others are no errors
 OTHER_CIRCUITS = ("compensated", "load_sensing")
+# the machines of studies and of the virtual rig, as variants of their parts
+MACHINES: Mapping[str, Mapping[str, str]] = {
+    "lumped": {},
+    "detailed": {
+        "swing": "detailed",
+        "boom_stick": "detailed",
+        "manipulator": "pendulum_friction",
+        "supply": "engine_pump",
+    },
+}
 # default variants: of the machine, and of the machine with supply and operator
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
 ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, OPERATOR.name: OPERATOR}

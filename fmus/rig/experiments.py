@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from fmus.machine.parts import MACHINES as VARIANTS
 from fmus.machine.parts import Connections, parts, wiring
 from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
@@ -218,21 +219,11 @@ BENCH_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
 
 # ---- experiments on the whole machine --------------------------------------------------------------
 
-_VARIANTS: Mapping[str, Mapping[str, str]] = {
-    "lumped": {},
-    "detailed": {
-        "swing": "detailed",
-        "boom_stick": "detailed",
-        "manipulator": "pendulum_friction",
-        "supply": "engine_pump",
-    },
-}
-
 
 @cache
 def _monolith(machine: str) -> tuple[Monolith, Connections, Mapping[str, tuple[str, ...]]]:
     """The machine as one model, its connections, and its inputs with the variables that they set."""
-    components = parts(**_VARIANTS[machine])
+    components = parts(**VARIANTS[machine])
     wires, inputs = wiring(components)
     return join(components, wires, inputs), wires, inputs
 

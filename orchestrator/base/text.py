@@ -210,11 +210,12 @@ class TextTable:
 
 
 @cache
-def _environment(folder: Path, escaped: bool) -> Any:
+def jinja_environment(*folders: Path, escaped: bool) -> Any:
+    """Jinja with the templates in some folders; escaped: values are escaped, as in XML."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     return Environment(
-        loader=FileSystemLoader(folder),
+        loader=FileSystemLoader(folders),
         autoescape=escaped,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -224,5 +225,5 @@ def _environment(folder: Path, escaped: bool) -> Any:
 
 def rendered(template: Path, escaped: bool = False, **content: object) -> str:
     """The text of a Jinja template without its last line end; escaped: values are escaped, as in XML."""
-    text: str = _environment(template.parent, escaped).get_template(template.name).render(**content)
-    return text
+    environment = jinja_environment(template.parent, escaped=escaped)
+    return str(environment.get_template(template.name).render(**content))

@@ -30,6 +30,18 @@ Dataclass = TypeVar("Dataclass")
 
 
 @dataclass(frozen=True)
+class Rule:
+    """A condition on a value besides its type: `Annotated[float, Rule("0 or more", lambda v: v >= 0)]`."""
+
+    expected: str
+    holds: Callable[[Any], bool]
+
+
+POSITIVE = Rule("a number above 0", lambda value: value > 0)
+NOT_NEGATIVE = Rule("0 or more", lambda value: value >= 0)
+
+
+@dataclass(frozen=True)
 class Table:
     """A table of a TOML file. Its methods check the value of a key; a missing optional key gives None.
 
@@ -58,11 +70,11 @@ class Table:
         """The Problem for a wrong value."""
         return Problem(f"{self.where}: {key}: expected {expected}, got {_repr(self.data.get(key))}")
 
-    def text(self, key: str) -> str | None:
-        """A text, not empty."""
+    def value(self, key: str, rule: Rule) -> Any:
+        """The value of a key, for which a rule must hold."""
         value = self.data.get(key)
-        if value is not None and not (isinstance(value, str) and value):
-            raise self.problem(key, "a text")
+        if value is not None and not rule.holds(value):
+            raise self.problem(key, rule.expected)
         return value
 
     def one_of(self, key: str, choices: Iterable[Choice]) -> Choice:
@@ -74,49 +86,6 @@ class Table:
             hint = suggest(value, names) if isinstance(value, str) else ""
             raise Problem(f"{self.problem(key, expected)}{hint}")
         return names[names.index(value)]
-
-    def number(self, key: str, positive: bool = False) -> float | None:
-        """A finite number."""
-        value = self.data.get(key)
-        if value is None:
-            return None
-        expected = "a positive number" if positive else "a number"
-        if not is_number(value) or (positive and not value > 0):
-            raise self.problem(key, expected)
-        return float(value)
-
-    def integer(self, key: str, minimum: int) -> int | None:
-        """A whole number, not below `minimum`."""
-        value = self.data.get(key)
-        if value is None:
-            return None
-        if not isinstance(value, int) or isinstance(value, bool) or value < minimum:
-            raise self.problem(key, f"a whole number of at least {minimum}")
-        return value
-
-    def boolean(self, key: str) -> bool:
-        """True or false; false if the key is missing."""
-        value = self.data.get(key, False)
-        if not isinstance(value, bool):
-            raise self.problem(key, "true or false")
-        return value
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        """A text or a list of different texts, as a tuple."""
-        value = self.data[key]
-        texts = [value] if isinstance(value, str) else value
-        if not isinstance(texts, list) or not texts or not all(isinstance(v, str) and v for v in texts):
-            raise self.problem(key, "a text or a list of texts")
-        if len(set(texts)) < len(texts):
-            raise self.problem(key, "different texts")
-        return tuple(texts)
-
-    def numbers(self, key: str) -> tuple[float, ...]:
-        """A list of finite numbers."""
-        value = self.require(key, "a list of numbers")
-        if not isinstance(value, list) or not value or not all(is_number(v) for v in value):
-            raise self.problem(key, "a list of numbers")
-        return tuple(float(v) for v in value)
 
     def tables(self, key: str) -> dict[str, Table]:
         """The tables inside the table `key`, by name."""
@@ -157,18 +126,6 @@ def read(file: Path | Location, data: bytes) -> Table:
         raise Problem(f"{file}: expected TOML, got {error}") from None
     except RecursionError:
         raise Problem(f"{file}: expected TOML, got lists or tables that are nested too deeply") from None
-
-
-@dataclass(frozen=True)
-class Rule:
-    """A condition on a value besides its type: `Annotated[float, Rule("0 or more", lambda v: v >= 0)]`."""
-
-    expected: str
-    holds: Callable[[Any], bool]
-
-
-POSITIVE = Rule("a number above 0", lambda value: value > 0)
-NOT_NEGATIVE = Rule("0 or more", lambda value: value >= 0)
 
 
 def read_dataclass(target: type[Dataclass], table: Table) -> Dataclass:

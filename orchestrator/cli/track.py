@@ -10,10 +10,6 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.options import Kind, Swaps, Values
 from orchestrator.cli.options import BUILD, Folder, System, command, system_file, tell_built
 
-DETAILED = dict(
-    swing="detailed", boom_stick="detailed", manipulator="pendulum_friction", supply="engine_pump"
-)
-MACHINES = {"lumped": dict[str, str](), "detailed": DETAILED}
 PATHS = ("line", "square")
 
 
@@ -47,6 +43,7 @@ def track(
     out       Folder of tracking.png and tracking.json.
     """
     from fmus.controller.paths import route_start_angles, start_angles, write_route
+    from fmus.machine.parts import MACHINES
     from fmus.package_files import PACKAGE
     from orchestrator.studies.path_following import first_point, read_machine
     from orchestrator.studies.path_following import track as run_study

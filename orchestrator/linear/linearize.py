@@ -24,8 +24,8 @@ from orchestrator.ssp.system import Port, System
 
 def settle_at_time(
     plant: CutPlant, system: System, scenario: ScenarioSource, time: float, step: float | None
-) -> tuple[str, ...]:
-    """Set the plant to states and inputs of a run of the system at `time` [s]; return notes.
+) -> None:
+    """Set the plant to states and inputs of a run of the system at `time` [s].
 
     In the plant, connected inputs are equal to the outputs at the same time. In the run they lag behind by a
     part of a step, so that the time derivatives of the plant can differ from those of the run.
@@ -35,7 +35,7 @@ def settle_at_time(
         raise Problem(f"--time {time:g}: expected a time from {start:g} s on")
     if time == start:
         plant.settle(plant.x.copy(), plant.u)
-        return ()
+        return
     names = [str(p) for p in (*plant.states, *plant.inputs)]
     result = run(system, scenario, step=step, stop=time, record=names, record_step=None)
     last = {name: float(result.trace[name][-1]) for name in names}
@@ -46,7 +46,6 @@ def settle_at_time(
     plant.v[:] = [last[str(p)] for p in plant.inputs]
     plant.constant[~plant.connected] = plant.v[~plant.connected]
     plant.settle(np.array([last[str(p)] for p in plant.states]), plant.u)
-    return ()
 
 
 NO_EFFECT_REASON = "possible causes: dead band, command beyond its range, controller off"
@@ -135,7 +134,7 @@ def linearize(
         if time is None:
             plant.settle(plant.x.copy(), plant.u)
         else:
-            notes += settle_at_time(plant, full.with_start(start_values), scenario, time, step)
+            settle_at_time(plant, full.with_start(start_values), scenario, time, step)
         if steady:
             notes += find_steady_state(plant, speeds)
         return _result(plant, ports, start if time is None else time, notes)

@@ -10,11 +10,11 @@ from textwrap import shorten
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.text import TextTable
+from orchestrator.data.table import Array
 from orchestrator.linear.modes import LinearVariable, Mode, modes
 
 COLUMNS = ("frequency [Hz]", "damping ratio [1]", "time constant [s]", "mode", "states")
@@ -22,7 +22,6 @@ ROUNDING = 1e-12  # relative to nominal; smaller values are printed as 0
 STEADY_RATE = 1e-4  # [1/s], relative to nominal; states with a smaller rate are printed as steady
 FAST = 1e-3  # [s]; a state with a smaller time constant T is regarded as steady ...
 FAST_RANGE = 1e-2  # ... if its remaining change |f0| T is below this fraction of nominal
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance
 
+from orchestrator.base.text import short_names
 from orchestrator.base.units import DeclaredUnit
+from orchestrator.data.table import Array
 
 # Main states: the fewest with this sum of participation factors, up to this number.
 MAIN_PARTICIPATION, MAIN_COUNT = 0.8, 4
@@ -43,15 +45,9 @@ class LinearVariable(NamedTuple):
     nominal: float
 
 
-def short_names(states: Sequence[LinearVariable]) -> list[str]:
-    """Names of states, without the component if the variable is unique."""
-    bare = [s.name.rpartition(".")[2] for s in states]
-    return [b if bare.count(b) == 1 else s.name for b, s in zip(bare, states, strict=True)]
-
-
 def mode_name(
     value: complex,
-    participation: NDArray[np.float64],
+    participation: Array,
     labels: Sequence[str],
     units: Sequence[DeclaredUnit | None],
 ) -> tuple[str, tuple[str, ...]]:
@@ -76,7 +72,7 @@ def quantity_kind(unit: DeclaredUnit | None) -> str:
     return KINDS.get((base[0], base[1], base[2]), "")
 
 
-def _main_states(participation: NDArray[np.float64]) -> list[int]:
+def _main_states(participation: Array) -> list[int]:
     """Indices of the main states in descending order of participation."""
     order, indices, total = np.argsort(-participation, kind="stable"), list[int](), 0.0
     for i in order[:MAIN_COUNT]:
@@ -124,7 +120,6 @@ def _subject(names: Sequence[str]) -> str:
     return " and ".join(sorted(dict.fromkeys(first), key=lambda w: (-first.count(w), first.index(w)))[:2])
 
 
-Array = NDArray[np.float64]
 ZERO_EIGENVALUE = 1e-18  # relative to the norm of the balanced matrix; smaller eigenvalues are zero
 
 
@@ -181,7 +176,8 @@ def modes(a: Array, states: Sequence[LinearVariable]) -> tuple[Mode, ...]:
     if not states:
         return ()
     values, left, right = eigen(a, np.array([s.nominal for s in states]))
-    labels, units, result = short_names(states), [s.unit for s in states], list[Mode]()
+    labels = list(short_names(s.name for s in states).values())
+    units, result = [s.unit for s in states], list[Mode]()
     for k in np.lexsort((values.imag, np.abs(values), values.imag == 0.0)):
         value = complex(values[k])
         if value.imag >= 0.0:

@@ -151,36 +151,32 @@ MAX_INPUT_STEP = 0.05  # relative to nominal, largest change of an input in one 
 MAX_NONLINEARITY, SMALL_NONLINEARITY = 0.5, 0.05
 
 
-class Search:
-    """Search of a steady state by a transient; the inputs are limited to their nominal values."""
-
-    def __init__(self, plant: CutPlant, joints: Iterable[HeldJoint], idle: Iterable[int]) -> None:
-        """`idle`: indices of states that need not be steady."""
-        self._plant, self.equations = plant, SteadyEquations(plant, joints, idle)
+class Search(SteadyEquations):
+    """Search of a solution by a transient; the inputs are limited to their nominal values."""
 
     def run(self, speeds: Mapping[str, float]) -> bool:
         """Find a steady state; without success return False and leave the plant as it is then."""
-        e, start = self.equations, (self._plant.x.copy(), self._plant.u)
-        signs = np.array([self._sign(joint, *start) for joint in e.joints])
-        joint_speeds = {joint.speed: speeds.get(joint.name, 0.0) for joint in e.joints}
+        start = self.plant.x.copy(), self.plant.u
+        signs = np.array([self._sign(joint, *start) for joint in self.joints])
+        joint_speeds = {joint.speed: speeds.get(joint.name, 0.0) for joint in self.joints}
         for lag in LAGS:
-            e.evaluate(*start)
+            self.evaluate(*start)
             for _ in self._settle(signs / lag, joint_speeds, MAX_TIME):
-                if e.solve():
+                if self.solve():
                     return True
         return False
 
     def _sign(self, joint: HeldJoint, x: Array, u: Array) -> float:
         """1 if a larger input accelerates the joint forwards, -1 if backwards, with all joints held."""
         accelerations = []
-        index = self.equations.inputs.index(joint.input) - len(self.equations.inputs)
+        index = self.inputs.index(joint.input) - len(self.inputs)
         for side in (TEST_INPUT, -TEST_INPUT):
-            change = np.zeros(len(self.equations.nominal))
+            change = np.zeros(len(self.nominal))
             change[index] = side
-            self.equations.evaluate(*self.equations.shifted(x, u, change))
-            for _ in self._settle(np.zeros(len(self.equations.inputs)), {}, TEST_TIME):
+            self.evaluate(*self.shifted(x, u, change))
+            for _ in self._settle(np.zeros(len(self.inputs)), {}, TEST_TIME):
                 pass
-            accelerations.append(float(self._plant.f[joint.speed]))
+            accelerations.append(float(self.plant.f[joint.speed]))
         return float(np.sign(accelerations[0] - accelerations[1]))
 
     def _settle(self, push: Array, speeds: Mapping[int, float], until: float) -> Iterator[float]:
@@ -192,23 +188,23 @@ class Search:
         The steps are linearly implicit Euler steps. Their length is limited by the nonlinearity: the next
         correction with the same matrix must be small relative to the step.
         """
-        e, x, u, h, t = self.equations, self._plant.x.copy(), self._plant.u, FIRST_STEP, 0.0
-        limit = e.nominal[len(e.states) :]
+        x, u, h, t = self.plant.x.copy(), self.plant.u, FIRST_STEP, 0.0
+        limit = self.nominal[len(self.states) :]
         for _ in range(MAX_STEPS):
             law, jacobian = self._law(push)
             implicit = np.eye(len(jacobian)) / h - jacobian
-            change = np.asarray(np.linalg.solve(implicit, law @ e.residual), np.float64)
-            next_x, next_u = e.shifted(x, u, change)
-            next_u[e.inputs] = np.clip(next_u[e.inputs], -limit, limit)
+            change = np.asarray(np.linalg.solve(implicit, law @ self.residual), np.float64)
+            next_x, next_u = self.shifted(x, u, change)
+            next_u[self.inputs] = np.clip(next_u[self.inputs], -limit, limit)
             for index, speed in speeds.items():
                 next_x[index] = speed * min((t + h) / RAMP_TIME, 1.0)
             nonlinearity = np.inf
-            if (np.abs(change[len(e.states) :]) <= MAX_INPUT_STEP).all() and e.evaluate(next_x, next_u):
-                correction = np.linalg.solve(implicit, law @ e.residual - change / h)
+            if (np.abs(change[len(self.states) :]) <= MAX_INPUT_STEP).all() and self.evaluate(next_x, next_u):
+                correction = np.linalg.solve(implicit, law @ self.residual - change / h)
                 nonlinearity = float(np.linalg.norm(correction) / (np.linalg.norm(change) + STEP_TOLERANCE))
             if nonlinearity > MAX_NONLINEARITY and h > SHORTEST_STEP:
                 h *= 0.25
-                e.evaluate(x, u)
+                self.evaluate(x, u)
                 continue
             x, u, t = next_x, next_u, t + h
             if h > LONG_STEP:
@@ -225,13 +221,12 @@ class Search:
         second term the inputs would oscillate, because a pressure is the integral of the flow that an input
         controls, and the input is the integral of the acceleration.
         """
-        e = self.equations
-        matrix, scale = e.matrix()
-        jacobian, n = matrix * scale[:, None], len(e.states)
-        law = np.diag(1.0 / e.nominal)
+        matrix, scale = self.matrix()
+        jacobian, n = matrix * scale[:, None], len(self.states)
+        law = np.diag(1.0 / self.nominal)
         gains = -push / scale[n:]
         law[n:, n:] = np.diag(gains)
-        law[n:, :n] = gains[:, None] * (JERK_TIME * jacobian[n:, :n] / e.nominal[:n])
+        law[n:, :n] = gains[:, None] * (JERK_TIME * jacobian[n:, :n] / self.nominal[:n])
         return law, law @ jacobian
 
 
@@ -256,10 +251,10 @@ def find_steady_state(plant: CutPlant, speeds: Mapping[str, float] | None = None
     if not search.run(speeds):
         speed_names = {n: str(plant.states[j.speed]) for n, j in joints.items()}
         conditions = ", ".join(f"{name} = {speeds.get(n, 0.0):g}" for n, name in speed_names.items())
-        worst = search.equations.worst()
+        worst = search.worst()
         hint = "use lower speeds" if any(speeds.values()) else SETTLE_HINT
         raise Problem(f"no steady state found with {conditions or 'all free'}: {worst} still changes; {hint}")
-    return _notes(plant, joints, idle, search.equations.free)
+    return _notes(plant, joints, idle, search.free)
 
 
 def _joints(plant: CutPlant, m: Matrices) -> dict[str, HeldJoint]:

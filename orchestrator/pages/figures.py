@@ -236,12 +236,6 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _unit_text(unit: str, power: int = 0) -> str:
-    """The unit in brackets with a common power of ten."""
-    parts = [f"10{superscript(str(power))}" if power else "", pretty(unit)]
-    return f"[{' '.join(filter(None, parts)) or '1'}]"
-
-
 # ---- SVG
 
 WIDE, LEFT, RIGHT, ROW = 1000, 86, 16, 46  # units of the SVG: width, margins, height of a row
@@ -266,18 +260,13 @@ def still(figure: TraceFigure, name: str) -> Markup:
         y += 16
         body.append(_text(WIDE, y - 6, figure.below, "end", "soft"))
     head = _head(figure)
-    label = escape(_alternative(figure, name))
+    start, stop = figure.span
+    shown = ", ".join(panel.heading for panel in figure.panels if panel.heading)
+    label = escape(f"{name} over time, {number(start)} to {number(stop)} s{': ' if shown else ''}{shown}")
     return Markup(
         f'<svg class="still" viewBox="0 0 {WIDE} {y:.0f}" role="img" aria-label="{label}">'
         f"{head}{''.join(body)}</svg>"
     )
-
-
-def _alternative(figure: TraceFigure, name: str) -> str:
-    """What the figure shows, for readers who do not see it."""
-    start, stop = figure.span
-    shown = ", ".join(panel.heading for panel in figure.panels if panel.heading)
-    return f"{name} over time, {number(start)} to {number(stop)} s{': ' if shown else ''}{shown}"
 
 
 def _named(chart: _Chart) -> bool:
@@ -336,10 +325,12 @@ def _axes(chart: _Chart, span: tuple[float, float], box: tuple[float, ...], last
         style = {**line.style, "linewidth": 0.9} if chart.strip else line.style
         curves.append(f'<path d="{_path(*place(line.time, line.values))}"{_stroke(style)}/>')
     middle = y0 + height / 2
+    scale = f"10{superscript(str(power))} " if power else ""
+    unit = f"{scale}{pretty(chart.unit)}".rstrip() or "1"
     parts.append(
         f'<text transform="translate(12 {middle:.1f})rotate(-90)" text-anchor="middle">'
         f'<tspan x="0">{escape(chart.label if chart.strip or chart.panel.label else "")}</tspan>'
-        f'<tspan x="0" dy="13">{escape(_unit_text(chart.unit, power))}</tspan></text>'
+        f'<tspan x="0" dy="13">{escape(f"[{unit}]")}</tspan></text>'
     )
     return "".join([*curves, *parts, *_beside(chart, box)])
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from orchestrator.base.text import grouped, number, typeset
+from orchestrator.base.text import grouped, jinja_environment, number, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
 
@@ -30,15 +30,7 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     Templates can use the macros of `parts.html.j2`, and the filters number, typeset, pretty (units),
     upper_first and groupby_order.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader([template.parent, TEMPLATES]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
     environment.filters.update(
         number=lambda value, digits=3: typeset(number(value, digits)),
         typeset=typeset,
@@ -49,7 +41,8 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
     style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles if path.is_file()))
     scripts = plot_scripts() if plots else ""
-    return environment.get_template(template.name).render(title=title, style=style, plots=scripts, **content)
+    page = environment.get_template(template.name)
+    return str(page.render(title=title, style=style, plots=scripts, **content))
 
 
 def write_text(path: Path, text: str) -> Path:

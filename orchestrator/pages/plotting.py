@@ -25,12 +25,12 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from orchestrator.base.text import MINUS, grouped, short_names, typeset
 from orchestrator.base.units import in_reader_unit, pretty, quantity, reader_unit, superscript
 from orchestrator.pages.figures import (
     PALETTE,
+    Array,
     Style,
     TraceArea,
     TraceFigure,
@@ -41,8 +41,6 @@ from orchestrator.pages.figures import (
     power_of_ten,
     still,
 )
-
-Array = NDArray[np.float64]
 
 WIDTH = 9.6  # [in], 1000 pixels in a page
 

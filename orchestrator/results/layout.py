@@ -58,16 +58,22 @@ class MovingPoint:
 
 
 @dataclass(frozen=True)
-class Layout:
+class _MotionTable:
+    """The table [motion] of the file."""
+
+    angle: str = ""
+    tip: str = ""
+    points: tuple[MovingPoint, ...] = ()
+    lines: tuple[tuple[str, ...], ...] = ()
+    ground: float = 0.0
+
+
+@dataclass(frozen=True)
+class Layout(_MotionTable):
     """Title, figures and moving points of a report; `source` is the file of the layout, for messages."""
 
     title: str = ""
     figures: tuple[FigureSpec, ...] = ()
-    points: tuple[MovingPoint, ...] = ()
-    angle: str = ""
-    tip: str = ""
-    lines: tuple[tuple[str, ...], ...] = ()
-    ground: float = 0.0
     source: str = "layout"
 
     @property
@@ -119,17 +125,6 @@ def _available(panels: Sequence[PanelSpec], trace: Trace) -> tuple[PanelSpec, ..
 
 
 @dataclass(frozen=True)
-class _MotionTable:
-    """The table [motion] of the file."""
-
-    angle: str = ""
-    tip: str = ""
-    points: tuple[MovingPoint, ...] = ()
-    lines: tuple[tuple[str, ...], ...] = ()
-    ground: float = 0.0
-
-
-@dataclass(frozen=True)
 class _File:
     """The keys of the file."""
 
@@ -149,4 +144,4 @@ def read_layout(path: Path) -> Layout:
         if label and label not in labels:
             expected = f"one of the points {', '.join(labels)}"
             raise Problem(f"{path}: motion: expected {expected}, got {label!r}")
-    return Layout(file.title, file.figure, **vars(file.motion), source=str(path))
+    return Layout(**vars(file.motion), title=file.title, figures=file.figure, source=str(path))

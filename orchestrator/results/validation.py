@@ -167,8 +167,12 @@ def validate(
     elif not isinstance(reference, Recording):
         if isinstance(reference, Result):  # of `reference`: also states, which a co-simulation has not
             reference = reference.trace.select(n for n in reference.trace.signals if n in trace.signals)
-        reference = _recording_of(as_trace(reference, "reference"), trace)
-    reference = with_floors(reference, meta.nominals if meta else {})
+        own = as_trace(reference, "reference")
+        units = {name: own.units.get(name, trace.units.get(name, "")) for name in own.signals}
+        reference = Recording(Path("reference"), own.time, own.signals, units, title="reference")
+    nominals = meta.nominals if meta else {}
+    floors = {n: replace(reference.criterion(n), floor=AT_REST * abs(nominals[n])) for n in nominals}
+    reference = replace(reference, criteria={**reference.criteria, **floors})
     check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
     return Validation(
@@ -179,12 +183,6 @@ def validate(
         about=reference.metadata,
         notes=notes,
     )
-
-
-def with_floors(reference: Recording, nominals: Mapping[str, float]) -> Recording:
-    """The reference with the smallest divisor of the NRMSE of each signal, from its nominal value."""
-    floors = {n: replace(reference.criterion(n), floor=AT_REST * abs(nominals[n])) for n in nominals}
-    return replace(reference, criteria={**reference.criteria, **floors})
 
 
 def check_comparable(run: Trace, reference: Recording) -> None:
@@ -199,12 +197,6 @@ def check_comparable(run: Trace, reference: Recording) -> None:
             unit_of_file = reference.file_units.get(name, reference.units[name])
             factor_and_offset(unit_of_file, unit, f"{reference.source}: {name}")
     common_grid(run.time, reference)
-
-
-def _recording_of(reference: Trace, run: Trace) -> Recording:
-    """A trace as a reference; its signals without unit are in the units of the run."""
-    units = {name: reference.units.get(name, run.units.get(name, "")) for name in reference.signals}
-    return Recording(Path("reference"), reference.time, reference.signals, units, title="reference")
 
 
 def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...]]:

@@ -85,9 +85,11 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
             for name, value in study.fixed.items():
                 if case.system.has(name):
                     _check_inside(case.system, name, f"fixed: {name}", value)
-        cases = {o: replace(case, system=_with_fixed(study, case.system)) for o, case in cases.items()}
-        for case in cases.values():
-            _check_limits(study, case.system)
+        for options, case in cases.items():
+            known = {name: value for name, value in fixed.items() if case.system.has(name)}
+            start = {name: v if is_real(case.system, name) else int(v) for name, v in known.items()}
+            cases[options] = replace(case, system=case.system.with_start(start))
+            _check_limits(study, cases[options].system)
         cases = {o: _accurate(study, case) for o, case in cases.items()}
         _check_windows(study, cases.values())
     return study, cases
@@ -150,11 +152,6 @@ def _nominal(factor: Factor, system: System) -> float:
         expected = "expected a start value other than 0"
         raise Problem(f"factors.{factor.name}: relative: {expected}, got {nominal:g}")
     return nominal
-
-
-def _with_fixed(study: Study, system: System) -> System:
-    fixed = {name: value for name, value in study.fixed.items() if system.has(name)}
-    return system.with_start({name: v if is_real(system, name) else int(v) for name, v in fixed.items()})
 
 
 # ---- units

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -25,12 +26,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
-from orchestrator.base.text import TextTable, display_unit
+from orchestrator.base.text import TextTable, display_unit, grouped
 from orchestrator.lanes.compiled import LANES
 from orchestrator.lanes.group import EARLY, FAILED, OK
 from orchestrator.studies import design, processes, store
 from orchestrator.studies.analysis.output_samples import without_numbers
-from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
+from orchestrator.studies.cases import Sample, Unit, doubts, resolve
 from orchestrator.studies.processes import Payload, payload
 from orchestrator.studies.single_run import RunOutcome, group_size
 from orchestrator.studies.study import Study, read
@@ -151,11 +152,8 @@ def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
     The groups do not depend on which samples have results already, so neither do the results.
     """
     study, cases = prepared.payload.study, prepared.payload.cases
-    by_options: dict[Options, list[Sample]] = {}
-    for sample in prepared.samples:
-        by_options.setdefault(sample.options, []).append(sample)
     units = list[Unit]()
-    for options, samples in by_options.items():
+    for options, samples in grouped(prepared.samples, attrgetter("options")).items():
         together = lanes and len(samples) >= LANES  # fewer are not worth a compilation
         size = group_size(study, cases[options]) if together else 1
         units += [tuple(samples[i : i + size]) for i in range(0, len(samples), size)]

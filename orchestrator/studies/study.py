@@ -25,7 +25,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import SYSTEMS, find, require
 from orchestrator.base.options import chosen, declarations, seconds
 from orchestrator.base.text import brief
-from orchestrator.base.toml import Table, is_number, quote_key
+from orchestrator.base.toml import Rule, Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
 from orchestrator.engine.arguments import CoupledArguments, RunArguments
 from orchestrator.ssp.coupling import CouplingArguments, Master
@@ -327,6 +327,20 @@ TABLES = ("factors", "choices", "outputs", "fixed")
 KEYS = ("title", "system", "method", "runs", "seed", *RUN, "band_step", *OPTIONS, *TABLES)
 
 
+TEXT = Rule("a text", lambda v: isinstance(v, str) and v != "")
+NUMBER = Rule("a number", is_number)
+TRUTH = Rule("true or false", lambda v: isinstance(v, bool))
+TEXTS = Rule("a text or a list of texts", lambda v: TEXT.holds(v) or _is_list(v, TEXT))
+NUMBERS = Rule("a list of numbers", lambda v: _is_list(v, NUMBER))
+COUNT = Rule("a whole number of at least 1", lambda v: type(v) is int and v >= 1)
+SEED = Rule("a whole number of at least 0", lambda v: type(v) is int and v >= 0)
+
+
+def _is_list(value: Any, rule: Rule) -> bool:
+    """True for a list that is not empty, if a rule holds for each item."""
+    return isinstance(value, list) and value != [] and all(map(rule.holds, value))
+
+
 def read(file: str | Path) -> Study:
     """The study in a TOML file; paths in it are relative to the file."""
     file = require(file, (".toml",))
@@ -337,11 +351,11 @@ def read(file: str | Path) -> Study:
         table.require("runs", "a whole number")
     with Study(source=str(file)).located():
         study = Study(
-            title=table.text("title") or file.stem,
-            system=table.text("system") or "",
+            title=table.value("title", TEXT) or file.stem,
+            system=table.value("system", TEXT),
             method=method,
-            runs=table.integer("runs", 1) or 0,
-            seed=table.integer("seed", 0) or 0,
+            runs=table.value("runs", COUNT) or 0,
+            seed=table.value("seed", SEED) or 0,
             **{name: table.data[name] for name in (*RUN, "band_step") if name in table.data},
             options={name: table.data[name] for name in OPTIONS if name in table.data},
             factors=tuple(_factor(name, t) for name, t in table.tables("factors").items()),
@@ -358,10 +372,11 @@ def read(file: str | Path) -> Study:
 def _factor(name: str, table: Table) -> Factor:
     distribution = table.one_of("distribution", DISTRIBUTIONS)
     table.allow_only(("distribution", "relative", "unit", *DISTRIBUTIONS[distribution]))
-    relative, unit = table.boolean("relative"), table.text("unit")
+    relative, unit = table.value("relative", TRUTH) or False, table.value("unit", TEXT)
     if relative and unit:
         raise table.problem("unit", "none, as the numbers are relative")
-    numbers = {k: table.numbers(k) if k == "values" else table.number(k) for k in DISTRIBUTIONS[distribution]}
+    rules = {key: NUMBERS if key == "values" else NUMBER for key in DISTRIBUTIONS[distribution]}
+    numbers = {key: table.value(key, rule) for key, rule in rules.items()}
     given = {key: number for key, number in numbers.items() if number is not None}
     return Factor(name, distribution, given, relative, unit or "")
 
@@ -369,10 +384,19 @@ def _factor(name: str, table: Table) -> Factor:
 def _choice(table: Table, name: str) -> Choice:
     """Read a list of options, or a table with `options` and `sampled`."""
     if not isinstance(table.data[name], dict):
-        return Choice(name, table.texts(name))
+        return Choice(name, _texts(table, name))
     inner = Table(f"{table.where}.{name}", table.data[name]).allow_only(("options", "sampled"))
     inner.require("options", "a list of texts")
-    return Choice(name, inner.texts("options"), inner.boolean("sampled"))
+    return Choice(name, _texts(inner, "options"), inner.value("sampled", TRUTH) or False)
+
+
+def _texts(table: Table, key: str) -> tuple[str, ...]:
+    """Read a text or a list of different texts."""
+    value = table.value(key, TEXTS)
+    texts = [value] if isinstance(value, str) else value
+    if len(set(texts)) < len(texts):
+        raise table.problem(key, "different texts")
+    return tuple(texts)
 
 
 def _start(table: Table, name: str) -> float | tuple[float, str]:
@@ -385,8 +409,7 @@ def _start(table: Table, name: str) -> float | tuple[float, str]:
     if isinstance(value, dict):
         inner = Table(f"{table.where}.{name}", value).allow_only(("value", "unit"))
         inner.require("value", "a number")
-        number, unit = inner.number("value"), inner.text("unit")
-        assert number is not None
+        number, unit = float(inner.value("value", NUMBER)), inner.value("unit", TEXT)
         return (number, unit) if unit else number
     if not is_number(value):
         raise table.problem(name, 'a number, a text such as "180bar", or a table of value and unit')
@@ -396,6 +419,6 @@ def _start(table: Table, name: str) -> float | tuple[float, str]:
 def _output(name: str, table: Table) -> Output:
     table.allow_only(("signal", "measure", "start", "stop", "band"))
     table.require("signal", "the name of a signal")
-    signal, measure = table.text("signal") or "", table.one_of("measure", MEASURES)
+    signal, measure = table.value("signal", TEXT), table.one_of("measure", MEASURES)
     start, stop = (seconds(table.data.get(end), f"{table.where}: {end}") for end in ("start", "stop"))
-    return Output(name, signal, measure, start, stop, table.boolean("band"))
+    return Output(name, signal, measure, start, stop, table.value("band", TRUTH) or False)

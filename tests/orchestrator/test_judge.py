@@ -117,13 +117,13 @@ def test_the_card_in_the_report(oscillator):
 def test_a_layout_gives_title_figures_and_motion(fmus, ramp, reference, tmp_path):
     """Instead of the defaults, one figure per signal and no motion; a layout for another system is told."""
     figures = (FigureSpec("Both", (PanelSpec("In", ("gain.u",)), PanelSpec("Out", ("gain.y",)))),)
-    layout = Layout("My gain", figures, (MovingPoint("tip", "gain.y", 1.0),))
+    layout = Layout(title="My gain", figures=figures, points=(MovingPoint("tip", "gain.y", 1.0),))
     _, data = judged(fmus["gain"], ramp, reference, tmp_path, layout)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert data["title"] == "My gain"
     assert "motion-data" in page
     assert "Both" in page
-    other = Layout("x", (FigureSpec("F", (PanelSpec("a", ("gain.z",)),)),), source="my.toml")
+    other = Layout(figures=(FigureSpec("F", (PanelSpec("a", ("gain.z",)),)),), source="my.toml")
     message = problem(lambda: judged(fmus["gain"], ramp, reference, tmp_path, other))
     assert message.startswith("my.toml: figure 'F': no signal gain.z in the run")
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
+from orchestrator.base.text import grouped
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
@@ -143,20 +145,16 @@ def from_recording(recording: Recording, patterns: Sequence[str] = ()) -> Refere
     if patterns:
         chosen = {p: [by_name[name] for name in _matching(p, by_name)] for p in patterns}
         return _without_rest(recording.heading, recording.time, chosen)
-    groups = list(dict.fromkeys(s.group for s in signals))
-    default = [g for g in DEFAULT_QUANTITIES if g in groups] or groups
-    chosen = {group: [s for s in signals if s.group == group] for group in default}
-    return _without_rest(recording.heading, recording.time, chosen)
+    groups = grouped(signals, attrgetter("group"))
+    default = {g: groups[g] for g in DEFAULT_QUANTITIES if g in groups} or groups
+    return _without_rest(recording.heading, recording.time, default)
 
 
 def from_run(title: str, trace: Trace) -> ReferenceSolution:
     """The signals of a run, one group for each quantity."""
-    groups: dict[str, list[ReferenceSignal]] = {}
-    for name, values in trace.signals.items():
-        unit = trace.units.get(name, "")
-        signal = ReferenceSignal(name, values, unit, quantity(unit))
-        groups.setdefault(signal.group, []).append(signal)
-    return _without_rest(title, trace.time, groups)
+    units = {name: trace.units.get(name, "") for name in trace.signals}
+    signals = (ReferenceSignal(n, v, units[n], quantity(units[n])) for n, v in trace.signals.items())
+    return _without_rest(title, trace.time, grouped(signals, attrgetter("group")))
 
 
 def finest_run(
