@@ -16,7 +16,6 @@ from fmus.boom_stick.variables import (
     OilState,
 )
 from fmus.components.hose import LumpedHose
-from fmus.components.oil import at_temperature
 from fmus.contract import Scalar, quantities
 
 
@@ -50,17 +49,15 @@ def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> di
     return dict.fromkeys(quantities(BoomStickState), 0) | drive.holding_pressures(u, p)
 
 
-BOOM_STICK = at_temperature(
-    drive.variant(
-        text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
-        parameters=BoomStickParameters,
-        states=BoomStickState,
-        outputs=BoomStickOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=partial(drive.derive, LumpedHose),
-        validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
-    )
+BOOM_STICK = drive.variant(
+    text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
+    parameters=BoomStickParameters,
+    states=BoomStickState,
+    outputs=BoomStickOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=drive.require,
+    derive=partial(drive.derive, LumpedHose),
+    validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
 )

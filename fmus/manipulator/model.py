@@ -31,7 +31,7 @@ from fmus.components.friction import Resistance
 from fmus.contract import Scalar, Subsystem, column
 from fmus.manipulator import arm
 from fmus.manipulator.arm import Piston
-from fmus.manipulator.design import CONTACTS, POINT_MASS, VISCOUS, Friction, Head
+from fmus.manipulator.design import CONTACTS, POINT_MASS, FrictionLaw, Head, viscous_friction
 from fmus.manipulator.variables import (
     ManipulatorInputs,
     ManipulatorOutputs,
@@ -53,7 +53,7 @@ def manipulator(
     states: type[Any],
     outputs: type[Any],
     head: Head = POINT_MASS,
-    friction: Friction = VISCOUS,
+    friction: FrictionLaw = viscous_friction,
 ) -> Subsystem:
     """The subsystem with a head and a friction law; the groups declare its variables."""
     design = Design(states, outputs, head, friction)
@@ -71,7 +71,8 @@ def manipulator(
         values=Path(__file__).with_name("parameters.toml"),
         validity=validity,
         terminals=PORTS,
-        stiff=bool(friction.deflections),  # bristles are stiff; end stops are as well, but seldom reached
+        stiff=friction
+        is not viscous_friction,  # bristles are stiff; end stops are as well, but seldom reached
     )
 
 
@@ -81,14 +82,14 @@ class Design:
 
     states: type[Any]
     outputs: type[Any]
-    head: Head
-    friction: Friction
+    head: Head = POINT_MASS
+    friction: FrictionLaw = viscous_friction
 
 
 def _resistances(design: Design, x: Any, p: Any, boom: Piston, stick: Piston) -> dict[str, Resistance]:
     """Friction of each contact."""
     speeds = (x.swing_speed, x.boom_speed, x.stick_speed, boom.velocity, stick.velocity)
-    return {c: design.friction.resist(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
+    return {c: design.friction(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
 
 
 def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> ca.SX:
@@ -131,9 +132,8 @@ def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     rates: dict[str, Scalar] = {n: acceleration[i] for i, n in enumerate(speeds)}
     rates |= {n: getattr(x, speed) for n, speed in zip(angles, speeds, strict=True)}
     rates |= {"held_mass": x.payload_flow, "payload_flow": _grip(x, u, p)}
-    if design.friction.deflections:
-        deflection_rates = [r[c].deflection_rate for c in CONTACTS]
-        rates |= dict(zip(design.friction.deflections, deflection_rates, strict=True))
+    if design.friction is not viscous_friction:
+        rates |= {f"{contact}_bristle": r[contact].deflection_rate for contact in CONTACTS}
     return design.states(**rates)
 
 
@@ -154,12 +154,12 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in declared}
     if "stored_energy" in declared:
         values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
+    values |= {name: r[contact].force for contact, name in CONTACTS.items() if name in declared}
     return design.outputs(
         **values,
         **_piston_outputs(x, dx, boom, stick),
         **_positions(x, p),
         **design.head.outputs(x, p),
-        **design.friction.outputs(r),
         swing_acceleration=dx.swing_speed,
         boom_holding_force=motion.gravity[1] / boom.triangle.arm,
         stick_holding_force=motion.gravity[2] / stick.triangle.arm,

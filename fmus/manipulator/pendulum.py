@@ -37,7 +37,7 @@ from fmus.components.smooth import ramp, ramp_integral
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator import arm
 from fmus.manipulator.design import Head, Joint, TipMotion
-from fmus.manipulator.friction import BRISTLES, FrictionOutputs, FrictionParameters, FrictionState
+from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, FrictionState, resist
 from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
@@ -224,5 +224,5 @@ PENDULUM_FRICTION = manipulator(
     states=PendulumFrictionState,
     outputs=PendulumFrictionOutputs,
     head=HANGING,
-    friction=BRISTLES,
+    friction=resist,
 )

@@ -18,7 +18,6 @@ from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil
 from fmus.components.hose import HoseWall
 from fmus.components.motor import Brake, BrakeTorque, MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
@@ -202,18 +201,16 @@ def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
-        parameters=Parameters,
-        states=State,
-        outputs=Outputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=require,
-        derive=drive.derive_capacitance,
-        validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
-        " no spool dynamics",
-    )
+SWING = drive.variant(
+    text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
+    parameters=Parameters,
+    states=State,
+    outputs=Outputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=require,
+    derive=drive.derive_capacitance,
+    validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
+    " no spool dynamics",
 )
