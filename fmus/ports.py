@@ -63,29 +63,20 @@ class LineInputs(Group):
 
 def shaft(axis: str, drives: bool) -> Terminal:
     """Rotating shaft: torque and its rate to the mechanics, speed and acceleration to the drive."""
-    return Terminal(
-        f"{axis}_shaft",
-        "shaft",
-        f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics",
-        (
-            Member("torque", f"{axis}_torque", "out" if drives else "in"),
-            *(Member(name, f"{axis}_{name}") for name in ("torque_rate", "speed", "acceleration")),
-        ),
-    )
+    text = f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics"
+    return _power_port(axis, "shaft", text, drives, "torque", "torque_rate", "speed", "acceleration")
 
 
 def rod(axis: str, drives: bool) -> Terminal:
     """Piston rod: force and its rate to the mechanics, piston motion and holding force to the drive."""
-    motion = ("force_rate", "position", "velocity", "acceleration", "holding_force")
-    return Terminal(
-        f"{axis}_rod",
-        "rod",
-        f"Rod of the {axis} cylinder: force on the mechanics, motion of the piston",
-        (
-            Member("force", f"{axis}_force", "out" if drives else "in"),
-            *(Member(name, f"{axis}_{name}") for name in motion),
-        ),
-    )
+    text = f"Rod of the {axis} cylinder: force on the mechanics, motion of the piston"
+    motion = ("position", "velocity", "acceleration", "holding_force")
+    return _power_port(axis, "rod", text, drives, "force", "force_rate", *motion)
+
+
+def _power_port(axis: str, kind: str, text: str, drives: bool, effort: str, *others: str) -> Terminal:
+    flow = Member(effort, f"{axis}_{effort}", "out" if drives else "in")
+    return Terminal(f"{axis}_{kind}", kind, text, (flow, *(Member(n, f"{axis}_{n}") for n in others)))
 
 
 def lever(axis: str) -> Terminal:

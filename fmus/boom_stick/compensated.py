@@ -43,7 +43,7 @@ from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
 from fmus.components.load_sensing import LoadPressure
-from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
+from fmus.components.orifice import AntiCavitationParameters, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar
 
@@ -77,7 +77,7 @@ class Parameters(
     valve=SectionValve,
     compensator=Compensator,
     counterbalance=Counterbalance,
-    port_relief=(PortRelief, "port relief"),
+    port_relief=(PressureValve, "port relief"),
     boom=AxisParameters,
     stick=AxisParameters,
 ):
@@ -260,7 +260,7 @@ def section(p: Parameters, axis: str) -> Section:
 def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CompensatedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
     counterbalance = Counterbalance.of(p, "counterbalance")
-    relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
+    relief, anti = PressureValve.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
     for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
         state, line, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
         tank = inputs.tank_pressure

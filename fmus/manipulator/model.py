@@ -18,7 +18,6 @@ The pick-up is inelastic: max(m_h', 0) v^2/2 is heat, v the speed of the payload
 m_h' g z + min(m_h', 0) v^2/2 enters, z its height (`payload_power`). Derivation: `fmus.components.mechanics`.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -92,21 +91,10 @@ def _resistances(design: Design, x: Any, p: Any, boom: Piston, stick: Piston) ->
     return {c: design.friction(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
 
 
-def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> ca.SX:
-    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops."""
+def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> tuple[ca.SX, dict[str, Resistance]]:
+    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops; and the friction of each contact."""
     boom, stick = arm.pistons(x, p)
-    return _forces(design, x, u, p, (boom, stick), _resistances(design, x, p, boom, stick))
-
-
-def _forces(
-    design: Design,
-    x: Any,
-    u: ManipulatorInputs,
-    p: Any,
-    pistons: tuple[Piston, Piston],
-    r: Mapping[str, Resistance],
-) -> ca.SX:
-    (boom, stick), joint = pistons, design.head.joint(x, p)
+    r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
     tau: ca.SX = column(
         u.swing_torque - r["swing"].force + arm.swing_stop(x, p).force,
         boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop.force)
@@ -117,15 +105,12 @@ def _forces(
         + joint.on_stick,
         *joint.on_head,
     )
-    return tau
+    return tau, r
 
 
 def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     """Time derivative of the state, field by field."""
-    boom, stick = arm.pistons(x, p)
-    r = _resistances(design, x, p, boom, stick)
-    tau = _forces(design, x, u, p, (boom, stick), r)
-    motion = arm.mechanics(x, p, design.head)
+    motion, (tau, r) = arm.mechanics(x, p, design.head), forces(design, x, u, p)
     acceleration = motion.acceleration(tau + motion.per_kilogram.drag(x.payload_flow))
     speeds = ("swing_speed", "boom_speed", "stick_speed", *design.head.speeds)
     angles = ("swing_angle", "boom_angle", "stick_angle", *design.head.angles)

@@ -118,24 +118,24 @@ def build_user(
 ) -> Path:
     """Write an FMU of the `Model` in a user's file to `folder` and return its path; see `build_python`."""
     try:
-        return _build_user(path, folder, step, stop, platforms)
+        refuse_neighbours(path)
+        with TemporaryDirectory() as test_folder:  # contains only files that the FMU will contain
+            copy = Path(test_folder).resolve() / path.name
+            copy.write_bytes(path.read_bytes())
+            files = {f"resources/{path.name}": path.read_bytes()} | _model_files(path, copy.parent)
+            user = checked(copy, step)
+        if [*user.model.files] != declared_files(path):
+            raise Problem(
+                f'{path.name}: files is not a plain list, expected one such as files = ("map.csv",)'
+            )
+        files |= common_files(_subsystem(user, path), user.interface, 2, step, stop)
+        flags = {"providesDirectionalDerivative": "false", "maxOutputDerivativeOrder": "0"}
+        model, unknowns = {"file": path.name}, structure(user)
+        return _write(
+            folder, user.interface, model, "UserSlave", flags, unknowns, step, stop, files, platforms
+        )
     except Problem as problem:
         raise in_file(problem, path) from None
-
-
-def _build_user(path: Path, folder: Path, step: float, stop: float, platforms: Sequence[str] | None) -> Path:
-    refuse_neighbours(path)
-    with TemporaryDirectory() as test_folder:  # contains only files that the FMU will contain
-        copy = Path(test_folder).resolve() / path.name
-        copy.write_bytes(path.read_bytes())
-        files = {f"resources/{path.name}": path.read_bytes()} | _model_files(path, copy.parent)
-        user = checked(copy, step)
-    if [*user.model.files] != declared_files(path):
-        raise Problem(f'{path.name}: files is not a plain list, expected one such as files = ("map.csv",)')
-    files |= common_files(_subsystem(user, path), user.interface, 2, step, stop)
-    flags = {"providesDirectionalDerivative": "false", "maxOutputDerivativeOrder": "0"}
-    model, unknowns = {"file": path.name}, structure(user)
-    return _write(folder, user.interface, model, "UserSlave", flags, unknowns, step, stop, files, platforms)
 
 
 def _model_files(path: Path, test_folder: Path) -> dict[str, bytes]:

@@ -87,7 +87,7 @@ def symbolic_equations() -> SimpleNamespace:
     x, own_p = _at(MANIPULATOR.states, measured), _parameters_of(MANIPULATOR, p)
     mechanics, rods = arm.mechanics(x, own_p, _LUMPED.head), arm.pistons(x, own_p)
     momentum = mechanics.mass @ w
-    tau = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
+    tau, _ = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
     return SimpleNamespace(
         **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
         force=tau + ca.jtimes(momentum, q, w) - mechanics.coriolis - mechanics.gravity,
