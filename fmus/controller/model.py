@@ -29,7 +29,7 @@ from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller import geometry
 from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.gains import Gains
-from fmus.controller.reference import Reference, engaged, errors, measured_joints, reference
+from fmus.controller.reference import Reference, engaged, errors, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
     AXES,
@@ -123,7 +123,7 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
     """Time derivative of the state."""
     on, ref = engaged(u), reference(x, u, p)
     commands = _actuator_commands(x, u, p, ref)
-    measured = geometry.tip_velocity(measured_joints(u), p)
+    measured = geometry.tip_velocity(u, p)
     rates = {f"{n}_command": rate for n, rate in _command_rates(x, u, p, commands).items()}
     for name, speed, rate in zip(AXES, ref.speeds, ref.rates, strict=True):
         command, gain = commands[name], getattr(x, f"{name}_gain")
@@ -146,7 +146,7 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
     """Outputs; commands depend on the state alone."""
     ref = reference(x, u, p)
     rates = _command_rates(x, u, p, _actuator_commands(x, u, p, ref))
-    tip = geometry.tip_position(measured_joints(u), p)
+    tip = geometry.tip_position(u, p)
     return ControllerOutputs(
         **{f"{n}_command": getattr(x, f"{n}_command") for n in AXES},
         **{f"{n}_command_rate": rate for n, rate in rates.items()},
@@ -167,10 +167,10 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
 
 def initial(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
     """Reference angles and loads equal to the measured ones; weight of coordinated control as `engaged`."""
-    joints, pressures = measured_joints(u), _measured(u)
-    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(joints, p)
+    pressures = _measured(u)
+    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(u, p)
     loads = {f"{n}_load": a.force(*pressures[n]) for n, a in actuators((boom, stick), p).items()}
-    angles = {f"reference_{n}": getattr(joints, f"{n}_angle") for n in AXES}
+    angles = {f"reference_{n}": getattr(u, f"{n}_angle") for n in AXES}
     return angles | loads | {"coordination": engaged(u)}
 
 

@@ -14,8 +14,8 @@ from fmus.components.motor import MotorNodes
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Scalar, Subsystem, Terminal
-from fmus.swing.variables import SwingInputs
+from fmus.contract import Scalar, Subsystem, Terminal, quantities
+from fmus.swing.variables import LinePressures, SwingInputs
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
@@ -85,13 +85,17 @@ def observe(
     }
 
 
-def load_pressure(
-    p: Any, u: SwingInputs, pressures: Pair, rates: Pair, curves: OpeningCurves | None = None
-) -> LoadPressure:
+def load_pressure(p: Any, u: SwingInputs, pressures: Pair, rates: Pair) -> LoadPressure:
     """Load pressure of a valve without dynamics; pressures of the lines [Pa] and their rates."""
+    curves = OpeningCurves.of(p, "valve")
     bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
     command = (u.swing_command, u.swing_command_rate)
     return load_sensing.load_pressure(*command, bands, p.valve_full_command, pressures, rates, u)
+
+
+def initial_pressures(u: SwingInputs, p: Any) -> dict[str, Scalar]:
+    """Initial state of both lines: at the preload, no torque."""
+    return dict.fromkeys(quantities(LinePressures), u.tank_pressure + p.initial_preload)
 
 
 def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:

@@ -52,7 +52,7 @@ def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> 
     dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
     flows = (valve[0].line, valve[1].line)
     rates = (dx.swing_pressure_a, dx.swing_pressure_b)
-    load = drive.load_pressure(p, u, pressures, rates, OpeningCurves.of(p, "valve"))
+    load = drive.load_pressure(p, u, pressures, rates)
     outputs = drive.observe(p, u, pressures, flows, valve, nodes, rates, load)
     energy = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
     return SwingOutputs(**outputs, stored_energy=energy)
@@ -60,8 +60,7 @@ def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> 
 
 def initial(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, no torque."""
-    preload = u.tank_pressure + p.initial_preload
-    return {"swing_pressure_a": preload, "swing_pressure_b": preload}
+    return drive.initial_pressures(u, p)
 
 
 SWING = drive.variant(
