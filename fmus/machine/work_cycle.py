@@ -131,10 +131,10 @@ def program(moves: Sequence[Move | Stem]) -> dict[str, float]:
     return values
 
 
-def program_numbers(moves: Sequence[Move | Stem] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
+def program_numbers() -> dict[str, dict[str, Number]]:
     """Content of the operator's parameters.toml."""
     units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
-    values = program(moves)
+    values = program(WORK_CYCLE)
     tops = ("_command", "_mass")
     used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith(tops) and value}
 

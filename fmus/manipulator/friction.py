@@ -12,7 +12,7 @@ be too high.
 
 from fmus.components.friction import Bristles, Resistance, lugre
 from fmus.contract import Group, Quantity, Scalar
-from fmus.manipulator.model import manipulator
+from fmus.manipulator.model import Design, manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 
@@ -120,10 +120,8 @@ def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters)
 
 
 FRICTION = manipulator(
+    Design(FrictionState, FrictionOutputs, friction=resist),
     text="Swing column, boom, stick and processing head with dry and viscous friction",
     validity="rigid slender links, the head does not swing; friction independent of load and pressure",
     parameters=FrictionParameters,
-    states=FrictionState,
-    outputs=FrictionOutputs,
-    friction=resist,
 )

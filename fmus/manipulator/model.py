@@ -45,36 +45,6 @@ PORTS = (
 )
 
 
-def manipulator(
-    text: str,
-    validity: str,
-    parameters: type[Any],
-    states: type[Any],
-    outputs: type[Any],
-    head: Head = POINT_MASS,
-    friction: FrictionLaw = viscous_friction,
-) -> Subsystem:
-    """The subsystem with a head and a friction law; the groups declare its variables."""
-    design = Design(states, outputs, head, friction)
-    return Subsystem(
-        name="manipulator",
-        text=text,
-        parameters=parameters,
-        states=states,
-        inputs=ManipulatorInputs,
-        outputs=outputs,
-        dynamics=partial(dynamics, design),
-        observe=partial(observe, design),
-        initial=partial(initial, design),
-        require=partial(require, design),
-        values=Path(__file__).with_name("parameters.toml"),
-        validity=validity,
-        terminals=PORTS,
-        stiff=friction
-        is not viscous_friction,  # bristles are stiff; end stops are as well, but seldom reached
-    )
-
-
 @dataclass(frozen=True)
 class Design:
     """A head, a friction law, and the groups of states and outputs that they need."""
@@ -83,6 +53,25 @@ class Design:
     outputs: type[Any]
     head: Head = POINT_MASS
     friction: FrictionLaw = viscous_friction
+
+
+def manipulator(design: Design, **declared: Any) -> Subsystem:
+    """The subsystem with a head and a friction law."""
+    return Subsystem(
+        name="manipulator",
+        states=design.states,
+        inputs=ManipulatorInputs,
+        outputs=design.outputs,
+        dynamics=partial(dynamics, design),
+        observe=partial(observe, design),
+        initial=partial(initial, design),
+        require=partial(require, design),
+        values=Path(__file__).with_name("parameters.toml"),
+        terminals=PORTS,
+        # bristles are stiff; end stops are as well, but seldom reached
+        stiff=design.friction is not viscous_friction,
+        **declared,
+    )
 
 
 def _resistances(design: Design, x: Any, p: Any, boom: Piston, stick: Piston) -> dict[str, Resistance]:
@@ -212,9 +201,8 @@ def _positions(x: Any, p: Any) -> dict[str, Scalar]:
 # the paper's manipulator: the head is a point mass at the tip, the friction viscous (correction E4),
 # R = B x' in the pistons, B_sw q1' in the swing gear, b_i q_i' in the joints
 RIGID = manipulator(
+    Design(ManipulatorState, ManipulatorOutputs),
     text="Swing column, boom, stick and rigid processing head; viscous friction of joints and pistons",
     validity="rigid slender links, the head does not swing, viscous friction",
     parameters=ManipulatorParameters,
-    states=ManipulatorState,
-    outputs=ManipulatorOutputs,
 )
