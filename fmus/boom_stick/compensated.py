@@ -42,7 +42,6 @@ from fmus.components.chamber import AeratedOil
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
-from fmus.components.load_sensing import LoadPressure
 from fmus.components.orifice import AntiCavitationParameters, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar
@@ -193,15 +192,6 @@ class CompensatedDrive:
             result[f"{name}_counterbalance_opening"] = (balance - s.opening) / c.lag
         return AxisState(**result)
 
-    def load_pressure(self, rates: AxisState) -> LoadPressure:
-        """Load pressure of the section."""
-        return load_sensing.load_pressure(
-            *(self.u.command, self.u.command_rate),
-            *(self.section.dead_bands(), self.section.valve.full_command),
-            *(self.x.pair("valve_pressure"), rates.pair("valve_pressure")),
-            self.u,
-        )
-
     def observe(self) -> dict[str, Any]:
         """Outputs by name without prefix, for `drive.joint_outputs`."""
         (head, rod), rates = self.cylinder.areas, self.rates()
@@ -239,7 +229,12 @@ class CompensatedDrive:
             "stored_energy": compression,
             "dissipated_power": heat,
             "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
-            drive.LOAD: self.load_pressure(rates),
+            drive.LOAD: load_sensing.load_pressure(
+                *(self.u.command, self.u.command_rate),
+                *(self.section.dead_bands(), self.section.valve.full_command),
+                *(lines, rates.pair("valve_pressure")),
+                self.u,
+            ),
             **{f"{name}_flow": s.flow for name, s in zip(SIDES, self.sides, strict=True)},
             **{f"{name}_valve_flow": s.port.edges.line for name, s in zip(SIDES, self.sides, strict=True)},
         }
