@@ -46,23 +46,15 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_MODULES = {
-    "Group": "contract",
-    "HARVESTER": "machine.one_block",
-    "Member": "contract",
-    "Number": "parameters",
-    "PARTS": "machine.parts",
-    "Quantity": "contract",
-    "Scalar": "contract",
-    "Subsystem": "contract",
-    "Terminal": "contract",
-    "Values": "parameters",
-    "build": "export.build",
-    "compose": "composition",
-    "family": "contract",
-    "quantities": "contract",
-    "values": "parameters",
+_NAMES = {  # by module
+    "composition": ("compose",),
+    "contract": ("Group", "Member", "Quantity", "Scalar", "Subsystem", "Terminal", "family", "quantities"),
+    "export.build": ("build",),
+    "machine.one_block": ("HARVESTER",),
+    "machine.parts": ("PARTS",),
+    "parameters": ("Number", "Values", "values"),
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = [
     "HARVESTER", "PARTS", "Group", "Member", "Number", "Quantity", "Scalar", "Subsystem", "Terminal",

@@ -32,7 +32,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
-from fmus.contract import Quantity, Subsystem, quantities
+from fmus.contract import G, Quantity, Subsystem, quantities
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 
@@ -150,6 +150,12 @@ def padded(entries: Mapping[str, Number], declared: Collection[str]) -> dict[str
         names = [n for n in declared if n.rpartition("_")[0] == listed[:-1] and n not in entries]
         result |= {n: replace(first, value=0.0, sd=None) for n in names if n.rpartition("_")[2].isdigit()}
     return result
+
+
+def group_of(path: Path, group: type[G]) -> G:
+    """A group of parameters with the values of a file."""
+    table = padded(read(path)["parameters"], quantities(group))
+    return group(**{name: table[name].value for name in quantities(group)})
 
 
 def _number(path: Path, section: str, name: str, entry: Any) -> Number:

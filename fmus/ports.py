@@ -63,29 +63,20 @@ class LineInputs(Group):
 
 def shaft(axis: str, drives: bool) -> Terminal:
     """Rotating shaft: torque and its rate to the mechanics, speed and acceleration to the drive."""
-    return Terminal(
-        f"{axis}_shaft",
-        "shaft",
-        f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics",
-        (
-            Member("torque", f"{axis}_torque", "out" if drives else "in"),
-            *(Member(name, f"{axis}_{name}") for name in ("torque_rate", "speed", "acceleration")),
-        ),
-    )
+    text = f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics"
+    return _power_port(axis, "shaft", text, drives, "torque", "torque_rate", "speed", "acceleration")
 
 
 def rod(axis: str, drives: bool) -> Terminal:
     """Piston rod: force and its rate to the mechanics, piston motion and holding force to the drive."""
-    motion = ("force_rate", "position", "velocity", "acceleration", "holding_force")
-    return Terminal(
-        f"{axis}_rod",
-        "rod",
-        f"Rod of the {axis} cylinder: force on the mechanics, motion of the piston",
-        (
-            Member("force", f"{axis}_force", "out" if drives else "in"),
-            *(Member(name, f"{axis}_{name}") for name in motion),
-        ),
-    )
+    text = f"Rod of the {axis} cylinder: force on the mechanics, motion of the piston"
+    motion = ("position", "velocity", "acceleration", "holding_force")
+    return _power_port(axis, "rod", text, drives, "force", "force_rate", *motion)
+
+
+def _power_port(axis: str, kind: str, text: str, drives: bool, effort: str, *others: str) -> Terminal:
+    flow = Member(effort, f"{axis}_{effort}", "out" if drives else "in")
+    return Terminal(f"{axis}_{kind}", kind, text, (flow, *(Member(n, f"{axis}_{n}") for n in others)))
 
 
 def lever(axis: str) -> Terminal:
@@ -99,51 +90,40 @@ def grip() -> Terminal:
     return Terminal("grip", "grip", "Payload that the head is to hold", (Member("mass", "payload_mass"),))
 
 
-def supply_line() -> Terminal:
-    """Supply line at the valves of a drive."""
-    text = "Supply line: pressure, and flow into the drive"
-    return _line("supply_line", text, "supply_pressure", "supply_flow", "in")
+def supply_line(to: str = "") -> Terminal:
+    """Supply line at the valves of a drive; `to`: at the pumps, for this drive."""
+    text = f"Supply line to {to}" if to else "Supply line: pressure, and flow into the drive"
+    return _line("supply", "supply", text, to, "out" if to else "in")
 
 
-def return_line() -> Terminal:
-    """Return line at the valves of a drive."""
-    text = "Return line: pressure, and flow out of the drive"
-    return _line("return_line", text, "tank_pressure", "return_flow", "out")
+def return_line(of: str = "") -> Terminal:
+    """Return line at the valves of a drive; `of`: at the tank, for this drive."""
+    text = f"Return line from {of}" if of else "Return line: pressure, and flow out of the drive"
+    return _line("return", "tank", text, of, "in" if of else "out")
 
 
-def _line(name: str, text: str, pressure: str, flow: str, direction: Literal["in", "out"]) -> Terminal:
-    members = (Member("pressure", pressure), Member("pressure_rate", f"{pressure}_rate"))
-    return Terminal(name, "line", text, (*members, Member("flow", flow, direction)))
+def _line(name: str, pressure: str, text: str, drive: str, direction: Literal["in", "out"]) -> Terminal:
+    end = f"_{drive}" if drive else ""
+    members = (
+        Member("pressure", f"{pressure}_pressure"),
+        Member("pressure_rate", f"{pressure}_pressure_rate"),
+        Member("flow", f"{name}_flow{end}", direction),
+    )
+    return Terminal(f"{name}_line{end}", "line", text, members)
 
 
-def _load_sensing_members(drive: str) -> tuple[Member, ...]:
-    return (
+def load_sensing_line(drive: str, supply: bool = False) -> Terminal:
+    """Load-sensing line of a drive: its load pressure, and the highest one of all drives.
+
+    supply   whether the terminal is that at the supply, else that at the valves of the drive
+    """
+    text = "Load-sensing line: load pressure of the drive, and pressure of the line"
+    members = (
         Member("pressure", "load_sensing_pressure"),
         Member("pressure_rate", "load_sensing_pressure_rate"),
         Member("load_pressure", f"{drive}_load_pressure"),
         Member("load_pressure_rate", f"{drive}_load_pressure_rate"),
     )
-
-
-def load_sensing_line(drive: str) -> Terminal:
-    """Load-sensing line at the valves of a drive: its load pressure, and the highest one of all drives."""
-    text = "Load-sensing line: load pressure of the drive, and pressure of the line"
-    return Terminal("load_sensing_line", "line", text, _load_sensing_members(drive))
-
-
-def load_sensing_line_from(drive: str) -> Terminal:
-    """Load-sensing line at the supply, for one of the drives; connects to `load_sensing_line`."""
-    text = f"Load-sensing line from {drive}"
-    return Terminal(f"load_sensing_line_{drive}", "line", text, _load_sensing_members(drive))
-
-
-def supply_line_to(drive: str) -> Terminal:
-    """Supply line at the pumps, for one of the drives; connects to `supply_line`."""
-    text, flow = f"Supply line to {drive}", f"supply_flow_{drive}"
-    return _line(f"supply_line_{drive}", text, "supply_pressure", flow, "out")
-
-
-def return_line_from(drive: str) -> Terminal:
-    """Return line at the tank, for one of the drives; connects to `return_line`."""
-    text, flow = f"Return line from {drive}", f"return_flow_{drive}"
-    return _line(f"return_line_{drive}", text, "tank_pressure", flow, "in")
+    if supply:
+        return Terminal(f"load_sensing_line_{drive}", "line", f"Load-sensing line from {drive}", members)
+    return Terminal("load_sensing_line", "line", text, members)

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
@@ -181,35 +182,7 @@ class Pause:
         self.next = pause - 1 if success else 2 * pause
 
 
-@dataclass
-class StepMemory:
-    """Memory of the solver from step to step; all zero at first.
-
-    step     proposal for the next inner step [s], 0 without one
-    cheap    pause of the method that is tried first
-    second   pause of the method of Cash and Karp
-    """
-
-    step: float = 0.0
-    cheap: Pause = field(default_factory=Pause)
-    second: Pause = field(default_factory=Pause)
-
-
-MEMORY_SIZE = 5  # numbers in a `StepMemory`
-
-
-def solve(
-    system: OdeSystem, x: Array, motion: InputPolynomials, length: float, tolerance: float, memory: Array
-) -> tuple[Array, Array]:
-    """States after `length` seconds, and the memory for the next call.
-
-    memory   memory from the last call, zeros at first; shape (MEMORY_SIZE,), the numbers in `StepMemory`
-    """
-    cheap, second = (Pause(int(left), int(following)) for left, following in (memory[1:3], memory[3:5]))
-    m = StepMemory(float(memory[0]), cheap, second)
-    with np.errstate(all="ignore"):  # values that are not finite are handled here
-        x = _solve(system, x, motion, length, tolerance, m)
-    return x, np.array([m.step, m.cheap.left, m.cheap.next, m.second.left, m.second.next])
+MEMORY_SIZE = 5  # numbers that the solver keeps from step to step, see `solve`
 
 
 @dataclass
@@ -227,11 +200,29 @@ class _Attempt:
         return self.error <= 1.0
 
 
+def solve(
+    system: OdeSystem, x: Array, motion: InputPolynomials, length: float, tolerance: float, memory: Array
+) -> tuple[Array, Array]:
+    """States after `length` seconds, and the memory for the next call.
+
+    memory   from the last call, zeros at first; shape (MEMORY_SIZE,): proposal for the next inner step [s], 0
+             without one; pause of the method that is tried first; pause of the method of Cash and Karp
+    """
+    with np.errstate(all="ignore"):  # values that are not finite are handled here
+        return _solve(system, x, motion, length, tolerance, memory.tolist())
+
+
 def _solve(
-    system: OdeSystem, x: Array, motion: InputPolynomials, length: float, tolerance: float, memory: StepMemory
-) -> Array:
+    system: OdeSystem,
+    x: Array,
+    motion: InputPolynomials,
+    length: float,
+    tolerance: float,
+    memory: Sequence[float],
+) -> tuple[Array, Array]:
+    cheap, second = Pause(int(memory[1]), int(memory[2])), Pause(int(memory[3]), int(memory[4]))
     smallest = max(1e-14 * length, sys.float_info.min)  # smaller steps do not change the time
-    tau, rejected, count, proposal = 0.0, False, 0, memory.step or length
+    tau, rejected, count, proposal = 0.0, False, 0, memory[0] or length
     attempt = _Attempt()
     linear: LinearisedStep | None = None  # the linearised model at tau
     while tau < length:
@@ -245,13 +236,13 @@ def _solve(
         count += 1
         attempt = _Attempt()
         if linear is None and not system.stiff:
-            attempt = _explicit(system, motion, tau, x, h, tolerance, memory)
+            attempt = _explicit(system, motion, tau, x, h, tolerance, cheap, second)
         if not attempt.accepted and linear is None:
             linear = _linearised(system, motion, tau, x)
-            if system.stiff and tolerance >= LOOSE and h == length and memory.cheap.is_over():
+            if system.stiff and tolerance >= LOOSE and h == length and cheap.is_over():
                 attempt = _implicit(linear, RODAS3, x, h, tolerance / RODAS3_FACTOR)
                 attempt.cheap = True
-                memory.cheap.update(attempt.accepted)
+                cheap.update(attempt.accepted)
         if not attempt.accepted and linear is not None:
             attempt = _implicit(linear, RODAS, x, h, tolerance)
         error = attempt.error
@@ -270,8 +261,7 @@ def _solve(
             if proposal < smallest:
                 why = "small" if linear is None or linear.solvable else "singular"
                 raise Unsolved(why, tau, h, attempt.worst, 0.0, x)
-    memory.step = proposal
-    return x
+    return x, np.array([proposal, cheap.left, cheap.next, second.left, second.next])
 
 
 def _explicit(
@@ -281,16 +271,17 @@ def _explicit(
     x: Array,
     h: float,
     tolerance: float,
-    memory: StepMemory,
+    cheap: Pause,
+    second: Pause,
 ) -> _Attempt:
     """A step of Kutta's method, or of that of Cash and Karp."""
     attempt = _Attempt()
-    if memory.cheap.is_over():
+    if cheap.is_over():
         new, estimate, stable = kutta(system, motion, tau, x, h)
         if stable:
             attempt = _Attempt(True, new, *_error(x, new, estimate, tolerance, system.absolute))
-        memory.cheap.update(attempt.accepted)
-    if not attempt.accepted and memory.second.is_over():
+        cheap.update(attempt.accepted)
+    if not attempt.accepted and second.is_over():
         new, fourth, third, stable = cash_karp(system, motion, tau, x, h)
         attempt = _Attempt()
         if stable:
@@ -298,7 +289,7 @@ def _explicit(
             error_3, _ = _error(x, new, third, tolerance, system.absolute)
             larger = float(np.fmax(ORDER_4_FACTOR * error, ORDER_3_FACTOR * error_3))
             attempt = _Attempt(False, new, larger, worst)
-        memory.second.update(stable)
+        second.update(stable)
     return attempt
 
 

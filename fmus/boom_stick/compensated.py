@@ -42,9 +42,7 @@ from fmus.components.chamber import AeratedOil
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
-from fmus.components.load_sensing import LoadPressure
-from fmus.components.oil import at_temperature
-from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
+from fmus.components.orifice import AntiCavitationParameters, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar
 
@@ -78,7 +76,7 @@ class Parameters(
     valve=SectionValve,
     compensator=Compensator,
     counterbalance=Counterbalance,
-    port_relief=(PortRelief, "port relief"),
+    port_relief=(PressureValve, "port relief"),
     boom=AxisParameters,
     stick=AxisParameters,
 ):
@@ -194,15 +192,6 @@ class CompensatedDrive:
             result[f"{name}_counterbalance_opening"] = (balance - s.opening) / c.lag
         return AxisState(**result)
 
-    def load_pressure(self, rates: AxisState) -> LoadPressure:
-        """Load pressure of the section."""
-        return load_sensing.load_pressure(
-            *(self.u.command, self.u.command_rate),
-            *(self.section.dead_bands(), self.section.valve.full_command),
-            *(self.x.pair("valve_pressure"), rates.pair("valve_pressure")),
-            self.u,
-        )
-
     def observe(self) -> dict[str, Any]:
         """Outputs by name without prefix, for `drive.joint_outputs`."""
         (head, rod), rates = self.cylinder.areas, self.rates()
@@ -240,7 +229,12 @@ class CompensatedDrive:
             "stored_energy": compression,
             "dissipated_power": heat,
             "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
-            drive.LOAD: self.load_pressure(rates),
+            drive.LOAD: load_sensing.load_pressure(
+                *(self.u.command, self.u.command_rate),
+                *(self.section.dead_bands(), self.section.valve.full_command),
+                *(lines, rates.pair("valve_pressure")),
+                self.u,
+            ),
             **{f"{name}_flow": s.flow for name, s in zip(SIDES, self.sides, strict=True)},
             **{f"{name}_valve_flow": s.port.edges.line for name, s in zip(SIDES, self.sides, strict=True)},
         }
@@ -261,7 +255,7 @@ def section(p: Parameters, axis: str) -> Section:
 def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CompensatedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
     counterbalance = Counterbalance.of(p, "counterbalance")
-    relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
+    relief, anti = PressureValve.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
     for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
         state, line, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
         tank = inputs.tank_pressure
@@ -322,18 +316,16 @@ def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     }
 
 
-BOOM_STICK = at_temperature(
-    drive.variant(
-        text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
-        parameters=Parameters,
-        states=State,
-        outputs=Outputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=require,
-        derive=partial(drive.derive, VolumeHose),
-        validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
-        " no spool dynamics",
-    )
+BOOM_STICK = drive.variant(
+    text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
+    parameters=Parameters,
+    states=State,
+    outputs=Outputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=require,
+    derive=partial(drive.derive, VolumeHose),
+    validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
+    " no spool dynamics",
 )

@@ -35,12 +35,11 @@ from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, HydraulicLine, LineState
 from fmus.components.load_sensing import LoadPressure
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
-from fmus.parameters import padded, read
+from fmus.parameters import group_of
 
 PARAMETERS = Path(__file__).with_name("parameters.toml")
 
@@ -237,10 +236,7 @@ def _initial(
 
 def default_lumps() -> dict[str, int]:
     """Lumps per hose by axis for the values of parameters.toml."""
-    table = padded(read(PARAMETERS)["parameters"], quantities(DetailedBoomStickParameters))
-    p = DetailedBoomStickParameters(
-        **{name: table[name].value for name in quantities(DetailedBoomStickParameters)}
-    )
+    p = group_of(PARAMETERS, DetailedBoomStickParameters)
     return {axis: hose.default_lumps(line(p, axis)) for axis in AXES}
 
 
@@ -280,7 +276,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     )
     others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}
-    return family("boom_stick", **others, detailed=at_temperature(sub))["detailed"]
+    return family("boom_stick", **others, detailed=sub)["detailed"]
 
 
 BOOM_STICK = detailed()

@@ -17,7 +17,6 @@ Signs: line flows are positive into the cylinder; x from the closed end; x' and 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveIn
 from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
-from fmus.components.load_sensing import LoadPressure
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Subsystem, Terminal
@@ -37,24 +36,86 @@ Pair = tuple[Scalar, Scalar]  # (head side, rod side)
 
 @dataclass(frozen=True)
 class CylinderDrive:
-    """Parameters of one drive; tables of its valve; density [kg/m3] and bulk modulus [Pa] of the oil."""
+    """One drive at one instant.
+
+    curves         tables of its valve
+    bulk_modulus   of the oil [Pa]
+    x, u           pressures and line flows; inputs
+    ports          of the valve: A at the head side, B at the rod side
+    """
 
     cylinder: Cylinder
     hose: LumpedHose
     valve: Valve
     curves: OpeningCurves
-    density: Scalar
     bulk_modulus: Scalar
+    x: OilState
+    u: AxisInputs
+    ports: tuple[EdgeFlows, EdgeFlows]
 
+    def capacitances(self) -> Pair:
+        """C_h and C_r [m3/Pa]."""
+        head, rod = self.cylinder.areas
+        at_head, at_rod = self.cylinder.volumes(0)  # with the piston at x = 0
+        return (
+            self.hose.capacitance + at_head / self.bulk_modulus + head / self.bulk_modulus * self.u.position,
+            self.hose.capacitance + at_rod / self.bulk_modulus - rod / self.bulk_modulus * self.u.position,
+        )
 
-def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDrive]:
-    """Parameters of boom and stick drive; hose: (parameters, prefix) -> hose."""
-    valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
-    boom, stick = (
-        CylinderDrive(Cylinder.of(p, axis), hose(p, f"{axis}_hose"), valve, curves, p.density, p.bulk_modulus)
-        for axis in AXES
-    )
-    return boom, stick
+    def pressure_rates(self) -> Pair:
+        """Time derivatives of the pressures [Pa/s]."""
+        (head, rod), (c_head, c_rod), x = self.cylinder.areas, self.capacitances(), self.x
+        return (
+            chamber.pressure_rate(x.head_pressure, x.head_flow - head * self.u.velocity, c_head),
+            chamber.pressure_rate(x.rod_pressure, x.rod_flow + rod * self.u.velocity, c_rod),
+        )
+
+    def rates(self) -> OilState:
+        """Time derivative of the state."""
+        (port_a, port_b), x = self.ports, self.x
+        head, rod = self.pressure_rates()
+        line = (self.hose.inertance, self.hose.resistance, self.valve.transition_flow)
+        return OilState(
+            head_pressure=head,
+            rod_pressure=rod,
+            head_flow=hose.flow_rate(port_a.pressure, x.head_pressure, x.head_flow, *line),
+            rod_flow=hose.flow_rate(port_b.pressure, x.rod_pressure, x.rod_flow, *line),
+        )
+
+    def hose_heat(self) -> Scalar:
+        """Power [W] dissipated by the hoses."""
+        return sum(
+            q * spool_valve.turbulent_drop(q, self.hose.resistance, self.valve.transition_flow)
+            for q in (self.x.head_flow, self.x.rod_flow)
+        )
+
+    def observe(self, hose_heat: Scalar) -> dict[str, Any]:
+        """Outputs by name without prefix, for `joint_outputs`.
+
+        The convected power is P^2 / (2 beta) times the volume rate of the growing chamber, minus that of the
+        shrinking one. It is required for the energy balance (docs/equations.md, section 7).
+        """
+        (head, rod), x, u, rates = self.cylinder.areas, self.x, self.u, self.pressure_rates()
+        pressures = (x.head_pressure, x.rod_pressure)
+        compression = sum(map(chamber.stored_energy, pressures, self.capacitances()))
+        edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in self.ports)
+        bands = opening_curve.meter_in_dead_bands(self.curves, self.valve.dead_band, self.valve.dead_band)
+        return {
+            **vars(x),
+            "force": cylinder.force(head, rod, *pressures),
+            "force_rate": cylinder.force(head, rod, *rates),
+            "void_volume": sum(map(chamber.cavity_volume, pressures)),
+            "supply_flow": sum(node.supply for node in self.ports),
+            "return_flow": sum(node.tank for node in self.ports),
+            "stored_energy": compression + self.hose.inertance * (x.head_flow**2 + x.rod_flow**2) / 2,
+            "dissipated_power": edges + hose_heat,
+            "convected_power": (head * x.head_pressure**2 - rod * x.rod_pressure**2)
+            * u.velocity
+            / (2 * self.bulk_modulus),
+            LOAD: load_sensing.load_pressure(
+                u.command, u.command_rate, bands, self.valve.full_command, pressures, rates, u
+            ),
+        }
 
 
 def inputs(u: BoomStickInputs) -> Iterator[AxisInputs]:
@@ -76,103 +137,10 @@ def derive(hose_group: type[Hose], p: Any) -> dict[str, Scalar]:
     }
 
 
-# ---- one drive
-
-
-def capacitances(d: CylinderDrive, position: Scalar) -> Pair:
-    """C_h and C_r [m3/Pa]."""
-    head, rod = d.cylinder.areas
-    at_head, at_rod = d.cylinder.volumes(0)  # with the piston at x = 0
-    return (
-        d.hose.capacitance + at_head / d.bulk_modulus + head / d.bulk_modulus * position,
-        d.hose.capacitance + at_rod / d.bulk_modulus - rod / d.bulk_modulus * position,
-    )
-
-
-def valve_ports(d: CylinderDrive, x: OilState, u: AxisInputs) -> tuple[EdgeFlows, EdgeFlows]:
-    """Ports of the valve: A at the head side, B at the rod side."""
-    return spool_valve.ports_from_flow(
-        *(d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density),
-        curves=d.curves,
-    )
-
-
-def pressure_rates(d: CylinderDrive, x: OilState, u: AxisInputs) -> Pair:
-    """Time derivatives of the pressures [Pa/s]."""
-    head, rod = d.cylinder.areas
-    c_head, c_rod = capacitances(d, u.position)
-    return (
-        chamber.pressure_rate(x.head_pressure, x.head_flow - head * u.velocity, c_head),
-        chamber.pressure_rate(x.rod_pressure, x.rod_flow + rod * u.velocity, c_rod),
-    )
-
-
-def rates(d: CylinderDrive, x: OilState, u: AxisInputs) -> OilState:
-    """Time derivative of the state."""
-    port_a, port_b = valve_ports(d, x, u)
-    head, rod = pressure_rates(d, x, u)
-    line = (d.hose.inertance, d.hose.resistance, d.valve.transition_flow)
-    return OilState(
-        head_pressure=head,
-        rod_pressure=rod,
-        head_flow=hose.flow_rate(port_a.pressure, x.head_pressure, x.head_flow, *line),
-        rod_flow=hose.flow_rate(port_b.pressure, x.rod_pressure, x.rod_flow, *line),
-    )
-
-
-def hose_heat(d: CylinderDrive, x: OilState) -> Scalar:
-    """Power [W] dissipated by the hoses."""
-    return sum(
-        q * spool_valve.turbulent_drop(q, d.hose.resistance, d.valve.transition_flow)
-        for q in (x.head_flow, x.rod_flow)
-    )
-
-
-def observe(
-    d: CylinderDrive,
-    x: OilState,
-    pressure_rates: Pair,
-    ports: Iterable[EdgeFlows],
-    u: AxisInputs,
-    hose_heat: Scalar,
-) -> dict[str, Any]:
-    """Outputs of one drive by name without prefix, for `joint_outputs`.
-
-    The convected power is P^2 / (2 beta) times the volume rate of the growing chamber, minus that of the
-    shrinking one. It is required for the energy balance (docs/equations.md, section 7).
-    """
-    head, rod = d.cylinder.areas
-    pressures, nodes = (x.head_pressure, x.rod_pressure), tuple(ports)
-    compression = sum(map(chamber.stored_energy, pressures, capacitances(d, u.position)))
-    edges = sum(spool_valve.throttling_loss(node, u.supply_pressure, u.tank_pressure) for node in nodes)
-    return {
-        **vars(x),
-        "force": cylinder.force(head, rod, *pressures),
-        "force_rate": cylinder.force(head, rod, *pressure_rates),
-        "void_volume": sum(map(chamber.cavity_volume, pressures)),
-        "supply_flow": sum(node.supply for node in nodes),
-        "return_flow": sum(node.tank for node in nodes),
-        "stored_energy": compression + d.hose.inertance * (x.head_flow**2 + x.rod_flow**2) / 2,
-        "dissipated_power": edges + hose_heat,
-        "convected_power": (head * x.head_pressure**2 - rod * x.rod_pressure**2)
-        * u.velocity
-        / (2 * d.bulk_modulus),
-        LOAD: _load_pressure(d, pressures, pressure_rates, u),
-    }
-
-
-def _load_pressure(d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: AxisInputs) -> LoadPressure:
-    """Load pressure of the section."""
-    bands = opening_curve.meter_in_dead_bands(d.curves, d.valve.dead_band, d.valve.dead_band)
-    return load_sensing.load_pressure(
-        u.command, u.command_rate, bands, d.valve.full_command, pressures, pressure_rates, u
-    )
-
-
 # ---- both drives
 
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power", "convected_power")
-LOAD = "load_pressure"  # of one drive, a `LoadPressure`
+LOAD = "load_pressure"  # of one drive, a `load_sensing.LoadPressure`
 
 
 def joint_outputs(boom: Mapping[str, Any], stick: Mapping[str, Any]) -> dict[str, Scalar]:
@@ -236,11 +204,9 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.load_sensing_line("boom_stick"),
 )
 
-# a variant with its own equations and groups
-variant = partial(
-    Subsystem,
-    name="boom_stick",
-    inputs=BoomStickInputs,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
-)
+
+def variant(**declared: Any) -> Subsystem:
+    """A variant with its own equations and groups; its parameters are those at the temperature of the oil."""
+    file = Path(__file__).with_name("parameters.toml")
+    sub = Subsystem(name="boom_stick", inputs=BoomStickInputs, values=file, terminals=TERMINALS, **declared)
+    return at_temperature(sub)

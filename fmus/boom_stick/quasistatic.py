@@ -5,13 +5,13 @@ without inertance. The hoses are volumes, and resistances in series with the ope
 states but follow from the pressures.
 """
 
+from collections.abc import Iterator
 from functools import partial
 
 from fmus.boom_stick import drive
 from fmus.boom_stick.drive import CylinderDrive
 from fmus.boom_stick.variables import (
     AXES,
-    AxisInputs,
     BoomStickInputs,
     BoomStickOutputs,
     OilState,
@@ -21,9 +21,10 @@ from fmus.boom_stick.variables import (
 )
 from fmus.components import spool_valve
 from fmus.components.chamber import Oil
+from fmus.components.cylinder import Cylinder
 from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
-from fmus.components.oil import at_temperature
-from fmus.components.spool_valve import CurvedValve, EdgeFlows
+from fmus.components.opening_curve import OpeningCurves
+from fmus.components.spool_valve import CurvedValve, Valve
 from fmus.contract import Group, Scalar
 
 
@@ -42,30 +43,23 @@ class State(Group, boom=Pressures, stick=Pressures):
     """State of the quasistatic drives: pressures."""
 
 
-def _hose(p: Parameters, prefix: str) -> LumpedHose:
-    return LumpedHose(**vars(VolumeHose.of(p, prefix)), inertance=0.0)
-
-
-def _evaluated(
-    x: State, u: BoomStickInputs, p: Parameters
-) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], AxisInputs]]:
-    """For each drive: parameters, pressures with the line flows that follow from them, ports, inputs."""
-    result = []
-    for axis, d, inputs in zip(AXES, drive.drives(p, _hose), drive.inputs(u), strict=True):
+def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CylinderDrive]:
+    """Boom and stick drive from the variables of the subsystem; line flows follow from the pressures."""
+    valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
+    for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
+        hose = LumpedHose(**vars(VolumeHose.of(p, f"{axis}_hose")), inertance=0.0)
         pressures = Pressures.of(x, axis)
         ports = spool_valve.ports_from_pressure(
-            *(d.valve, inputs.command, pressures.head_pressure, pressures.rod_pressure),
-            *(inputs.supply_pressure, inputs.tank_pressure, d.density, d.hose.resistance),
-            curves=d.curves,
+            *(valve, inputs.command, pressures.head_pressure, pressures.rod_pressure),
+            *(inputs.supply_pressure, inputs.tank_pressure, p.density, hose.resistance, curves),
         )
         oil = OilState(**vars(pressures), head_flow=ports[0].line, rod_flow=ports[1].line)
-        result.append((d, oil, ports, inputs))
-    return result
+        yield CylinderDrive(Cylinder.of(p, axis), hose, valve, curves, p.bulk_modulus, oil, inputs, ports)
 
 
 def dynamics(x: State, u: BoomStickInputs, p: Parameters) -> State:
     """Time derivative of the state."""
-    rates = (drive.pressure_rates(d, oil, inputs) for d, oil, _, inputs in _evaluated(x, u, p))
+    rates = (d.pressure_rates() for d in _drives(x, u, p))
     boom, stick = ({"head_pressure": head, "rod_pressure": rod} for head, rod in rates)
     return State(**drive.prefixed(boom, stick))
 
@@ -76,10 +70,7 @@ def observe(x: State, u: BoomStickInputs, p: Parameters) -> BoomStickOutputs:
     The heat of the edges includes that of the hoses, because the pressures of the ports are those of the
     chambers.
     """
-    boom, stick = (
-        drive.observe(d, oil, drive.pressure_rates(d, oil, inputs), ports, inputs, 0)
-        for d, oil, ports, inputs in _evaluated(x, u, p)
-    )
+    boom, stick = (d.observe(hose_heat=0) for d in _drives(x, u, p))
     return BoomStickOutputs(**drive.joint_outputs(boom, stick))
 
 
@@ -88,19 +79,17 @@ def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     return drive.holding_pressures(u, p)
 
 
-BOOM_STICK = at_temperature(
-    drive.variant(
-        text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
-        parameters=Parameters,
-        states=State,
-        outputs=BoomStickOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=partial(drive.derive, VolumeHose),
-        validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
-        " spool faster than the motion",
-        stiff=False,
-    )
+BOOM_STICK = drive.variant(
+    text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
+    parameters=Parameters,
+    states=State,
+    outputs=BoomStickOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=drive.require,
+    derive=partial(drive.derive, VolumeHose),
+    validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
+    " spool faster than the motion",
+    stiff=False,
 )

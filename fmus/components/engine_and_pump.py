@@ -166,27 +166,24 @@ def loss(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
     return d.leakage * rise**2 + pump_friction(d, speed, rise) * speed
 
 
-@dataclass(frozen=True)
-class StrokeLimits:
-    """Pressure cut-off: setting and band [Pa]; power limit: torque [N.m] of the swash plate."""
-
-    cut_off: Scalar
-    band: Scalar
-    torque: Scalar
-
-
 def compensated_stroke(d: Pump, pressure: Scalar) -> Scalar:
     """Stroke s_target that the compensator demands."""
     return unit_limited((d.setting - pressure) / d.band, d.rounding)
 
 
-def limited_stroke(d: Pump, limits: StrokeLimits, pressure: Scalar, rise: Scalar) -> Scalar:
-    """Stroke s_target of the lowest of three: compensator, pressure cut-off, power limit."""
+def limited_stroke(
+    d: Pump, cut_off: Scalar, band: Scalar, torque: Scalar, pressure: Scalar, rise: Scalar
+) -> Scalar:
+    """Stroke s_target of the lowest of three: compensator, pressure cut-off, power limit.
+
+    cut_off, band   setting and band of the pressure cut-off [Pa]
+    torque          of the swash plate that the power limit allows [N.m]
+    """
     compensated = (d.setting - pressure) / d.band
-    cut_off = (limits.cut_off - pressure) / limits.band
-    beginning = limits.torque / (_BEYOND * d.displacement)  # pressure rise at which the hyperbola begins
-    power = limits.torque / (d.displacement * ca.fmax(rise, beginning))
-    return unit_limited(lowest(lowest(compensated, cut_off, d.rounding), power, d.rounding), d.rounding)
+    cut = (cut_off - pressure) / band
+    beginning = torque / (_BEYOND * d.displacement)  # pressure rise at which the hyperbola begins
+    power = torque / (d.displacement * ca.fmax(rise, beginning))
+    return unit_limited(lowest(lowest(compensated, cut, d.rounding), power, d.rounding), d.rounding)
 
 
 def stroke_rate(d: Pump, stroke: Scalar, pressure: Scalar) -> Scalar:

@@ -123,11 +123,9 @@ class Pieces:
 
 
 def meter_in_dead_bands(
-    curves: OpeningCurves | None, pa: Scalar, pb: Scalar, full: Scalar = 1
+    curves: OpeningCurves, pa: Scalar, pb: Scalar, full: Scalar = 1
 ) -> tuple[Scalar, Scalar]:
     """Commands at which P-A and P-B begin to open: by their tables, in parts of `full`, else pa and pb."""
-    if curves is None:
-        return pa, pb
     a, b = (OpeningTable.of(curves, edge) for edge in ("pa", "pb"))
     return (
         ca.if_else(a.command_2 > 0, a.command_1 / full, pa),

@@ -45,11 +45,15 @@ def loss(volume_flow: Scalar, dp: Scalar) -> Scalar:
 
 
 class PressureValve(Group):
-    """Opening pressure P_set, slope g and rounding w of a valve."""
+    """Opening pressure P_set, slope g and rounding w of a valve; declared as that of a relief valve."""
 
-    pressure: Scalar = Quantity("Pa", "Pressure difference at which the {} valve opens", 1e7)
-    gain: Scalar = Quantity("m3/(s.Pa)", "Flow of the {} valve per pressure above the opening pressure", 1e-9)
-    rounding: Scalar = Quantity("Pa", "Pressure range over which the {} valve begins to open", 1e5)
+    pressure: Scalar = Quantity(
+        "Pa", "Pressure at which a {} valve opens", 1e7, minimum=0.0, group="{} valves"
+    )
+    gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of a {} valve per pressure above the opening pressure", 1e-9, minimum=0.0
+    )
+    rounding: Scalar = Quantity("Pa", "Pressure range over which a {} valve begins to open", 1e5, minimum=1.0)
 
 
 def relief_flow(valve: PressureValve, drop: Scalar) -> Scalar:
@@ -60,18 +64,6 @@ def relief_flow(valve: PressureValve, drop: Scalar) -> Scalar:
 def cross_flow(valve: PressureValve, drop: Scalar) -> Scalar:
     """Flow [m3/s] of two cross-port valves, with the sign of the pressure difference [Pa]."""
     return relief_flow(valve, drop) - relief_flow(valve, -drop)
-
-
-class PortRelief(PressureValve):
-    """Parameters of the relief valves at the ports of a section: a `PressureValve` with bounds."""
-
-    pressure: Scalar = Quantity(
-        "Pa", "Pressure at which a {} valve opens", 1e7, minimum=0.0, group="{} valves"
-    )
-    gain: Scalar = Quantity(
-        "m3/(s.Pa)", "Flow of a {} valve per pressure above the opening pressure", 1e-9, minimum=0.0
-    )
-    rounding: Scalar = Quantity("Pa", "Pressure range over which a {} valve begins to open", 1e5, minimum=1.0)
 
 
 class AntiCavitationParameters(Group):
@@ -95,8 +87,8 @@ class AntiCavitationParameters(Group):
     )
 
 
-class _ActuatorRelief(Group, relief=PortRelief):
-    """Relief valves of an actuator: a `PressureValve`."""
+class _ActuatorRelief(Group, relief=PressureValve):
+    """Relief valves of an actuator."""
 
 
 class ReliefParameters(AntiCavitationParameters, _ActuatorRelief):

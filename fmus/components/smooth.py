@@ -4,6 +4,7 @@ import casadi as ca
 
 from fmus.contract import Scalar
 
+_SHARE = 0.1  # of `lower`
 _INVERSE_ITERATIONS = 6  # of Newton's method, from an error of 26 % to rounding
 
 
@@ -85,12 +86,12 @@ def direction(speed: Scalar, width: Scalar) -> Scalar:
     return speed / ca.sqrt(speed**2 + width**2)
 
 
-def lower(a: Scalar, b: Scalar, share: float = 0.1) -> Scalar:
-    """min(a, b) of two positive numbers, rounded where they differ by less than `share` of their mean.
+def lower(a: Scalar, b: Scalar) -> Scalar:
+    """min(a, b) of two positive numbers, rounded where they differ by less than `_SHARE` of their mean.
 
-    a - r(a - b + w/2, w) with w = share (a + b)/2, r the `ramp`: twice continuously differentiable for
+    a - r(a - b + w/2, w) with w = _SHARE (a + b)/2, r the `ramp`: twice continuously differentiable for
     a + b > 0, increasing in both, homogeneous, exact for |a - b| >= w/2, below the minimum by 1 % at most.
     Exactly a, without rounding, if a is the smaller one.
     """
-    width = share / 2 * (a + b) + 1e-9  # defined at 0, 0
+    width = _SHARE / 2 * (a + b) + 1e-9  # defined at 0, 0
     return a - ramp(a - b + width / 2, width)

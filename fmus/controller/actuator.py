@@ -31,35 +31,6 @@ LARGEST_RATE = 2.0  # 1/s: bound of h', far above any rate that a wrong paramete
 
 
 @dataclass(frozen=True)
-class MeasuredPressures:
-    """Measured pressures of one actuator [Pa]: head side (A), rod side (B), supply and tank."""
-
-    head: Scalar
-    rod: Scalar
-    supply: Scalar
-    tank: Scalar
-
-
-@dataclass(frozen=True)
-class Setpoint:
-    """Reference speed, position error [m, rad], and speed limit; speeds in [m/s, rad/s]."""
-
-    speed: Scalar
-    error: Scalar
-    limit: Scalar
-
-
-@dataclass(frozen=True)
-class LoopGains:
-    """kp [1/s], ki [1/s2], damping rate g of force oscillations [1/s], time constant T_load [s]."""
-
-    position_gain: Scalar
-    integral_gain: Scalar
-    damping_rate: Scalar
-    load_time: Scalar
-
-
-@dataclass(frozen=True)
 class ActuatorCommand:
     """Valve command [V], h' [1/s] and F_load' [N/s, N.m/s]."""
 
@@ -68,28 +39,35 @@ class ActuatorCommand:
     load_rate: Scalar
 
 
-def force(a: Actuator, m: MeasuredPressures) -> Scalar:
-    """Force [N] or torque [N.m] of the actuator."""
-    return a.head_area * m.head - a.rod_area * m.rod
-
-
 def actuator_command(
+    name: str,
     a: Actuator,
-    m: MeasuredPressures,
-    setpoint: Setpoint,
-    loop: LoopGains,
-    gain: Scalar,
-    load: Scalar,
-    nominal_load: Scalar,
+    pressures: tuple[Scalar, Scalar],
+    speed: Scalar,
+    error: Scalar,
+    x: Any,
+    u: Any,
     p: Any,
 ) -> ActuatorCommand:
-    """The equations above; gain: h, load: F_load, nominal_load: the load assumed without feedback."""
-    oscillation = force(a, m) - load
-    damping = loop.damping_rate * oscillation / a.stiffness
-    correction = loop.position_gain * setpoint.error + gain * setpoint.speed - damping
-    commanded = setpoint.speed + p.feedback * correction
+    """The equations above for swing, boom or stick.
+
+    pressures   measured, head side (A) and rod side (B) [Pa]
+    speed       v_ref [m/s, rad/s], with its lead
+    error       e [m, rad]
+    """
+    gain, load = getattr(x, f"{name}_gain"), getattr(x, f"{name}_load")  # h, F_load
+    loop = "swing" if name == "swing" else "piston"
+    position_gain, integral_gain, damping_rate, load_time = (
+        getattr(p, f"{loop}_{n}") for n in ("position_gain", "integral_gain", "damping_rate", "load_time")
+    )
+    nominal_load = 0 if name == "swing" else getattr(p, f"nominal_{name}_holding_force")
+    lines = (u.supply_pressure, u.tank_pressure)
+    oscillation = a.force(*pressures) - load
+    damping = damping_rate * oscillation / a.stiffness
+    correction = position_gain * error + gain * speed - damping
+    commanded = speed + p.feedback * correction
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
-    actual = valve.full_speeds(a, *valve.pressures_at_load(a, m.head, m.rod, load), m.supply, m.tank)
+    actual = valve.full_speeds(a, *valve.pressures_at_load(a, *pressures, load), *lines)
     compensated, sections = a.section_flow > 0, valve.section_speeds(a)
     full = tuple(
         ca.if_else(compensated, w, n + p.feedback * (k - n))
@@ -97,18 +75,18 @@ def actuator_command(
     )
     up, down = (
         1 + p.feedback * ca.if_else(compensated, 0, factor - 1)
-        for factor in valve.supply_margins(a, load, m.supply, m.tank)
+        for factor in valve.supply_margins(a, load, *lines)
     )
     opening = valve.opening_for(a, commanded, (full[0], full[1]), p.foot_share, (up, down))
     possible = valve.limited(opening)
     excess = (opening - possible) * (full[0] + full[1]) / 2
-    slow = p.learning_share * setpoint.limit
-    weight = setpoint.speed / (setpoint.speed**2 + slow**2)
+    slow = p.learning_share * getattr(p, f"{name}_speed_limit")
+    weight = speed / (speed**2 + slow**2)
     limit = p.gain_limit
-    rate = (loop.integral_gain * setpoint.error - excess / p.unwinding_time) * weight
+    rate = (integral_gain * error - excess / p.unwinding_time) * weight
     beyond_limit = ramp(gain - limit, limit / 10) - ramp(-gain - limit, limit / 10)
     return ActuatorCommand(
         command=valve.command(a.valve, possible, p.foot_share),
         gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,
-        load_rate=oscillation / loop.load_time,
+        load_rate=oscillation / load_time,
     )

@@ -27,7 +27,7 @@ from orchestrator.base.errors import Problem
 
 @dataclass(frozen=True)
 class Joints:
-    """Joint angles [rad] and speeds [rad/s], named like those of the manipulator."""
+    """Joint angles [rad] and speeds [rad/s], named like those of the manipulator; inputs have them, too."""
 
     swing_angle: Scalar
     boom_angle: Scalar
@@ -46,13 +46,13 @@ class Cylindrical:
     angle: Scalar
 
 
-def tip_position(q: Joints, p: Any) -> Cylindrical:
+def tip_position(q: Any, p: Any) -> Cylindrical:
     """Position of the tip."""
     _, (radius, height) = arm.points(q, p)
     return Cylindrical(radius, height, q.swing_angle)
 
 
-def tip_velocity(q: Joints, p: Any) -> Cylindrical:
+def tip_velocity(q: Any, p: Any) -> Cylindrical:
     """Velocity of the tip."""
     return Cylindrical(*arm.tip_velocity(q, p), q.swing_speed)
 
@@ -65,13 +65,13 @@ def distance(a: Cylindrical, b: Cylindrical) -> Scalar:
     return ca.sqrt(square + smoothing**2) - smoothing
 
 
-def strokes_and_moment_arms(q: Joints, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+def strokes_and_moment_arms(q: Any, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     """(position x [m], moment arm dx/dq [m]) of the boom and of the stick piston; q: angle of its joint."""
     boom, stick = arm.triangles(q, p)
     return (boom.length - p.boom_closed_length, boom.arm), (stick.length - p.stick_closed_length, stick.arm)
 
 
-def joint_speeds(q: Joints, velocity: Cylindrical, p: Any) -> tuple[Scalar, Scalar, Scalar]:
+def joint_speeds(q: Any, velocity: Cylindrical, p: Any) -> tuple[Scalar, Scalar, Scalar]:
     """Speeds [rad/s] of swing, boom and stick that give the tip a velocity; damped near a singularity."""
     elbow, tip = arm.points(q, p)
     upper = elbow[0] - p.boom_pivot_x, elbow[1] - p.boom_pivot_z

@@ -13,7 +13,7 @@ Errors are reference minus machine. Values that the machine has, too, are those 
 """
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,10 @@ from fmus.components.cylinder import Cylinder
 from fmus.components.hose import VolumeHose
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
-from fmus.controller import actuator, geometry
-from fmus.controller.actuator import ActuatorCommand, LoopGains, MeasuredPressures, Setpoint
+from fmus.controller import geometry
+from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.gains import Gains
-from fmus.controller.reference import Reference, engaged, errors, measured_joints, reference
+from fmus.controller.reference import Reference, engaged, errors, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
     AXES,
@@ -76,12 +76,12 @@ def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
     return result
 
 
-def _measured(u: Any) -> dict[str, MeasuredPressures]:
-    lines = (u.supply_pressure, u.tank_pressure)
+def _measured(u: Any) -> dict[str, tuple[Scalar, Scalar]]:
+    """Measured pressures [Pa] of each actuator: head side (A), rod side (B)."""
     return {
-        "swing": MeasuredPressures(u.swing_pressure_a, u.swing_pressure_b, *lines),
-        "boom": MeasuredPressures(u.boom_head_pressure, u.boom_rod_pressure, *lines),
-        "stick": MeasuredPressures(u.stick_head_pressure, u.stick_rod_pressure, *lines),
+        "swing": (u.swing_pressure_a, u.swing_pressure_b),
+        "boom": (u.boom_head_pressure, u.boom_rod_pressure),
+        "stick": (u.stick_head_pressure, u.stick_rod_pressure),
     }
 
 
@@ -95,14 +95,7 @@ def _actuator_commands(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Actu
     ):
         filtered = getattr(x, f"{name}_late_speed")
         leading = speed + p.lead_time * (speed - filtered) / p.lead_filter_time
-        setpoint = Setpoint(arm * leading, error, getattr(p, f"{name}_speed_limit"))
-        nominal = 0 if name == "swing" else getattr(p, f"nominal_{name}_holding_force")
-        prefix = "swing" if name == "swing" else "piston"
-        loop = LoopGains(**{f.name: getattr(p, f"{prefix}_{f.name}") for f in fields(LoopGains)})
-        state = (getattr(x, f"{name}_gain"), getattr(x, f"{name}_load"))
-        result[name] = actuator.actuator_command(
-            driven[name], measured[name], setpoint, loop, *state, nominal, p
-        )
+        result[name] = actuator_command(name, driven[name], measured[name], arm * leading, error, x, u, p)
     return result
 
 
@@ -130,7 +123,7 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
     """Time derivative of the state."""
     on, ref = engaged(u), reference(x, u, p)
     commands = _actuator_commands(x, u, p, ref)
-    measured = geometry.tip_velocity(measured_joints(u), p)
+    measured = geometry.tip_velocity(u, p)
     rates = {f"{n}_command": rate for n, rate in _command_rates(x, u, p, commands).items()}
     for name, speed, rate in zip(AXES, ref.speeds, ref.rates, strict=True):
         command, gain = commands[name], getattr(x, f"{name}_gain")
@@ -153,7 +146,7 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
     """Outputs; commands depend on the state alone."""
     ref = reference(x, u, p)
     rates = _command_rates(x, u, p, _actuator_commands(x, u, p, ref))
-    tip = geometry.tip_position(measured_joints(u), p)
+    tip = geometry.tip_position(u, p)
     return ControllerOutputs(
         **{f"{n}_command": getattr(x, f"{n}_command") for n in AXES},
         **{f"{n}_command_rate": rate for n, rate in rates.items()},
@@ -174,10 +167,10 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
 
 def initial(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
     """Reference angles and loads equal to the measured ones; weight of coordinated control as `engaged`."""
-    joints, pressures = measured_joints(u), _measured(u)
-    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(joints, p)
-    loads = {f"{n}_load": actuator.force(a, pressures[n]) for n, a in actuators((boom, stick), p).items()}
-    angles = {f"reference_{n}": getattr(joints, f"{n}_angle") for n in AXES}
+    pressures = _measured(u)
+    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(u, p)
+    loads = {f"{n}_load": a.force(*pressures[n]) for n, a in actuators((boom, stick), p).items()}
+    angles = {f"reference_{n}": getattr(u, f"{n}_angle") for n in AXES}
     return angles | loads | {"coordination": engaged(u)}
 
 

@@ -90,11 +90,6 @@ def engaged(u: Any) -> Scalar:
     return ca.fmin(ca.fmax(u.engaged, 0), 1)
 
 
-def measured_joints(u: Any) -> Joints:
-    """Measured joint angles and speeds of the machine."""
-    return Joints(u.swing_angle, u.boom_angle, u.stick_angle, u.swing_speed, u.boom_speed, u.stick_speed)
-
-
 def reference_joints(x: Any) -> Joints:
     """Joint angles of the reference."""
     return Joints(x.reference_swing, x.reference_boom, x.reference_stick)
@@ -123,13 +118,13 @@ def commanded_velocity(x: Any, u: Any, p: Any, tip: Cylindrical) -> Cylindrical:
 def errors(x: Any, u: Any, p: Any) -> tuple[Scalar, Scalar, Scalar]:
     """Reference minus machine: swing [rad], boom and stick piston [m]."""
     (boom, _), (stick, _) = geometry.strokes_and_moment_arms(reference_joints(x), p)
-    (boom_now, _), (stick_now, _) = geometry.strokes_and_moment_arms(measured_joints(u), p)
+    (boom_now, _), (stick_now, _) = geometry.strokes_and_moment_arms(u, p)
     return x.reference_swing - u.swing_angle, boom - boom_now, stick - stick_now
 
 
 def reference(x: Any, u: Any, p: Any) -> Reference:
     """The reference and its rates."""
-    q, machine, on = reference_joints(x), measured_joints(u), engaged(u)
+    q, on = reference_joints(x), engaged(u)
     tip = geometry.tip_position(q, p)
     swing, boom, stick = geometry.joint_speeds(q, commanded_velocity(x, u, p, tip), p)
     (boom_at, boom_arm), (stick_at, stick_arm) = geometry.strokes_and_moment_arms(q, p)
@@ -148,8 +143,8 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     factor = used.factor * (1 - s_curve((lag_square - 0.25) / 0.75))
     return_rate = p.return_rate * ramp(error_square - 1, 0.5)
     speeds = swing * factor, boom * factor, stick * factor
-    machine_angles = (machine.swing_angle, machine.boom_angle, machine.stick_angle)
-    machine_speeds = (machine.swing_speed, machine.boom_speed, machine.stick_speed)
+    machine_angles = (u.swing_angle, u.boom_angle, u.stick_angle)
+    machine_speeds = (u.swing_speed, u.boom_speed, u.stick_speed)
     to_machine = [
         a - b for a, b in zip(machine_angles, (q.swing_angle, q.boom_angle, q.stick_angle), strict=True)
     ]

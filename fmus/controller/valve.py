@@ -31,6 +31,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from fmus.components import cylinder
 from fmus.components.smooth import capped, direction, positive, ramp, s_curve
 from fmus.components.spool_valve import Valve, flow_gain
 from fmus.contract import Scalar
@@ -71,6 +72,10 @@ class Actuator:
     def gain(self) -> Scalar:
         """Flow gain K of a fully open edge [m3/(s.Pa^0.5)]."""
         return flow_gain(self.valve.area, self.valve.discharge_coefficient, self.density)
+
+    def force(self, head_pressure: Scalar, rod_pressure: Scalar) -> Scalar:
+        """Force [N] or torque [N.m] at these pressures [Pa]."""
+        return cylinder.force(self.head_area, self.rod_area, head_pressure, rod_pressure)
 
 
 def pressures_at_load(

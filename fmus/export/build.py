@@ -41,13 +41,11 @@ class Package:
     """An FMU without binaries.
 
     files      path in the archive -> content
-    compiled   names of the source files to compile
     """
 
     name: str
     fmi: int
     files: Mapping[str, bytes]
-    compiled: Sequence[str]
 
     @property
     def code(self) -> dict[str, bytes]:
@@ -80,7 +78,7 @@ def packages(
             content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)  # FMI 2: since 2.0.4
         content |= common_files(sub, interface, fmi, step, stop)
-        result[fmi] = Package(sub.name, fmi, content, compiled)
+        result[fmi] = Package(sub.name, fmi, content)
     return result
 
 
@@ -179,4 +177,4 @@ def build_all(
 
 
 def _library(p: Package, platform: str) -> bytes:
-    return shared_library(p.name, p.code, p.compiled, platform)
+    return shared_library(p.name, p.code, [main_source(p.name)], platform)

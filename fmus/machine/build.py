@@ -12,7 +12,7 @@ from fmus.export.build import build_all
 from fmus.machine.one_block import composed_machine
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.ssp import NAME, with_partners, write_control, write_system
+from fmus.machine.ssp import NAME, with_partners, write_systems
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
 from fmus.package_files import data, shipped_folder
@@ -64,11 +64,8 @@ def build_machine(
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]
-        systems = []
-        if fmus.keys() >= ALL.keys():
-            systems.append(write_system(folders[fmi], fmus, STEP, manipulator))
-            if steering.name in fmus:
-                systems.append(write_control(folders[fmi], fmus, STEP, manipulator, boom_stick))
+        complete = fmus.keys() >= ALL.keys()
+        systems = write_systems(folders[fmi], fmus, STEP, manipulator, boom_stick) if complete else []
         paths += [*built, *systems, *default]
     return paths
 

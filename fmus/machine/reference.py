@@ -76,12 +76,8 @@ def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
     """Signals of the machine in operation, `component.variable` -> samples (n,), every STEP up to STOP."""
     count = round(STOP / STEP)
     time = np.arange(2 * count + 1) * STEP / 2  # half steps, so that all corners of the strokes are samples
-    commanded = symbolic(OPERATOR).function().map(time.size)
-    p = np.tile(list(values(OPERATOR).p.values()), (time.size, 1)).T
-    commands = np.asarray(commanded(time[None, :], ca.DM(0, time.size), p)[1])
-    recorded = {
-        f"operator_input.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)
-    }
+    commands = _outputs(OPERATOR, time[None, :], ca.DM(0, time.size))
+    recorded = {f"operator_input.{n}": row for n, row in commands.items()}
     recorded["operator_input.clock"] = time
     model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
     recorded["operator_input.payload_mass"] = payload(stems, time)
@@ -101,14 +97,19 @@ def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
 
 def _load_sensing_line(recorded: Mapping[str, Array]) -> dict[str, Array]:
     """Outputs of the ideal supply for the load pressures of the drives."""
-    u = quantities(SUPPLY.inputs)
     loads = {n.split(".")[1]: samples for n, samples in recorded.items() if "load_pressure" in n}
     size = next(iter(loads.values())).size
-    rows = np.array([loads.get(n, np.zeros(size)) for n in u])
-    p = np.tile(list(values(SUPPLY).p.values()), (size, 1)).T
-    y = symbolic(SUPPLY).function().map(size)(ca.DM(0, size), rows, p)[1].full()
-    shown = dict(zip(quantities(SUPPLY.outputs), y, strict=True))
+    rows = np.array([loads.get(n, np.zeros(size)) for n in quantities(SUPPLY.inputs)])
+    shown = _outputs(SUPPLY, ca.DM(0, size), rows)
     return {f"supply.{n}": shown[n] for n in ("load_sensing_pressure", "load_sensing_pressure_rate")}
+
+
+def _outputs(sub: Subsystem, x: Any, u: Any) -> dict[str, Array]:
+    """Outputs -> samples (n,) for samples of the states x (nx, n) and of the inputs u (nu, n)."""
+    count = x.shape[1]
+    p = np.tile(list(values(sub).p.values()), (count, 1)).T
+    y = symbolic(sub).function().map(count)(x, u, p)[1].full()
+    return dict(zip(quantities(sub.outputs), y, strict=True))
 
 
 def stimuli(sub: Subsystem, recorded: Mapping[str, Array]) -> dict[str, Array]:

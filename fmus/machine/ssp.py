@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import (
@@ -56,47 +55,45 @@ CONTROL_STOP = 20.0  # s
 ORDER = ("manipulator", "supply", "boom_stick", "swing")
 
 
-def write_system(
-    folder: Path, fmus: Mapping[str, Path], step: float, manipulator: Subsystem = MANIPULATOR
-) -> Path:
-    """Write harvester.ssp to `folder` from the .fmu files by component; `step` is the communication step [s].
+def write_systems(
+    folder: Path, fmus: Mapping[str, Path], step: float, manipulator: Subsystem, boom_stick: Subsystem
+) -> list[Path]:
+    """Write harvester.ssp to `folder`, and harvester_control.ssp if there is an FMU of the controller.
 
-    manipulator   manipulator for which the poses are calculated
+    fmus                      .fmu files by component
+    step                      communication step [s]
+    manipulator, boom_stick   for which poses and start values are calculated
 
-    The system has no inputs: Ecos and libcosim reject them, and FMPy delays them by one step.
+    harvester.ssp has no inputs: Ecos and libcosim reject them, and FMPy delays them by one step. The other
+    machine is at rest without inputs.
     """
-    wires, files = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, OPERATOR.name)}
-    return write_ssp(
-        assemble(files, wires, name=NAME, stop=WORK_CYCLE_STOP, step=step, shared=SHARED),
-        Path(folder) / f"{NAME}.ssp",
-        sets=parameter_sets(manipulator),
-        bound=(NOMINAL, DEFAULT),
-        resources={VIEW.name: VIEW.read_bytes()},
-        columns=((OPERATOR.name, "supply"), ("boom_stick", "swing"), ("manipulator",)),
-    )
-
-
-def write_control(
-    folder: Path,
-    fmus: Mapping[str, Path],
-    step: float,
-    manipulator: Subsystem = MANIPULATOR,
-    boom_stick: Subsystem = BOOM_STICK,
-) -> Path:
-    """Write harvester_control.ssp like `write_system`; the machine is at rest without inputs."""
-    wires, files = CONNECTIONS + CONTROL_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, "controller")}
-    sets = {
+    controlled = {
         name: controller_set(pose, manipulator, boom_stick)
         for name, pose in controlled_poses(manipulator).items()
-    }
-    return write_ssp(
-        assemble(files, wires, name=CONTROL, stop=CONTROL_STOP, step=step, shared=SHARED),
-        Path(folder) / f"{CONTROL}.ssp",
-        sets=sets | {COMPENSATED: section_flows()},
-        bound=(NOMINAL,),
-        resources={VIEW.name: VIEW.read_bytes()},
-        columns=(("controller", "supply"), ("boom_stick", "swing"), ("manipulator",)),
+    } | {COMPENSATED: section_flows()}
+    systems = (
+        (NAME, OPERATOR, COMMAND_WIRES, WORK_CYCLE_STOP, parameter_sets(manipulator), (NOMINAL, DEFAULT)),
+        (CONTROL, CONTROLLER, CONTROL_WIRES, CONTROL_STOP, controlled, (NOMINAL,)),
     )
+    return [
+        write_ssp(
+            assemble(
+                {n: fmus[n] for n in (*ORDER, driver.name)},
+                CONNECTIONS + wires + SUPPLY_WIRES,
+                name=name,
+                stop=stop,
+                step=step,
+                shared=SHARED,
+            ),
+            Path(folder) / f"{name}.ssp",
+            sets=sets,
+            bound=bound,
+            resources={VIEW.name: VIEW.read_bytes()},
+            columns=((driver.name, "supply"), ("boom_stick", "swing"), ("manipulator",)),
+        )
+        for name, driver, wires, stop, sets, bound in systems
+        if driver.name in fmus
+    ]
 
 
 def section_flows() -> dict[str, float]:

@@ -12,16 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import quantities
-from fmus.operator_input.model import (
-    AXES,
-    OPERATOR,
-    PAYLOAD_FIELDS,
-    PAYLOADS,
-    STROKE_FIELDS,
-    STROKES,
-    payload_name,
-    stroke_name,
-)
+from fmus.operator_input.model import AXES, OPERATOR, PAYLOADS, STROKES, Stroke
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 
@@ -125,26 +116,25 @@ def payload(moves: Sequence[Move | Stem], time: NDArray[np.float64]) -> NDArray[
 
 def program(moves: Sequence[Move | Stem]) -> dict[str, float]:
     """The moves as parameters of the operator; all parameters of unused strokes and payloads are zero."""
-    values = {stroke_name(lever, n, field): 0.0 for lever in AXES for n in STROKES for field in STROKE_FIELDS}
+    values = dict.fromkeys(quantities(OPERATOR.parameters), 0.0)
     for lever in AXES:
         strokes = [move for move in moves if isinstance(move, Move) and move.axis == lever]
         if len(strokes) > len(STROKES):
             raise Problem(f"{lever} lever: {len(strokes)} strokes, expected at most {len(STROKES)}")
-        for n, move in zip(STROKES, strokes, strict=False):
-            values |= {stroke_name(lever, n, field): getattr(move, field) for field in STROKE_FIELDS}
+        for n, move in enumerate(strokes, 1):
+            values |= {f"{lever}_{n}_{field}": getattr(move, field) for field in quantities(Stroke)}
     stems = [move for move in moves if isinstance(move, Stem)]
     if len(stems) > len(PAYLOADS):
         raise Problem(f"{len(stems)} stems, expected at most {len(PAYLOADS)}")
-    for number in PAYLOADS:
-        stem = stems[number - 1] if number <= len(stems) else Stem(0.0, 0.0, 0.0)
-        values |= {payload_name(number, field): getattr(stem, field) for field in PAYLOAD_FIELDS}
+    for n, stem in enumerate(stems, 1):
+        values |= {f"payload_{n}_{field}": value for field, value in vars(stem).items()}
     return values
 
 
-def program_numbers(moves: Sequence[Move | Stem] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
+def program_numbers() -> dict[str, dict[str, Number]]:
     """Content of the operator's parameters.toml."""
     units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
-    values = program(moves)
+    values = program(WORK_CYCLE)
     tops = ("_command", "_mass")
     used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith(tops) and value}
 

@@ -6,7 +6,7 @@ above. Extending the boom cylinder raises the boom; extending the stick cylinder
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 
@@ -28,34 +28,17 @@ from fmus.manipulator.variables import ArmLink, CylinderMount, ManipulatorParame
 SWING_STOP_ROUNDING = 1e-3  # rad, smoothing angle of the torque of the column's end stops
 
 
-class Posture(Protocol):
-    """An object with the angles of boom and stick [rad]: a state, or a setpoint of a controller."""
+def points(x: Any, p: ManipulatorParameters) -> tuple[Point, Point]:
+    """Elbow (stick pivot) and tip (end of the stick) as (radius, height) [m].
 
-    @property
-    def boom_angle(self) -> Scalar: ...
-
-    @property
-    def stick_angle(self) -> Scalar: ...
-
-
-class Moving(Posture, Protocol):
-    """An object with the angles and speeds [rad, rad/s] of boom and stick."""
-
-    @property
-    def boom_speed(self) -> Scalar: ...
-
-    @property
-    def stick_speed(self) -> Scalar: ...
-
-
-def points(x: Posture, p: ManipulatorParameters) -> tuple[Point, Point]:
-    """Elbow (stick pivot) and tip (end of the stick) as (radius, height) [m]."""
+    x   angles of boom and stick [rad]: a state, or a setpoint of a controller; the same below
+    """
     pitch = x.boom_angle + x.stick_angle
     elbow = _add((p.boom_pivot_x, p.boom_pivot_z), _turn(x.boom_angle, (p.stick_pivot_x, p.stick_pivot_z)))
     return elbow, _add(elbow, _turn(pitch, (p.stick_length, 0)))
 
 
-def tip_velocity(x: Moving, p: ManipulatorParameters) -> Point:
+def tip_velocity(x: Any, p: ManipulatorParameters) -> Point:
     """Velocity of the tip in the plane of the arm, outwards and upwards [m/s]."""
     elbow, tip = points(x, p)
     upper = _add(elbow, (p.boom_pivot_x, p.boom_pivot_z), -1)
@@ -128,7 +111,7 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     return equations_of_motion(kinetic, potential, column(*angles), column(*speeds), (carried, total))
 
 
-def triangles(x: Posture, p: Any) -> tuple[Triangle, Triangle]:
+def triangles(x: Any, p: Any) -> tuple[Triangle, Triangle]:
     """Cylinder triangles of boom and stick."""
     return (
         triangle(x.boom_angle, *CylinderMount.of(p, "boom").pins),

@@ -5,12 +5,21 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 from fmus.components.friction import Resistance, viscous
 from fmus.contract import Scalar
 
-CONTACTS = ("swing", "boom_joint", "stick_joint", "boom_piston", "stick_piston")
+# contact -> output of its friction, in variants with dry friction
+CONTACTS = {
+    "swing": "swing_friction_torque",
+    "boom_joint": "boom_friction_torque",
+    "stick_joint": "stick_friction_torque",
+    "boom_piston": "boom_friction_force",
+    "stick_piston": "stick_friction_force",
+}
+# a friction law, the same for all contacts: (contact, speed, x, p) -> resistance
+FrictionLaw: TypeAlias = Callable[[str, Scalar, Any, Any], Resistance]
 
 
 @dataclass(frozen=True)
@@ -72,23 +81,9 @@ class Head:
     require: Callable[[Any, Any], Mapping[str, Scalar]] = _no_variables
 
 
-def _viscous(contact: str, speed: Scalar, _: Any, p: Any) -> Resistance:
+def viscous_friction(contact: str, speed: Scalar, _: Any, p: Any) -> Resistance:
+    """Friction without states."""
     return viscous(speed, getattr(p, f"{contact}_damping"))
 
 
-@dataclass(frozen=True)
-class Friction:
-    """A friction law, the same for all CONTACTS; by default viscous.
-
-    resist        (contact, speed, x, p) -> resistance of the contact
-    deflections   states: bristle deflections, in the order of CONTACTS; none for a law without states
-    outputs       {contact: resistance} -> {output: value}
-    """
-
-    resist: Callable[[str, Scalar, Any, Any], Resistance] = _viscous
-    deflections: tuple[str, ...] = ()
-    outputs: Callable[[Mapping[str, Resistance]], Mapping[str, Scalar]] = _no_variables
-
-
 POINT_MASS = Head()
-VISCOUS = Friction()

@@ -10,12 +10,9 @@ coefficients are those of `rigid`, which represent all losses, so dry and viscou
 be too high.
 """
 
-from collections.abc import Mapping
-
 from fmus.components.friction import Bristles, Resistance, lugre
 from fmus.contract import Group, Quantity, Scalar
-from fmus.manipulator.design import CONTACTS, Friction
-from fmus.manipulator.model import manipulator
+from fmus.manipulator.model import Design, manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 
@@ -109,15 +106,6 @@ class FrictionOutputs(ManipulatorOutputs):
     stored_energy: Scalar = Quantity("J", "Elastic energy in the friction of joints and pistons")
 
 
-FORCE_OUTPUTS = {
-    "swing": "swing_friction_torque",
-    "boom_joint": "boom_friction_torque",
-    "stick_joint": "stick_friction_torque",
-    "boom_piston": "boom_friction_force",
-    "stick_piston": "stick_friction_force",
-}
-
-
 def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters) -> Resistance:
     """Resistance of one contact."""
     prefix = "piston" if contact.endswith("piston") else "joint"
@@ -131,22 +119,9 @@ def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters)
     return lugre(speed, getattr(x, f"{contact}_bristle"), dry, getattr(p, f"{contact}_damping"))
 
 
-def outputs(resistances: Mapping[str, Resistance]) -> dict[str, Scalar]:
-    """Friction forces and torques."""
-    return {FORCE_OUTPUTS[contact]: r.force for contact, r in resistances.items()}
-
-
-BRISTLES = Friction(
-    resist=resist,
-    deflections=tuple(f"{contact}_bristle" for contact in CONTACTS),
-    outputs=outputs,
-)
-
 FRICTION = manipulator(
+    Design(FrictionState, FrictionOutputs, friction=resist),
     text="Swing column, boom, stick and processing head with dry and viscous friction",
     validity="rigid slender links, the head does not swing; friction independent of load and pressure",
     parameters=FrictionParameters,
-    states=FrictionState,
-    outputs=FrictionOutputs,
-    friction=BRISTLES,
 )

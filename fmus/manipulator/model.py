@@ -18,7 +18,6 @@ The pick-up is inelastic: max(m_h', 0) v^2/2 is heat, v the speed of the payload
 m_h' g z + min(m_h', 0) v^2/2 enters, z its height (`payload_power`). Derivation: `fmus.components.mechanics`.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -31,7 +30,7 @@ from fmus.components.friction import Resistance
 from fmus.contract import Scalar, Subsystem, column
 from fmus.manipulator import arm
 from fmus.manipulator.arm import Piston
-from fmus.manipulator.design import CONTACTS, POINT_MASS, VISCOUS, Friction, Head
+from fmus.manipulator.design import CONTACTS, POINT_MASS, FrictionLaw, Head, viscous_friction
 from fmus.manipulator.variables import (
     ManipulatorInputs,
     ManipulatorOutputs,
@@ -46,66 +45,45 @@ PORTS = (
 )
 
 
-def manipulator(
-    text: str,
-    validity: str,
-    parameters: type[Any],
-    states: type[Any],
-    outputs: type[Any],
-    head: Head = POINT_MASS,
-    friction: Friction = VISCOUS,
-) -> Subsystem:
-    """The subsystem with a head and a friction law; the groups declare its variables."""
-    design = Design(states, outputs, head, friction)
-    return Subsystem(
-        name="manipulator",
-        text=text,
-        parameters=parameters,
-        states=states,
-        inputs=ManipulatorInputs,
-        outputs=outputs,
-        dynamics=partial(dynamics, design),
-        observe=partial(observe, design),
-        initial=partial(initial, design),
-        require=partial(require, design),
-        values=Path(__file__).with_name("parameters.toml"),
-        validity=validity,
-        terminals=PORTS,
-        stiff=bool(friction.deflections),  # bristles are stiff; end stops are as well, but seldom reached
-    )
-
-
 @dataclass(frozen=True)
 class Design:
     """A head, a friction law, and the groups of states and outputs that they need."""
 
     states: type[Any]
     outputs: type[Any]
-    head: Head
-    friction: Friction
+    head: Head = POINT_MASS
+    friction: FrictionLaw = viscous_friction
+
+
+def manipulator(design: Design, **declared: Any) -> Subsystem:
+    """The subsystem with a head and a friction law."""
+    return Subsystem(
+        name="manipulator",
+        states=design.states,
+        inputs=ManipulatorInputs,
+        outputs=design.outputs,
+        dynamics=partial(dynamics, design),
+        observe=partial(observe, design),
+        initial=partial(initial, design),
+        require=partial(require, design),
+        values=Path(__file__).with_name("parameters.toml"),
+        terminals=PORTS,
+        # bristles are stiff; end stops are as well, but seldom reached
+        stiff=design.friction is not viscous_friction,
+        **declared,
+    )
 
 
 def _resistances(design: Design, x: Any, p: Any, boom: Piston, stick: Piston) -> dict[str, Resistance]:
     """Friction of each contact."""
     speeds = (x.swing_speed, x.boom_speed, x.stick_speed, boom.velocity, stick.velocity)
-    return {c: design.friction.resist(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
+    return {c: design.friction(c, v, x, p) for c, v in zip(CONTACTS, speeds, strict=True)}
 
 
-def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> ca.SX:
-    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops."""
+def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> tuple[ca.SX, dict[str, Resistance]]:
+    """tau of eq. (4), shape (n, 1): hydraulics, friction and end stops; and the friction of each contact."""
     boom, stick = arm.pistons(x, p)
-    return _forces(design, x, u, p, (boom, stick), _resistances(design, x, p, boom, stick))
-
-
-def _forces(
-    design: Design,
-    x: Any,
-    u: ManipulatorInputs,
-    p: Any,
-    pistons: tuple[Piston, Piston],
-    r: Mapping[str, Resistance],
-) -> ca.SX:
-    (boom, stick), joint = pistons, design.head.joint(x, p)
+    r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
     tau: ca.SX = column(
         u.swing_torque - r["swing"].force + arm.swing_stop(x, p).force,
         boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop.force)
@@ -116,24 +94,20 @@ def _forces(
         + joint.on_stick,
         *joint.on_head,
     )
-    return tau
+    return tau, r
 
 
 def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     """Time derivative of the state, field by field."""
-    boom, stick = arm.pistons(x, p)
-    r = _resistances(design, x, p, boom, stick)
-    tau = _forces(design, x, u, p, (boom, stick), r)
-    motion = arm.mechanics(x, p, design.head)
+    motion, (tau, r) = arm.mechanics(x, p, design.head), forces(design, x, u, p)
     acceleration = motion.acceleration(tau + motion.per_kilogram.drag(x.payload_flow))
     speeds = ("swing_speed", "boom_speed", "stick_speed", *design.head.speeds)
     angles = ("swing_angle", "boom_angle", "stick_angle", *design.head.angles)
     rates: dict[str, Scalar] = {n: acceleration[i] for i, n in enumerate(speeds)}
     rates |= {n: getattr(x, speed) for n, speed in zip(angles, speeds, strict=True)}
     rates |= {"held_mass": x.payload_flow, "payload_flow": _grip(x, u, p)}
-    if design.friction.deflections:
-        deflection_rates = [r[c].deflection_rate for c in CONTACTS]
-        rates |= dict(zip(design.friction.deflections, deflection_rates, strict=True))
+    if design.friction is not viscous_friction:
+        rates |= {f"{contact}_bristle": r[contact].deflection_rate for contact in CONTACTS}
     return design.states(**rates)
 
 
@@ -154,12 +128,12 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in declared}
     if "stored_energy" in declared:
         values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
+    values |= {name: r[contact].force for contact, name in CONTACTS.items() if name in declared}
     return design.outputs(
         **values,
         **_piston_outputs(x, dx, boom, stick),
         **_positions(x, p),
         **design.head.outputs(x, p),
-        **design.friction.outputs(r),
         swing_acceleration=dx.swing_speed,
         boom_holding_force=motion.gravity[1] / boom.triangle.arm,
         stick_holding_force=motion.gravity[2] / stick.triangle.arm,
@@ -227,9 +201,8 @@ def _positions(x: Any, p: Any) -> dict[str, Scalar]:
 # the paper's manipulator: the head is a point mass at the tip, the friction viscous (correction E4),
 # R = B x' in the pistons, B_sw q1' in the swing gear, b_i q_i' in the joints
 RIGID = manipulator(
+    Design(ManipulatorState, ManipulatorOutputs),
     text="Swing column, boom, stick and rigid processing head; viscous friction of joints and pistons",
     validity="rigid slender links, the head does not swing, viscous friction",
     parameters=ManipulatorParameters,
-    states=ManipulatorState,
-    outputs=ManipulatorOutputs,
 )

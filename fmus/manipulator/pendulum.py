@@ -37,8 +37,8 @@ from fmus.components.smooth import ramp, ramp_integral
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator import arm
 from fmus.manipulator.design import Head, Joint, TipMotion
-from fmus.manipulator.friction import BRISTLES, FrictionOutputs, FrictionParameters, FrictionState
-from fmus.manipulator.model import manipulator
+from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, FrictionState, resist
+from fmus.manipulator.model import Design, manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
@@ -189,12 +189,10 @@ HANGING = Head(
 )
 
 PENDULUM = manipulator(
+    Design(PendulumState, PendulumOutputs, HANGING),
     text="Swing column, boom, stick and a processing head that swings in a Hooke joint",
     validity="rigid slender links, viscous friction; head within 80 degrees of the arm's plane",
     parameters=PendulumParameters,
-    states=PendulumState,
-    outputs=PendulumOutputs,
-    head=HANGING,
 )
 
 
@@ -218,11 +216,8 @@ class PendulumFrictionOutputs(PendulumOutputs, FrictionOutputs):
 
 
 PENDULUM_FRICTION = manipulator(
+    Design(PendulumFrictionState, PendulumFrictionOutputs, HANGING, resist),
     text="Swing column, boom, stick with dry friction and a processing head that swings in a Hooke joint",
     validity="rigid slender links; head within 80 degrees of the arm's plane; friction independent of load",
     parameters=PendulumFrictionParameters,
-    states=PendulumFrictionState,
-    outputs=PendulumFrictionOutputs,
-    head=HANGING,
-    friction=BRISTLES,
 )

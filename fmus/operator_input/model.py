@@ -14,27 +14,34 @@ Signs: a positive command turns left, raises the boom, extends the stick cylinde
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
 from fmus import ports
-from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group
+from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, quantities
 
 AHEAD = 5e-7  # s, lead of the time at which corners are evaluated, see `sample`
 
 
-@dataclass(frozen=True)
-class Stroke:
+class Stroke(Group):
     """One stroke: start [s], command at the top [V], durations of ramp up, top and ramp back [s]."""
 
-    start: Scalar
-    command: Scalar
-    rise: Scalar
-    hold: Scalar
-    fall: Scalar
+    start: Scalar = Quantity("s", "Time at which {} begins")
+    command: Scalar = Quantity("V", "Command at the top of {}", 10.0, -10.0, 10.0)
+    rise: Scalar = Quantity("s", "Duration of the ramp up of {}", minimum=0.0)
+    hold: Scalar = Quantity("s", "Duration of the top of {}", minimum=0.0)
+    fall: Scalar = Quantity("s", "Duration of the ramp back to zero of {}", minimum=0.0)
+
+
+class Payload(Group):
+    """One payload."""
+
+    start: Scalar = Quantity("s", "Time at which the head takes up {}")
+    mass: Scalar = Quantity("kg", "Mass of {}", 100.0, minimum=0.0)
+    hold: Scalar = Quantity("s", "Time for which the head holds {}", minimum=0.0)
 
 
 def sample(stroke: Stroke, time: Scalar) -> tuple[Scalar, Scalar]:
@@ -82,58 +89,25 @@ def _nonzero(duration: Scalar) -> Scalar:
 
 AXES = ("swing", "boom", "stick")
 STROKES = range(1, 11)
-STROKE_FIELDS = ("start", "command", "rise", "hold", "fall")  # fields of `Stroke` in names of parameters
 PAYLOADS = range(1, 5)
-PAYLOAD_FIELDS = ("start", "mass", "hold")
 
 
-def _stroke(lever: str, number: int) -> tuple[Quantity, ...]:
-    """Declaration of the parameters of one stroke, in the order of STROKE_FIELDS."""
-    stroke = f"stroke {number} of the {lever} lever"
-    return (
-        Quantity("s", f"Time at which {stroke} begins", group=f"{lever.capitalize()} lever"),
-        Quantity("V", f"Command at the top of {stroke}", 10.0, -10.0, 10.0),
-        Quantity("s", f"Duration of the ramp up of {stroke}", minimum=0.0),
-        Quantity("s", f"Duration of the top of {stroke}", minimum=0.0),
-        Quantity("s", f"Duration of the ramp back to zero of {stroke}", minimum=0.0),
-    )
-
-
-def stroke_name(lever: str, number: int, field: str) -> str:
-    """Name of a parameter, for example boom_1_start."""
-    return f"{lever}_{number}_{field}"
-
-
-def _payload(number: int) -> tuple[Quantity, ...]:
-    """Declaration of the parameters of one payload, in the order of PAYLOAD_FIELDS."""
-    payload = f"payload {number}"
-    return (
-        Quantity("s", f"Time at which the head takes up {payload}", group="Payloads"),
-        Quantity("kg", f"Mass of {payload}", 100.0, minimum=0.0),
-        Quantity("s", f"Time for which the head holds {payload}", minimum=0.0),
-    )
-
-
-def payload_name(number: int, field: str) -> str:
-    """Name of a parameter, for example payload_1_mass."""
-    return f"payload_{number}_{field}"
+def _declared(group: type[Group], prefix: str, owner: str, heading: str) -> dict[str, Quantity]:
+    """Declaration of the parameters of a stroke or payload, named for example boom_1_start."""
+    members = quantities(group).items()
+    return {f"{prefix}_{name}": replace(q.of(prefix, owner), group=heading) for name, q in members}
 
 
 # 162 parameters from two patterns; values and sources are in parameters.toml
-OperatorParameters = make_group(
-    "OperatorParameters",
-    {
-        stroke_name(lever, number, field): quantity
+_PARTS = [
+    *(
+        _declared(Stroke, f"{lever}_{n}", f"stroke {n} of the {lever} lever", f"{lever.capitalize()} lever")
         for lever in AXES
-        for number in STROKES
-        for field, quantity in zip(STROKE_FIELDS, _stroke(lever, number), strict=True)
-    }
-    | {
-        payload_name(number, field): quantity
-        for number in PAYLOADS
-        for field, quantity in zip(PAYLOAD_FIELDS, _payload(number), strict=True)
-    },
-)
+        for n in STROKES
+    ),
+    *(_declared(Payload, f"payload_{n}", f"payload {n}", "Payloads") for n in PAYLOADS),
+]
+OperatorParameters = make_group("OperatorParameters", {n: q for part in _PARTS for n, q in part.items()})
 
 
 class OperatorState(Group):
@@ -153,13 +127,13 @@ class OperatorOutputs(ports.CommandOutputs):
 
 
 def _strokes(lever: str, p: Any) -> list[Stroke]:
-    return [Stroke(*(getattr(p, stroke_name(lever, n, f)) for f in STROKE_FIELDS)) for n in STROKES]
+    return [Stroke.of(p, f"{lever}_{n}") for n in STROKES]
 
 
 def _payloads(p: Any) -> list[Stroke]:
     """Payloads as strokes without ramps."""
-    numbers = ((getattr(p, payload_name(n, f)) for f in PAYLOAD_FIELDS) for n in PAYLOADS)
-    return [Stroke(start, mass, 0, hold, 0) for start, mass, hold in numbers]
+    held = (Payload.of(p, f"payload_{n}") for n in PAYLOADS)
+    return [Stroke(start=h.start, command=h.mass, rise=0, hold=h.hold, fall=0) for h in held]
 
 
 def _lever(lever: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:

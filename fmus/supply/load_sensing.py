@@ -36,7 +36,7 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 from dataclasses import dataclass, replace
 
 from fmus.components import engine_and_pump, load_sensing, oil
-from fmus.components.engine_and_pump import DieselEngine, Pump, StrokeLimits
+from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.smooth import ramp_inverse
 from fmus.contract import Group, Quantity, Scalar
@@ -116,11 +116,6 @@ class Regulators(Group, main_pump=MainPump):
 class LoadSensingParameters(RailParameters, Regulators, TankParameters, engine=DieselEngine):
     """Parameters; values and sources are in parameters.toml."""
 
-    @property
-    def limits(self) -> StrokeLimits:
-        """Pressure cut-off and power limit."""
-        return StrokeLimits(self.pressure_cut_off, self.cut_off_band, self.torque_limit)
-
     def pump(self, load_sensing_pressure: Scalar) -> Pump:
         """Parameters of the pump; its setting is the load-sensing pressure plus the margin."""
         d = MainPump.of(self, "main_pump")
@@ -174,7 +169,9 @@ def _leakage(x: LoadSensingState, p: LoadSensingParameters) -> Scalar:
 def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingState:
     """Time derivative of the state, field by field."""
     pump, leakage = _outlet(x, p), _leakage(x, p)
-    target = engine_and_pump.limited_stroke(pump.pump, p.limits, x.pump_pressure, pump.rise)
+    target = engine_and_pump.limited_stroke(
+        pump.pump, p.pressure_cut_off, p.cut_off_band, p.torque_limit, x.pump_pressure, pump.rise
+    )
     return LoadSensingState(
         supply_pressure=rail.pressure_rate((pump,), supply_flow(u) + leakage, x, p),
         load_sensing_pressure=(line_pressure(u, p, p.pressure_cut_off).value - x.load_sensing_pressure)

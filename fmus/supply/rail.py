@@ -104,11 +104,10 @@ class ShaftState(Group):
 class Outlet:
     """A pump at work on its outlet line: pressure and its rise [Pa], flows [m3/s], torque [N.m].
 
-    resistance, capacitance   of check valve [Pa.s/m3] and outlet line [m3/Pa]
+    capacitance   of the outlet line [m3/Pa]
     """
 
     pump: Pump
-    resistance: Scalar
     capacitance: Scalar
     pressure: Scalar
     rise: Scalar
@@ -138,7 +137,7 @@ def outlet(
     pump = engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature))
     return Outlet(
         pump,
-        *(resistance, capacitance, pressure, rise),
+        *(capacitance, pressure, rise),
         suction=engine_and_pump.suction_flow(pump, stroke, x.engine_speed),
         leakage=pump.leakage * rise,
         delivered=engine_and_pump.check_flow(pressure, x.supply_pressure, resistance, p.check_opening),

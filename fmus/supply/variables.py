@@ -105,9 +105,13 @@ def limited(load: LoadPressure, p: CommonParameters, setting: Scalar) -> LoadPre
 
 
 TERMINALS = tuple(
-    line(name)
+    terminal
     for name in CONSUMERS
-    for line in (ports.supply_line_to, ports.return_line_from, ports.load_sensing_line_from)
+    for terminal in (
+        ports.supply_line(to=name),
+        ports.return_line(of=name),
+        ports.load_sensing_line(name, supply=True),
+    )
 )
 
 # a variant with its own equations and groups

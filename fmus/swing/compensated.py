@@ -18,8 +18,6 @@ from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil
 from fmus.components.hose import HoseWall
 from fmus.components.motor import Brake, BrakeTorque, MotorNodes
-from fmus.components.oil import at_temperature
-from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar, quantities
@@ -160,7 +158,7 @@ def observe(x: State, u: SwingInputs, p: Parameters) -> Outputs:
     rates, tank = (dx.swing_pressure_a, dx.swing_pressure_b), u.tank_pressure
     edges = (n.ports[0].edges, n.ports[1].edges)
     meter_in, metering_drop, compensator_drop = compensator.shown(section(p), n.ports, u.swing_command)
-    load = drive.load_pressure(p, u, pressures, rates, OpeningCurves.of(p, "valve"))
+    load = drive.load_pressure(p, u, pressures, rates)
     flows = (edges[0].line, edges[1].line)
     outputs = drive.observe(p, u, pressures, flows, edges, n.nodes, rates, load)
     outputs["swing_torque"] -= x.swing_brake_torque
@@ -188,13 +186,8 @@ def observe(x: State, u: SwingInputs, p: Parameters) -> Outputs:
 
 def initial(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, the brake as the command has it, without torque."""
-    preload = u.tank_pressure + p.initial_preload
-    return {
-        "swing_pressure_a": preload,
-        "swing_pressure_b": preload,
-        "swing_brake_torque": 0.0,
-        "swing_brake_applied": 1 - _release(u, p),
-    }
+    brake = {"swing_brake_torque": 0.0, "swing_brake_applied": 1 - _release(u, p)}
+    return drive.initial_pressures(u, p) | brake
 
 
 def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
@@ -202,18 +195,16 @@ def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
-        parameters=Parameters,
-        states=State,
-        outputs=Outputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=require,
-        derive=drive.derive_capacitance,
-        validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
-        " no spool dynamics",
-    )
+SWING = drive.variant(
+    text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
+    parameters=Parameters,
+    states=State,
+    outputs=Outputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=require,
+    derive=drive.derive_capacitance,
+    validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
+    " no spool dynamics",
 )

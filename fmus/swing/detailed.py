@@ -22,12 +22,11 @@ from fmus.components import chamber, hose, load_sensing, motor, opening_curve, o
 from fmus.components.chamber import Fluid
 from fmus.components.hose import HydraulicLine, LineState
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
-from fmus.parameters import padded, read
+from fmus.parameters import group_of
 from fmus.swing import compensated, drive, lumped
 from fmus.swing.drive import Pair
 from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs, SwingState
@@ -169,9 +168,7 @@ def _states(names: Names) -> Iterator[tuple[str, Quantity]]:
 
 def default_lumps() -> int:
     """Lumps per line for the values of parameters.toml."""
-    table = padded(read(PARAMETERS)["parameters"], quantities(DetailedSwingParameters))
-    p = DetailedSwingParameters(**{name: table[name].value for name in quantities(DetailedSwingParameters)})
-    return hose.default_lumps(line(p))
+    return hose.default_lumps(line(group_of(PARAMETERS, DetailedSwingParameters)))
 
 
 def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
@@ -202,7 +199,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}
-    return family("swing", **others, detailed=at_temperature(sub))["detailed"]
+    return family("swing", **others, detailed=sub)["detailed"]
 
 
 SWING = detailed()

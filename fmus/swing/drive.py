@@ -4,7 +4,6 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 """
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,11 @@ from fmus import ports
 from fmus.components import chamber, hose, load_sensing, motor, opening_curve, spool_valve
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Scalar, Subsystem, Terminal
-from fmus.swing.variables import SwingInputs
+from fmus.contract import Scalar, Subsystem, Terminal, quantities
+from fmus.swing.variables import LinePressures, SwingInputs
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
@@ -85,13 +85,17 @@ def observe(
     }
 
 
-def load_pressure(
-    p: Any, u: SwingInputs, pressures: Pair, rates: Pair, curves: OpeningCurves | None = None
-) -> LoadPressure:
+def load_pressure(p: Any, u: SwingInputs, pressures: Pair, rates: Pair) -> LoadPressure:
     """Load pressure of a valve without dynamics; pressures of the lines [Pa] and their rates."""
+    curves = OpeningCurves.of(p, "valve")
     bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
     command = (u.swing_command, u.swing_command_rate)
     return load_sensing.load_pressure(*command, bands, p.valve_full_command, pressures, rates, u)
+
+
+def initial_pressures(u: SwingInputs, p: Any) -> dict[str, Scalar]:
+    """Initial state of both lines: at the preload, no torque."""
+    return dict.fromkeys(quantities(LinePressures), u.tank_pressure + p.initial_preload)
 
 
 def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:
@@ -112,11 +116,9 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.load_sensing_line("swing"),
 )
 
-# a variant with its own equations and groups
-variant = partial(
-    Subsystem,
-    name="swing",
-    inputs=SwingInputs,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
-)
+
+def variant(**declared: Any) -> Subsystem:
+    """A variant with its own equations and groups; its parameters are those at the temperature of the oil."""
+    file = Path(__file__).with_name("parameters.toml")
+    sub = Subsystem(name="swing", inputs=SwingInputs, values=file, terminals=TERMINALS, **declared)
+    return at_temperature(sub)

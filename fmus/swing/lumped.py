@@ -12,7 +12,6 @@ The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is requi
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar
@@ -53,7 +52,7 @@ def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
     line_rates = (dx.swing_pressure_a, dx.swing_pressure_b)
     rates = _motor((*line_rates, u.tank_pressure_rate), u.swing_acceleration, p)
-    load = drive.load_pressure(p, u, pressures, line_rates, OpeningCurves.of(p, "valve"))
+    load = drive.load_pressure(p, u, pressures, line_rates)
     outputs = drive.observe(
         p, u, pressures, flows, _ports(x, u, p), nodes, (rates.pressure_1, rates.pressure_2), load
     )
@@ -67,21 +66,18 @@ def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
 
 def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, oil at rest, no torque."""
-    preload = u.tank_pressure + p.initial_preload
-    return {"swing_pressure_a": preload, "swing_pressure_b": preload, "swing_flow_a": 0, "swing_flow_b": 0}
+    return drive.initial_pressures(u, p) | {"swing_flow_a": 0, "swing_flow_b": 0}
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive: spool valve, lines, motor and gear",
-        parameters=SwingParameters,
-        states=SwingState,
-        outputs=SwingOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=drive.derive,
-        validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
-    )
+SWING = drive.variant(
+    text="Hydraulic swing drive: spool valve, lines, motor and gear",
+    parameters=SwingParameters,
+    states=SwingState,
+    outputs=SwingOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=drive.require,
+    derive=drive.derive,
+    validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
 )

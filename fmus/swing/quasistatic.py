@@ -11,7 +11,6 @@ pressures are those of the motor ports. The torque depends only on states.
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar
@@ -53,7 +52,7 @@ def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> 
     dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
     flows = (valve[0].line, valve[1].line)
     rates = (dx.swing_pressure_a, dx.swing_pressure_b)
-    load = drive.load_pressure(p, u, pressures, rates, OpeningCurves.of(p, "valve"))
+    load = drive.load_pressure(p, u, pressures, rates)
     outputs = drive.observe(p, u, pressures, flows, valve, nodes, rates, load)
     energy = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
     return SwingOutputs(**outputs, stored_energy=energy)
@@ -61,22 +60,19 @@ def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> 
 
 def initial(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, no torque."""
-    preload = u.tank_pressure + p.initial_preload
-    return {"swing_pressure_a": preload, "swing_pressure_b": preload}
+    return drive.initial_pressures(u, p)
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
-        parameters=QuasistaticSwingParameters,
-        states=LinePressures,
-        outputs=SwingOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=drive.derive_capacitance,
-        validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
-        stiff=False,
-    )
+SWING = drive.variant(
+    text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
+    parameters=QuasistaticSwingParameters,
+    states=LinePressures,
+    outputs=SwingOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=drive.require,
+    derive=drive.derive_capacitance,
+    validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
+    stiff=False,
 )

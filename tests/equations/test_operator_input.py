@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from kit.fmu import Fmu, driving
 
 from fmus.composition import compose
-from fmus.contract import symbolic
+from fmus.contract import symbolic, unstack
 from fmus.machine import work_cycle
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES, pose_set
@@ -22,7 +22,7 @@ from orchestrator.base.errors import Problem
 
 _NAMES = ("start", "command", "rise", "hold", "fall")
 _TIME, _STROKE = ca.SX.sym("t"), [ca.SX.sym(n) for n in _NAMES]
-_SAMPLE = ca.Function("sample", [_TIME, *_STROKE], list(sample(Stroke(*_STROKE), _TIME)))
+_SAMPLE = ca.Function("sample", [_TIME, *_STROKE], list(sample(unstack(Stroke, _STROKE), _TIME)))
 duration = st.integers(0, 3000).map(lambda ms: ms / 1000)
 
 

@@ -67,6 +67,7 @@ def script(name: str, text: str, slave: str, version: str) -> str:
 
 
 MAIN = "python_fmu.c"
+STEP, STOP = 1e-3, 10.0  # s, default experiment
 SUBFOLDER = "python"  # folder of FMUs in Python, next to those with C code
 RESERVED = (MODEL_FILE, "slavemodule.txt", "parameters.toml")  # names of files in resources/
 
@@ -93,15 +94,12 @@ def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
 def build_python(
     sub: Subsystem,
     folder: Path,
-    step: float = 1e-3,
-    stop: float = 10.0,
     values: Values | None = None,
     platforms: Sequence[str] | None = None,
     source: str | None = None,
 ) -> Path:
     """Write `<sub.name>.fmu` to `folder` and return its path. The FMU needs this package where it runs.
 
-    step, stop   default experiment [s]
     values       parameter and start values; default: those of the subsystem's parameters.toml
     platforms    names of `compile.PLATFORMS`; default: the platform that this program runs on
     source       origin from which the FMU imports the subsystem, "module:NAME"; default: `origin(sub)`
@@ -109,33 +107,29 @@ def build_python(
     values = values or parameters.values(sub, derive=False)
     interface = interface_of(sub, values)
     model = {"origin": source or origin(sub), "fingerprint": fingerprint(interface), "values": asdict(values)}
-    files = common_files(sub, interface, 2, step, stop)
-    return _write(folder, interface, model, "SubsystemSlave", {}, None, step, stop, files, platforms)
+    files = common_files(sub, interface, 2, STEP, STOP)
+    return _write(folder, interface, model, "SubsystemSlave", {}, None, files, platforms)
 
 
-def build_user(
-    path: Path, folder: Path, step: float = 1e-3, stop: float = 10.0, platforms: Sequence[str] | None = None
-) -> Path:
+def build_user(path: Path, folder: Path, platforms: Sequence[str] | None = None) -> Path:
     """Write an FMU of the `Model` in a user's file to `folder` and return its path; see `build_python`."""
     try:
-        return _build_user(path, folder, step, stop, platforms)
+        refuse_neighbours(path)
+        with TemporaryDirectory() as test_folder:  # contains only files that the FMU will contain
+            copy = Path(test_folder).resolve() / path.name
+            copy.write_bytes(path.read_bytes())
+            files = {f"resources/{path.name}": path.read_bytes()} | _model_files(path, copy.parent)
+            user = checked(copy, STEP)
+        if [*user.model.files] != declared_files(path):
+            raise Problem(
+                f'{path.name}: files is not a plain list, expected one such as files = ("map.csv",)'
+            )
+        files |= common_files(_subsystem(user, path), user.interface, 2, STEP, STOP)
+        flags = {"providesDirectionalDerivative": "false", "maxOutputDerivativeOrder": "0"}
+        model, unknowns = {"file": path.name}, structure(user)
+        return _write(folder, user.interface, model, "UserSlave", flags, unknowns, files, platforms)
     except Problem as problem:
         raise in_file(problem, path) from None
-
-
-def _build_user(path: Path, folder: Path, step: float, stop: float, platforms: Sequence[str] | None) -> Path:
-    refuse_neighbours(path)
-    with TemporaryDirectory() as test_folder:  # contains only files that the FMU will contain
-        copy = Path(test_folder).resolve() / path.name
-        copy.write_bytes(path.read_bytes())
-        files = {f"resources/{path.name}": path.read_bytes()} | _model_files(path, copy.parent)
-        user = checked(copy, step)
-    if [*user.model.files] != declared_files(path):
-        raise Problem(f'{path.name}: files is not a plain list, expected one such as files = ("map.csv",)')
-    files |= common_files(_subsystem(user, path), user.interface, 2, step, stop)
-    flags = {"providesDirectionalDerivative": "false", "maxOutputDerivativeOrder": "0"}
-    model, unknowns = {"file": path.name}, structure(user)
-    return _write(folder, user.interface, model, "UserSlave", flags, unknowns, step, stop, files, platforms)
 
 
 def _model_files(path: Path, test_folder: Path) -> dict[str, bytes]:
@@ -174,8 +168,6 @@ def _write(
     slave: str,
     flags: Mapping[str, str],
     structure: Unknowns | None,
-    step: float,
-    stop: float,
     files: Mapping[str, bytes],
     platforms: Sequence[str] | None,
 ) -> Path:
@@ -192,7 +184,7 @@ def _write(
     capabilities = {
         "CoSimulation": {**CAPABILITIES[2]["CoSimulation"], "needsExecutionTool": "true", **flags}
     }
-    description = model_description(interface, 2, PLACEHOLDER, step, stop, (), capabilities, structure)
+    description = model_description(interface, 2, PLACEHOLDER, STEP, STOP, (), capabilities, structure)
     with_guid = {
         "modelDescription.xml": description.decode(),
         f"resources/{MODEL_FILE}": json.dumps(model, indent=1),

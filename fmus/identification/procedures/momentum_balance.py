@@ -38,7 +38,6 @@ from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import Curve, Panel
 from fmus.manipulator import MANIPULATOR, arm
-from fmus.manipulator.design import POINT_MASS, VISCOUS
 from fmus.manipulator.model import Design, forces
 from fmus.manipulator.variables import ManipulatorInputs
 from fmus.parameters import Number
@@ -63,7 +62,7 @@ PRESSURES = {
 }
 ALL_PRESSURES = tuple(name for both in PRESSURES.values() for name in both)
 SIGNALS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(ALL_PRESSURES, "Pa")
-_LUMPED = Design(MANIPULATOR.states, MANIPULATOR.outputs, POINT_MASS, VISCOUS)
+_LUMPED = Design(MANIPULATOR.states, MANIPULATOR.outputs)
 _PARTS = (SWING, BOOM_STICK, MANIPULATOR)
 PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
 
@@ -104,9 +103,9 @@ def symbolic_equations() -> Equations:
     applied = {"swing_torque": swing.swing_torque}
     applied |= {n: getattr(cylinders, n) for n in ("boom_force", "stick_force")}
     x, own_p = _at(MANIPULATOR.states, measured), _parameters_of(MANIPULATOR, p)
-    mechanics, rods = arm.mechanics(x, own_p, POINT_MASS), arm.pistons(x, own_p)
+    mechanics, rods = arm.mechanics(x, own_p, _LUMPED.head), arm.pistons(x, own_p)
     momentum = mechanics.mass @ w
-    tau = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
+    tau, _ = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
     return Equations(
         q,
         w,
