@@ -14,6 +14,7 @@ from copy import copy
 from ctypes import c_double
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -250,6 +251,12 @@ class StepControl:
     by_energy: bool = False
     repeats: bool = True
 
+    def struct(self, h: Any, power: int) -> Any:
+        """`StepSize` of the header `h`; power: of the step to which the error is proportional."""
+        first = min(max(self.first, self.smallest), self.largest)
+        limits = {"h": first, "smallest": self.smallest, "largest": self.largest}
+        return h.StepSize(**limits, repeats=self.repeats, power=power)
+
 
 class SimulationLoop:
     """A run whose FMUs are initialised, from its start to its end, in blocks of recorded points.
@@ -335,10 +342,8 @@ class SimulationLoop:
         sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
         sim.events, sim.event_count = self._binding.at(np.array(times.events, float)), len(times.events)
         if c := self._control:
-            first = min(max(c.first, c.smallest), c.largest)
-            limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": c.repeats}
-            struct = self._binding.h.StepSize(**limits, power=self._inputs.power)
-            sim.step_size, sim.error_tolerance = self._binding.pointer(struct), c.tolerance
+            sim.step_size = self._binding.pointer(c.struct(self._binding.h, self._inputs.power))
+            sim.error_tolerance = c.tolerance
             sim.by_energy = c.by_energy
 
     def _plan_rollback(self, times: Grid) -> None:

@@ -115,9 +115,8 @@ def batch(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
     arrays_in, count = machine_values(job, values)
-    record = job.record.signals
-    chosen_ports = job.system.ports("output") if record is None else map(job.system.port, record)
-    signals = dict(zip(record or map(str, job.system.ports("output")), chosen_ports, strict=True))
+    names = job.record.signals or map(str, job.system.ports("output"))
+    signals = {name: job.system.port(name) for name in names}
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
@@ -199,13 +198,6 @@ def _numbers(name: str, given: ArrayLike) -> Array:
         i = int(np.argmin(np.isfinite(array)))
         raise Problem(f"values: {name}: expected finite numbers, got {array[i]} for machine {i}")
     return array
-
-
-def recorded(system: System, record: Sequence[str] | None) -> dict[str, Port]:
-    """The variables of the recorded signals, by name."""
-    if record is None:
-        return {str(port): port for port in system.ports("output")}
-    return {name: system.port(name) for name in record}
 
 
 def recorded_times(times: Grid) -> Array:
