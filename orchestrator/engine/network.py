@@ -14,7 +14,6 @@ import ctypes
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -99,20 +98,19 @@ class RunningComponent:
 
         If rate inputs take the derivatives, those of different FMI types need separate calls.
         """
-        interface, first = self.slave.interface, 0
+        if not derivatives:
+            return
+        slave, interface = self.slave, self.slave.interface
+        names, orders = zip(*derivatives, strict=True)
+        if interface.can_interpolate_inputs:
+            self.input_writes.append(slave.input_derivative_writer(names, self.derivatives, orders))
+            return
+        of_rate = {interface.rate_inputs[name]: name for name in names}
 
-        def rate_type(derivative: tuple[str, int]) -> str:
-            if interface.can_interpolate_inputs:
-                return ""
-            return function_type(interface.variables[interface.rate_inputs[derivative[0]]])
+        def write(rates: Sequence[str], values: Buffer) -> Call:
+            return slave.input_derivative_writer([of_rate[rate] for rate in rates], values)
 
-        for _, group in groupby(derivatives, key=rate_type):
-            names, orders = zip(*group, strict=True)
-            values = self.derivatives[first : first + len(names)]
-            orders = orders if interface.can_interpolate_inputs else ()
-            write = self.slave.input_derivative_writer(names, values, orders)
-            self.input_writes.append(write)
-            first += len(names)
+        self.input_writes += calls_by_type(slave, [*of_rate], self.derivatives, write)
 
     # ---- the structure of the C engine
 
