@@ -352,11 +352,11 @@ class SimulationLoop:
         saves = iterates or (self._control is not None and self._control.repeats)
         for c in self._components:
             interface = c.slave.interface
-            c.rollback = saves and interface.rollback
-            c.fixed_step = 0.0 if interface.variable_step else times.step / c.substeps
-            c.halved = self._plan.halves and c.substeps == 1 and interface.variable_step
+            c.struct.rollback = saves and interface.rollback
+            c.struct.fixed_step = 0.0 if interface.variable_step else times.step / c.struct.substeps
+            c.struct.halved = self._plan.halves and c.struct.substeps == 1 and interface.variable_step
         self.state.saves = saves
-        self.state.rollback = all(c.rollback and not c.fixed_step for c in self._components)
+        self.state.rollback = all(c.struct.rollback and not c.struct.fixed_step for c in self._components)
 
     def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
         """Fill the plan, the coupling inputs, and the calls between the steps of two components."""
@@ -364,7 +364,7 @@ class SimulationLoop:
         held = inputs.held(order) if plan.sequential else [[] for _ in order]
         for k, (name, component) in enumerate(network.components.items()):
             # of the last one no component uses the outputs in the same step
-            last = prediction is not None and k == order[-1] and not component.halved
+            last = prediction is not None and k == order[-1] and not component.struct.halved
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
             component.output_reads = network.get_output_calls(name) if reads_outputs else []
