@@ -316,14 +316,8 @@ def _lost_rates(system: System, used: Mapping[str, UsedPort], dropped: Iterable[
     """The dropped rates, without those of signals that are dropped, too."""
     rates = {n for n in dropped if used[n].optional and not used[n].meanings}
     lost = {c.target for n in dropped if n not in rates for c in used[n].connections}
-
-    def alone(rate: Port) -> bool:
-        interface = system.components[rate.component].interface
-        return not any(
-            r == rate.variable and Port(rate.component, u) in lost for u, r in interface.rate_inputs.items()
-        )
-
-    return [n for n in dropped if n in rates and any(alone(c.target) for c in used[n].connections)]
+    of_lost = {rate for port, rate in system.rate_ports.items() if port in lost}
+    return [n for n in dropped if n in rates and any(c.target not in of_lost for c in used[n].connections)]
 
 
 @dataclass(frozen=True)
