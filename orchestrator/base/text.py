@@ -30,6 +30,20 @@ ERROR_UNITS = {"m": "mm", "m/s": "mm/s"}  # unit of a quantity -> unit of its er
 SMALL_LENGTH = 0.1  # [m] or [m/s]; quantities whose values are all smaller are shown in mm or mm/s
 
 
+def words(text: str) -> frozenset[str]:
+    """The words of a text."""
+    return frozenset(text.split())
+
+
+MODELICA = words(  # its keywords
+    """algorithm and annotation assert block break class connect connector constant constrainedby der
+    discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends external
+    false final flow for function if import impure in initial inner input loop model not operator or
+    outer output package parameter partial protected public pure record redeclare replaceable return
+    stream then time true type when while within"""
+)
+
+
 def number(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:
     """A number with a few significant digits; a dash for None and NaN. `zeros`: keep trailing zeros."""
     if value is None or not math.isfinite(value):

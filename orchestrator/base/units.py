@@ -417,23 +417,25 @@ def _with_definition(unit: DeclaredUnit) -> DeclaredUnit:
 
 
 def conversion(
-    source: DeclaredUnit | None, target: DeclaredUnit | None, where: str
-) -> tuple[LinearTransformation, str | None]:
-    """The transformation from `source` to `target`, and a note if it is based on an assumption.
+    source: DeclaredUnit | None, target: DeclaredUnit | None, where: str, notes: list[str] | None = None
+) -> LinearTransformation:
+    """The transformation from `source` to `target`; `notes` get one if it is based on an assumption.
 
     If one of the units is None, values are not converted. Raises Problem, beginning with `where`, if the
     dimensions differ or a definition is wrong.
     """
+    notes = [] if notes is None else notes
     if source is None or target is None or source == target:
-        return IDENTITY, None
+        return IDENTITY
     if source.name == target.name and None in (source.exponents, target.exponents):
-        return IDENTITY, None
+        return IDENTITY
     for unit in (source, target):
         if message := _conversion_problem(unit):
             raise Problem(f"{where}: {message}")
     source, target = _with_definition(source), _with_definition(target)
     if source.exponents is None or target.exponents is None:
-        return IDENTITY, f"{where}: {source} and {target} are not both defined; the value is passed unchanged"
+        notes.append(f"{where}: {source} and {target} are not both defined; the value is passed unchanged")
+        return IDENTITY
     if source.dimension != target.dimension:
         names = f"{_with_base_units(source)} and {_with_base_units(target)}"
         raise Problem(f"{where}: the units cannot be converted, {names}")
@@ -443,8 +445,8 @@ def conversion(
         message = f"expected a finite factor other than 0, got {linear.factor:g}"
         raise Problem(f"{where}: {source} and {target} are too far apart: {message}")
     if source.exponents != target.exponents:
-        return linear, f"{where}: {source} and {target} differ in the radian only; taken as equal"
-    return linear, None
+        notes.append(f"{where}: {source} and {target} differ in the radian only; taken as equal")
+    return linear
 
 
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?+)\s*([^\W\d_].*|[%°].*)")

@@ -33,7 +33,6 @@ class Related:
 
     source: str
     role: str
-    type: str
     path: Path | None
 
 
@@ -85,13 +84,8 @@ def manifest(folder: Path) -> list[Related]:
     name = root.get(f"{{{NAMESPACE}}}fmi-ls-name")
     if name != "org.fmi-standard.fmi-ls-ref":
         raise Problem(f"{MANIFEST}: fmi-ls-name: expected 'org.fmi-standard.fmi-ls-ref', got {name!r}")
-    return [_related(folder, file.parent, e) for e in children(root, "Related")]
-
-
-def _related(folder: Path, base: Path, element: Element) -> Related:
-    source, role = element.get("source", ""), element.get("role", "")
-    media_type = element.get("type", "application/octet-stream")
-    return Related(source, role, media_type, resolve(folder, base, source))
+    files = [(e.get("source", ""), e.get("role", "")) for e in children(root, "Related")]
+    return [Related(source, role, resolve(folder, file.parent, source)) for source, role in files]
 
 
 # ---- experiments

@@ -35,6 +35,7 @@ TYPES = {
 ELEMENTS = tuple(  # types of values in an FMU, in the order of the enumeration in engine.h
     np.dtype(name) for name in ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
 )
+EXCHANGES = {"SetTime": "SET_TIME", "CompletedIntegratorStep": "COMPLETED_STEP"}  # others: VECTOR
 
 
 def sources() -> list[str]:
@@ -245,8 +246,8 @@ class Binding:
         struct = self.h.ExchangeCall(
             **call.call.for_c(),
             values=self.at(call.values),
-            clock=call.clock,
-            kind=getattr(self.h, call.kind),
+            clock=ctypes.addressof(call.call.instance.log.clock),
+            kind=getattr(self.h, EXCHANGES.get(call.call.function, "VECTOR")),
             count=len(call.values),
         )
         return self.checked(struct, call.call)

@@ -427,7 +427,7 @@ class ErrorPropagation:
             member_count=len(self._members),
             output_count=len(self._outputs),
             lag=1,
-            halves=any(c.halved for c in self._network.components.values()),
+            halves=any(c.struct.halved for c in self._network.components.values()),
             longest_section=LONGEST_SECTION,
             capacity=BLOCK,
             longest_lag=LONGEST_LAG,
@@ -438,7 +438,7 @@ class ErrorPropagation:
     def _input_struct(self, h: Any, u: LinearInput) -> Any:
         if u.coupling_input is None:  # the FMU varies it
             return h.ErrorInput(input=-1)
-        target = self._network.components[u.target.component]
+        target = self._network.components[u.target.component].struct
         return h.ErrorInput(input=u.coupling_input, substeps=2 if target.halved else target.substeps)
 
     def _member_structs(self, binding: Binding) -> Any:

@@ -14,7 +14,6 @@ import ctypes
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -41,35 +40,28 @@ from orchestrator.ssp.system import Connection, Port, System
 class RunningComponent:
     """A component as a master uses it: the Python side of `Component` in engine.h.
 
-    slave               the FMU
-    inputs              indices of its coupling inputs, which are contiguous
-    values              of the coupling inputs that are set as values; empty if only derivatives are set
-    derivatives         of the coupling inputs, those of one input by ascending order
-    input_writes        calls that set `values`, if there are any, and `derivatives`
-    output_reads        calls that read the outputs that other components use
-    slope_reads         calls that read the slopes of those outputs, if the FMU gives them
-    held_inputs         calls that set the inputs that cannot change inside a step to the newest value of
-                        their source, for sequential masters
-    substeps            how many steps the FMU takes in one communication step
-    fixed_step          length of each of these steps [s] if it must be the same to the last bit, else 0
-    halved              it takes two steps, and its outputs between them are read
-    rollback            its state is saved at the beginning of every step
-    simplifies_inputs   some coupling inputs have a lower degree than the master asks for
-    struct              `Component` of engine.h
+    slave          the FMU
+    struct         `Component` of engine.h: its steps, what it saves, its wall time
+    inputs         indices of its coupling inputs, which are contiguous
+    values         of the coupling inputs that are set as values; empty if only derivatives are set
+    derivatives    of the coupling inputs, those of one input by ascending order
+    input_writes   calls that set `values`, if there are any, and `derivatives`
+    output_reads   calls that read the outputs that other components use
+    slope_reads    calls that read the slopes of those outputs, if the FMU gives them
+    held_inputs    calls that set the inputs that cannot change inside a step to the newest value of their
+                   source, for sequential masters
     """
 
-    def __init__(self, slave: Slave, substeps: int) -> None:
-        self.slave, self.substeps = slave, substeps
+    def __init__(self, slave: Slave, struct: Any) -> None:
+        self.slave, self.struct = slave, struct
         self.inputs = range(0)
         self.output_reads: Sequence[Call] = ()
         self.slope_reads: Sequence[Call] = ()
         self.held_inputs: Sequence[Call] = ()
-        self.fixed_step, self.halved, self.rollback, self.simplifies_inputs = 0.0, False, False, False
         self.values, self.derivatives = np.zeros(0), np.zeros(0)
         self.input_writes: list[Call] = []
         self._saved_state: Any = None
         self._stepping: StepCalls | None = None
-        self.struct: Any = None
 
     def make_input_writes(self, first: int, names: Sequence[str], inputs: Sequence[Any], jumps: bool) -> None:
         """Make the calls that set its coupling inputs.
@@ -83,8 +75,8 @@ class RunningComponent:
         self.inputs = range(first, first + len(inputs))
         if not inputs:
             return
-        self.simplifies_inputs = any(s.fmu_degree < s.requested_degree for s in inputs)
-        if self.substeps > 1 or self.simplifies_inputs or jumps:
+        self.struct.simplifies_inputs = any(s.fmu_degree < s.requested_degree for s in inputs)
+        if self.struct.substeps > 1 or self.struct.simplifies_inputs or jumps:
             # degree 0: the input is only watched and held over the step; other calls set it
             with_values = [n for n, s in zip(names, inputs, strict=True) if s.requested_degree]
             self.values = np.zeros(len(with_values))
@@ -99,42 +91,39 @@ class RunningComponent:
 
         If rate inputs take the derivatives, those of different FMI types need separate calls.
         """
-        interface, first = self.slave.interface, 0
+        if not derivatives:
+            return
+        slave, interface = self.slave, self.slave.interface
+        names, orders = zip(*derivatives, strict=True)
+        if interface.can_interpolate_inputs:
+            self.input_writes.append(slave.input_derivative_writer(names, self.derivatives, orders))
+            return
+        of_rate = {interface.rate_inputs[name]: name for name in names}
 
-        def rate_type(derivative: tuple[str, int]) -> str:
-            if interface.can_interpolate_inputs:
-                return ""
-            return function_type(interface.variables[interface.rate_inputs[derivative[0]]])
+        def write(rates: Sequence[str], values: Buffer) -> Call:
+            return slave.input_derivative_writer([of_rate[rate] for rate in rates], values)
 
-        for _, group in groupby(derivatives, key=rate_type):
-            names, orders = zip(*group, strict=True)
-            values = self.derivatives[first : first + len(names)]
-            orders = orders if interface.can_interpolate_inputs else ()
-            write = self.slave.input_derivative_writer(names, values, orders)
-            self.input_writes.append(write)
-            first += len(names)
+        self.input_writes += calls_by_type(slave, [*of_rate], self.derivatives, write)
 
     # ---- the structure of the C engine
 
-    def fill_stepping(self, binding: Binding, struct: Any) -> None:
+    def fill_stepping(self, binding: Binding) -> None:
         """Fill the members for stepping the FMU. Python steps it if its class has no `stepping`."""
-        self.struct = struct
+        struct = self.struct
         make: Callable[[bool], StepCalls] | None = getattr(self.slave, "stepping", None)
         if make:
-            self._stepping = step = make(self.rollback)
+            self._stepping = step = make(bool(struct.rollback))
             struct.call = binding.pointer(step.slot)
             for name, value in step.members.items():
                 setattr(struct, name, value)
         struct.clock = binding.at(np.asarray(self.slave.log.clock))
-        struct.never_restored, struct.rollback = not self.rollback, self.rollback
-        struct.halved = self.halved
-        struct.fixed_step, struct.substeps = self.fixed_step, self.substeps
+        struct.never_restored = not struct.rollback
 
     def fill_inputs_and_outputs(self, binding: Binding) -> None:
         """Fill the members for inputs and outputs."""
         struct = self.struct
         struct.first_input, struct.input_count = self.inputs.start, len(self.inputs)
-        struct.sets_values, struct.simplifies_inputs = len(self.values) > 0, self.simplifies_inputs
+        struct.sets_values = len(self.values) > 0
         struct.values, struct.derivatives = binding.at(self.values), binding.at(self.derivatives)
         for name in ("input_writes", "output_reads", "held_inputs", "slope_reads"):
             setattr(struct, name, binding.program(getattr(self, name)))
@@ -147,7 +136,7 @@ class RunningComponent:
     @property
     def busy_seconds(self) -> float:
         """Wall time in its steps, with the calls that set its coupling inputs [s]."""
-        return float(self.struct.busy) if self.struct else 0.0
+        return float(self.struct.busy)
 
     def check_status(self, function: int | None, status: int) -> None:
         """Raise the Problem for a status that is not OK.
@@ -169,7 +158,7 @@ class RunningComponent:
 
     def free_saved_state(self) -> None:
         """Free the state that C or Python saved, if there is one."""
-        if self.struct is not None and self.struct.state:
+        if self.struct.state:
             self._saved_state, self.struct.state = ctypes.c_void_p(self.struct.state), None
         if self._saved_state is not None:
             self.slave.free_state(self._saved_state)
@@ -279,8 +268,10 @@ class Network:
         substeps: how many steps components take in one communication step; default: 1.
         """
         self.system, self.slaves, self.binding = system, slaves, binding or Binding()
+        made = [self.binding.h.Component(substeps=(substeps or {}).get(name, 1)) for name in slaves]
+        self._structs = self.binding.array(self.binding.h.Component, made)
         self.components = {
-            name: RunningComponent(slave, (substeps or {}).get(name, 1)) for name, slave in slaves.items()
+            name: RunningComponent(slave, self._structs[k]) for k, (name, slave) in enumerate(slaves.items())
         }
         self.order: OutputOrder = output_order(system)
         self._influential = influential_inputs(system)
@@ -386,10 +377,9 @@ class Network:
         binding, sim = self.binding, self.binding.simulation
         saved_reals, saved_integers = self.reals.values.copy(), self.integers.values.copy()
         binding.components = [*self.components.values()]
-        structs = binding.array(binding.h.Component, [binding.h.Component()] * len(self.components))
-        for struct, component in zip(structs, binding.components, strict=False):
-            component.fill_stepping(binding, struct)
-        sim.components, sim.component_count = binding.pointer(structs), len(self.components)
+        for component in binding.components:
+            component.fill_stepping(binding)
+        sim.components, sim.component_count = binding.pointer(self._structs), len(self.components)
         sim.reals, sim.integers = binding.at(self.reals.values), binding.at(self.integers.values)
         sim.saved_reals, sim.saved_integers = binding.at(saved_reals), binding.at(saved_integers)
         sim.real_count, sim.integer_count = len(saved_reals), len(saved_integers)

@@ -14,6 +14,7 @@ from copy import copy
 from ctypes import c_double
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -250,6 +251,12 @@ class StepControl:
     by_energy: bool = False
     repeats: bool = True
 
+    def struct(self, h: Any, power: int) -> Any:
+        """`StepSize` of the header `h`; power: of the step to which the error is proportional."""
+        first = min(max(self.first, self.smallest), self.largest)
+        limits = {"h": first, "smallest": self.smallest, "largest": self.largest}
+        return h.StepSize(**limits, repeats=self.repeats, power=power)
+
 
 class SimulationLoop:
     """A run whose FMUs are initialised, from its start to its end, in blocks of recorded points.
@@ -335,10 +342,8 @@ class SimulationLoop:
         sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
         sim.events, sim.event_count = self._binding.at(np.array(times.events, float)), len(times.events)
         if c := self._control:
-            first = min(max(c.first, c.smallest), c.largest)
-            limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": c.repeats}
-            struct = self._binding.h.StepSize(**limits, power=self._inputs.power)
-            sim.step_size, sim.error_tolerance = self._binding.pointer(struct), c.tolerance
+            sim.step_size = self._binding.pointer(c.struct(self._binding.h, self._inputs.power))
+            sim.error_tolerance = c.tolerance
             sim.by_energy = c.by_energy
 
     def _plan_rollback(self, times: Grid) -> None:
@@ -347,11 +352,11 @@ class SimulationLoop:
         saves = iterates or (self._control is not None and self._control.repeats)
         for c in self._components:
             interface = c.slave.interface
-            c.rollback = saves and interface.rollback
-            c.fixed_step = 0.0 if interface.variable_step else times.step / c.substeps
-            c.halved = self._plan.halves and c.substeps == 1 and interface.variable_step
+            c.struct.rollback = saves and interface.rollback
+            c.struct.fixed_step = 0.0 if interface.variable_step else times.step / c.struct.substeps
+            c.struct.halved = self._plan.halves and c.struct.substeps == 1 and interface.variable_step
         self.state.saves = saves
-        self.state.rollback = all(c.rollback and not c.fixed_step for c in self._components)
+        self.state.rollback = all(c.struct.rollback and not c.struct.fixed_step for c in self._components)
 
     def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
         """Fill the plan, the coupling inputs, and the calls between the steps of two components."""
@@ -359,7 +364,7 @@ class SimulationLoop:
         held = inputs.held(order) if plan.sequential else [[] for _ in order]
         for k, (name, component) in enumerate(network.components.items()):
             # of the last one no component uses the outputs in the same step
-            last = prediction is not None and k == order[-1] and not component.halved
+            last = prediction is not None and k == order[-1] and not component.struct.halved
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
             component.output_reads = network.get_output_calls(name) if reads_outputs else []

@@ -486,16 +486,8 @@ class RunMetadata:
 
 # members of a card that are metadata, too
 OF_CARD = (
-    "master",
-    "step",
-    "simulated",
-    "wall",
-    "inside",
-    "steps",
-    "passes",
-    "repeated",
-    "lengths",
-    "warnings",
+    *("master", "step", "simulated", "wall", "inside"),
+    *("steps", "passes", "repeated", "lengths", "warnings"),
 )
 
 

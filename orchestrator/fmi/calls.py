@@ -182,16 +182,12 @@ class DirectionalDerivative:
 class ExchangeCall:
     """A function of Model Exchange with fixed arguments, executable from C.
 
-    kind     SET_TIME, VECTOR (of states or event indicators) or COMPLETED_STEP
-    values   time [s], shape (1,); the vector, shape (n,); or the results of a completed step, shape (2,):
-             event needed, end of the simulation
-    clock    see `Log.clock`
+    values   time [s], shape (1,); a vector (of states or event indicators), shape (n,); or the results of a
+             completed step, shape (2,): event needed, end of the simulation
     """
 
-    kind: str
     call: BoundCall
     values: NDArray[np.float64]
-    clock: int
 
 
 @dataclass(frozen=True)

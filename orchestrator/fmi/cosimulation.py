@@ -25,7 +25,7 @@ from orchestrator.fmi.calls import (
     to_ctypes,
 )
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
-from orchestrator.fmi.instance import CallHook, FmuInstance, resources_location
+from orchestrator.fmi.instance import FmuInstance, resources_location
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
@@ -34,19 +34,14 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 
 
 class RunningFmu:
-    """An FMU from instantiation to termination, with bound calls for its variables.
-
-    before   called before each FMI function, see `FmuInstance`
-    """
+    """An FMU from instantiation to termination, with bound calls for its variables."""
 
     exchange = False
 
-    def __init__(
-        self, name: str, interface: FmuInterface, fmu: Location, before: CallHook | None = None
-    ) -> None:
+    def __init__(self, name: str, interface: FmuInterface, fmu: Location) -> None:
         names = {v.reference: v.name for v in interface.variables.values()} if interface.fmi == 3 else {}
         self.name, self.interface, self.log = name, interface, Log(name, names)
-        self._label, self._stepping, self._before = f"{name} ({fmu})", False, before
+        self._label, self._stepping = f"{name} ({fmu})", False
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -58,7 +53,7 @@ class RunningFmu:
         face = self.interface
         folder = self._cleanup.enter_context(fmu.unpacked(UNUSED))
         library = load_library(folder, face.identifier, face.fmi, self._label)
-        self.fmu = FmuInstance(library, self.log, self.exchange, self._before, self._label)
+        self.fmu = FmuInstance(library, self.log, self.exchange, label=self._label)
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.fmi)
@@ -213,7 +208,6 @@ class CoSimulationFmu(RunningFmu):
         interface: FmuInterface,
         fmu: Location,
         start: Mapping[str, Value] | None = None,
-        before: CallHook | None = None,
     ) -> None:
         """`start`: start values of the spare instance; this one is set by `set`."""
         self._source, self._start = fmu, start or {}
@@ -221,7 +215,7 @@ class CoSimulationFmu(RunningFmu):
         self._spare_fails = False  # to be opened
         self._cubic: bool | None = None
         self._final = True  # no step will be repeated
-        super().__init__(name, interface, fmu, before)
+        super().__init__(name, interface, fmu)
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""

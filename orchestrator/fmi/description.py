@@ -259,6 +259,8 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         for section in ("outputs", "derivatives", "initial")
     )
     exchange = "ModelExchange" in description.interfaces
+    used = [*outputs.values(), *derivatives.values()]
+    known = [names for names in used if names is not None]
     experiment = description.experiment.attributes if description.experiment else {}
     attributes: dict[str, Any] = {n: capabilities.declares(*names) for n, names in CAPABILITIES.items()}
     attributes |= {n: description.attributes.get(attribute, "") for n, attribute in TEXTS.items()}
@@ -280,7 +282,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         if fmi == 3
         else not capabilities.declares("completedIntegratorStepNotNeeded"),
         stateless=exchange and not derivatives,
-        unused_inputs=_unused(inputs, [*outputs.values(), *derivatives.values()] if exchange else [None]),
+        unused_inputs=frozenset(inputs.difference(*known) if exchange and None not in used else ()),
         states=_states(description, variables),
         dependencies=outputs | derivatives,
         categories=description.categories,
@@ -291,16 +293,6 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         parameter_sets=description.parameter_sets,
         **attributes,
     )
-
-
-def _unused(inputs: set[str], dependencies: Iterable[frozenset[str] | None]) -> frozenset[str]:
-    """Inputs that are in none of the dependencies; none if one of them is not declared."""
-    used: set[str] = set()
-    for known in dependencies:
-        if known is None:
-            return frozenset()
-        used |= known
-    return frozenset(inputs - used)
 
 
 def _with_aliases(description: ModelDescription) -> Iterator[DeclaredVariable]:

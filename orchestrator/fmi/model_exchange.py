@@ -4,15 +4,11 @@ Linearisation and monolithic solution need Model Exchange, because the states of
 cannot be set. Time derivatives of states are variables, which `RunningFmu.reader` reads.
 """
 
-import ctypes
-
 from orchestrator.base.errors import NotExchangeable
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.description import read_interface
-
-KINDS = {"SetTime": "SET_TIME", "CompletedIntegratorStep": "COMPLETED_STEP"}  # of calls, see `ExchangeCall`
 
 
 class ExchangeFmu(RunningFmu):
@@ -22,12 +18,7 @@ class ExchangeFmu(RunningFmu):
 
     def exchange_call(self, function: str, values: Buffer) -> ExchangeCall:
         """A call of SetTime, CompletedIntegratorStep, or a function of a vector, with these values."""
-        return ExchangeCall(
-            kind=KINDS.get(function, "VECTOR"),
-            call=self.fmu.bound(function),
-            values=values,
-            clock=ctypes.addressof(self.log.clock),
-        )
+        return ExchangeCall(self.fmu.bound(function), values)
 
     def get_nominals(self, into: Buffer) -> None:
         """Get the nominal values of the states, shape (n,)."""

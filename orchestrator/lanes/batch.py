@@ -199,13 +199,6 @@ def _numbers(name: str, given: ArrayLike) -> Array:
     return array
 
 
-def recorded(system: System, record: Sequence[str] | None) -> dict[str, Port]:
-    """The variables of the recorded signals, by name."""
-    if record is None:
-        return {str(port): port for port in system.ports("output")}
-    return {name: system.port(name) for name in record}
-
-
 def recorded_times(times: Grid) -> Array:
     """The recorded points [s], shape (m,)."""
     points = np.unique([*range(0, times.steps + 1, times.every), times.steps])

@@ -10,7 +10,7 @@ import ctypes
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,13 +114,13 @@ class Lanes:
         with ThreadPoolExecutor(available_cores()) as threads:  # several compilers at once
             self.models = list(threads.map(compiled_model, self.system.components.values()))
         self.index = {name: k for k, name in enumerate(self.system.components)}
-        self._alive: list[Any] = []
         with ExitStack() as stack:
             slaves = {}
             for name, component in self.system.components.items():
                 slaves[name] = job.execution.open(component)
                 stack.callback(slaves[name].close)
             self._network = Network(self.system, slaves, job.scenario, signals)
+            self.at = self._network.binding.at
             if self._network.loops:
                 raise NotInLanes(self._network.loops[0].cycle.text)
             self._instances = Instances(self)
@@ -142,16 +142,10 @@ class Lanes:
 
     # ---- structures
 
-    def at(self, array: NDArray[Any]) -> int:
-        """The address of an array that C uses."""
-        self._alive.append(array)
-        return array.ctypes.data
-
     def _array(self, kind: Any, values: Sequence[Any]) -> int:
         """The address of an array of structures."""
-        array = (kind * max(len(values), 1))(*values)
-        self._alive.append(array)
-        return ctypes.addressof(array)
+        binding = self._network.binding
+        return binding.pointer(binding.array(kind, values))
 
     def fill(self, group: Any) -> None:
         """Fill the members of `Group` of machines.h that are the same for all groups."""
@@ -178,9 +172,7 @@ class Lanes:
         """The control of the steps of each machine of a new group; None: equal steps."""
         if (c := self.control) is None:
             return None
-        first = min(max(c.first, c.smallest), c.largest)
-        limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": 1}
-        struct = header().StepSize(**limits, power=self._inputs.power)
+        struct = replace(c, repeats=True).struct(header(), self._inputs.power)
         return (header().StepSize * LANES)(*[struct] * LANES)
 
     def _input(self, port: Port) -> tuple[int, int, int]:

@@ -55,7 +55,10 @@ def cut_at_inputs(system: System, names: Sequence[str] = (), steady: bool = Fals
             raise Problem(
                 f"--input {both}: expected inputs with different targets, both are connected to {port}"
             )
-    cut_targets = {*ports, *_rate_inputs(system, ports)}
+    cut_targets = {*ports}
+    for port, rate in system.rate_ports.items():
+        if port in ports and rate_only(system.components[rate.component].interface, rate.variable):
+            cut_targets.add(rate)
     cut_sources = {c.source.component for c in system.connections if c.target in cut_targets}
     connections = tuple(c for c in system.connections if c.target not in cut_targets)
     unused = sorted(cut_sources - {c.source.component for c in connections})
@@ -77,15 +80,6 @@ def rate_only(interface: FmuInterface, name: str) -> str:
     dependencies = [interface.dependencies.get(rate) for rate in interface.states.values()]
     affects_state = any(known is None or name in known for known in dependencies)
     return "" if affects_state else value_input
-
-
-def _rate_inputs(system: System, ports: Iterable[Port]) -> Iterable[Port]:
-    """The rate inputs of some inputs."""
-    for port in ports:
-        interface = system.components[port.component].interface
-        rate = interface.rate_inputs.get(port.variable, "")
-        if rate and rate_only(interface, rate):
-            yield Port(port.component, rate)
 
 
 def matching_outputs(system: System, patterns: Sequence[str] = ()) -> list[Port]:

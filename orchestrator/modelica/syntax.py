@@ -3,21 +3,14 @@
 import math
 import re
 
+from orchestrator.base.text import MODELICA, words
 from orchestrator.fmi.description import Value
 
 PLAIN = r"[A-Za-z_][A-Za-z0-9_]*"
 # keywords, and names that the code of a package uses; variables with these names are quoted
-RESERVED = frozenset(
-    re.findall(
-        r"\w+",
-        """algorithm and annotation assert block break class connect connector constant constrainedby der
-        discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends
-        external false final flow for function getInstanceName if import impure in initial inner input
-        loop model not operator or outer output package parameter partial protected public pure record
-        redeclare replaceable return stream terminal then true type when while within time pre fill sum
-        Real Integer Boolean String Modelica ModelicaServices FMUs WithFlanges Systems Flanges Internal
-        block_ fmu_folder fmu_instance fmu_states fmu_next""",
-    )
+RESERVED = MODELICA | words(
+    """getInstanceName terminal pre fill sum Real Integer Boolean String Modelica ModelicaServices FMUs
+    WithFlanges Systems Flanges Internal block_ fmu_folder fmu_instance fmu_states fmu_next"""
 )
 
 

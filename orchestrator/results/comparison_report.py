@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -335,7 +335,7 @@ def _run_data(run: Run) -> dict[str, Any]:
         return {"file": run.file}
     written = {f"{name}{f' [{unit}]' if unit else ''}": getattr(meta, name) for name, unit in WRITTEN.items()}
     speed = meta.simulated / meta.wall if meta.wall else None
-    return {"file": run.file, **written, "provenance": meta.provenance.as_dict(), "times real time": speed}
+    return {"file": run.file, **written, "provenance": asdict(meta.provenance), "times real time": speed}
 
 
 def _difference_data(comparison: Comparison, label: str) -> dict[str, Any]:

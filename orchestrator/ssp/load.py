@@ -189,9 +189,7 @@ def _connect(
     plain = check_connection(system, source, target, after)
     units = system.variable(source).unit, system.variable(target).unit
     labels = [f"{p} {unit}" if unit else str(p) for p, unit in zip((source, target), units, strict=True)]
-    linear, note = conversion(*units, " -> ".join(labels))
-    notes.extend([note] if note else [])
-    return replace(plain, map=linear.then(after))
+    return replace(plain, map=conversion(*units, " -> ".join(labels), notes).then(after))
 
 
 def _assembled_inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) -> Inlet:
@@ -201,9 +199,8 @@ def _assembled_inlet(system: System, name: str, targets: Sequence[str], notes: l
         if (causality := system.variable(port).causality) != "input":
             raise Problem(f"{name} -> {port}: expected an input, got {causality}")
     unit = system.variable(ports[0]).unit
-    maps = [conversion(unit, system.variable(p).unit, f"{name} {unit} -> {p}") for p in ports]
-    notes.extend(note for _, note in maps if note)
-    return Inlet(name, unit, tuple((port, linear) for port, (linear, _) in zip(ports, maps, strict=True)))
+    maps = [conversion(unit, system.variable(p).unit, f"{name} {unit} -> {p}", notes) for p in ports]
+    return Inlet(name, unit, tuple(zip(ports, maps, strict=True)))
 
 
 def _check_one_source(connections: Iterable[Connection], inlets: Mapping[str, Inlet]) -> None:

@@ -32,12 +32,9 @@ class ParameterValue(NamedTuple):
     map: LinearTransformation = IDENTITY
     suppressed: bool = False
 
-    def map_to(self, target: DeclaredUnit | None, context: str) -> tuple[LinearTransformation, str | None]:
-        """The map to a value in the unit `target`, and a note if a unit is unknown."""
-        if self.suppressed:
-            return self.map, None
-        linear, note = conversion(self.unit, target, context)
-        return linear.then(self.map), note
+    def map_to(self, target: DeclaredUnit | None, context: str, notes: list[str]) -> LinearTransformation:
+        """The map to a value in the unit `target`; `notes` get one if a unit is unknown."""
+        return self.map if self.suppressed else conversion(self.unit, target, context, notes).then(self.map)
 
 
 def read_parameter_set(root: XmlElement, outer_units: Mapping[str, DeclaredUnit]) -> list[ParameterValue]:
@@ -65,23 +62,22 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
     for binding in flat.bindings:
         file = binding.element.file
         for value in _values(signals, binding):
-            targets = list(_targets(signals, binding, value))
-            if not targets:
-                owner = binding.owner or flat.name
-                signals.notes.append(f"{file}: parameter {value.name!r} of {owner} does not match a variable")
-            for port, linear, note in targets:
-                variable = system.variable(port)
-                signals.notes.extend([note] if note else [])
+            unmatched = True
+            for port, linear in _targets(signals, binding, value):
+                variable, unmatched = system.variable(port), False
                 if variable.settable:
                     start[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
                 else:
                     signals.notes.append(f"{file}: {port} is not set: the FMU computes this variable itself")
+            if unmatched:
+                owner = binding.owner or flat.name
+                signals.notes.append(f"{file}: parameter {value.name!r} of {owner} does not match a variable")
     return start
 
 
 def _targets(
     signals: SignalPaths, binding: ParameterBinding, value: ParameterValue
-) -> Iterator[tuple[Port, LinearTransformation, str | None]]:
+) -> Iterator[tuple[Port, LinearTransformation]]:
     """The variable that a value sets, or all that a connector feeds, with the map from the value."""
     flat, system = signals.flat, signals.system
     full = f"{binding.owner}.{value.name}" if binding.owner else value.name
@@ -93,15 +89,15 @@ def _targets(
             interface, port = system.components[owner].interface, Port(owner, name)
             interface.check_supported(name, f"parameter {full}")
             if name in interface.variables:
-                yield (port, *value.map_to(system.variable(port).unit, f"parameter {port}"))
+                yield port, value.map_to(system.variable(port).unit, f"parameter {port}", signals.notes)
                 return
         connector = Connector(owner, name)
         if owner in flat.systems and connector in flat.connectors:
             unit = flat.unit(connector)
             for path in (p for p in signals.paths if connector in p.connectors):
-                first, note = value.map_to(unit, f"parameter {connector}")
+                first = value.map_to(unit, f"parameter {connector}", signals.notes)
                 from_connector = replace(signals, notes=[]).map_from(path, connector, unit or value.unit)
-                yield Port(*path.target), first.then(from_connector), note
+                yield Port(*path.target), first.then(from_connector)
             return
 
 
@@ -164,8 +160,7 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
             if value.name in missing:
                 notes.append(f"{file}: {value.name} is left out: {missing[value.name]}")
                 continue
-            for port, note, converted in _converted(system, file, value):
-                notes += [note] if note else []
+            for port, converted in _converted(system, file, value, notes):
                 start[port.component][port.variable] = converted
         components = {n: c.chosen(start[n], str(chosen)) for n, c in system.components.items()}
         system = replace(system, components=components, notes=(*system.notes, *notes))
@@ -173,9 +168,9 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
 
 
 def _converted(
-    system: System, file: Location, value: ParameterValue
-) -> Iterator[tuple[Port, str | None, Value]]:
-    """The variables that a value of a set refers to, each with a note and the value in its unit."""
+    system: System, file: Location, value: ParameterValue, notes: list[str]
+) -> Iterator[tuple[Port, Value]]:
+    """The variables that a value of a set refers to, each with the value in its unit."""
     context = f"{file}: parameter {value.name}"
     try:
         targets = system.targets(value.name)
@@ -184,10 +179,10 @@ def _converted(
     for port, linear in targets:
         check_settable(port, system.components[port.component].interface)
         unit = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
-        first, note = value.map_to(unit, context)
+        first = value.map_to(unit, context, notes)
         converted = coerce(context, system.variable(port), value.text, first.then(linear))
         check_bounds(f"{file}: {port}", system.variable(port), converted)
-        yield port, note, converted
+        yield port, converted
 
 
 def _file(system: System, chosen: str | Path) -> Location:

@@ -8,7 +8,7 @@ in its modelDescription.xml, see `ParameterSetFile`. A system knows the values t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -65,10 +65,6 @@ class Provenance:
         """From the JSON that `asdict` gives."""
         values = tuple(OtherValue(**value) for value in data.get("values", ()))
         return Provenance(data.get("fmus", {}), data.get("files", {}), values)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
 
 
 def provenance(system: System, files: Sequence[str | Path | Location] = ()) -> Provenance:

@@ -257,11 +257,10 @@ def _fit(system: System, old: Component, new: Component) -> Fit:
     if faults := list(filter(None, (_fault(use, new, others) for use in needed.values()))):
         raise Problem(f"swap {new.name}: {new.source} does not fit: {'; '.join(faults)}")
     without_unit = [n for n, use in needed.items() if variables[n].unit is None and use.unit]
-    maps, notes = dict[Port, tuple[LinearTransformation, LinearTransformation]](), list[str | None]()
+    maps, notes = dict[Port, tuple[LinearTransformation, LinearTransformation]](), list[str]()
     for n, use in needed.items():
-        back, note = conversion(variables[n].unit, use.unit, f"{new.name}.{n} in {new.source}")
-        maps[Port(new.name, n)] = conversion(use.unit, variables[n].unit, n)[0], back
-        notes.append(note)
+        back = conversion(variables[n].unit, use.unit, f"{new.name}.{n} in {new.source}", notes)
+        maps[Port(new.name, n)] = conversion(use.unit, variables[n].unit, n), back
     lost = tuple(
         LostSignal(new, n, tuple(port for port, t in used[n].meanings.items() if t == text), text)
         for n in dropped
@@ -272,10 +271,7 @@ def _fit(system: System, old: Component, new: Component) -> Fit:
         dropped=frozenset(Port(new.name, n) for n in dropped),
         lost=lost,
         assumed={n: replace(variables[n], unit=needed[n].unit) for n in without_unit},
-        notes=(
-            *_notes(old, new, unused, _lost_rates(system, used, dropped), without_unit),
-            *filter(None, notes),
-        ),
+        notes=(*_notes(old, new, unused, _lost_rates(system, used, dropped), without_unit), *notes),
     )
 
 
@@ -320,14 +316,8 @@ def _lost_rates(system: System, used: Mapping[str, UsedPort], dropped: Iterable[
     """The dropped rates, without those of signals that are dropped, too."""
     rates = {n for n in dropped if used[n].optional and not used[n].meanings}
     lost = {c.target for n in dropped if n not in rates for c in used[n].connections}
-
-    def alone(rate: Port) -> bool:
-        interface = system.components[rate.component].interface
-        return not any(
-            r == rate.variable and Port(rate.component, u) in lost for u, r in interface.rate_inputs.items()
-        )
-
-    return [n for n in dropped if n in rates and any(alone(c.target) for c in used[n].connections)]
+    of_lost = {rate for port, rate in system.rate_ports.items() if port in lost}
+    return [n for n in dropped if n in rates and any(c.target not in of_lost for c in used[n].connections)]
 
 
 @dataclass(frozen=True)
@@ -404,7 +394,7 @@ def _notes(
 
 def _differ(old: DeclaredUnit, new: DeclaredUnit) -> bool:
     """Do two units of one dimension differ by more than their name?"""
-    return old.dimension == new.dimension is not None and conversion(old, new, "")[0] != IDENTITY
+    return old.dimension == new.dimension is not None and conversion(old, new, "") != IDENTITY
 
 
 def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], list[str]]:
@@ -419,7 +409,7 @@ def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], lis
             fixed.append(name)
         else:
             context = f"{new.name}: {new.source}: start value of {name}"
-            linear, _ = conversion(old.interface.variables[name].unit, variable.unit, context)
+            linear = conversion(old.interface.variables[name].unit, variable.unit, context)
             start[name] = coerce(context, variable, value, linear)
     notes = []
     if missing:

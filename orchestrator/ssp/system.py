@@ -328,7 +328,7 @@ class System:
 
     def _conversion(self, port: Port) -> LinearTransformation:
         """From the unit of values that a user gives to the unit of the FMU."""
-        return conversion(self.unit(port), self.variable(port).unit, str(port))[0]
+        return conversion(self.unit(port), self.variable(port).unit, str(port))
 
     def with_start(self, values: Mapping[str, Value | str], origin: str = "--set") -> System:
         """The system with other start values; names are those that `targets` accepts.
@@ -374,7 +374,7 @@ class System:
             ports = self.sharing(name)
             unit = self.variable(ports[0]).unit if ports else None
             values = [
-                conversion(self.variable(port).unit, unit, str(port))[0](
+                conversion(self.variable(port).unit, unit, str(port))(
                     float(self.components[port.component].value(name))
                 )
                 for port in ports

@@ -307,7 +307,7 @@ class SignalPaths:
         if path.source.owner not in self.flat.sources:
             return self.map_from(path, path.source, declared)
         unit = self.system.variable(Port(*path.source)).unit
-        first = self._conversion(unit, declared, str(path.source))
+        first = conversion(unit, declared, str(path.source), self.notes)
         return first.then(self.map_from(path, path.source, declared or unit))
 
     def map_from(
@@ -321,17 +321,10 @@ class SignalPaths:
         for connection, end in zip(path.connections[start:], path.connectors[start + 1 :], strict=True):
             declared = self.flat.unit(end) or (target_unit if end == last else None)
             if not connection.suppressed:
-                linear = linear.then(self._conversion(unit, declared, context))
+                linear = linear.then(conversion(unit, declared, context, self.notes))
             unit = declared or unit
             linear = linear.then(connection.transformation)
-        return linear.then(self._conversion(self.flat.unit(last), target_unit, context))
-
-    def _conversion(
-        self, source: DeclaredUnit | None, target: DeclaredUnit | None, context: str
-    ) -> LinearTransformation:
-        linear, note = conversion(source, target, context)
-        self.notes.extend([note] if note else [])
-        return linear
+        return linear.then(conversion(self.flat.unit(last), target_unit, context, self.notes))
 
     def _label(self, connector: Connector) -> str:
         """A connector with its unit."""

@@ -11,10 +11,8 @@ inputs as text.
 import ctypes
 import math
 import mmap
-import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -138,63 +136,43 @@ def calls_in(file: bytes) -> str:
 
 # ---- last activity
 
-_HEAD = struct.Struct("<Qd64s")
-_TEXT = 512
-ACTIVITY_SIZE = _HEAD.size + _TEXT
 
+class Activity(ctypes.Structure):
+    """The last activity of a process.
 
-@dataclass(frozen=True)
-class Activity:
-    """The last activity of a worker.
-
-    count    number of calls
-    time     simulation time [s]; NaN before the first step
-    call     name of the last function
-    inputs   last inputs; if a case is under test, the case in round brackets and the values set in it
+    count   number of calls
+    time    simulation time [s]; NaN before the first step
+    name    of the last function
+    text    last inputs; if a case is under test, the case in round brackets and the values set in it
     """
 
     count: int
     time: float
-    call: str
-    inputs: str
+    name: bytes
+    text: bytes
+    _fields_ = [
+        ("count", ctypes.c_uint64),
+        ("time", ctypes.c_double),
+        ("name", ctypes.c_char * 64),
+        ("text", ctypes.c_char * 512),
+    ]
+    _case = ""
 
     def __str__(self) -> str:
-        where = f"in {self.call}" if self.call else "before the first call"
+        name, text = (raw.decode(errors="replace") for raw in (self.name, self.text))
+        where = f"in {name}" if name else "before the first call"
         when = f" at t = {self.time:.9g} s" if self.time == self.time else ""
-        if self.inputs.startswith("("):  # the case under test
-            return f"{where}{when} {self.inputs}"
-        return f"{where}{when}" + (f", last inputs {self.inputs}" if self.inputs else "")
-
-
-NONE = _HEAD.pack(0, float("nan"), b"") + bytes(_TEXT)
-
-
-def activity_in(file: bytes) -> Activity:
-    """The activity in a file; none if it is incomplete, or if an FMU has written to it."""
-    count, time, call = _HEAD.unpack_from(file if len(file) == ACTIVITY_SIZE else NONE)
-    if not call.rstrip(b"\0").decode("latin-1").isprintable():
-        return activity_in(NONE)
-    return Activity(count, time, _text(call), _text(file[_HEAD.size :]))
-
-
-class ActivityRecord:
-    """The activity file, for the child."""
-
-    def __init__(self, path: Path, keep: Callable[[mmap.mmap], mmap.mmap] = lambda memory: memory) -> None:
-        """keep: see `Channel.keep`."""
-        path.write_bytes(NONE)
-        with path.open("r+b") as file:
-            self._memory = keep(mmap.mmap(file.fileno(), ACTIVITY_SIZE))
-        self._count, self._case = 0, ""
+        if text.startswith("("):  # the case under test
+            return f"{where}{when} {text}"
+        return f"{where}{when}" + (f", last inputs {text}" if text else "")
 
     def clear(self) -> None:
         """Forget the last activity."""
-        self._memory[:] = NONE
+        ctypes.memmove(ctypes.byref(self), NONE, ACTIVITY_SIZE)
 
-    def call(self, name: str, time: float = float("nan")) -> None:
+    def call(self, name: str, time: float = math.nan) -> None:
         """Store the function that is called next, and the simulation time [s]."""
-        self._count += 1
-        _HEAD.pack_into(self._memory, 0, self._count, time, name.encode())
+        self.time, self.name, self.count = time, name.encode()[: Activity.name.size], self.count + 1  # type: ignore[attr-defined]
 
     def case(self, text: str) -> None:
         """Store the case under test; values that are set afterwards follow it."""
@@ -206,14 +184,21 @@ class ActivityRecord:
         self._write(f"{self._case}, last values {text}" if self._case else text)
 
     def _write(self, text: str) -> None:
-        raw = text.encode()[:_TEXT]
-        self._memory[_HEAD.size : _HEAD.size + len(raw)] = raw
-        self._memory[_HEAD.size + len(raw) :] = bytes(_TEXT - len(raw))
-
-    def read(self) -> Activity:
-        """Read the last activity."""
-        return activity_in(self._memory[:])
+        self.text = text.encode()[: Activity.text.size]  # type: ignore[attr-defined]
 
 
-def _text(raw: bytes) -> str:
-    return raw.rstrip(b"\0").decode(errors="replace")
+ACTIVITY_SIZE = ctypes.sizeof(Activity)
+NONE = bytes(Activity(time=math.nan))
+
+
+def activity_in(file: bytes) -> Activity:
+    """The activity in a file; none if it is incomplete, or if an FMU has written to it."""
+    last = Activity.from_buffer_copy(file if len(file) == ACTIVITY_SIZE else NONE)
+    return last if last.name.decode("latin-1").isprintable() else Activity.from_buffer_copy(NONE)
+
+
+def share_activity(file: Path, keep: Callable[[mmap.mmap], mmap.mmap] = lambda memory: memory) -> Activity:
+    """The activity of this process, in a new file; keep: see `Channel.keep`."""
+    file.write_bytes(NONE)
+    with file.open("r+b") as opened:
+        return Activity.from_buffer(keep(mmap.mmap(opened.fileno(), ACTIVITY_SIZE)))

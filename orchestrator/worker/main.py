@@ -23,7 +23,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
-from orchestrator.worker.calls import ActivityRecord, share_calls
+from orchestrator.worker.calls import share_activity, share_calls
 from orchestrator.worker.wire import DISCONNECTED, packed
 
 NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares
@@ -44,7 +44,7 @@ class Channel:
     def __init__(self, folder: Path) -> None:
         self.folder, self.grace, self.ended, self._parent = folder, 0.0, threading.Event(), os.getppid()
         self._maps: list[mmap.mmap] = []
-        self.activity = ActivityRecord(folder / "activity", self.keep)
+        self.activity = share_activity(folder / "activity", self.keep)
         self.keep(share_calls(folder / "calls"))
         self._owner, self._numbers = os.getpid(), self.keep(mmap.mmap(-1, NUMBER.size))
         self._answers, self._writing = _redirect_output(), threading.Lock()

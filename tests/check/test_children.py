@@ -15,7 +15,7 @@ from zoo.command import command
 from check.test_probes import apply, opened
 from orchestrator.check import probe_process
 from orchestrator.check.probe_process import ProbeLimits, probe_threads, use_probe_limits
-from orchestrator.worker.calls import ActivityRecord
+from orchestrator.worker.calls import share_activity
 from orchestrator.worker.process import MAX_STDERR, LimitExceeded, Worker, WorkerLimits
 
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
@@ -77,7 +77,7 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     errors = sleeper.folder / "errors"
     errors.write_bytes(bytes(MAX_STDERR + 1))
     until((sleeper.folder / "activity").exists)
-    ActivityRecord(sleeper.folder / "activity").call("fmi2DoStep")
+    share_activity(sleeper.folder / "activity").call("fmi2DoStep")
     with pytest.raises(LimitExceeded, match=r"^hang: no return within 0.2 s in fmi2DoStep$") as exceeded:
         list(sleeper.messages(WorkerLimits(call_time=0.2)))
     assert not exceeded.value.timed_out

@@ -16,7 +16,7 @@ from orchestrator.check.subject import Subject, parse_unpacked
 from orchestrator.check.tasks import importing_solver, leaks
 from orchestrator.check.tasks.runner import Trial
 from orchestrator.check.tasks.trial_run import severity
-from orchestrator.worker.calls import ActivityRecord
+from orchestrator.worker.calls import share_activity
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
@@ -155,7 +155,7 @@ def test_only_the_rejected_late_call_is_reported(oscillators, tmp_path, fault, w
 def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
     """This FMU allows one instance at a time, and each probe creates some."""
     subject = opened(oscillators.make(2, "once"), tmp_path)
-    trial = Trial(subject.folder, subject.model, "ModelExchange", ActivityRecord(tmp_path / "activity"))
+    trial = Trial(subject.folder, subject.model, "ModelExchange", share_activity(tmp_path / "activity"))
     for task in (importing_solver.nominals, importing_solver.late, importing_solver.stiff) * 2:
         assert list(task(trial)) == []
 
@@ -163,7 +163,7 @@ def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
 def test_a_difference_above_the_tolerance_is_an_error(oscillators, tmp_path):
     """The tolerance is 1e-4 without a DefaultExperiment that has one; rows are position and force."""
     subject = opened(oscillators.make(), tmp_path)
-    trial = Trial(subject.folder, subject.model, "CoSimulation", ActivityRecord(tmp_path / "activity"))
+    trial = Trial(subject.folder, subject.model, "CoSimulation", share_activity(tmp_path / "activity"))
     for difference, expected in ((0.9e-4, "warning"), (1.1e-4, "error")):
         assert severity(trial, [[1.0, -40.0]], [[1.0, -40.0 * (1 + difference)]]) == expected
     assert severity(trial, [[1.0, 0.0]] * 2, [[1.0, 0.0]]) == "error"  # the run ends early

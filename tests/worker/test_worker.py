@@ -13,7 +13,7 @@ import pytest
 from kit.wait import LONG, runs, until
 
 from orchestrator.base.processes import machine_memory
-from orchestrator.worker.calls import ActivityRecord
+from orchestrator.worker.calls import share_activity
 from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits
 
 CONTENTS = {"echo": Any, "said": str}
@@ -223,11 +223,11 @@ def test_much_that_is_written_to_stderr_is_thrown_away(start, monkeypatch):
 
 def test_values_set_in_a_case_do_not_hide_it(tmp_path: Path) -> None:
     """After a crash while a parameter is set, the case is named first, then the values."""
-    record = ActivityRecord(tmp_path / "record")
+    record = share_activity(tmp_path / "record")
     record.inputs("u = 1")
-    assert str(record.read()) == "before the first call, last inputs u = 1"
+    assert str(record) == "before the first call, last inputs u = 1"
     record.case("a parameter out of bounds")
     record.call("fmi2SetReal")
-    assert str(record.read()) == "in fmi2SetReal (a parameter out of bounds)"
+    assert str(record) == "in fmi2SetReal (a parameter out of bounds)"
     record.inputs("p = 3")
-    assert str(record.read()) == "in fmi2SetReal (a parameter out of bounds), last values p = 3"
+    assert str(record) == "in fmi2SetReal (a parameter out of bounds), last values p = 3"

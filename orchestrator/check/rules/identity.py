@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from orchestrator.base.text import MODELICA
 from orchestrator.base.xml import local_name
 from orchestrator.check.rule import Finding, error, note, warning
-from orchestrator.check.rules.variables import CPP, MODELICA, C
+from orchestrator.check.rules.variables import CPP, C
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import parse_float
 

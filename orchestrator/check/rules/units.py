@@ -4,11 +4,11 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 
+from orchestrator.base.text import words
 from orchestrator.base.units import BASES, parse_unit
 from orchestrator.base.xml import Element, children
 from orchestrator.check.rule import Finding, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
-from orchestrator.check.rules.variables import words
 from orchestrator.check.subject import Subject, read_xml
 from orchestrator.fmi.raw_description import UnitDefinition, parse_float, parse_int
 

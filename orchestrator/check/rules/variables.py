@@ -5,6 +5,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
+from orchestrator.base.text import MODELICA, words
 from orchestrator.check.rule import Finding, error, join_variables, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
@@ -160,18 +161,6 @@ PATH = rf"{PART}(?:\.{PART})*"
 STRUCTURED = re.compile(rf"{PATH}|der\({PATH}(?:,[0-9]+)?\)")
 
 
-def words(text: str) -> frozenset[str]:
-    """The words of a text."""
-    return frozenset(text.split())
-
-
-MODELICA = words(
-    """algorithm and annotation assert block break class connect connector constant constrainedby der
-    discrete each else elseif elsewhen encapsulated end enumeration equation expandable extends external false
-    final flow for function if import impure in initial inner input loop model not operator or outer output
-    package parameter partial protected public pure record redeclare replaceable return stream then time true
-    type when while within"""
-)
 C = words(
     """auto break case char const continue default do double else enum extern float for goto if inline int
     long register restrict return short signed sizeof static struct switch typedef union unsigned void

@@ -16,7 +16,7 @@ from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resource
 from orchestrator.fmi.library import Library, find_library
 from orchestrator.fmi.messages import ERROR, Log
 from orchestrator.fmi.raw_description import Entry, ModelDescription
-from orchestrator.worker.calls import ActivityRecord
+from orchestrator.worker.calls import Activity
 from orchestrator.worker.main import Channel
 
 MAX_MESSAGES = 10_000  # log messages that are kept per instance
@@ -59,7 +59,7 @@ class Trial:
     folder: Path
     description: ModelDescription
     kind: str
-    activity: ActivityRecord
+    activity: Activity
     seconds: float = 1.0
     perturbable: bool = False
     summed: bool = False
