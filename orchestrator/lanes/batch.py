@@ -115,7 +115,9 @@ def batch(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
     arrays_in, count = machine_values(job, values)
-    signals = recorded(job.system, job.record.signals)
+    record = job.record.signals
+    names = map(str, job.system.ports("output")) if record is None else record
+    signals = {name: job.system.port(name) for name in names}
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
