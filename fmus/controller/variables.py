@@ -88,7 +88,7 @@ ControllerState = make_group(
         "turning_lever": Quantity("rad/s", "Commanded swing speed, filtered"),
         "coordination": Quantity("1", "Weight of coordinated control in the valve commands, 0 to 1"),
     },
-    Commands,
+    Commands,  # as states: behind the first-order lag of the amplifier
 )
 
 

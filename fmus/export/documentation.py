@@ -22,9 +22,9 @@ from markdown_it.utils import EnvType
 from markupsafe import Markup
 
 from fmus.contract import Subsystem
-from fmus.export.c_code import DEFAULT_TOLERANCE
+from fmus.export.c_code import DEFAULT_TOLERANCE, TEMPLATES
 from fmus.export.interface import Interface, Variable
-from fmus.export.model_description import LOG_CATEGORIES, PAGE, TEMPLATES, ls_ref_files
+from fmus.export.model_description import LOG_CATEGORIES, PAGE, ls_ref_files
 from fmus.package_files import project_file
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.errors import Problem

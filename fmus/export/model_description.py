@@ -16,7 +16,7 @@ from typing import Any
 from lxml import etree
 
 from fmus.contract import Subsystem, quantities
-from fmus.export.c_code import DEFAULT_TOLERANCE
+from fmus.export.c_code import DEFAULT_TOLERANCE, TEMPLATES
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import rendered
@@ -27,7 +27,6 @@ from orchestrator.ssp.common_elements import NAMESPACES
 from orchestrator.ssp.write import parameter_set
 
 TOOL = "harvester-cosim"  # in vendor annotations and terminal kinds
-TEMPLATES = Path(__file__).with_name("templates")
 LOG_CATEGORIES = {
     "logEvents": "Function calls",
     "logStatusWarning": "Warnings",
@@ -97,7 +96,8 @@ def model_description(
     capabilities   ModelExchange and CoSimulation -> attributes; default: those of an FMU with C code
     structure      unknowns and dependencies for ModelStructure; default: derived from the equations
     """
-    units = {v.quantity.unit for v in interface.variables} | ({"s"} if fmi == 3 else set())
+    units = {v.quantity.unit for v in interface.variables}
+    units |= {"s"} if fmi == 3 else set()  # where time is a variable, and needs its unit
     rows = (unknowns(interface) if structure is None else structure).items()
     return rendered_xml(
         TEMPLATES / "modelDescription.xml.j2",
@@ -113,7 +113,8 @@ def model_description(
         categories=LOG_CATEGORIES,
         experiment={"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step},
         # The attribute `derivative` of FMI 2.0 would declare rates, but tools such as OMSimulator count all
-        # variables that have it as derivatives of states, and find more states than the FMU has.
+        # variables that have it as derivatives of states, and find more states than the FMU has. FMI 3.0 uses
+        # the attribute.
         rates=[v for v in interface.inputs if v.quantity.rate and fmi == 2],
         optional=[v for v in interface.inputs if v.quantity.optional],
         not_shipped=_not_shipped(interface),
@@ -245,6 +246,7 @@ NRMSE_LIMIT = 1e-5
 _PARAMETER = f"{{{NAMESPACES['ssv']}}}Parameter"
 
 
+_PART = "Part of a work cycle"
 # how the manifest describes a file: MIME type, role, description
 _RELATED = {
     "parameters.ssv": (
@@ -252,7 +254,7 @@ _RELATED = {
         "parameter",
         "Parameters and start values of the experiment",
     ),
-    "experiment.exp": ("application/x-ma-hs-experiments", "experiment/validation", "Part of a work cycle"),
+    "experiment.exp": ("application/x-ma-hs-experiments", "experiment/validation", _PART),
     "input.csv": ("text/csv", "other", f"Inputs, set every {1e3 * COMMUNICATION_STEP:g} ms"),
     "result.csv": ("text/csv", "result", "Result, computed with CVODES from the equations"),
     f"../../{PAGE}": ("text/html", "document", "Description of the experiment"),
@@ -283,7 +285,7 @@ def ls_ref_files(sub: Subsystem) -> dict[str, bytes]:
         "tolerance": TOLERANCE,
         "limit": NRMSE_LIMIT,
         "folder": f"../{FOLDER}",
-        "description": _RELATED["experiment.exp"][2],
+        "description": _PART,
         "signals": lines[0].split(",")[1:],
         "has_inputs": "input.csv" in files,
     }

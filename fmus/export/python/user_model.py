@@ -45,6 +45,9 @@ from fmus.parameters import Values
 from fmus.solver import Array, InputPolynomials
 from orchestrator.base.errors import Problem, suggest
 
+# what the page of the reference shows
+__all__ = ["Model", "UserModel", "check_model", "read_only", "subgroup"]
+
 
 @dataclass(frozen=True)
 class Nothing:
