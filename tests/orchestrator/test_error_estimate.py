@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from orchestrator import Coupling, RunFailed, Trace, assemble, run
 from orchestrator.engine import linear_system
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.linear_system import STAGES, LinearSystem
+from orchestrator.engine.linear_system import ERROR_ROWS, LinearSystem
 
 MASTERS = [
     *((Coupling("jacobi"), 1e-3), (Coupling("jacobi", order=1), 1e-3), (Coupling("gauss-seidel"), 1e-3)),
@@ -231,7 +231,7 @@ class Propagation(LinearSystem):
 
     def __init__(self, n, m):
         super().__init__(n, m)
-        self.e, self.stages = np.zeros(self.n_padded), np.zeros((STAGES, self.n_padded))
+        self.e, self.stages = np.zeros(self.n_padded), np.zeros((ERROR_ROWS, self.n_padded))
         self.factors, self.defects = np.zeros((n, self.n_padded)), np.zeros((m, 2))
         self.w = np.zeros(self.m_padded)
 

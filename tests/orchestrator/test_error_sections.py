@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator.engine.c_library import Binding, library
-from orchestrator.engine.linear_system import STAGES, LinearSystem
+from orchestrator.engine.linear_system import ERROR_ROWS, LinearSystem
 
 
 class Estimate(LinearSystem):
@@ -16,7 +16,11 @@ class Estimate(LinearSystem):
         super().__init__(states, 1)
         self.b[:, 0] = 1.0
         wide = self.n_padded
-        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((states, wide))
+        self.e, self.stages, self.factors = (
+            np.zeros(wide),
+            np.zeros((ERROR_ROWS, wide)),
+            np.zeros((states, wide)),
+        )
         self.w, self.middle = np.zeros(self.m_padded), np.zeros(self.m_padded)
         self.defects, self.lengths, self.starts = np.zeros((1, 2)), np.zeros(3), np.zeros(2)
         self.diagonal, self.slope = np.zeros(states), np.zeros(1)
