@@ -42,6 +42,7 @@ from fmus.components.chamber import AeratedOil
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
+from fmus.components.oil import at_temperature
 from fmus.components.orifice import AntiCavitationParameters, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar
@@ -316,16 +317,18 @@ def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     }
 
 
-BOOM_STICK = drive.variant(
-    text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
-    parameters=Parameters,
-    states=State,
-    outputs=Outputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=require,
-    derive=partial(drive.derive, VolumeHose),
-    validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
-    " no spool dynamics",
+BOOM_STICK = at_temperature(
+    drive.variant(
+        text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
+        parameters=Parameters,
+        states=State,
+        outputs=Outputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=require,
+        derive=partial(drive.derive, VolumeHose),
+        validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
+        " no spool dynamics",
+    )
 )

@@ -35,6 +35,7 @@ from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, HydraulicLine, LineState
 from fmus.components.load_sensing import LoadPressure
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
@@ -276,7 +277,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     )
     others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}
-    return family("boom_stick", **others, detailed=sub)["detailed"]
+    return family("boom_stick", **others, detailed=at_temperature(sub))["detailed"]
 
 
 BOOM_STICK = detailed()

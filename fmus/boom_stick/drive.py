@@ -17,6 +17,7 @@ Signs: line flows are positive into the cylinder; x from the closed end; x' and 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,6 @@ from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveIn
 from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Subsystem, Terminal
@@ -204,9 +204,11 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.load_sensing_line("boom_stick"),
 )
 
-
-def variant(**declared: Any) -> Subsystem:
-    """A variant with its own equations and groups; its parameters are those at the temperature of the oil."""
-    file = Path(__file__).with_name("parameters.toml")
-    sub = Subsystem(name="boom_stick", inputs=BoomStickInputs, values=file, terminals=TERMINALS, **declared)
-    return at_temperature(sub)
+# what all variants declare alike; `at_temperature` of the result has the parameters of warm oil
+variant = partial(
+    Subsystem,
+    name="boom_stick",
+    inputs=BoomStickInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
+)

@@ -20,6 +20,7 @@ from fmus.boom_stick.variables import (
 from fmus.components import spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import LumpedHose
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, quantities
@@ -54,15 +55,17 @@ def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> di
     return dict.fromkeys(quantities(BoomStickState), 0) | drive.holding_pressures(u, p)
 
 
-BOOM_STICK = drive.variant(
-    text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
-    parameters=BoomStickParameters,
-    states=BoomStickState,
-    outputs=BoomStickOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=drive.require,
-    derive=partial(drive.derive, LumpedHose),
-    validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
+BOOM_STICK = at_temperature(
+    drive.variant(
+        text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
+        parameters=BoomStickParameters,
+        states=BoomStickState,
+        outputs=BoomStickOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=drive.require,
+        derive=partial(drive.derive, LumpedHose),
+        validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
+    )
 )

@@ -23,6 +23,7 @@ from fmus.components import spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import CurvedValve, Valve
 from fmus.contract import Group, Scalar
@@ -79,17 +80,19 @@ def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     return drive.holding_pressures(u, p)
 
 
-BOOM_STICK = drive.variant(
-    text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
-    parameters=Parameters,
-    states=State,
-    outputs=BoomStickOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=drive.require,
-    derive=partial(drive.derive, VolumeHose),
-    validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
-    " spool faster than the motion",
-    stiff=False,
+BOOM_STICK = at_temperature(
+    drive.variant(
+        text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
+        parameters=Parameters,
+        states=State,
+        outputs=BoomStickOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=drive.require,
+        derive=partial(drive.derive, VolumeHose),
+        validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
+        " spool faster than the motion",
+        stiff=False,
+    )
 )

@@ -55,10 +55,13 @@ class Design:
     friction: FrictionLaw = viscous_friction
 
 
-def manipulator(design: Design, **declared: Any) -> Subsystem:
+def manipulator(design: Design, *, text: str, validity: str, parameters: type[Any]) -> Subsystem:
     """The subsystem with a head and a friction law."""
     return Subsystem(
         name="manipulator",
+        text=text,
+        validity=validity,
+        parameters=parameters,
         states=design.states,
         inputs=ManipulatorInputs,
         outputs=design.outputs,
@@ -70,7 +73,6 @@ def manipulator(design: Design, **declared: Any) -> Subsystem:
         terminals=PORTS,
         # bristles are stiff; end stops are as well, but seldom reached
         stiff=design.friction is not viscous_friction,
-        **declared,
     )
 
 

@@ -22,6 +22,7 @@ from fmus.components import chamber, hose, load_sensing, motor, opening_curve, o
 from fmus.components.chamber import Fluid
 from fmus.components.hose import HydraulicLine, LineState
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
@@ -199,7 +200,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}
-    return family("swing", **others, detailed=sub)["detailed"]
+    return family("swing", **others, detailed=at_temperature(sub))["detailed"]
 
 
 SWING = detailed()

@@ -4,6 +4,7 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 """
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from fmus import ports
 from fmus.components import chamber, hose, load_sensing, motor, opening_curve, spool_valve
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Subsystem, Terminal, quantities
@@ -116,9 +116,11 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.load_sensing_line("swing"),
 )
 
-
-def variant(**declared: Any) -> Subsystem:
-    """A variant with its own equations and groups; its parameters are those at the temperature of the oil."""
-    file = Path(__file__).with_name("parameters.toml")
-    sub = Subsystem(name="swing", inputs=SwingInputs, values=file, terminals=TERMINALS, **declared)
-    return at_temperature(sub)
+# what all variants declare alike; `at_temperature` of the result has the parameters of warm oil
+variant = partial(
+    Subsystem,
+    name="swing",
+    inputs=SwingInputs,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
+)

@@ -139,20 +139,14 @@ def _joined(findings: Sequence[Finding]) -> Finding:
 def rules_in(file: Path, *modules: ModuleType) -> tuple[CheckRule, ...]:
     """The rules of a TOML file, whose functions are in these modules; rules.toml explains the entries."""
     entries = tomllib.loads(file.read_text("utf-8"))
-    return tuple(_rule(id_, modules, **entry) for id_, entry in entries.items())
+    return tuple(_rule(id_, modules, entry) for id_, entry in entries.items())
 
 
-def _rule(
-    id_: str,
-    modules: Sequence[ModuleType],
-    check: str = "",
-    text: str = "",
-    clause: Sequence[str] = (),
-    **entry: Any,
-) -> CheckRule:
-    name = check or id_.replace(".", "_")
+def _rule(id_: str, modules: Sequence[ModuleType], entry: dict[str, Any]) -> CheckRule:
+    name = entry.pop("check", id_.replace(".", "_"))
     function: Callable[..., Any] = next(getattr(m, name) for m in modules if hasattr(m, name))
-    text = text or (getdoc(function) or "").partition("\n")[0].removesuffix(".")
-    clauses = [f"FMI {version}: {c}" for version, c in zip(VERSIONS, clause, strict=False) if c]
+    text = entry.pop("text", "") or (getdoc(function) or "").partition("\n")[0].removesuffix(".")
+    clauses = zip(VERSIONS, entry.pop("clause", ()), strict=False)
+    clause = ", ".join(f"FMI {version}: {c}" for version, c in clauses if c)
     columns = {f.name: entry.pop(f.name) for f in fields(CheckRule) if f.name in entry}
-    return CheckRule(id_, text, partial(function, **entry), ", ".join(clauses), **columns)
+    return CheckRule(id_, text, partial(function, **entry), clause, **columns)

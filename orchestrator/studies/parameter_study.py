@@ -17,7 +17,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import pandas as pd
 import pyarrow as pa
@@ -163,14 +163,16 @@ def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
 # ---- the command line
 
 
-def run(study: Study, out: Path | None, report: bool, **options: Any) -> bool:
+def run(
+    study: Study, out: Path | None, report: bool, workers: int | None, scheduler: str | None, fresh: bool
+) -> bool:
     """Run a study with a progress bar and print a summary; False if no run came to its end.
 
-    report  write the page of the analysis, too; options: of `sweep`
+    report  write the page of the analysis, too; the others are those of `sweep`
     """
     folder = out or FOLDER / Path(study.source).stem
     with progress() as watch:
-        results = sweep(study, folder, watch=watch, **options)
+        results = sweep(study, folder, workers=workers, scheduler=scheduler, fresh=fresh, watch=watch)
     table = results.table
     print(summary(results))
     print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")

@@ -1,5 +1,6 @@
 """The page of a machine without physics, for a browser: `python standin_page.py PORT`."""
 
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -53,6 +54,7 @@ def main(port: int) -> None:
 
     async def last(_: Request) -> JSONResponse:
         known = {"command": machine.commands[-1:], "rested": machine.rested, "heard": authority.heard}
+        known["pid"] = os.getpid()
         return JSONResponse(known | asdict(authority.status()))
 
     app.add_route("/last", last)

@@ -1,5 +1,7 @@
 """The sticks in a real browser: keys, gamepad, mouse, and everything that must let go."""
 
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -209,6 +211,18 @@ def test_frozen_page(page: Any, address: str) -> None:
     # where the browser stands still, too, its connections may end before the silence is noticed
     gone = ("the driver was silent", "the driver's page was closed", "the connection to the driver was lost")
     assert state(address)["why"] in gone
+
+
+def test_silent_server(page: Any, address: str) -> None:
+    """A page that hears nothing for long connects again, and shows what there is when the server goes on."""
+    server = state(address)["pid"]
+    try:
+        with page.expect_websocket():
+            os.kill(server, signal.SIGSTOP)
+    finally:
+        os.kill(server, signal.SIGCONT)
+    assert until(lambda: state(address)["role"] == "free")
+    page.get_by_text("the connection was lost: take the controls again").wait_for()
 
 
 def test_slow_page(page: Any, address: str) -> None:
