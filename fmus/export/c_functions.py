@@ -7,6 +7,7 @@ derivatives. A call takes its vectors by pointer if their entries are consecutiv
 code in native/opening_curve.h, because only one of its pieces must be evaluated.
 """
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -126,6 +127,8 @@ def _statements(
     function: ca.Function, inputs: Sequence[str], outputs: Sequence[str], names: Mapping[str, Sequence[str]]
 ) -> Iterator[str]:
     inverse: dict[str, str] = {}  # C expression of a value -> that of its inverse
+    constants: dict[str, float] = {}  # C literal -> its value
+    least: dict[str, float] = {}  # C expression of a value -> a constant that it is never below
     work: dict[int, str] = {}  # index in the work vector of CasADi -> C expression of its current value
     origin: dict[int, tuple[int, int]] = {}  # index in the work vector -> input vector and entry
     written: set[tuple[int, int]] = set()
@@ -148,12 +151,16 @@ def _statements(
             yield from call.statements()
             results = call.results()
         elif operation == ca.OP_CONST:
-            results = {o[0]: number(function.instruction_constant(k))}
+            constant = function.instruction_constant(k)
+            results = {o[0]: number(constant)}
+            constants[number(constant)] = constant
         else:
             has_name = operation == ca.OP_INPUT and inputs[i[0]] in names
             comment = f" /* {names[inputs[i[0]]][i[1]]} */" if has_name else ""
-            yield f"const double v{k} = {_expression(operation, i, inputs, work, inverse)};{comment}"
+            yield f"const double v{k} = {_expression(operation, i, inputs, work, inverse, least)};{comment}"
             results = {o[0]: f"v{k}"}
+            if operation == ca.OP_FMAX:
+                least |= {f"v{k}": constants[work[j]] for j in i if work[j] in constants}
             if k in divisors:
                 inverse[f"v{k}"] = f"r{k}"
                 yield f"const double r{k} = 1.0 / v{k};"
@@ -187,6 +194,7 @@ def _expression(
     inputs: Sequence[str],
     work: Mapping[int, str],
     inverse: Mapping[str, str],
+    least: Mapping[str, float],
 ) -> str:
     if operation == ca.OP_INPUT:
         return f"{inputs[i[0]]}[{i[1]}]"
@@ -194,6 +202,9 @@ def _expression(
         return inverse[work[i[0]]]
     if operation == ca.OP_DIV and work[i[1]] in inverse:
         return f"{work[i[0]]} * {inverse[work[i[1]]]}"
+    if operation == ca.OP_EXP and work[i[0]] in least:
+        bound = least[work[i[0]]]
+        return f"exp_above({work[i[0]]}, {number(bound)}, {number(math.exp(bound))})"
     if operation in _UNARY:
         return str(_UNARY[operation].format(work[i[0]]))
     if operation in _BINARY:

@@ -42,8 +42,8 @@ FLAGS = (
     *("-Wall", "-Wextra", "-Werror", "-Wno-unused-function"),
     *("-fno-math-errno", "-fno-trapping-math"),
 )
-# in models divisions dominate: a vector of reciprocals takes as long as two of products
-FAST = ("-freciprocal-math", "-ffp-contract=fast", "-fno-signed-zeros")
+# in models divisions dominate, so they become products with reciprocals; RECIPROCALS: see lanes.h
+FAST = ("-DRECIPROCALS", "-freciprocal-math", "-ffp-contract=fast", "-fno-signed-zeros")
 EXACT = ("-ffp-contract=off",)  # as in the engine for one machine
 # instruction sets of x86-64, the best one first -> the features of NumPy that they need, and further flags
 LEVELS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {

@@ -28,6 +28,7 @@ STROKES = {
     "stick_command": [0.0, 0.0, 10.0, 10.0, -10.0, -10.0],
 }
 MASS, STIFFNESS = "manipulator.head_mass", "manipulator.stop_stiffness"
+DEAD_BAND = "boom_stick.valve_dead_band"
 MASSES = {MASS: np.linspace(300.0, 1200.0, 3)}
 # Lanes take the inner steps of the scalar FMUs with other rounding, which stops and cavities amplify to 1e-11
 # of the range; the tolerance of the FMUs is 1e-6
@@ -116,15 +117,19 @@ COUPLINGS = {
 
 
 @pytest.mark.parametrize("how", shards.few(["repeated and guarded"], COUPLINGS, shards.machine))
-@given(lane=st.integers(0, 7), masses=st.lists(st.floats(100.0, 3000.0), min_size=8, max_size=8))
+@given(
+    lane=st.integers(0, 7),
+    masses=st.lists(st.floats(100.0, 3000.0), min_size=8, max_size=8),
+    bands=st.lists(st.floats(0.1, 2.0), min_size=8, max_size=8),
+)
 @settings(max_examples=2, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_machine_has_the_same_bits_beside_any_neighbours(system, how, lane, masses):
-    """In any lane, whatever steps the others take."""
+def test_a_machine_has_the_same_bits_beside_any_neighbours(system, how, lane, masses, bands):
+    """In any lane, whatever steps the others take, and in whatever pieces of the opening curve they are."""
     coupling, step = COUPLINGS[how]
     options = {"stop": 0.8, "record_step": 0.02, "lanes": True, "master": coupling, "step": step}
-    masses[lane] = 350.0
-    alone = batch(system, {MASS: [350.0]}, STROKES, **options)
-    beside = batch(system, {MASS: masses}, STROKES, **options)
+    masses[lane], bands[lane] = 350.0, 0.5
+    alone = batch(system, {MASS: [350.0], DEAD_BAND: [0.5]}, STROKES, **options)
+    beside = batch(system, {MASS: masses, DEAD_BAND: bands}, STROKES, **options)
     for name, values in alone.signals.items():
         np.testing.assert_array_equal(beside[name][lane], values[0], err_msg=name)
 

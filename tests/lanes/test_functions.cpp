@@ -12,5 +12,5 @@
         }                                                                                           \
     }
 EACH(exp, exp(a)) EACH(log, log(a)) EACH(sin, sin(a)) EACH(cos, cos(a)) EACH(tanh, tanh(a))
-EACH(pow, pow(a, b)) EACH(fmax, fmax(a, b)) EACH(fmin, fmin(a, b))
+EACH(quotient, a / b) EACH(exp_above, exp_above(a, -2.0, ::exp(-2.0))) EACH(pow, pow(a, b)) EACH(fmax, fmax(a, b)) EACH(fmin, fmin(a, b))
 EACH(where, where(a < b, a)) EACH(both, Lanes(a < b && b != 2.0))

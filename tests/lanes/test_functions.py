@@ -57,6 +57,26 @@ def test_special_values_are_those_of_numpy(functions, name):
     np.testing.assert_allclose(functions(name, SPECIAL), expected, rtol=1e-15)
 
 
+def test_a_quotient_has_an_error_of_two_units_in_the_last_place(functions):
+    """Of normal numbers of any size; zeros, infinities and NaN as in the C library."""
+    rng = np.random.default_rng(1)
+    x, y = 10 ** rng.uniform(-150, 150, (2, 100_000))
+    assert (np.abs(functions("quotient", x, y) / (x / y) - 1) < 5e-16).all()
+    special = np.array([0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1e300, 1e-300])
+    x, y = (v.ravel() for v in np.meshgrid(special, special))
+    with np.errstate(all="ignore"):
+        np.testing.assert_allclose(functions("quotient", x, y), x / y, rtol=1e-15)
+
+
+def test_the_exponential_of_a_bounded_value_is_known_at_its_bound(functions):
+    """There it is the given number whatever the other machines have; elsewhere that of `exp`."""
+    x = np.array([-2.0, -1.0, -2.0, 0.5, np.nan, 3.0, -2.0, 1.0])
+    np.testing.assert_array_equal(
+        functions("exp_above", x), np.where(x == -2.0, np.exp(-2.0), functions("exp", x))
+    )
+    np.testing.assert_array_equal(functions("exp_above", np.full(8, -2.0)), np.exp(-2.0))
+
+
 def test_a_power_has_the_error_of_its_logarithm(functions):
     """exp(y ln x), |y ln x| units in the last place; zero and negative numbers as in the C library."""
     rng = np.random.default_rng(1)

@@ -11,6 +11,8 @@
 #ifndef MODEL_H
 #define MODEL_H
 
+#include <math.h>
+
 #include "opening_curve.h"
 #include "sizes.h"
 
@@ -27,6 +29,9 @@
 /* The value if the condition holds, else 0. A function, because code for several machines at once, with vectors in
    place of double, cannot branch. */
 static inline double where(int condition, double value) { return condition ? value : 0.0; }
+
+/* exp(a) of a value that is `least` or more, and most often `least`, whose exponential is known. */
+static inline double exp_above(double a, double least, double known) { return a == least ? known : exp(a); }
 
 /* Type of a comparison of doubles; another one if vectors take their place. */
 #ifndef CONDITION

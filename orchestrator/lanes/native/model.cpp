@@ -35,32 +35,40 @@ static Piece where(Mask condition, const Piece &x, const Piece &y) {
 }
 
 /* The pieces with the coefficients `rows` in which the commands v of the machines are; below the first one: zero. */
-static Piece curve_at(Lanes v, const Lanes *t, const Lanes *rows) {
-    Piece result = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+static __attribute__((noinline)) void curve_pieces(Lanes v, const Lanes *t, const Lanes *rows, Piece *result) {
+    *result = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
     Mask reached = v > t[0];
     for (int i = 0; any(reached); i++) {
         const Mask next = i < CURVE_POINTS - 1 ? reached && v >= t[i + 1] : v != v;
-        if (any(reached && !next)) result = where(reached && !next, curve_piece(rows, i), result);
+        *result = where(reached && !next, curve_piece(rows, i), *result);
         reached = next;
     }
-    return result;
 }
 
-static Lanes value(const Piece &p, Lanes s) { return p.a + s * (p.b + s * (p.c + s * (p.d + s * p.e))); }
-static Lanes slope(const Piece &p, Lanes s) { return p.b + s * (2.0 * p.c + s * (3.0 * p.d + s * 4.0 * p.e)); }
+INLINE Lanes value(const Piece &p, Lanes s) { return p.a + s * (p.b + s * (p.c + s * (p.d + s * p.e))); }
+INLINE Lanes slope(const Piece &p, Lanes s) { return p.b + s * (2.0 * p.c + s * (3.0 * p.d + s * 4.0 * p.e)); }
 
-static Lanes opening_curve(Lanes v, const Lanes *t) {
-    const Piece p = curve_at(v, t, t);
-    return value(p, v - p.start);
+/* Value or slope. Most often all machines are below the first piece, or in the same one of those in the middle. */
+INLINE Lanes curve(Lanes v, const Lanes *t, Lanes (*at)(const Piece &, Lanes)) {
+    if (!any(v > t[0])) return 0.0;
+    int i = 1;
+    while (i < CURVE_POINTS - 2 && all(v >= t[i + 1])) i++;
+    if (all(v >= t[i] && v < t[i + 1])) {
+        const Lanes *row = t + CURVE_ROWS - 4 + 4 * i;
+        return at({t[i], row[0], row[1], row[2], row[3], 0.0}, v - t[i]);
+    }
+    Piece p;
+    curve_pieces(v, t, t, &p);
+    return at(p, v - p.start);
 }
 
-static Lanes opening_curve_slope(Lanes v, const Lanes *t) {
-    const Piece p = curve_at(v, t, t);
-    return slope(p, v - p.start);
-}
+INLINE Lanes opening_curve(Lanes v, const Lanes *t) { return curve(v, t, value); }
+INLINE Lanes opening_curve_slope(Lanes v, const Lanes *t) { return curve(v, t, slope); }
 
 static Lanes opening_curve_along(Lanes v, const Lanes *t, Lanes dv, const Lanes *dt) {
-    const Piece p = curve_at(v, t, t), change = curve_at(v, t, dt);
+    Piece p, change;
+    curve_pieces(v, t, t, &p);
+    curve_pieces(v, t, dt, &change);
     return slope(p, v - p.start) * (dv - change.start) + value(change, v - p.start);
 }
 
@@ -364,15 +372,16 @@ static void solve(Own *s, Lanes length, Mask machines) {
         if (!any(active)) break;
         const Lanes rest = length - step.tau, ratio = rest / proposal * (1.0 - 1e-9);
         const Lanes parts = where(ratio > 1.0, ceil(ratio), 1.0);
-        step.h = where(active, rest / parts, length); /* any for machines that are done or have failed */
+        step.h = where(active, rest, length); /* any for machines that are done or have failed */
+        if (any(active && parts > 1.0)) step.h = where(active && parts > 1.0, rest / parts, step.h);
         step.error = INFINITY, step.accurate = 1.0, step.cheap = none;
         inputs_value(&s->inputs, step.tau, s->work.u);
         Mask accepted = none;
         if (EXPLICIT_FIRST) accepted = explicit_step(s, &step, active && !step.linearised);
         if (any(active && !accepted)) accepted = accepted || implicit_step(s, &step, active && !accepted, length);
         const Mask repeat = active && !accepted;
-        const Lanes factor = where(step.error < DBL_MAX, fmax(0.9 / sqrt(sqrt(step.error)), 0.2), 0.2);
-        const Lanes shorter = step.h * factor;
+        Lanes shorter = step.h;
+        if (any(repeat)) shorter *= where(step.error < DBL_MAX, fmax(0.9 / sqrt(sqrt(step.error)), 0.2), 0.2);
         const Lanes next = next_step(&step, proposal, rejected);
         proposal = where(accepted, next, where(repeat, shorter, proposal));
         step.tau = where(accepted, where(parts > 1.0, step.tau + step.h, length), step.tau);
