@@ -35,7 +35,7 @@ def variants(
     combinations   Run the work cycle with every combination of variants instead.
     out            With `combinations`: file for the table (.csv).
     """
-    from fmus.machine.parts import FAMILIES
+    from fmus.machine.parts import FAMILIES, JOINT_SPEEDS
     from fmus.machine.tables import variant_lines, variant_names
 
     if not (cost or combinations):
@@ -47,8 +47,7 @@ def variants(
 
     file = require_system(system_file(system))
     if combinations:
-        joints = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
-        return table(file, {part: list(family) for part, family in FAMILIES.items()}, joints, out)
+        return table(file, {part: list(family) for part, family in FAMILIES.items()}, JOINT_SPEEDS, out)
     print("\n".join(variant_lines(costs(file, variant_names()))))
     return True
 

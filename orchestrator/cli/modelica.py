@@ -28,10 +28,10 @@ def modelica(
     constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default:
                supply_pressure, tank_pressure and payload_mass.
     """
+    from fmus.machine.parts import CONSTANT_INPUTS
     from orchestrator.modelica import write_package
 
     if not files:
         system = system_file(None)
         files = [system, system.with_suffix(".fmu"), *sorted((system.parent / VARIANTS).glob("*.fmu"))]
-    constants = constant or ("supply_pressure", "tank_pressure", "payload_mass")
-    print(write_package(files, out, name, constants))
+    print(write_package(files, out, name, constant or CONSTANT_INPUTS))

@@ -1,4 +1,4 @@
-"""Data of the drawing for a browser: bodies, colours of pressures, and views.
+"""Data of the drawing for a browser: the machine, its surroundings, and the colours of pressures.
 
 `web/scene.js` and `web/rig.js` draw it.
 
@@ -7,15 +7,14 @@ Its lightness is monotone, so it is readable with any colour blindness. Its pale
 is hard to see on light background.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+import math
+from collections.abc import Sequence
 from typing import Any
 
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
-from orchestrator.drive import bodies
-from orchestrator.drive.geometry import GROUND, NODES, Geometry
+from orchestrator.drive.scene import Scene, Values, data
 
 STEPS = 33  # distinct colours; a colour is sent to the browser only when it changes
 UNKNOWN = "#8b9196"
@@ -29,19 +28,25 @@ SCHEMES = {
 }
 SHADE = {"light": "#aab2a6", "dark": "#191e1b"}
 SUN = (4.0, -6.0, 12.0)  # direction of the sun
-VIEWS: Mapping[str, tuple[float, float, float, float, float, float]] = {
-    "quarter": (8.4, -11.9, 4.8, 1.5, 0.0, 1.15),
-    "side": (2.0, -13.0, 1.4, 2.0, 0.0, 1.0),
-    "top": (1.6, -0.1, 13.5, 1.6, 0.0, 0.0),
-    "cab": (-1.2, 0.9, 1.9, 5.0, 0.0, -0.2),
-}
+GOLDEN = math.pi * (3 - math.sqrt(5))  # rad; the golden angle spreads points evenly
+TREES = 46
 
 
-def scene(geometry: Geometry) -> dict[str, Any]:
+def scene(declared: Scene, values: Values) -> dict[str, Any]:
     """Data of the machine, and of its surroundings in both colour schemes."""
-    every = [*bodies.site_parts(), *bodies.crane_parts(geometry), *bodies.head_parts(geometry)]
-    machine = {"parts": [part.data() for part in every], "nodes": list(NODES), "sizes": asdict(geometry)}
-    place = {"ground": GROUND, "sun": SUN}
-    ground = {"trees": bodies.trees(), **place}
+    place = {"ground": declared.ground, "sun": SUN}
+    ground = {"trees": trees(), **place}
     grounds = {scheme: ground | colours for scheme, colours in SCHEMES.items()}
-    return {"machine": machine | place, "shade": SHADE, "ground": grounds, "level": GROUND, "views": VIEWS}
+    shown = {"shade": SHADE, "ground": grounds, "level": declared.ground, "views": declared.views}
+    return {"machine": data(declared, values) | place, **shown}
+
+
+def trees() -> list[list[float]]:
+    """Trees around the machine: x, y, height, radius [m], between 13 and 32 m away."""
+    rows = []
+    for k in range(TREES):
+        angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / TREES)
+        size = 0.75 + 0.5 * ((k * 7) % 11) / 10
+        x, y = away * math.cos(angle), away * math.sin(angle)
+        rows.append([round(v, 2) for v in (x, y, 7.5 * size, 1.5 * size)])
+    return rows

@@ -39,7 +39,7 @@ from orchestrator.base.files import FMI3, Location
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
 from orchestrator.drive import drawing, score, sticks
-from orchestrator.drive.geometry import Geometry, Start, geometry, pose_names, start
+from orchestrator.drive.scene import Values, parameters, pose_names, start
 from orchestrator.drive.view_description import CAVITATION, ViewDescription, by_bare_name, view_description
 from orchestrator.fmi.description import FmuInterface
 from orchestrator.pages import html_page
@@ -90,17 +90,17 @@ def fragment(
     description = view_description(loaded)
     if description.scene is not None and replayed is not None:
         angles = by_bare_name(replayed.run.signals)
-        replayed = replayed if any(joint in angles for joint in description.scene.joints) else None
+        replayed = replayed if any(joint in angles for joint in description.scene.signals) else None
     if description.scene is None or (driven is None and replayed is None):
         return Markup()
-    data = page_data(description, geometry(loaded), start(loaded, description.scene.initial))
+    data = page_data(description, parameters(description.scene, loaded))
     data |= {"autostart": autostart, "title": loaded.name}
     parts = {"scripts": json.dumps(scripts()).encode()}
     if fmu is not None and driven is not None:
         data |= {"fmu": {"file": fmu.name} | _fmu(view_description(driven), driven, loaded)}
         parts["module"] = _module(driven) or b""
     if replayed is not None:
-        data |= {"replay": _replay(description.shown, description.scene.joints, replayed)}
+        data |= {"replay": _replay(description.shown, description.scene.signals, replayed)}
     parts["data"] = json.dumps(data, separators=(",", ":")).encode()
     packed = [(name, base64.b64encode(zlib.compress(part, 9)).decode()) for name, part in parts.items()]
     texts = [f'<script type="text/plain" data-part="{name}">{text}</script>' for name, text in packed]
@@ -177,17 +177,17 @@ def _module(fmu: System) -> bytes | None:
     return file.read() if file.exists else None
 
 
-def page_data(description: ViewDescription, shape: Geometry | None, initial: Start) -> dict[str, Any]:
+def page_data(description: ViewDescription, values: Values | None) -> dict[str, Any]:
     """What the page shows of a machine from any source: scene, gauges, charts, levers, training task.
 
-    shape   None for a machine without a scene
+    values   parameters of the drawn machine; None for a machine without a drawing
     """
     scene = description.scene
     return {
-        "scene": drawing.scene(shape) if shape and scene else None,
-        "initial": [initial.swing, initial.boom, initial.stick, 0.0, 0.0],
+        "scene": drawing.scene(scene, values) if scene and values is not None else None,
+        "initial": start(scene, values or {}) if scene else (),
         "full": description.full_pressure,
-        "joints": scene.joints if scene else (),
+        "joints": scene.signals if scene else (),
         "pressures": dict(scene.pressures) if scene else {},
         "gauges": [
             {"title": group.title, "lines": [_shown(g) | {"coloured": g.is_pressure} for g in group.lines]}
@@ -198,15 +198,16 @@ def page_data(description: ViewDescription, shape: Geometry | None, initial: Sta
         "notices": [asdict(notice) for notice in description.notices],
         "sliders": list(map(_shown, description.sliders)),
         "curve": asdict(sticks.ResponseCurve()),
-        "patterns": {name: asdict(pattern) for name, pattern in sticks.PATTERNS.items()},
+        "patterns": {name: asdict(pattern) for name, pattern in description.patterns.items()},
         "legends": {
             name: {
-                p: sticks.legend(pattern, mode.words, bool(mode.full.curl))
-                for p, pattern in sticks.PATTERNS.items()
+                p: sticks.legend(pattern, description.functions, mode)
+                for p, pattern in description.patterns.items()
             }
             for name, mode in description.modes.items()
         },
-        "task": score.rules(),
+        "task": score.rules(description.task),
+        "slowed": asdict(description.slowed) if description.slowed else None,
         "scale": list(drawing.SCALE),
         "unknown": drawing.UNKNOWN,
     }
@@ -230,7 +231,7 @@ def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str,
     sliders = [s.name for s in description.sliders if s.name in interface.variables]
     inputs = [n for n in (*axes, *sliders) if interface.variables[n].causality == "input"]
     rates = {n: interface.rate_inputs[n] for n in inputs if n in interface.rate_inputs}
-    initial = [n for n in scene.initial if n in interface.variables]
+    initial = {n: k for n, k in scene.initial.items() if n in interface.variables}
     shown = [n for n in description.shown if n in interface.variables]
     used = dict.fromkeys((*shown, *inputs, *rates.values(), *sliders, *initial))
     return {
@@ -242,12 +243,12 @@ def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str,
         "outputs": shown,
         "axes": [_axis(n, description, interface, rates) for n in dict.fromkeys(inputs)],
         "mode": name,
-        "full": {function: dict(driven) for function, driven in vars(mode.full).items()},
+        "full": {function: dict(driven) for function, driven in mode.full.items()},
         "sliders": {name: _start(interface, name) for name in sliders},
         "poses": {
-            name: dict(zip(initial, (at.swing, at.boom, at.stick), strict=True))
-            for name in pose_names(system, scene.initial)
-            for at in [start(with_sets(system, [name]), scene.initial)]
+            name: {parameter: at[k] for parameter, k in initial.items()}
+            for name in pose_names(scene, system)
+            for at in [start(scene, parameters(scene, with_sets(system, [name])))]
         },
         "initial": initial,
         "program": _program(fmu, inputs),

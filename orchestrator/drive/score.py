@@ -1,20 +1,11 @@
 """Training task: signals, exercises, progress and score of a run.
 
-Signals, by the names of the variables in any component:
-
-    tip in space         tip_x, tip_y, tip_height [m]                            needed
-    speed of functions   swing_speed, boom_speed, stick_speed [rad/s]            needed
-    speed of the tip     |(tip_radial_velocity, tip_vertical_velocity, swing_speed r)| [m/s],
-                         r^2 = x^2 + y^2                                         needed
-    supply               supply_pressure [Pa], supply_flow [m3/s]: of the component `supply` if there is one,
-                         else the sum over all components
-    pressures            of the six lines [Pa]
+The machine declares its signals and exercises (`Task`). The speed of the tip is the norm of its velocities
+and of the turning speed times the distance from the vertical axis.
 
 Progress: ready -> moving -> holding -> moving -> ... -> done. The clock starts when the tip has moved by
 `start` from its first position. A target is done when the tip has been within `radius` of it and slower than
-`slow` for `hold` without interruption. The exercise is our own: a stem has to be reached, gripped while the
-head does not move, and put down at another place. In between a machine with the input `payload_mass` [kg]
-carries it.
+`slow` for `hold` without interruption. From then to the next one the machine carries the load of the target.
 
 Score, from the start of the clock to its end or to the last sample:
 
@@ -22,13 +13,12 @@ Score, from the start of the clock to its end or to the last sample:
     reach time        s   first movement until the first target is entered
     path length       m   path of the tip, sum of the distances between samples; "crane tip distance" of
                           Polowy and Rutkowski, Forests 15:1277, 2024
-    simultaneous      1   fraction of time with two or more of swing, boom and stick moving (faster than
-                          MOVING)
+    simultaneous      1   fraction of time with two or more functions moving (faster than MOVING)
     functions         1   mean number of moving functions while any moves; Polowy and Rutkowski 2024 give
                           1.8 at the end of a training on a simulator, by their definition and of more
                           functions
     energy            J   integral of supply pressure times supply flow
-    peak pressure     Pa  largest pressure of the lines of the three drives
+    peak pressure     Pa  largest pressure of the lines
     smoothness        1   spectral arc length of the speed of the tip
 
 Definitions without a source are our own. Integrals use the trapezoidal rule.
@@ -39,98 +29,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.toml import Rule
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
-
-TIP = ("tip_x", "tip_y", "tip_height")
-SPEEDS = ("swing_speed", "boom_speed", "stick_speed")
-VELOCITIES = ("tip_radial_velocity", "tip_vertical_velocity")
-PRESSURE, FLOW = "supply_pressure", "supply_flow"
-ENDS = ("boom_head", "boom_rod", "stick_head", "stick_rod")
-LINES = ("swing_pressure_a", "swing_pressure_b", *(f"{end}_pressure" for end in ENDS))
-NEEDED = (*TIP, *SPEEDS, *VELOCITIES)
-UNITS = dict.fromkeys(TIP, "m") | dict.fromkeys(SPEEDS, "rad/s") | dict.fromkeys(VELOCITIES, "m/s")
-UNITS |= dict.fromkeys((PRESSURE, *LINES), "Pa") | {FLOW: "m3/s"}
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Samples of a part of a run.
-
-    time       (n,) [s]
-    tip        (n, 3) [m]: forward, left, up
-    speed      (n,) speed of the tip [m/s]
-    functions  (n, 3) speeds of swing, boom and stick [rad/s]
-    power      (n,) hydraulic power from the supply [W]; empty if not recorded
-    pressure   (n,) largest pressure of the lines [Pa]; empty if none is recorded
-    """
-
-    time: Array
-    tip: Array
-    speed: Array
-    functions: Array
-    power: Array
-    pressure: Array
-
-    def __getitem__(self, part: slice) -> Samples:
-        return Samples(*(values[part] for values in vars(self).values()))
-
-    @staticmethod
-    def joined(parts: Sequence[Samples]) -> Samples:
-        """The samples of parts that follow each other."""
-        return Samples(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
-
-    @property
-    def tips(self) -> list[Point]:
-        """The positions of the tip."""
-        return [(x, y, z) for x, y, z in self.tip.tolist()]
-
-
-def of_trace(trace: Trace) -> Samples:
-    """All samples of a run."""
-    for name in trace.signals:
-        expected = UNITS.get(_variable(name))
-        if expected and (unit := trace.units.get(name, expected)) != expected:
-            raise Problem(f"task: {name}: expected {expected}, found {unit}")
-    return of_values(trace.time, trace.signals)
-
-
-def of_values(time: Array, values: Mapping[str, Array]) -> Samples:
-    """Samples from the values of some signals, by name."""
-    first = {_variable(name): name for name in reversed(list(values))}
-    missing = [variable for variable in NEEDED if variable not in first]
-    if missing:
-        expected = ", ".join(NEEDED)
-        raise Problem(f"task: expected a run with {expected}, found none of {', '.join(missing)}")
-    columns = {variable: np.asarray(values[name], float) for variable, name in first.items()}
-    tip = np.stack([columns[name] for name in TIP], axis=1)
-    across = columns["swing_speed"] * np.hypot(tip[:, 0], tip[:, 1])
-    lines = [columns[name] for name in LINES if name in columns]
-    speed = np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0)
-    functions = np.stack([columns[name] for name in SPEEDS], axis=1)
-    pressure = np.max(lines, axis=0) if lines else np.empty(0)
-    return Samples(np.asarray(time, float), tip, speed, functions, _power(values, columns), pressure)
-
-
-def _power(values: Mapping[str, Array], columns: Mapping[str, Array]) -> Array:
-    flows = [name for name in values if _variable(name) == FLOW]
-    # the flow of a supply component is already the sum over the drives
-    total = [name for name in flows if name.split(".")[-2:-1] == ["supply"]] or flows
-    if not total or PRESSURE not in columns:
-        return np.empty(0)
-    flow: Array = np.sum([values[name] for name in total], axis=0)
-    return columns[PRESSURE] * flow
-
-
-def _variable(name: str) -> str:
-    return name.rpartition(".")[2]
-
 
 Point = tuple[float, float, float]
 
@@ -160,6 +67,129 @@ class Exercise:
 
 
 @dataclass(frozen=True)
+class Task:
+    """A training task, as `[task]` of the view description declares it. Names are signals of any component.
+
+    tip          forward, left, up [m]
+    velocities   of the tip, outwards and upwards [m/s]
+    turning      speed about the vertical axis [rad/s]
+    speeds       of the functions [rad/s]
+    pressures    of the lines [Pa]
+    supply       pressure [Pa] and flow [m3/s]; the flow of the component whose name it begins with, else the
+                 sum over all components
+    load         input with the mass that the machine is to hold [kg]
+    """
+
+    tip: Annotated[tuple[str, ...], Rule("three signals", lambda value: len(value) == 3)]
+    velocities: tuple[str, ...]
+    turning: str
+    speeds: tuple[str, ...]
+    exercises: Annotated[tuple[Exercise, ...], Rule("a list that is not empty", bool)]
+    pressures: tuple[str, ...] = ()
+    supply: Annotated[tuple[str, ...], Rule("pressure and flow", lambda value: len(value) == 2)] = ("", "")
+    load: str = ""
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Signals without which there is no score."""
+        return tuple(dict.fromkeys((*self.tip, *self.speeds, *self.velocities, self.turning)))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Signal -> its unit."""
+        pressure, flow = self.supply
+        units = dict.fromkeys(self.tip, "m") | dict.fromkeys(self.velocities, "m/s")
+        units |= dict.fromkeys((*self.speeds, self.turning), "rad/s")
+        return units | dict.fromkeys((pressure, *self.pressures), "Pa") | {flow: "m3/s"}
+
+    def exercise(self, name: str) -> Exercise | None:
+        """The exercise of this name."""
+        return next((exercise for exercise in self.exercises if exercise.name == name), None)
+
+
+NO_TASK = Task((), (), "", (), (Exercise("", ()),))  # of a machine that declares none
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of a part of a run.
+
+    time       (n,) [s]
+    tip        (n, 3) [m]: forward, left, up
+    speed      (n,) speed of the tip [m/s]
+    functions  (n, k) speeds of the functions [rad/s]
+    power      (n,) hydraulic power from the supply [W]; empty if not recorded
+    pressure   (n,) largest pressure of the lines [Pa]; empty if none is recorded
+    """
+
+    time: Array
+    tip: Array
+    speed: Array
+    functions: Array
+    power: Array
+    pressure: Array
+
+    def __getitem__(self, part: slice) -> Samples:
+        return Samples(*(values[part] for values in vars(self).values()))
+
+    @staticmethod
+    def joined(parts: Sequence[Samples]) -> Samples:
+        """The samples of parts that follow each other."""
+        return Samples(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
+
+    @property
+    def tips(self) -> list[Point]:
+        """The positions of the tip."""
+        return [(x, y, z) for x, y, z in self.tip.tolist()]
+
+
+def of_trace(trace: Trace, task: Task) -> Samples:
+    """All samples of a run."""
+    for name in trace.signals:
+        expected = task.units.get(_variable(name))
+        if expected and (unit := trace.units.get(name, expected)) != expected:
+            raise Problem(f"task: {name}: expected {expected}, found {unit}")
+    return of_values(trace.time, trace.signals, task)
+
+
+def of_values(time: Array, values: Mapping[str, Array], task: Task) -> Samples:
+    """Samples from the values of some signals, by name."""
+    if task is NO_TASK:
+        raise Problem("task: this machine declares none")
+    first = {_variable(name): name for name in reversed(list(values))}
+    if missing := [variable for variable in task.needed if variable not in first]:
+        expected = ", ".join(task.needed)
+        raise Problem(f"task: expected a run with {expected}, found none of {', '.join(missing)}")
+    columns = {variable: np.asarray(values[name], float) for variable, name in first.items()}
+    tip = np.stack([columns[name] for name in task.tip], axis=1)
+    across = columns[task.turning] * np.hypot(tip[:, 0], tip[:, 1])
+    lines = [columns[name] for name in task.pressures if name in columns]
+    speed = np.linalg.norm([*(columns[name] for name in task.velocities), across], axis=0)
+    functions = np.stack([columns[name] for name in task.speeds], axis=1)
+    pressure = np.max(lines, axis=0) if lines else np.empty(0)
+    power = _power(values, columns, *task.supply)
+    return Samples(np.asarray(time, float), tip, speed, functions, power, pressure)
+
+
+def _power(values: Mapping[str, Array], columns: Mapping[str, Array], pressure: str, flow: str) -> Array:
+    flows = [name for name in values if _variable(name) == flow]
+    # the flow of a supply component is already the sum over the drives
+    total = [name for name in flows if flow.startswith(f"{_component(name)}_")] or flows
+    if not total or pressure not in columns:
+        return np.empty(0)
+    power: Array = columns[pressure] * np.sum([values[name] for name in total], axis=0)
+    return power
+
+
+def _component(name: str) -> str:
+    return name.rpartition(".")[0].rpartition(".")[2]
+
+
+def _variable(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+@dataclass(frozen=True)
 class Progress:
     """Progress of an attempt. Times are those of the samples [s].
 
@@ -180,20 +210,11 @@ class Progress:
 
 
 LONGEST = 600.0  # s; a longer attempt is given up, to limit memory
-LOAD = "payload_mass"  # input with the mass that the head is to hold
-STEM = 200.0  # kg
-EXERCISES: Mapping[str, Exercise] = {
-    name: Exercise(name, (Target("pick", (2.25, y, 0.3), STEM), Target("place", (3.4, to, 1.0))))
-    for name, y, to in (("stem on the left", 3.9, -1.2), ("stem on the right", -3.9, 1.2))
-}
 
 
-def rules() -> dict[str, Any]:
+def rules(task: Task) -> dict[str, Any]:
     """The task as data for a page that scores by itself (task.js)."""
-    signals = {"needed": NEEDED, "tip": TIP, "speeds": SPEEDS, "velocities": VELOCITIES}
-    signals |= {"lines": LINES, "supply": (PRESSURE, FLOW)}
-    exercises = [asdict(exercise) for exercise in EXERCISES.values()]
-    return {"exercises": exercises, "load": LOAD, "moving": MOVING, "longest": LONGEST, **signals}
+    return asdict(task) | {"needed": task.needed, "moving": MOVING, "longest": LONGEST}
 
 
 def distance(exercise: Exercise, progress: Progress, tip: Point) -> float:
@@ -203,7 +224,7 @@ def distance(exercise: Exercise, progress: Progress, tip: Point) -> float:
 
 
 def way(tip: Point, at: Point) -> Point:
-    """Vector from the tip to a position in crane coordinates: outwards [m], up [m], to the left [rad]."""
+    """Vector from the tip to a position: outwards [m], up [m], to the left [rad]."""
     turn = math.atan2(at[1], at[0]) - math.atan2(tip[1], tip[0])
     out = math.hypot(at[0], at[1]) - math.hypot(tip[0], tip[1])
     return out, at[2] - tip[2], math.remainder(turn, 2 * math.pi)
@@ -289,7 +310,6 @@ def spectral_arc_length(time: Array, speed: Array) -> float | None:
 
 
 MOVING = 0.02  # rad/s; a tenth of an ordinary speed, far above the leakage of a closed valve
-DEFAULT = EXERCISES["stem on the left"]
 
 
 @dataclass(frozen=True)
@@ -307,9 +327,9 @@ class Score:
     smoothness: float | None
 
 
-def score(trace: Trace, exercise: Exercise = DEFAULT) -> Score | None:
-    """Score of a run; None if the tip never moved."""
-    samples = of_trace(trace)
+def score(trace: Trace, task: Task, exercise: Exercise | None = None) -> Score | None:
+    """Score of a run; None if the tip never moved. Default: the first exercise of the task."""
+    samples, exercise = of_trace(trace, task), exercise or task.exercises[0]
     return judge(samples, exercise, follow(exercise, Progress(), samples))
 
 

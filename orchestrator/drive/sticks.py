@@ -1,21 +1,13 @@
-"""Sticks: the message of a browser, control patterns, response curve, and the inputs that they drive.
+"""Sticks: the message of a browser, response curve, functions, and the inputs that they drive.
 
 A message has exactly this form:
 
     {"n": 17, "sticks": [lx, ly, rx, ry], "dead_man": true}
 
 n counts up within one connection. Deflections are -1 to 1: x to the right, y away from the operator.
-Positive functions: swing to the left, boom up, stick in, curl closed.
 
-    pattern   left stick: sideways, fore and aft   right stick: sideways, fore and aft
-    ISO       swing, stick away and in             curl, boom down and up
-    SAE       swing, boom down and up              curl, stick away and in
-
-ISO is the excavator pattern of ISO 10968 and SAE J1177. SAE is the backhoe pattern of SAE J1814, in which the
-hands for boom and stick are exchanged. In both, left swings to the left, and pulling back raises the boom or
-draws the stick in. Neither standard covers harvesters. Their makers use patterns of their own, mostly like
-ISO, with a rotator instead of the curl and thumb switches for feeding and cutting. The harvester has no
-rotator and no curl, so that axis has no function there, and the page shows so.
+The machine declares which function each axis has in each control pattern, and the inputs that the functions
+drive in each mode (`view_description`). A function is positive to the left and towards the operator.
 
 The response curve s(x) is the fraction of full speed at deflection x. It is odd, monotone, continuous, and 1
 at full deflection:
@@ -24,8 +16,6 @@ at full deflection:
 
 d is the dead zone, because a worn stick does not return to zero exactly. c is the progression: 0 is linear,
 1 purely cubic. Remote controls call a linear plus cubic curve "expo".
-
-The machine declares the inputs that the functions drive in each mode (`view_description`).
 """
 
 from __future__ import annotations
@@ -38,7 +28,7 @@ from types import MappingProxyType
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.drive.view_description import DriveMode, FunctionLabels
+from orchestrator.drive.view_description import DriveMode, Pattern
 
 
 @dataclass(frozen=True)
@@ -51,54 +41,30 @@ class StickAxes:
     right_y: float = 0.0
 
 
-@dataclass(frozen=True)
-class CraneFunctions:
-    """Fractions of full speed [1], -1 to 1: swing to the left, boom up, stick in, curl closed."""
-
-    swing: float = 0.0
-    boom: float = 0.0
-    stick: float = 0.0
-    curl: float = 0.0
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """A control pattern. boom: the hand whose stick moves the boom; the other one moves the stick."""
-
-    name: str
-    source: str
-    boom: str
-
-
-PATTERNS: Mapping[str, Pattern] = {
-    "ISO": Pattern("ISO", "ISO 10968, SAE J1177: excavator", boom="right"),
-    "SAE": Pattern("SAE", "SAE J1814: backhoe", boom="left"),
-}
-
-
-def pattern(name: str) -> Pattern:
+def pattern(name: str, patterns: Mapping[str, Pattern]) -> Pattern:
     """The pattern of this name. Raises `Problem` if there is none."""
-    if name not in PATTERNS:
-        raise Problem(f"pattern: expected {' or '.join(PATTERNS)}, found {name}{suggest(name, PATTERNS)}")
-    return PATTERNS[name]
+    if name not in patterns:
+        expected = " or ".join(patterns) or "none"
+        raise Problem(f"pattern: expected {expected}, found {name}{suggest(name, patterns)}")
+    return patterns[name]
 
 
-def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> CraneFunctions:
-    """Crane functions at these deflections. The response curve is the same for each function."""
-    left, right = response(sticks.left_y, curve), response(sticks.right_y, curve)
-    boom, stick = (right, left) if chosen.boom == "right" else (left, right)
-    swing, curl = response(sticks.left_x, curve), response(sticks.right_x, curve)
-    return CraneFunctions(0.0 - swing, 0.0 - boom, 0.0 - stick, 0.0 - curl)  # 0 - x avoids -0
+def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> dict[str, float]:
+    """Functions at these deflections, -1 to 1: fractions of full speed. All have the same response curve."""
+    names = (*chosen.left, *chosen.right)
+    deflections = vars(sticks).values()
+    return {name: 0.0 - response(x, curve) for name, x in zip(names, deflections, strict=True)}  # no -0
 
 
-def legend(chosen: Pattern, words: FunctionLabels, has_curl: bool) -> dict[str, str]:
+def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode) -> dict[str, str]:
     """Labels of both ends of each stick axis: `left_up`, `left_down`, ... -> label."""
-    boom, stick = (dict(zip(("down", "up"), ends, strict=True)) for ends in (words.boom, words.stick))
-    hands = {chosen.boom: boom, "left" if chosen.boom == "right" else "right": stick}
-    closed, opened = ("curl closed", "curl open") if has_curl else ("(no curl)", "(no curl)")
-    sideways = {"left_left": "swing left", "left_right": "swing right"}
-    sideways |= {"right_left": closed, "right_right": opened}
-    return sideways | {f"{hand}_{end}": text for hand, ends in hands.items() for end, text in ends.items()}
+    labels = dict[str, str]()
+    for hand, driven in (("left", chosen.left), ("right", chosen.right)):
+        for function, ends in zip(driven, (("left", "right"), ("down", "up")), strict=True):
+            nothing = (f"(no {function})",) * 2
+            texts = {**words, **mode.words}[function] if mode.full.get(function) else nothing
+            labels |= {f"{hand}_{end}": text for end, text in zip(ends, texts, strict=True)}
+    return labels
 
 
 @dataclass(frozen=True)
@@ -186,15 +152,19 @@ def modes(declared: Mapping[str, DriveMode], axes: Sequence[str]) -> tuple[str, 
 
 
 def commands(
-    commanded: CraneFunctions, mode: DriveMode, axes: Sequence[str], loads: Mapping[str, float] = NO_LOADS
+    commanded: Mapping[str, float],
+    mode: DriveMode,
+    axes: Sequence[str],
+    loads: Mapping[str, float] = NO_LOADS,
 ) -> dict[str, float]:
     """Values of the driven inputs, by axis. Axes that the mode does not use are left out, so they rest.
 
     loads   input -> value, of inputs that no stick drives
     """
     values = {**mode.constant, **loads}
-    for function, driven in vars(mode.full).items():
-        values |= {name: full * getattr(commanded, function) + 0.0 for name, full in driven.items()}  # no -0
+    for function, driven in mode.full.items():
+        share = commanded.get(function, 0.0)
+        values |= {name: full * share + 0.0 for name, full in driven.items()}  # no -0
     return {name: values[_bare(name)] for name in axes if _bare(name) in values}
 
 

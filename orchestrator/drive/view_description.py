@@ -1,9 +1,9 @@
 """The view description of a machine: the file `resources/view.toml` in its SSP or in one of its FMUs.
 
-It declares the inputs that an operator drives and how the functions of the sticks act on them, the signals of
-gauges and charts, and the joints and pressures of the drawing. Names are bare, without their component. Names
-that a system does not have are ignored. A system without the file has sliders for its free inputs, and gauges
-and charts for its outputs.
+It declares the inputs that an operator drives, which functions the levers have and how these act on the
+inputs, the signals of gauges and charts, the drawing, and the training task; no other file knows the machine.
+Names are bare, without their component. Names that a system does not have are ignored. A system without the
+file has sliders for its free inputs, and gauges and charts for its outputs.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import parse_unit, reader_unit
+from orchestrator.drive.scene import Scene
+from orchestrator.drive.score import NO_TASK, Task
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.ssp.system import Port, System
 
@@ -48,43 +50,34 @@ class DrivenInput:
 
 
 @dataclass(frozen=True)
-class FullDeflection:
-    """For each crane function: input -> its value at full deflection."""
+class Pattern:
+    """The functions of the lever of each hand: sideways, then fore and aft."""
 
-    swing: Mapping[str, float] = field(default_factory=dict)
-    boom: Mapping[str, float] = field(default_factory=dict)
-    stick: Mapping[str, float] = field(default_factory=dict)
-    curl: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FunctionLabels:
-    """Labels of the positive and the negative end of a crane function."""
-
-    boom: Annotated[tuple[str, ...], PAIR] = ("boom up", "boom down")
-    stick: Annotated[tuple[str, ...], PAIR] = ("stick in", "stick out")
+    left: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
+    right: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
 
 
 @dataclass(frozen=True)
 class DriveMode:
-    """Inputs that the functions of the sticks (swing, boom, stick, curl) drive.
+    """Inputs that the functions of the levers drive.
 
+    full       for each function: input -> its value at full deflection
     constant   input -> its value while the machine is driven; the mode requires all of these inputs
-    words      labels at the ends of the sticks
+    words      labels of functions, in place of those of `functions`
     """
 
-    full: FullDeflection
+    full: Mapping[str, Mapping[str, float]]
     constant: Mapping[str, float] = field(default_factory=dict)
-    words: FunctionLabels = FunctionLabels()
+    words: Mapping[str, Annotated[tuple[str, ...], PAIR]] = field(default_factory=dict)
 
     @property
     def inputs(self) -> set[str]:
         """The inputs that it sets."""
-        return {name for driven in (self.constant, *vars(self.full).values()) for name in driven}
+        return {name for driven in (self.constant, *self.full.values()) for name in driven}
 
     def drives(self, inputs: Collection[str]) -> bool:
         """Can a machine with these inputs be driven in this mode?"""
-        any_input = any(name in inputs for driven in vars(self.full).values() for name in driven)
+        any_input = any(name in inputs for driven in self.full.values() for name in driven)
         return any_input and all(name in inputs for name in self.constant)
 
 
@@ -171,20 +164,6 @@ class Slider:
 
 
 @dataclass(frozen=True)
-class SceneSignals:
-    """Signals that move and colour the drawing.
-
-    joints      angles of swing, boom, stick, and head in the plane of the arm and out of it
-    initial     parameters with the initial angles of swing, boom and stick
-    pressures   part of the drawing -> its pressure
-    """
-
-    joints: Annotated[tuple[str, ...], Rule("five angles", lambda value: len(value) == 5)]
-    initial: Annotated[tuple[str, ...], Rule("three parameters", lambda value: len(value) == 3)]
-    pressures: Mapping[str, str]
-
-
-@dataclass(frozen=True)
 class Notice:
     """A text that is shown while the magnitude of a signal is above a value, in the unit of the FMU."""
 
@@ -194,8 +173,31 @@ class Notice:
 
 
 @dataclass(frozen=True)
+class Slowed:
+    """Why the machine is slower than commanded, in the status line under `title`. Names are signals.
+
+    share       of the commanded speed that it has; below 90 % a text is shown
+    driven      above 0.5 while that share counts
+    uses        use of a limit, which acts above 1 -> text
+    otherwise   text while none acts
+    """
+
+    title: str
+    share: str
+    driven: str
+    uses: Annotated[Mapping[str, str], SOME]
+    otherwise: str
+
+
+@dataclass(frozen=True)
 class ViewDescription:
-    """Content of the file. full_pressure: end of the colour scale [Pa]; signals: also recorded."""
+    """Content of the file.
+
+    full_pressure   end of the colour scale [Pa]
+    signals         also recorded
+    functions       function of a lever -> labels of its positive and negative end
+    patterns        which function each lever has, by name; the first is the default
+    """
 
     gauges: tuple[GaugeGroup, ...]
     charts: tuple[Chart, ...]
@@ -203,9 +205,22 @@ class ViewDescription:
     signals: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
     axes: tuple[DrivenInput, ...] = ()
+    functions: Mapping[str, Annotated[tuple[str, ...], PAIR]] = field(default_factory=dict)
+    patterns: Mapping[str, Pattern] = field(default_factory=dict)
     modes: Mapping[str, DriveMode] = field(default_factory=dict)
-    scene: SceneSignals | None = None
+    scene: Scene | None = None
     sliders: tuple[Slider, ...] = ()
+    task: Task = NO_TASK
+    slowed: Slowed | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse functions that are not declared."""
+        used = [(f"patterns.{n}", f) for n, p in self.patterns.items() for f in (*p.left, *p.right)]
+        used += [(f"modes.{n}", f) for n, m in self.modes.items() for f in (*m.full, *m.words)]
+        for where, name in used:
+            if name not in self.functions:
+                hint = suggest(name, self.functions) or f"; there are {', '.join(self.functions) or 'none'}"
+                raise Problem(f"{where}: unknown function {name!r}{hint}")
 
     @property
     def curves(self) -> tuple[str, ...]:
@@ -216,7 +231,7 @@ class ViewDescription:
     def shown(self) -> tuple[str, ...]:
         """All signals that the page uses, in the order in which they are recorded."""
         scene = self.scene
-        drawn = (*scene.joints, *scene.pressures.values()) if scene else ()
+        drawn = (*scene.signals, *scene.pressures.values()) if scene else ()
         gauges = (line.name for group in self.gauges for line in group.lines)
         return tuple(
             dict.fromkeys((*drawn, *gauges, *self.curves, *(n.name for n in self.notices), *self.signals))

@@ -77,6 +77,7 @@ class TrackedMachine:
     controller   component that may assume other parameters than the machine has
     alone        a variant, as COMPONENT=VARIANT, for a message
     path, tip    radius [m], height [m] and angle [rad]: columns of a scenario, and signals of the machine
+    radius       what this radius is, for a figure
     velocity     columns that a scenario may lack: the derivatives of the path
     engaged      columns that a scenario may lack: 1
     feedback     input: 1 if the controller uses measurements, else 0
@@ -92,6 +93,7 @@ class TrackedMachine:
     velocity: tuple[str, ...]
     engaged: tuple[str, ...]
     tip: tuple[str, ...]
+    radius: str
     feedback: str
     copied: str
     limits: Mapping[str, Limit]
@@ -279,7 +281,7 @@ def track(
     runs = [follow(systems[name], names, path, name, on, at) for (path, name, at), on in given_tasks]
     figure, json = out / "tracking.png", out / "tracking.json"
     print(text(runs))
-    figure.write_bytes(png(draw(runs)))
+    figure.write_bytes(png(draw(runs, names.radius)))
     write_json(json, [as_dict(r) for r in runs])
     print(figure, json)
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]
@@ -391,8 +393,8 @@ def as_dict(r: PathRun) -> dict[str, Any]:
     }
 
 
-def draw(runs: Sequence[PathRun]) -> Figure:
-    """One row per path: from above, from the side, and the error over time."""
+def draw(runs: Sequence[PathRun], radius: str) -> Figure:
+    """One row per path: from above, from the side, and error over time. radius: as of `TrackedMachine`."""
     paths = list(dict.fromkeys(r.path for r in runs))
     machines = list(dict.fromkeys(r.machine for r in runs))
     figure = new_figure(14, 3.7 * len(paths) + 0.5, w_pad=0.08, h_pad=0.08)
@@ -403,7 +405,7 @@ def draw(runs: Sequence[PathRun]) -> Figure:
         left.set_title(title, loc="left", fontsize=10, color=PALETTE.ink)
         style_axes(left, "to the right [m]", "forward [m]", size=10)
         _draw_view(left, on_path, machines, top_view)
-        side, axis_label = side_view(on_path[0].commanded)
+        side, axis_label = side_view(on_path[0].commanded, radius)
         style_axes(middle, axis_label, "height [m]", size=10)
         _draw_view(middle, on_path, machines, side)
         _draw_errors(right, on_path, machines)
@@ -417,11 +419,11 @@ def top_view(points: Array) -> Array:
     return np.stack([-points[:, 1], points[:, 0]])
 
 
-def side_view(commanded: Array) -> tuple[Callable[[Array], Array], str]:
+def side_view(commanded: Array, radius: str) -> tuple[Callable[[Array], Array], str]:
     """The side view of a path (n, 3), a function from points (n, 3) to shape (2, n) [m], and its axis label.
 
     A path that rises in one upright plane is projected on that plane, so its lengths are true. Any other
-    path is drawn in the plane of the arm, which swings.
+    path is drawn in the plane of the arm, which turns.
     """
     horizontal = commanded[:, :2] - commanded[0, :2]
     along = horizontal[np.argmax(np.hypot(*horizontal.T))]
@@ -430,7 +432,7 @@ def side_view(commanded: Array) -> tuple[Callable[[Array], Array], str]:
     if np.ptp(commanded[:, 2]) > RISING * length > 0 and across < STRAIGHT * length**2:
         origin, direction = commanded[0, :2], along / length
         return lambda p: np.stack([(p[:, :2] - origin) @ direction, p[:, 2]]), "along the ground [m]"
-    return lambda p: np.stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]), "radius from the swing axis [m]"
+    return lambda p: np.stack([np.hypot(p[:, 0], p[:, 1]), p[:, 2]]), f"{radius} [m]"
 
 
 def _draw_view(

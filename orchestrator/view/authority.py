@@ -26,10 +26,10 @@ from dataclasses import dataclass, field
 from orchestrator.base.errors import Problem
 from orchestrator.drive import sticks
 from orchestrator.drive.sticks import Message, ResponseCurve, StickAxes, parse
-from orchestrator.drive.view_description import DriveMode
+from orchestrator.drive.view_description import ViewDescription
 from orchestrator.realtime.setup import Frame, Machine
 
-Modes = Callable[[], Mapping[str, DriveMode]]
+Described = Callable[[], ViewDescription]
 Loads = Callable[[], Mapping[str, float]]
 Clock = Callable[[], float]
 
@@ -124,26 +124,27 @@ class CommandGate:
     values  inputs that the driver has set by sliders
     """
 
-    def __init__(self, machine: Machine, available: Modes, clock: Clock, loads: Loads) -> None:
-        """available: the current drive modes by name; clock: monotonic [s]; loads: as `ControlAuthority`."""
+    def __init__(self, machine: Machine, described: Described, clock: Clock, loads: Loads) -> None:
+        """described: the current machine; clock: monotonic [s]; loads: as `ControlAuthority`."""
         self._loads = loads
-        self.machine, self._available = machine, available
+        self.machine, self._described = machine, described
         self.live, self.why = False, "nobody drives"
         self.values = dict[str, float]()
         self._clock, self._frame, self._seen = clock, -1, clock()
-        self._pattern, self._mode = sticks.pattern("ISO"), ""
+        self._pattern, self._mode = "", ""
 
     # ---- pattern and mode of the sticks
 
     @property
     def pattern(self) -> str:
-        """Name of the control pattern."""
-        return self._pattern.name
+        """The chosen control pattern, or the first one of this machine."""
+        patterns = self._described().patterns
+        return self._pattern if self._pattern in patterns else next(iter(patterns), "")
 
     @property
     def modes(self) -> tuple[str, ...]:
         """Names of the drive modes that the machine allows."""
-        return sticks.modes(self._available(), self.machine.axes)
+        return sticks.modes(self._described().modes, self.machine.axes)
 
     @property
     def mode(self) -> str:
@@ -153,7 +154,8 @@ class CommandGate:
     def choose(self, name: str | None, mode: str | None) -> None:
         """Choose pattern or mode. Raises `Problem` for an unknown one."""
         if name is not None:
-            self._pattern = sticks.pattern(name)
+            sticks.pattern(name, self._described().patterns)
+            self._pattern = name
         if mode is not None:
             if mode not in self.modes:
                 raise Problem(f"mode: expected one of {', '.join(self.modes)}, found {mode}")
@@ -167,11 +169,12 @@ class CommandGate:
             frame = self.machine.latest()
             if reason := self._halted(frame):
                 return self._fault(reason)
-            commanded = sticks.functions(deflections, self._pattern, CURVE)
-            if not self.mode:
+            described = self._described()
+            if not (self.mode and self.pattern):
                 return self._fault("this machine has no input that sticks can drive")
+            commanded = sticks.functions(deflections, described.patterns[self.pattern], CURVE)
             loads = {**self._loads(), **self._set()}
-            values = sticks.commands(commanded, self._available()[self.mode], self.machine.axes, loads)
+            values = sticks.commands(commanded, described.modes[self.mode], self.machine.axes, loads)
             if sticks.uncommanded(values, self.machine.axes, frame.axes):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
@@ -186,7 +189,7 @@ class CommandGate:
 
     def set(self, name: object, value: object) -> None:
         """Set an input. Raises `Problem` for one that the machine or a stick does not leave to others."""
-        driven = {n for mode in self._available().values() for n in mode.inputs}
+        driven = {n for mode in self._described().modes.values() for n in mode.inputs}
         names = sorted({axis.rpartition(".")[2] for axis in self.machine.axes} - driven)
         if not isinstance(name, str) or name not in names:
             raise Problem(f"input: expected one of {', '.join(names) or 'none'}, found {ascii(name)[:60]}")
@@ -238,14 +241,14 @@ class ControlAuthority:
     def __init__(
         self,
         machine: Machine,
-        available: Modes,
+        described: Described,
         timeout: float = 0.25,
         silence_limit: float = 1.0,
         clock: Clock = time.monotonic,
         loads: Loads = dict,
     ) -> None:
         """loads: values of inputs that no stick drives, such as the payload of the training task."""
-        self.machine, self._gate = machine, CommandGate(machine, available, clock, loads)
+        self.machine, self._gate = machine, CommandGate(machine, described, clock, loads)
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self.stations: list[OperatorStation] = []
         self._names = itertools.count(1)

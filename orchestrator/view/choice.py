@@ -6,7 +6,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS
-from orchestrator.drive.geometry import Geometry, Start, geometry, pose_names, start
+from orchestrator.drive.scene import Values, parameters, pose_names
 from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.ssp import parameter_sets
@@ -33,16 +33,15 @@ class MachineChoice:
 
 @dataclass(frozen=True)
 class ViewPlan:
-    """The setup that follows from a choice, its view description, geometry and start pose.
+    """The setup that follows from a choice, its view description and parameters.
 
-    geometry   None if the system does not describe a drawing
+    parameters   of the drawn machine; None if the system does not describe a drawing
     """
 
     choice: MachineChoice
     setup: Setup
     description: ViewDescription
-    geometry: Geometry | None
-    start: Start
+    parameters: Values | None
 
 
 def plan(choice: MachineChoice) -> ViewPlan:
@@ -59,15 +58,13 @@ def plan(choice: MachineChoice) -> ViewPlan:
     driven = description.driven(system).items()
     axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven)
     setup = Setup(str(choice.system), axes, description.watched(system), choice.swap, sets, choice.set)
-    drawn = geometry(posed) if scene else None
-    return ViewPlan(choice, setup, description, drawn, start(posed, scene.initial if scene else ()))
+    return ViewPlan(choice, setup, description, parameters(scene, posed) if scene else None)
 
 
 def poses(system: Path) -> tuple[str, ...]:
-    """Names of the parameter sets that set the initial angles of the joints."""
+    """Names of the parameter sets that set the initial values of the joints."""
     loaded = load(system)
-    scene = view_description(loaded).scene
-    return pose_names(loaded, scene.initial if scene else ())
+    return pose_names(view_description(loaded).scene, loaded)
 
 
 def variants(system: Path) -> Mapping[str, Mapping[str, str]]:

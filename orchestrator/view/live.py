@@ -33,7 +33,6 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.drive.page import page_data
-from orchestrator.drive.score import EXERCISES
 from orchestrator.realtime.setup import Machine
 from orchestrator.view.authority import ControlAuthority, OperatorStation, finite
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
@@ -178,7 +177,7 @@ class Broadcast:
         self.history = History(session.machine, index, description.curves)
         self.number += 1
         self._ticks = 0
-        self.hello = page_data(description, plan.geometry, plan.start)
+        self.hello = page_data(description, plan.parameters)
         driven = {name for mode in description.modes.values() for name in mode.inputs}
         bare = (axis.rpartition(".")[2] for axis in session.machine.axes)
         inputs = [name for name in bare if name not in driven]  # those that are not for the sticks
@@ -354,13 +353,13 @@ class OpenPage:
 
     def task(self, what: object, value: object) -> None:
         """Show, choose, repeat or write the training task."""
-        training, folders, name = self.training, self.session.folders, str(value)
+        training, folders = self.training, self.session.folders
         if what == "show":
             self.show_task(bool(value))
         elif what == "again":
             training.again()
-        elif what == "choose" and name in EXERCISES and name != training.exercise.name:
-            training.choose(EXERCISES[name])
+        elif what == "choose":
+            training.choose(str(value))
         elif what == "write" and folders:
             self.answer(f"written: {training.write(folders[0] / TABLE).name}")
 

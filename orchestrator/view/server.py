@@ -53,9 +53,9 @@ class Server:
         """port: 0 selects a free one; token: by default random, if `host` is not a loopback address."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
-        self.session, training = session, Training(session.machine)
+        self.session, training = session, Training(session.machine, lambda: session.plan.description.task)
         self.authority = ControlAuthority(
-            session.machine, lambda: session.plan.description.modes, loads=training.loads
+            session.machine, lambda: session.plan.description, loads=training.loads
         )
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])

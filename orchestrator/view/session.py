@@ -148,9 +148,9 @@ class Session:
 
     @property
     def _required(self) -> set[str]:
-        """A result file must have one of these: the joint angles; without a drawing any shown signal."""
+        """A result file must have one of these: a value of a joint; without a drawing any shown signal."""
         description = self.plan.description
-        return set(description.scene.joints if description.scene else description.shown)
+        return set(description.scene.signals if description.scene else description.shown)
 
     def files(self) -> list[str]:
         """Names of the result files in the open folders that can be replayed."""

@@ -5,6 +5,7 @@ attempt equals that of `score.score` for the same samples. A page with a machine
 """
 
 import csv
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.drive import score
-from orchestrator.drive.score import DEFAULT, LOAD, Exercise, Progress, Samples, Score
+from orchestrator.drive.score import Progress, Samples, Score, Task
 from orchestrator.realtime.setup import Machine
 
 
@@ -30,9 +31,11 @@ class Attempt:
 class Training:
     """The task of one machine, shared by all pages."""
 
-    def __init__(self, machine: Machine, exercise: Exercise = DEFAULT) -> None:
-        self.exercise, self.attempts = exercise, list[Attempt]()
-        self._machine, self._source = machine, _source(machine)
+    def __init__(self, machine: Machine, declared: Callable[[], Task]) -> None:
+        """declared: the task of the current machine."""
+        self.task, self.attempts = declared(), list[Attempt]()
+        self.exercise = self.task.exercises[0]
+        self._machine, self._declared, self._source = machine, declared, _source(machine)
         self._number, self._open = -1, 0
         self._clear()
 
@@ -40,7 +43,8 @@ class Training:
         """A page shows the task. The first page begins an attempt."""
         self._open += 1
         if self._open == 1:
-            self._source, self._number = _source(self._machine), self._machine.latest().number
+            self._fit()
+            self._number = self._machine.latest().number
             self._clear()
 
     def close(self) -> None:
@@ -52,10 +56,12 @@ class Training:
         """Does a page show the task?"""
         return self._open > 0
 
-    def choose(self, exercise: Exercise) -> None:
-        """Begin another exercise."""
-        self.again()
-        self.exercise = exercise
+    def choose(self, name: str) -> None:
+        """Begin another exercise, if there is one of this name."""
+        exercise = self.task.exercise(name)
+        if exercise is not None and exercise != self.exercise:
+            self.again()
+            self.exercise = exercise
 
     def again(self) -> None:
         """Begin a new attempt. A started one is kept as unfinished."""
@@ -66,7 +72,8 @@ class Training:
         """Add the frames since the last call."""
         if self._source != _source(self._machine):  # another machine, with other frame numbers
             self.again()
-            self._source, self._number = _source(self._machine), -1
+            self._fit()
+            self._number = -1
         numbers, times, _, values = self._machine.since(self._number)
         if not len(numbers):
             return
@@ -98,7 +105,8 @@ class Training:
 
     def loads(self) -> dict[str, float]:
         """Input -> its value: the load of the head while a page shows the task, else none."""
-        return {LOAD: score.load(self.exercise, self._progress) if self._open else 0.0}
+        held = score.load(self.exercise, self._progress) if self._open else 0.0
+        return {self.task.load: held} if self.task.load else {}
 
     def table(self) -> list[dict[str, Any]]:
         """The finished attempts, one row each."""
@@ -119,6 +127,11 @@ class Training:
             raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
         return path
 
+    def _fit(self) -> None:
+        """The task is that of the machine that is shown now."""
+        self._source, self.task = _source(self._machine), self._declared()
+        self.exercise = self.task.exercise(self.exercise.name) or self.task.exercises[0]
+
     def _clear(self) -> None:
         self._progress = Progress()
         self._samples: list[Samples] = []
@@ -130,7 +143,7 @@ class Training:
         if self._kept:
             return
         try:
-            part = score.of_values(times, dict(zip(self._machine.signals, values.T, strict=True)))
+            part = score.of_values(times, dict(zip(self._machine.signals, values.T, strict=True)), self.task)
         except Problem as error:
             self._problem = str(error)
             return

@@ -265,7 +265,7 @@ BENT = np.array([[3, 1, 2], [3, -1, 2], [5, 0, -1.0]])
 def test_views_keep_lengths():
     """From above right and forward; an upright square has its sides, whatever its direction."""
     assert top_view(BENT) == pytest.approx(np.array([[-1, 1, 0], [3, 3, 5]]))
-    view, name = side_view(SQUARE)
+    view, name = side_view(SQUARE, NAMES.radius)
     assert name == "along the ground [m]"
     assert np.ptp(view(SQUARE), axis=1) == pytest.approx([np.sqrt(2), 1.0])  # rounding
 
@@ -273,14 +273,14 @@ def test_views_keep_lengths():
 @pytest.mark.parametrize("path", [BENT, SQUARE[:2], SQUARE[1:3]], ids=["bent", "level", "upright"])
 def test_other_paths_are_seen_in_the_plane_of_the_arm(path):
     """What bends on the ground, is level or straight up has radius and height as its side view."""
-    view, name = side_view(path)
+    view, name = side_view(path, NAMES.radius)
     assert name == "radius from the swing axis [m]"
     assert view(path) == pytest.approx(np.stack([np.hypot(*path.T[:2]), path[:, 2]]))  # rounding
 
 
 def test_the_picture_has_equal_axes_and_plain_numbers():
     """Both views have one scale, the error's ticks are numbers without exponents."""
-    figure = draw([made(0.3)])
+    figure = draw([made(0.3)], NAMES.radius)
     figure.canvas.draw()
     views, errors = figure.axes[:2], figure.axes[2]
     assert [axes.get_aspect() for axes in views] == [1.0, 1.0]

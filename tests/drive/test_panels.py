@@ -7,34 +7,33 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drive.test_task import EXERCISE, cycle
+from drive.test_task import EXERCISE, TASK, cycle
 from kit import shards
 from kit.mistakes import table
 from view.standin import DESCRIPTION
 
 from orchestrator.drive import score as scores
 from orchestrator.drive.drawing import SCALE, UNKNOWN
-from orchestrator.drive.geometry import Start
 from orchestrator.drive.page import page_data
-from orchestrator.drive.sticks import PATTERNS, ResponseCurve, StickAxes, functions
+from orchestrator.drive.sticks import ResponseCurve, StickAxes, functions
 from orchestrator.drive.view_description import CAVITATION
 
 pytestmark = shards.browser
-DATA = json.loads(json.dumps(page_data(DESCRIPTION, None, Start())))
+DATA = json.loads(json.dumps(page_data(DESCRIPTION, None)))
 GAUGES = {line["name"]: line for group in DATA["gauges"] for line in group["lines"]}
 
 
 def test_levers_as_in_real_time(script: Any) -> None:
     """Patterns and response curve of a page's own machine are those of the server's."""
     rows = [[0.05, 1, -1, 0.08], *np.random.default_rng(1).uniform(-1, 1, (50, 4)).tolist()]
-    for name, pattern in PATTERNS.items():
+    for name, pattern in DESCRIPTION.patterns.items():
         found = script(
             "levers",
             "a[0].map((row) => m.functions(row, a[1], a[2]))",
             [rows, DATA["patterns"][name], DATA["curve"]],
         )
         for row, values in zip(rows, found, strict=True):
-            expected = asdict(functions(StickAxes(*row), pattern, ResponseCurve()))
+            expected = functions(StickAxes(*row), pattern, ResponseCurve())
             assert values == pytest.approx(expected, abs=1e-15)  # rounding
 
 
@@ -96,9 +95,12 @@ def test_cells(script: Any) -> None:
 def test_what_holds_the_tip(script: Any, values: tuple[float, ...], told: str) -> None:
     """The limit that is used most has a cell of its own while the controller is on, else the wait has."""
     named = dict(zip(("engaged", "reference_share", "stroke_use", "speed_use"), values, strict=True))
-    shown = {name: text for name, text, _ in script("panels", "m.cells(a)", NOW | {"values": named})}
+    shown = {
+        name: text
+        for name, text, _ in script("panels", "m.cells(a)", NOW | {"values": named, "slowed": DATA["slowed"]})
+    }
     assert shown.get("tip", "") == told
-    assert script("panels", "m.tipLimit({})") == "", "no controller"
+    assert script("panels", "m.limit(a, {})", DATA["slowed"]) == "", "no controller"
 
 
 @pytest.mark.parametrize(("force", "shown"), [(0.0, []), (999.0, []), (-2e3, ["at an end"]), (None, [])])
@@ -142,7 +144,7 @@ def test_task_as_in_python(script: Any) -> None:
       return { table: task.table, seen: [...seen], csv: task.csv() }; })()"""
     found = script("task", run, {"rules": rules, "time": trace.time.tolist(), "names": names, "rows": rows})
     assert set(found["seen"]) == {"ready", "moving", "holding", "done"}
-    expected = asdict(scores.score(trace, EXERCISE))
+    expected = asdict(scores.score(trace, TASK))
     (row,) = found["table"]
     assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-9)  # other order of sums
     assert found["csv"].startswith("attempt,exercise,finished,cycle_time")

@@ -2,28 +2,27 @@
 
 import functools
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from kit import shards
+from view.standin import DESCRIPTION
 
 from fmus.contract import quantities, symbolic
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
-from orchestrator.drive import bodies
 from orchestrator.drive.drawing import SCALE
-from orchestrator.drive.geometry import NODES, Geometry, geometry
+from orchestrator.drive.scene import data, parameters, sizes, start
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import System
 from orchestrator.view.choice import MachineChoice, plan
 
 PENDULUM = VARIANTS["pendulum"]
 OWN = values(PENDULUM).p
-SIZES = Geometry(**{name: OWN[name] for name in Geometry.__dataclass_fields__})
+SCENE = DESCRIPTION.scene
 # exact identities: only rounding of numbers of some metres
 ROUNDING = 1e-12
 # swing, boom and stick in the work space of the mechanics; head in the plane of the arm, and out of it [rad]
@@ -58,23 +57,19 @@ def told(q: Angles) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def found(script: Any) -> list[tuple[Angles, dict[str, Any]]]:
-    """Poses as the browser computes them, at random angles of the work space: angles -> tip, and nodes."""
+    """Poses as the browser computes them, at random angles of the work space: angles -> tip, and bodies."""
     rng = np.random.default_rng(1)
     angles = [Angles(*row) for row in rng.uniform(LOW, HIGH, (60, 5)).tolist()]
-    poses = script("rig", "a.map(([q, g]) => m.pose(q, g))", [[list(q), asdict(SIZES)] for q in angles])
+    told = "({ tip: p.tip, bodies: Object.fromEntries([...p.bodies].map(([n, at]) => [n, at.elements])) })"
+    given = {"machine": data(SCENE, OWN), "angles": [list(q) for q in angles]}
+    poses = script("rig", f"a.angles.map((q) => m.pose(q, a.machine)).map((p) => {told})", given)
     return list(zip(angles, poses, strict=True))
 
 
-def drawn(pose: Any, node: str, point: tuple[float, float, float]) -> np.ndarray:
-    """A point of a node in space, by rotation matrices: turned as the browser does it."""
-    x, z, angle, side = pose["nodes"][node]
-    cos, sin = math.cos(side), math.sin(side)
-    roll = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
-    cos, sin = math.cos(-angle), math.sin(-angle)
-    pitch = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
-    cos, sin = math.cos(pose["swing"]), math.sin(pose["swing"])
-    swing = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-    return np.asarray(swing @ (np.array([x, 0.0, z]) + pitch @ roll @ np.array(point)))
+def drawn(pose: Any, body: str, point: tuple[float, float, float]) -> np.ndarray:
+    """A point of a body in space, by the matrix of the browser, which is stored by columns."""
+    matrix = np.reshape(pose["bodies"][body], (4, 4)).T
+    return np.asarray((matrix @ [*point, 1.0])[:3])
 
 
 @shards.browser
@@ -84,13 +79,14 @@ def test_tip_and_cylinders(found: Any) -> None:
         y = told(q)
         tip = (y["tip_x"], y["tip_y"], y["tip_height"])
         assert pose["tip"] == pytest.approx(tip, abs=ROUNDING)
-        assert drawn(pose, "stick", (SIZES.stick_length, 0, 0)) == pytest.approx(tip, abs=ROUNDING)
-        for name, closed in (("boom", SIZES.boom_closed_length), ("stick", SIZES.stick_closed_length)):
-            barrel, rod = (np.array(pose["nodes"][f"{name}_{part}"]) for part in ("barrel", "rod"))
-            apart = math.hypot(*(rod - barrel)[:2])
+        assert drawn(pose, "stick", (OWN["stick_length"], 0, 0)) == pytest.approx(tip, abs=ROUNDING)
+        for name in SCENE.cylinders:
+            barrel, rod = (drawn(pose, f"{name}_{part}", (0.0, 0.0, 0.0)) for part in ("barrel", "rod"))
+            apart = float(np.linalg.norm(rod - barrel))
+            closed = OWN[f"{name}_closed_length"]
             assert apart == pytest.approx(closed + y[f"{name}_position"], abs=ROUNDING)
-            end = barrel[:2] + apart * np.array([math.cos(barrel[2]), math.sin(barrel[2])])
-            assert end == pytest.approx(rod[:2], abs=ROUNDING), "the barrel points to the rod"
+            end = drawn(pose, f"{name}_barrel", (apart, 0.0, 0.0))
+            assert end == pytest.approx(rod, abs=ROUNDING), "the barrel points to the rod"
 
 
 @shards.browser
@@ -98,45 +94,48 @@ def test_head_and_rod_pins(found: Any) -> None:
     """The head hangs where the mechanics say; rods end at the pins of boom and stick in any pose."""
     for q, pose in found:
         y = told(q)
-        middle = drawn(pose, "head", (0.0, 0.0, -SIZES.head_length))
+        middle = drawn(pose, "head", (0.0, 0.0, -OWN["head_length"]))
         assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
-    pins = (("boom", SIZES.boom_pin_x, SIZES.boom_pin_z), ("stick", SIZES.stick_pin_x, SIZES.stick_pin_z))
     for _, pose in found:
-        for link, *pin in pins:
+        for link in SCENE.cylinders:
             rod = drawn(pose, f"{link}_rod", (0.0, 0.0, 0.0))
-            assert drawn(pose, link, (pin[0], 0.0, pin[1])) == pytest.approx(rod, abs=ROUNDING)
+            pin = (OWN[f"{link}_pin_x"], 0.0, OWN[f"{link}_pin_z"])
+            assert drawn(pose, link, pin) == pytest.approx(rod, abs=ROUNDING)
 
 
 def test_geometry_of_a_system(fmu_dir: Path, system: System) -> None:
     """Sizes are those that the FMU declares; of a head that does not swing the length is a usual one."""
-    rigid = geometry(system)
+    names = {*SCENE.parameters, "head_length"}
+
+    def used(given: Any) -> dict[str, float]:
+        return {name: size for name, size in sizes(SCENE, given).items() if name in names}
+
+    rigid = used(parameters(SCENE, system))
     own = values(MANIPULATOR).p
-    for name in Geometry.__dataclass_fields__:
-        assert getattr(rigid, name) == own.get(name, 1.0)
-    assert geometry(load(fmu_dir / "harvester.fmu")) == rigid, "the whole machine as one FMU has the same"
-    swung = plan(MachineChoice(fmu_dir / "harvester.ssp", "reach", {"manipulator": "pendulum"}))
-    assert swung.geometry == SIZES
-    assert (swung.start.boom, swung.start.stick) == (0.05, -0.65)  # of fmus.machine.poses
+    assert rigid == {name: own.get(name, 1.0) for name in names}
+    whole = load(fmu_dir / "harvester.fmu")
+    assert used(parameters(SCENE, whole)) == rigid, "the whole machine as one FMU has the same"
+    swung = plan(MachineChoice(fmu_dir / "harvester.ssp", "reach", {"manipulator": "pendulum"})).parameters
+    assert used(swung) == used(OWN)
+    assert start(SCENE, swung) == [0.0, 0.05, -0.65, 0.0, 0.0]  # of fmus.machine.poses
 
 
 def test_no_arm(system: System) -> None:
     """A system without an arm is refused in one line that names what was looked for."""
     rest = {name: c for name, c in system.components.items() if name != "manipulator"}
     with pytest.raises(Problem, match="boom_pivot_x to stick_stroke, found none in supply, boom_stick"):
-        geometry(System("no arm", rest))
+        parameters(SCENE, System("no arm", rest))
 
 
-def test_bodies_hang_on_nodes() -> None:
-    """Each body has a node, a kind and a size that the browser knows, and the outlines are no knots."""
-    everything = [*bodies.site_parts(), *bodies.crane_parts(SIZES), *bodies.head_parts(SIZES)]
-    assert {b.node for b in everything} == {"site", "column", *NODES}
-    for body in everything:
-        assert body.kind in ("box", "plate", "round", "tube")
-        assert min(body.size) > 0
-        assert body.kind in ("box", "round") or len(body.path) >= 3
-    coloured = {body.channel for body in everything} - {""}
-    cylinders = {f"{joint}_{side}" for joint in ("boom", "stick") for side in ("head", "rod")}
-    assert coloured == cylinders | {"swing_a", "swing_b"}
+def test_shapes_hang_on_bodies() -> None:
+    """Each shape has a size, the outlines are no knots, and what a pressure colours is all there."""
+    everything = data(SCENE, OWN)["shapes"]
+    rods = {f"{name}_{part}" for name in SCENE.cylinders for part in ("barrel", "rod")}
+    assert {shape["body"] for shape in everything} == {"ground", *SCENE.joints, *rods}
+    for shape in everything:
+        assert min(shape["size"]) > 0
+        assert shape["kind"] in ("box", "round") or len(shape["path"]) >= 3
+    assert {shape["channel"] for shape in everything} - {""} == set(SCENE.pressures)
 
 
 def test_colours_grow_lighter() -> None:

@@ -1,15 +1,15 @@
 """From deflections to commands: curve, patterns, modes."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.mistakes import problem
-from view.standin import CONTROLLER, LEVERS, MODES, StandIn
+from view.standin import CONTROLLER, DESCRIPTION, LEVERS, MODES, StandIn
 
 from orchestrator.base.errors import Problem
 from orchestrator.drive.sticks import (
-    PATTERNS,
-    CraneFunctions,
     ResponseCurve,
     StickAxes,
     commands,
@@ -25,6 +25,7 @@ share = st.floats(0, 0.9)
 CURVES = st.builds(ResponseCurve, share, st.floats(0, 1))
 DEFLECTIONS = st.floats(-1, 1)
 SMALL = ResponseCurve(0.1, 0.5)
+PATTERNS, WORDS = DESCRIPTION.patterns, DESCRIPTION.functions
 
 
 @given(CURVES, DEFLECTIONS)
@@ -77,39 +78,40 @@ SIDES = {
 def test_patterns(name: str) -> None:
     """Each axis moves the one function that ISO 10968 and SAE J1814 give it, in their direction."""
     for axis, which in SIDES[name].items():
-        found = functions(StickAxes(**{axis: 1.0}), pattern(name), FULL)
-        assert found == CraneFunctions(**{which: -1.0}), axis
+        found = functions(StickAxes(**{axis: 1.0}), PATTERNS[name], FULL)
+        assert found == dict.fromkeys(WORDS, 0.0) | {which: -1.0}, axis
 
 
 @pytest.mark.parametrize("mode", ["levers", "tip"])
 @pytest.mark.parametrize("name", PATTERNS)
 def test_legend_says_what_happens(name: str, mode: str) -> None:
     """The words beside a stick name the function that moves, in the direction that it moves."""
-    words = legend(pattern(name), MODES[mode].words, has_curl=False)
+    words = legend(PATTERNS[name], WORDS, MODES[mode])
     ends = {"left": ("x", -1), "right": ("x", 1), "up": ("y", 1), "down": ("y", -1)}
     positive = {"swing": "left", "boom": "up", "stick": "in"}
     for place, text in words.items():
         hand, end = place.split("_")
         axis, sign = ends[end]
-        found = functions(StickAxes(**{f"{hand}_{axis}": float(sign)}), pattern(name), FULL)
-        if found.curl:
+        found = functions(StickAxes(**{f"{hand}_{axis}": float(sign)}), PATTERNS[name], FULL)
+        if found["curl"]:
             assert text == "(no curl)"
             continue
-        which = next(f for f in positive if getattr(found, f))
-        assert text.endswith(f" {positive[which]}") == (getattr(found, which) > 0)
+        which = next(f for f in positive if found[f])
+        assert text.endswith(f" {positive[which]}") == (found[which] > 0)
         assert text.startswith(which if mode == "levers" or which == "swing" else "tip")
 
 
 def test_legend_of_a_machine_with_a_curl() -> None:
     """The stick to the left closes the curl, the positive direction; the labels say so."""
-    labels = legend(pattern("ISO"), MODES["levers"].words, has_curl=True)
-    assert functions(StickAxes(right_x=-1.0), pattern("ISO"), FULL).curl > 0
+    curled = replace(MODES["levers"], full={"curl": {"bucket_command": 4.0}})
+    labels = legend(PATTERNS["ISO"], WORDS, curled)
+    assert functions(StickAxes(right_x=-1.0), PATTERNS["ISO"], FULL)["curl"] > 0
     assert (labels["right_left"], labels["right_right"]) == ("curl closed", "curl open")
 
 
 def test_unknown_pattern() -> None:
     """The mistake names what there is."""
-    assert problem(lambda: pattern("JCB")) == "pattern: expected ISO or SAE, found JCB"
+    assert problem(lambda: pattern("JCB", PATTERNS)) == "pattern: expected ISO or SAE, found JCB"
 
 
 def test_commands() -> None:
@@ -118,12 +120,12 @@ def test_commands() -> None:
     With a controller the levers are its levers, and what engages it is left to rest. Of the tip, stick in is
     radially inwards, boom up is upwards, left is positive; the controller is on.
     """
-    found = commands(CraneFunctions(swing=1, boom=0.5, stick=-1), MODES["levers"], LEVERS)
+    found = commands({"swing": 1, "boom": 0.5, "stick": -1}, MODES["levers"], LEVERS)
     assert found == dict(zip(LEVERS, (4, 3, -6), strict=True))
-    found = commands(CraneFunctions(boom=1), MODES["levers"], CONTROLLER)
+    found = commands({"boom": 1}, MODES["levers"], CONTROLLER)
     assert found["controller.boom_lever"] == 6
     assert set(found) == set(CONTROLLER[:3])
-    found = commands(CraneFunctions(swing=1, boom=0.7, stick=0.7), MODES["tip"], CONTROLLER)
+    found = commands({"swing": 1, "boom": 0.7, "stick": 0.7}, MODES["tip"], CONTROLLER)
     assert found == dict(zip(CONTROLLER[3:], (1, -0.7, 0.7, 0.4), strict=True))
 
 
@@ -132,7 +134,7 @@ def test_modes() -> None:
     assert modes(MODES, LEVERS) == ("levers",)
     assert modes(MODES, CONTROLLER) == ("levers", "tip")
     assert modes(MODES, ("engine.speed",)) == ()
-    authority = ControlAuthority(StandIn(), lambda: MODES)
+    authority = ControlAuthority(StandIn(), lambda: DESCRIPTION)
     with pytest.raises(Problem, match="mode: expected one of levers, found tip"):
         authority.choose(authority.join(), mode="tip")
 
@@ -144,8 +146,8 @@ def test_modes() -> None:
 )
 def test_commands_are_bounded(sticks: StickAxes, name: str, mode: str) -> None:
     """No position of the sticks commands more than full."""
-    found = commands(functions(sticks, pattern(name), ResponseCurve()), MODES[mode], CONTROLLER)
+    found = commands(functions(sticks, PATTERNS[name], ResponseCurve()), MODES[mode], CONTROLLER)
     most = {**MODES[mode].constant}
-    for driven in vars(MODES[mode].full).values():
+    for driven in MODES[mode].full.values():
         most |= driven
     assert all(abs(value) <= abs(most[axis.partition(".")[2]]) for axis, value in found.items())

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from view.standin import StandIn
+from view.standin import DESCRIPTION, StandIn
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
@@ -26,6 +26,7 @@ RADIUS, ARC, HEIGHT = 4.0, 1.0, 1.5
 T_SWING, T_REST, T_RISE = 4.0, 2.0, 3.0
 END = RADIUS * math.cos(ARC), RADIUS * math.sin(ARC)
 EXERCISE = Exercise("arc and lift", (Target("pick", (*END, 0.0)), Target("place", (*END, HEIGHT))))
+TASK = replace(DESCRIPTION.task, exercises=(EXERCISE,))
 
 
 def blend(t: Array, start: float, duration: float) -> tuple[Array, Array]:
@@ -68,7 +69,7 @@ def slow_after(rate: float, duration: float) -> float:
 
 def scored(trace: Trace) -> scores.Score:
     """The score of an attempt that took place."""
-    found = score(trace, EXERCISE)
+    found = score(trace, TASK)
     assert found is not None
     return found
 
@@ -108,7 +109,7 @@ def test_shares_of_functions() -> None:
 @functools.cache
 def in_one_piece() -> tuple[Any, Progress]:
     """The samples of the cycle, and the progress at their end."""
-    samples = of_trace(cycle())
+    samples = of_trace(cycle(), TASK)
     return samples, follow(EXERCISE, Progress(), samples)
 
 
@@ -134,14 +135,14 @@ def test_online_is_offline(tmp_path: Path) -> None:
     trace = cycle()
     live = machine(trace)
     frames, live.frames = live.frames, []
-    training = Training(live, EXERCISE)
+    training = Training(live, lambda: TASK)
     seen = set()
     for n in range(0, len(frames), 37):
         live.frames = frames[: n + 37]
         training.update()
         seen.add(training.status()["phase"])
     assert seen == {"ready", "moving", "holding", "done"}
-    assert [attempt.score for attempt in training.attempts] == [score(trace, EXERCISE)]
+    assert [attempt.score for attempt in training.attempts] == [score(trace, TASK)]
     assert training.status()["time"] == training.attempts[0].score.cycle_time
     text = training.write(tmp_path / "build" / "training.csv").read_text()
     assert text.count("\n") == 2
@@ -152,7 +153,7 @@ def test_counts_only_what_is_shown() -> None:
     """What the machine did before the task was opened belongs to no attempt."""
     live = machine(cycle())
     live.number = len(live.frames) - 101
-    training = Training(live, EXERCISE)
+    training = Training(live, lambda: TASK)
     training.open()
     training.update()
     assert training.attempts == []
@@ -162,9 +163,10 @@ def test_counts_only_what_is_shown() -> None:
 def test_stem_is_held_between_its_two_places() -> None:
     """From the pick to the place the head holds the stem, and nothing while no page shows the task."""
     stem = Exercise("stem", (replace(EXERCISE.targets[0], load=200.0), EXERCISE.targets[1]))
+    task = replace(TASK, exercises=(stem,))
     live = machine(cycle())
     frames, live.frames = live.frames, []
-    training = Training(live, stem)
+    training = Training(live, lambda: task)
     training.open()
     held = set()
     for n in range(0, len(frames), 37):
@@ -177,7 +179,7 @@ def test_stem_is_held_between_its_two_places() -> None:
     assert {mass for state, mass in held if state == "moving"} == {0.0, 200.0}
     assert {mass for state, mass in held if state == "done"} == {0.0}
     live.frames = frames[:700]
-    again = Training(live, stem)
+    again = Training(live, lambda: task)
     again.open()
     again.update()
     assert again.loads() == {"payload_mass": 200.0}
@@ -197,7 +199,7 @@ def test_restart_ends_an_attempt() -> None:
     live = machine(cycle())
     first = live.frames[:300]
     live.frames = first + live.frames
-    training = Training(live, EXERCISE)
+    training = Training(live, lambda: TASK)
     training.update()
     assert [attempt.score.finished for attempt in training.attempts] == [False, True]
     training.again()
@@ -227,8 +229,8 @@ def test_nothing_moves() -> None:
     """A machine that stands has no score, also inside a target."""
     time = np.arange(0, 5, STEP)
     still = Trace(time, {name: np.full_like(time, value[-1]) for name, value in cycle().signals.items()})
-    assert score(still, EXERCISE) is None
-    assert phase(EXERCISE, follow(EXERCISE, Progress(), of_trace(still))) == "ready"
+    assert score(still, TASK) is None
+    assert phase(EXERCISE, follow(EXERCISE, Progress(), of_trace(still, TASK))) == "ready"
 
 
 def test_supply_is_not_counted_twice() -> None:
@@ -250,11 +252,11 @@ def test_what_lacks() -> None:
     found = scored(trace.select(bare))
     assert (found.energy, found.peak_pressure) == (None, None)
     with pytest.raises(Problem, match="found none of tip_x"):
-        score(trace.select([n for n in trace.signals if not n.endswith("tip_x")]), EXERCISE)
+        score(trace.select([n for n in trace.signals if not n.endswith("tip_x")]), TASK)
     with pytest.raises(Problem, match=r"machine\.tip_x: expected m, found mm"):
-        score(Trace(trace.time, trace.signals, {"machine.tip_x": "mm"}), EXERCISE)
+        score(Trace(trace.time, trace.signals, {"machine.tip_x": "mm"}), TASK)
     live = StandIn(signals=("a.b",), frames=[(0.0, [1.0])])
-    training = Training(live, EXERCISE)
+    training = Training(live, lambda: TASK)
     training.update()
     assert "found none of" in training.status()["problem"]
 

@@ -9,7 +9,7 @@ import pytest
 from kit import shards
 
 from orchestrator.data.table import Array
-from orchestrator.drive.sticks import CraneFunctions, commands
+from orchestrator.drive.sticks import commands
 from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.view.choice import MachineChoice, plan
 
@@ -29,7 +29,7 @@ def released(system: Path, mode: str, pose: str, swap: str, load: float = 0.0) -
     chosen = plan(MachineChoice(system, pose, SWAPS[swap]))
     setup, modes = chosen.setup, chosen.description.modes
     names = [axis.name for axis in setup.axes]
-    full = commands(CraneFunctions(swing=1), modes[mode], names, {"payload_mass": load})
+    full = commands({"swing": 1.0}, modes[mode], names, {"payload_mass": load})
     live, limits = FrameStepper(setup), RateLimiter(setup.axes, setup.frame)
     rest_delay = RestDelay(setup.axes, setup.frame)
     rows = []

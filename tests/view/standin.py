@@ -17,7 +17,6 @@ from kit.wait import LONG, until
 
 from fmus.machine.ssp import VIEW
 from orchestrator.base.toml import read, read_dataclass
-from orchestrator.drive.geometry import Start
 from orchestrator.drive.view_description import ViewDescription
 from orchestrator.realtime.setup import Timing
 from orchestrator.view.access import Guard, Rules, rules
@@ -80,11 +79,11 @@ class StandIn:
 
 def pages(machine: StandIn, authority: ControlAuthority, training: Training | None = None) -> Pages:
     """The pages of a machine without a scene."""
-    plan = SimpleNamespace(description=DESCRIPTION, geometry=None, start=Start())
+    plan = SimpleNamespace(description=DESCRIPTION, parameters=None)
     session = SimpleNamespace(
         machine=machine, index=SignalIndex(machine), plan=plan, span=None, title="", folders=()
     )
-    return Pages(session, authority, training or Training(machine))
+    return Pages(session, authority, training or Training(machine, lambda: DESCRIPTION.task))
 
 
 @dataclass
@@ -116,7 +115,7 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     machine, passed = StandIn(), [0.0]
     limits = {"timeout": TIMEOUT, "silence_limit": SILENCE_LIMIT}
     authority = ControlAuthority(
-        machine, lambda: MODES, clock=lambda: time.monotonic() + sum(passed), **limits
+        machine, lambda: DESCRIPTION, clock=lambda: time.monotonic() + sum(passed), **limits
     )
     asked = rules(host)
     app = application(pages(machine, authority))

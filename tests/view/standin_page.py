@@ -11,14 +11,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import uvicorn
 from starlette.requests import Request
 from starlette.responses import JSONResponse
-from view.standin import MODES, StandIn, pages
+from view.standin import DESCRIPTION, StandIn, pages
 
-from orchestrator.drive.score import NEEDED
 from orchestrator.view.access import Guard, rules
 from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.server import application
 
-FIRST = dict.fromkeys(NEEDED, 0.0) | {"tip_x": 4.3}
+FIRST = dict.fromkeys(DESCRIPTION.task.needed, 0.0) | {"tip_x": 4.3}
 
 
 @dataclass
@@ -48,7 +47,7 @@ class Counting(ControlAuthority):
 def main(port: int) -> None:
     machine = Machine(signals=tuple(FIRST), frames=[(0.0, [*FIRST.values()])])
     # a computer that does much else may halt for some seconds: that is no driver who went away
-    authority = Counting(machine, lambda: MODES, silence_limit=6.0)
+    authority = Counting(machine, lambda: DESCRIPTION, silence_limit=6.0)
     machine.driver = lambda: authority.status().driver
     app = application(pages(machine, authority))
 

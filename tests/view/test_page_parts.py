@@ -146,7 +146,7 @@ def test_a_machine_without_a_description(bench: System, tmp_path: Path) -> None:
     lines = {line.name: line for group in found.description.gauges for line in group.lines}
     assert lines["swing_pressure_a"].unit == "bar"
     assert set(found.description.curves) <= set(lines) == {p.rpartition(".")[2] for p in found.setup.signals}
-    assert (found.geometry, dict(found.description.modes)) == (None, {})
+    assert (found.parameters, dict(found.description.modes)) == (None, {})
     assert len(lines) <= len(bench.ports("output"))
     sliders = {slider.name: slider for slider in found.description.sliders}
     axes = {axis.name: axis for axis in found.setup.axes}
@@ -201,7 +201,7 @@ def test_a_machine_in_one_fmu(fmu_dir: Path) -> None:
     """It brings the same description; no controller, so no tip mode."""
     found = plan(MachineChoice(fmu_dir / "harvester.fmu"))
     assert found.description == plan(MachineChoice(fmu_dir / "harvester.ssp")).description
-    assert found.geometry is not None
+    assert found.parameters is not None
     assert modes(found.description.modes, [axis.name for axis in found.setup.axes]) == ("levers",)
 
 
@@ -209,7 +209,7 @@ def test_start_values(fmu_dir: Path) -> None:
     """Start values go to the machine; one that there is not, and a pose that is misspelt, are one line."""
     system, misspelt = fmu_dir / "harvester.ssp", {"manipulator.stick_lenght": "2.5"}
     found = plan(MachineChoice(system, set={"manipulator.stick_length": "2.5"}))
-    assert found.geometry.stick_length == 2.5
+    assert found.parameters["stick_length"] == 2.5
     assert found.setup.set
     assert "stick_lenght" in problem(lambda: plan(MachineChoice(system, set=misspelt)))
     assert "no pose 'raech'; did you mean reach" in problem(lambda: plan(MachineChoice(system, "raech")))

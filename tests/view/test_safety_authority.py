@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from view.standin import CONTROLLER, LEVERS, MODES, StandIn
+from view.standin import CONTROLLER, DESCRIPTION, LEVERS, StandIn
 
 from orchestrator.base.errors import Problem
 from orchestrator.view.authority import AGAIN, HOLD, SLIDE, ControlAuthority, OperatorStation
@@ -15,7 +15,7 @@ class Desk:
     def __init__(self) -> None:
         self.now, self.machine, self.numbers = 100.0, StandIn(), dict[OperatorStation, int]()
         self.authority = ControlAuthority(
-            self.machine, lambda: MODES, timeout=0.25, silence_limit=1.0, clock=lambda: self.now
+            self.machine, lambda: DESCRIPTION, timeout=0.25, silence_limit=1.0, clock=lambda: self.now
         )
         self.status, self.take = self.authority.status, self.authority.take
 

@@ -27,11 +27,9 @@ export function response(deflection, { dead_zone: zone, progression: part }) {
   return Math.sign(deflection) * ((1 - part) * beyond + part * beyond ** 3);
 }
 
-// crane functions at these deflections, as `functions` in sticks.py
-export function functions(sticks, pattern, curve) {
-  const [sideways, left, curl, right] = sticks.map((deflection) => response(deflection, curve));
-  const [boom, stick] = pattern.boom === "right" ? [right, left] : [left, right];
-  return { swing: 0 - sideways, boom: 0 - boom, stick: 0 - stick, curl: 0 - curl };
+// functions at these deflections, as `functions` in sticks.py
+export function functions(sticks, { left, right }, curve) {
+  return Object.fromEntries([...left, ...right].map((name, k) => [name, 0 - response(sticks[k], curve)]));
 }
 
 export function merge(sources) {

@@ -113,7 +113,7 @@ export class ModuleSource {
     this.history = new History(data.charts);
     this.task = new Attempts(data.task);
     [this.program, this.jumps, this.due] = [Boolean(this.fmu.program), 0, 0];
-    [this.pattern, this.mode, this.drives] = ["ISO", this.fmu.mode, true];
+    [this.pattern, this.mode, this.drives] = [Object.keys(data.patterns)[0] ?? "", this.fmu.mode, true];
     this.read();
   }
 
@@ -160,9 +160,10 @@ export class ModuleSource {
   }
 
   commanded(sticks) {
-    const wanted = functions(sticks, this.data.patterns[this.pattern], this.data.curve);
+    const pattern = this.data.patterns[this.pattern];
+    const wanted = pattern ? functions(sticks, pattern, this.data.curve) : {};
     const driven = Object.entries(this.fmu.full).flatMap(([name, inputs]) =>
-      Object.entries(inputs).map(([input, full]) => [input, full * wanted[name]]));
+      Object.entries(inputs).map(([input, full]) => [input, full * (wanted[name] ?? 0)]));
     return Object.fromEntries(driven);
   }
 

@@ -69,9 +69,9 @@ export class Page {
     this.charts = new Charts(this.at("charts"), data.charts, names);
     const driven = this.sources.drive ?? this.sources.live;
     this.sliders = driven && new Sliders(this.at("sliders"), driven.sliders, (name, value) => this.slide(name, value), (name) => driven.input(name));
-    const scored = driven && data.scene && data.task.needed.every((name) => names.has(name));
+    const scored = driven && data.scene && data.task.needed.length && data.task.needed.every((name) => names.has(name));
     this.at("training").hidden = !scored;
-    if (scored) this.task ??= new TaskPanel(this.at("task"), data.task, (what, value) => this.asked(what, value));
+    if (scored && JSON.stringify(data.task) !== JSON.stringify(this.task?.rules)) this.task = new TaskPanel(this.at("task"), data.task, (what, value) => this.asked(what, value));
     this.jumped = -1;
   }
 
@@ -219,7 +219,7 @@ export class Page {
   take() {
     if (this.mode === "replay") {
       const angles = this.angles(this.source.values, this.data.initial);
-      this.choose("drive", Object.fromEntries(this.data.fmu.initial.map((name, k) => [name, angles[k]])));
+      this.choose("drive", Object.fromEntries(Object.entries(this.data.fmu.initial).map(([name, k]) => [name, angles[k]])));
     } else if (this.mode === "program") this.choose("drive", null);
     this.run(true);
   }
@@ -393,7 +393,7 @@ export class Page {
     this.pace.look(source.time, state === "running");
     const { timing, message, able } = { able: source.able, ...source.info };
     const { values, time, drives } = source;
-    this.line.show({ state, time, values, drives, timing, message, able, factor: this.pace.factor });
+    this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });
     const standing = this.shared ? [message, STANDING[state] ?? ""] : [];
     write(this.at("banner"), [...standing, ...notices(this.data.notices, values)].filter(Boolean).join("; "));
     this.at("banner").classList.toggle("hm-bad", state === "failed");
@@ -417,7 +417,7 @@ export class Page {
     const source = this.sources.drive ?? this.source;
     const { pattern, mode } = source;
     const [modes, driver] = [this.shared ? source.status.modes : [], !this.shared || source.status.role !== "watching"];
-    const key = JSON.stringify([pattern, mode, modes, driver, Object.keys(this.data.legends)]);
+    const key = JSON.stringify([pattern, mode, modes, driver, this.data.legends]);
     if (key === this.chosen) return;
     this.chosen = key;
     const group = (place, names, chosen, act) => this.at(place).replaceChildren(...names.map((name) => {

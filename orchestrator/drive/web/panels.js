@@ -4,7 +4,7 @@
 const SPAN = 2000; // ms over which the real-time factor is measured
 const MISSED = 0.005; // fraction of missed frames that is still good
 const FULL = 0.9; // fraction of the commanded speed that counts as full speed
-const ENGAGED = 0.5; // value of `engaged`, 0 to 1, above which the controller moves the tip
+const DRIVEN = 0.5; // value, 0 to 1, above which a controller drives
 const TONES = { running: "good", failed: "bad" };
 
 export const make = (tag, properties = {}, ...children) => {
@@ -137,12 +137,12 @@ export class Pace {
   }
 }
 
-// why the controller moves the tip slower than commanded; empty if it does not, or is off. `stroke_use` and
-// `speed_use` limit the speed above 1; below that, the controller waits for the machine
-export function tipLimit({ reference_share: share, engaged, stroke_use: stroke, speed_use: speed }) {
-  if (!(share < FULL && engaged > ENGAGED)) return "";
-  if (Math.max(stroke, speed) <= 1) return "waits for the machine";
-  return stroke > speed ? "at the end of a stroke" : "at a speed limit";
+// why the machine is slower than commanded, as `Slowed` of view_description.py; empty if it is not, or is off
+export function limit({ share, driven, uses, otherwise }, values) {
+  if (!(values[share] < FULL && values[driven] > DRIVEN)) return "";
+  const used = Object.entries(uses).map(([name, text]) => [values[name], text]);
+  const [use, text] = used.reduce((a, b) => (a[0] > b[0] ? a : b));
+  return use <= 1 ? otherwise : text;
 }
 
 // texts of the notices whose signal is above its value
@@ -150,12 +150,12 @@ export const notices = (described, values) =>
   described.filter(({ name, above }) => Math.abs(values[name]) > above).map(({ text }) => text);
 
 // cells of the line: name, text, tone
-export function cells({ state, time, factor, values, drives, timing, able, message }) {
+export function cells({ state, time, factor, values, slowed, drives, timing, able, message }) {
   const shown = drives || state !== "running" ? state : "replaying";
   const line = [["", shown, TONES[state] ?? "watch"], ["t", `${time.toFixed(1)} s`, ""]];
   line.push(["real time", factor === null ? "–" : `× ${factor.toFixed(2)}`, ""]);
-  const held = tipLimit(values);
-  if (held) line.push(["tip", held, "watch"]);
+  const held = slowed && limit(slowed, values);
+  if (held) line.push([slowed.title, held, "watch"]);
   if (able) line.push(["", able, ""]);
   if (drives && timing?.frames) {
     const fraction = timing.missed / timing.frames;

@@ -50,28 +50,26 @@ function flattening(ground, sun) {
   return new THREE.Matrix4().set(1, 0, -u, ground * u, 0, 1, -v, ground * v, 0, 0, 0, low, 0, 0, 0, 1);
 }
 
-// Position x, z [m], pitch and roll [rad] of each node in the frame of the column, and the end of the stick in space.
-// angles: swing, boom, stick, head in the plane of the arm and out of it [rad]; g: `geometry.Geometry` [m]
-export function pose([swing, boom, stick, head, side], g) {
-  const to = ([x, z, pitch], along, across = 0) => {
-    const [cos, sin] = [Math.cos(pitch), Math.sin(pitch)];
-    return [x + along * cos - across * sin, z + along * sin + across * cos];
-  };
-  const cylinder = (base, pin) => {
-    const along = Math.atan2(pin[1] - base[1], pin[0] - base[0]);
-    return [[...base, along, 0], [...pin, along, 0]];
-  };
-  const first = [g.boom_pivot_x, g.boom_pivot_z, boom, 0];
-  const elbow = to(first, g.stick_pivot_x, g.stick_pivot_z);
-  const second = [...elbow, boom + stick, 0];
-  const tip = to(second, g.stick_length);
-  const foot = to([g.boom_pivot_x, g.boom_pivot_z, 0], g.boom_base_x, g.boom_base_z);
-  const [boom_barrel, boom_rod] = cylinder(foot, to(first, g.boom_pin_x, g.boom_pin_z));
-  const base = to([...elbow, boom], g.stick_base_x, g.stick_base_z);
-  const [stick_barrel, stick_rod] = cylinder(base, to(second, g.stick_pin_x, g.stick_pin_z));
-  const links = { boom: first, stick: second, yoke: [...tip, head, 0], head: [...tip, head, side] };
-  const point = [tip[0] * Math.cos(swing), tip[0] * Math.sin(swing), tip[1]];
-  return { swing, tip: point, nodes: { ...links, boom_barrel, boom_rod, stick_barrel, stick_rod } };
+// Place of each body in space as a matrix, and the tip. values: of the joints, in their order [rad, m]; machine: as
+// `data` of scene.py has it
+export function pose(values, { joints, cylinders, tip }) {
+  const bodies = new Map([["ground", new THREE.Matrix4()]]);
+  const point = ({ body, at }) => new THREE.Vector3(...at).applyMatrix4(bodies.get(body));
+  joints.forEach(({ body, parent, frame, at, axis, slides }, k) => {
+    const along = new THREE.Vector3(...axis);
+    const moved = slides
+      ? new THREE.Matrix4().makeTranslation(along.multiplyScalar(values[k]))
+      : new THREE.Matrix4().makeRotationAxis(along, values[k]);
+    bodies.set(body, bodies.get(frame).clone().setPosition(point({ body: parent, at })).multiply(moved));
+  });
+  for (const { name, base, pin } of cylinders) {
+    const [begin, end] = [point(base), point(pin)];
+    const x = end.clone().sub(begin).normalize();
+    const z = x.clone().cross(new THREE.Vector3().setFromMatrixColumn(bodies.get(base.body), 1)).normalize();
+    const turned = new THREE.Matrix4().makeBasis(x, z.clone().cross(x), z);
+    bodies.set(`${name}_barrel`, turned.clone().setPosition(begin)).set(`${name}_rod`, turned.setPosition(end));
+  }
+  return { tip: point(tip).toArray(), bodies };
 }
 
 export class Rig {
@@ -79,7 +77,7 @@ export class Rig {
   constructor(stage, data, shade) {
     [this.stage, this.data] = [stage, data];
     this.materials = new Map();
-    this.nodes = new Map();
+    this.bodies = new Map();
     this.root = new THREE.Group();
     this.shadow = new THREE.Group();
     this.shadow.matrix.copy(flattening(data.ground, data.sun));
@@ -88,7 +86,7 @@ export class Rig {
     this.ink = new THREE.MeshBasicMaterial({ color: shade, side: THREE.DoubleSide, fog: false });
     this.line = this.trail();
     this.root.add(this.shadow, this.line);
-    for (const name of ["site", "column", ...data.nodes]) this.node(name);
+    for (const name of pose(data.joints.map(() => 0), data).bodies.keys()) this.body(name);
   }
 
   // of a pressure; of everything else, whose colours never change, the one of the name ""
@@ -99,21 +97,18 @@ export class Rig {
     return this.materials.get(channel);
   }
 
-  node(name) {
+  body(name) {
     const [group, dark] = [new THREE.Group(), new THREE.Group()];
-    const own = this.data.parts.filter((p) => p.node === name);
+    const own = this.data.shapes.filter((p) => p.body === name);
     for (const channel of new Set(own.map((p) => p.channel))) {
       const parts = own.filter((p) => p.channel === channel);
       group.add(new THREE.Mesh(merged(parts), this.material(channel)));
     }
     const large = own.filter((p) => p.kind !== "tube" && !(p.kind === "round" && p.size[0] < 0.07));
     if (large.length) dark.add(new THREE.Mesh(merged(large), this.ink));
-    for (const one of [group, dark]) one.rotation.order = "YXZ";
-    const inside = this.nodes.get("column") ?? [this.root, this.shadow];
-    const parents = name === "site" || name === "column" ? [this.root, this.shadow] : inside;
-    parents[0].add(group);
-    parents[1].add(dark);
-    this.nodes.set(name, [group, dark]);
+    this.root.add(group);
+    this.shadow.add(dark);
+    this.bodies.set(name, [group, dark]);
   }
 
   trail() {
@@ -159,17 +154,11 @@ export class Rig {
     controls.update();
   }
 
-  // angles: as for `pose`; colours: channel -> colour, of those that changed; again: begin a new trail
-  show(angles, colours, again) {
-    const { swing, tip, nodes } = pose(angles, this.data.sizes);
-    for (const one of this.nodes.get("column")) one.rotation.z = swing;
-    for (const name of this.data.nodes) {
-      const [x, z, pitch, roll] = nodes[name];
-      for (const one of this.nodes.get(name)) {
-        one.position.set(x, 0, z);
-        one.rotation.set(roll, -pitch, 0);
-      }
-    }
+  // values: as for `pose`; colours: channel -> colour, of those that changed; again: begin a new trail
+  show(values, colours, again) {
+    const { tip, bodies } = pose(values, this.data);
+    for (const [name, place] of bodies)
+      for (const one of this.bodies.get(name)) place.decompose(one.position, one.quaternion, one.scale);
     for (const [name, colour] of Object.entries(colours)) this.materials.get(name)?.color.set(colour);
     this.tip = tip;
     this.follow(this.tip, again);

@@ -20,14 +20,14 @@ export class Scene {
     this.brush = new Brush(this.stage);
     this.scheme = dark(place) ? "dark" : "light";
     const { machine, shade } = data;
-    const moving = { ...machine, parts: machine.parts.filter((part) => part.node !== "site") };
+    const moving = { ...machine, shapes: machine.shapes.filter(({ body }) => body !== "ground") };
     if (ghost) this.ghost = this.add(new Rig(this.stage, moving, shade[this.scheme]));
     this.rig = this.add(new Rig(this.stage, machine, shade[this.scheme]));
     if (ghost) this.fade();
     this.marks = new THREE.Group();
     this.stage.scene.add(this.marks);
     this.ground();
-    this.look("quarter");
+    this.look(this.views[0]);
     this.observer = new ResizeObserver(() => this.fit());
     this.observer.observe(place);
     this.fit();
@@ -105,7 +105,7 @@ export class Scene {
     this.brush.redraw();
   }
 
-  // angles of the joints; colours: part -> colour; again: the trail begins anew; reference: angles of the ghost
+  // angles: values of the joints; colours: channel -> colour; again: the trail begins anew; reference: angles of the ghost
   show(angles, colours, again, reference = null) {
     const changed = Object.entries(colours).filter(([name, colour]) => this.colours[name] !== colour);
     this.colours = { ...colours };

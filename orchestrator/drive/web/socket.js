@@ -84,7 +84,7 @@ export class SocketSource {
   }
 
   get pattern() {
-    return this.status.pattern ?? "ISO";
+    return this.status.pattern ?? "";
   }
 
   get mode() {

@@ -19,7 +19,7 @@ const COLUMNS = [ // key of a score, heading with unit, factor from SI, digits
 
 const distance = (a, b) => Math.hypot(...a.map((value, k) => value - b[k]));
 
-// from the tip to a position in crane coordinates: outwards [m], up [m], to the left [rad]
+// from the tip to a position in cylindrical coordinates: outwards [m], up [m], to the left [rad]
 export function way(tip, at) {
   const turn = Math.atan2(at[1], at[0]) - Math.atan2(tip[1], tip[0]);
   return [Math.hypot(at[0], at[1]) - Math.hypot(tip[0], tip[1]), at[2] - tip[2], turn - 2 * Math.PI * Math.round(turn / (2 * Math.PI))];
@@ -67,9 +67,10 @@ export class Attempts {
     if (!this.open || this.kept) return this.open;
     const pick = (names) => names.map((name) => values[name] ?? NaN);
     const [tip, functions] = [pick(this.rules.tip), pick(this.rules.speeds)];
-    const speed = Math.hypot(...pick(this.rules.velocities), functions[0] * Math.hypot(tip[0], tip[1]));
+    const [turning] = pick([this.rules.turning]);
+    const speed = Math.hypot(...pick(this.rules.velocities), turning * Math.hypot(tip[0], tip[1]));
     const [pressure, flow] = pick(this.rules.supply);
-    const lines = this.rules.lines.map((name) => values[name]).filter(Number.isFinite);
+    const lines = this.rules.pressures.map((name) => values[name]).filter(Number.isFinite);
     this.tip = tip;
     const sample = { t, tip, speed, functions, power: pressure * flow, peak: lines.length ? Math.max(...lines) : NaN };
     if (this.started === null) this.samples = [];

@@ -17,7 +17,7 @@ from orchestrator.lanes.group import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
 
-# A number that is not part of a name, such as swing_1_rise.
+# A number that is not part of a name, such as pump_1_rise.
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
