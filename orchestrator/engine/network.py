@@ -134,8 +134,8 @@ class RunningComponent:
         return self._stepping is not None
 
     @property
-    def busy_seconds(self) -> float:
-        """Wall time in its steps, with the calls that set its coupling inputs [s]."""
+    def busy_ticks(self) -> float:
+        """Time in its steps, with the calls that set its coupling inputs, in ticks of the engine."""
         return float(self.struct.busy)
 
     def check_status(self, function: int | None, status: int) -> None:

@@ -20,6 +20,18 @@ double seconds(void) {
 }
 #endif
 
+double ticks(void) {
+#if defined(__x86_64__)
+    return (double)__builtin_ia32_rdtsc();
+#elif defined(__aarch64__)
+    uint64_t count;
+    __asm__ volatile("mrs %0, cntvct_el0" : "=r"(count));
+    return (double)count;
+#else
+#error "the counter of this processor is not known"
+#endif
+}
+
 typedef int Values2(void *, const uint32_t *, size_t, void *);
 typedef int Values3(void *, const uint32_t *, size_t, void *, size_t);
 typedef int Derivatives2(void *, const uint32_t *, size_t, const int32_t *, void *);

@@ -75,8 +75,8 @@ static int read_middle(Simulation *sim, int k, Real h) {
     return verdict;
 }
 
-/* Take a component over the communication step, in its own steps; `clock` is the wall time before, and after [s]. */
-int component_advance(Simulation *sim, int k, Real h, double *clock) {
+/* Take a component over the communication step, in its own steps; `counter` is that of ticks before, and after. */
+int component_advance(Simulation *sim, int k, Real h, double *counter) {
     Component *p = &sim->components[k];
     const int32_t n = p->halved ? 2 : p->substeps;
     Real begin = 0.0;
@@ -88,9 +88,9 @@ int component_advance(Simulation *sim, int k, Real h, double *clock) {
         if (verdict) return verdict;
         begin = end;
     }
-    const double before = *clock;
-    *clock = seconds();
-    p->busy += *clock - before;
+    const double before = *counter;
+    *counter = ticks();
+    p->busy += *counter - before;
     return CONTINUE;
 }
 
@@ -156,9 +156,9 @@ static void set_driven_polynomials(Simulation *sim, Real h) {
 static int jacobi_pass(Simulation *sim, Real h) {
     for (int32_t k = 0; k < sim->component_count; k++) set_polynomials(sim, &sim->components[k], 0, h);
     if (sim->pool) return pool_step(sim->pool, h);
-    double clock = seconds();
+    double counter = ticks();
     for (int32_t i = 0; i < sim->component_count; i++) {
-        const int verdict = component_advance(sim, sim->order[i], h, &clock);
+        const int verdict = component_advance(sim, sim->order[i], h, &counter);
         if (verdict) return verdict;
     }
     return CONTINUE;
@@ -178,8 +178,8 @@ static int gauss_seidel_pass(Simulation *sim, int n, Real h) {
         set_polynomials(sim, p, n, h);
         if (n) verdict = component_restore(sim, k, sim->computed);
         if (!verdict) verdict = execute(sim, &p->held_inputs);
-        double clock = seconds(); /* here, so that the time of the component contains no reads of others */
-        if (!verdict) verdict = component_advance(sim, k, h, &clock);
+        double counter = ticks(); /* here, so that the time of the component contains no reads of others */
+        if (!verdict) verdict = component_advance(sim, k, h, &counter);
         if (!verdict) verdict = set_exact_inputs(sim, p, h);
         if (!verdict) verdict = execute(sim, &p->output_reads);
         if (!verdict) verdict = execute(sim, &p->slope_reads);

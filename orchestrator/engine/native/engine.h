@@ -242,7 +242,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     const uint32_t *flags;                  /* the first three of them; NULL in FMI 2.0 */
     double *clock;                          /* the last communication point, and the beginning of the step */
     int32_t *call;                          /* as in Access */
-    double busy;                            /* wall time in its steps [s] */
+    double busy;                            /* time in its steps [ticks] */
     double fixed_step;                      /* length of each of its own steps; 0 if it may vary */
     int32_t fmi;
     int32_t never_restored;
@@ -369,6 +369,7 @@ typedef struct Simulation {
     const double *events;
     int64_t event_count, event[WIDTH];
     double start, step, shorter, patience;
+    double tick; /* [s], measured in the last call of simulation_advance; 0 before */
     int64_t total, done, steps, all_passes, repeated;
     Pool *pool; /* threads that step components; NULL: one component after the other */
     int32_t threads;
@@ -416,6 +417,7 @@ void record(Simulation *);
 int directional_derivative(Simulation *, const Derivative *);
 int linearise(Simulation *, const JacobianColumn *, int32_t count, double *matrices);
 double seconds(void);
+double ticks(void); /* of a counter with a constant rate, cheaper to read than a clock */
 
 /* environment.c; k: the component that may have changed it */
 enum { ANY_COMPONENT = -1 };
@@ -492,7 +494,7 @@ int scenario_set_inputs(Simulation *, Real t);
 /* communication_step.c */
 int communication_step(Simulation *, Real h, int *passes);
 int component_set_inputs(Simulation *, Component *, Real begin, Real length, int last);
-int component_advance(Simulation *, int k, Real h, double *clock);
+int component_advance(Simulation *, int k, Real h, double *counter);
 void set_source_ends(Simulation *, Real h);
 Real step_error(const Simulation *, Real h);
 Real power_error(const Simulation *, Real h);

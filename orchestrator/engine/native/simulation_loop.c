@@ -259,15 +259,17 @@ static int errors_are_full(const ErrorPropagation *p) { return p && p->filled + 
  * passed. If the run diverged, Python finds the value that is not finite and ends the run. */
 int32_t simulation_advance(Simulation *sim) {
     if (sim->threads > 1 && !sim->pool) sim->pool = pool_start(sim, sim->threads);
-    const double until = seconds() + sim->patience;
+    const double began = seconds(), first = ticks();
+    int verdict = CONTINUE;
     sim->diverged = 0;
-    while (sim->done < sim->total && sim->recorder.filled < sim->recorder.capacity) {
-        const int verdict = next_step(sim);
-        if (verdict) return verdict;
-        if (sim->diverged || errors_are_full(sim->errors) || seconds() > until) break;
+    while (!verdict && sim->done < sim->total && sim->recorder.filled < sim->recorder.capacity) {
+        verdict = next_step(sim);
+        const double spent = sim->tick > 0.0 ? (ticks() - first) * sim->tick : seconds() - began;
+        if (sim->diverged || errors_are_full(sim->errors) || spent > sim->patience) break;
     }
-    environment_restore(sim, ANY_COMPONENT);
-    return CONTINUE;
+    sim->tick = (seconds() - began) / (ticks() - first);
+    if (!verdict) environment_restore(sim, ANY_COMPONENT);
+    return verdict;
 }
 
 int32_t simulation_close(Simulation *sim) {

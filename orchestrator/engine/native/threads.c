@@ -53,8 +53,8 @@ static void step_components(Pool *pool) {
     for (;;) {
         const int i = atomic_fetch_add(&pool->next, 1);
         if (i >= sim->component_count) return;
-        double clock = seconds();
-        const int verdict = component_advance(sim, sim->order[i], pool->h, &clock);
+        double counter = ticks();
+        const int verdict = component_advance(sim, sim->order[i], pool->h, &counter);
         int none = CONTINUE;
         if (verdict) atomic_compare_exchange_strong(&pool->verdict, &none, verdict);
         atomic_fetch_sub(&pool->unfinished, 1);

@@ -31,7 +31,7 @@ void set_machine(Real *a, int i, int count, double value) {
 #include "machines.h"
 
 /* What lanes do not have. */
-double seconds() { return 0.0; }
+double ticks() { return 0.0; }
 void environment_restore(Simulation *, int) {}
 int loop_solve(Simulation *, AlgebraicLoop *) { return CONTINUE; }
 int predict_inputs(Simulation *, Real) { return CONTINUE; }
