@@ -679,16 +679,13 @@ def table(command: Array, area: Array, half_band: Array, start: float) -> tuple[
     while improved and best > CLOSE:
         improved = False
         for k in sorted(chosen - {inner[-1]}):
-            for other in (inner[i] for i in _neighbours(inner.index(k), len(inner))):
+            at = inner.index(k)
+            near = (at + step for step in (-1, 1, -2, 2, -4, 4))
+            for other in [inner[i] for i in near if 0 <= i < len(inner) - 1]:
                 moved = chosen - {k} | {other}
                 if len(moved) == len(chosen) and (worst := float(error(moved).max())) < best:
                     chosen, best, improved, k = moved, worst, True, other
     return points(chosen)
-
-
-def _neighbours(index: int, count: int) -> Iterator[int]:
-    """Indices up to four before and after one, without the last."""
-    return (i for d in (1, 2, 4) for i in (index - d, index + d) if 0 <= i < count - 1)
 
 
 # ---- all edges ---------------------------------------------------------------------------------------

@@ -29,7 +29,6 @@ from fmus.identification.procedures.openings import (
     OpeningCurve,
     Openings,
     Priors,
-    Repeated,
     ValveConstants,
     ValveSteps,
     fit_openings,
@@ -53,6 +52,16 @@ SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges tha
 WRONG_NOISE = 2.0  # factor up to which a noise is known
 NOISE_ERROR = 0.05  # standard deviation of the logarithm of a noise that was found
 SAME_OIL = 0.01  # relative difference of two densities of one oil
+FAULTS = (  # in the order of their findings; those of repeated steps follow
+    *(
+        "zero of a pressure sensor",
+        "zero of a flow meter",
+        "falling opening",
+        "dead band",
+        "density",
+        "noise",
+    ),
+)
 Test = tuple[float, str]  # probability and sentence of a finding
 UNEVEN = 1.3  # scatter over its noise that ripple and errors of a standard error may cause
 
@@ -97,7 +106,7 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
                 f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "
                 f"out of {own.command.size} steps: {own.omissions() or 'none'}"
             )
-    limit = data.difference_limit(tests, ("pressure_in", "pressure_out"))
+    limit = max(sum(data.zero_limits([r], ("pressure_in", "pressure_out")).values()) for r in tests)
     known = Priors(data.parameter(parameters, ROUNDING), limit, sd)
     return replace(fit_openings(steps, c, known), flow_zero=(flow_zero, sd) if readings else None)
 
@@ -227,143 +236,116 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
         (edge,) = found.nodes
         sentence = f"valve: only the edge {edge} was measured; the other three are taken to be like it."
         yield Finding("one measured edge", 0.0, sentence)
-    falling = [
-        (p, f"valve {e}: the opening falls by {100 * fall:.2g} % while the command rises.")
-        for e, (p, fall) in found.falling.items()
-    ]
-    zeros = [
-        (e, free) for e, free in found.any_zero.items() if free.is_zero(found.known) and free.p >= UNLIKELY
-    ]
-    tests: dict[str, list[Test]] = {
-        "zero of a pressure sensor": [_outside(e, free, found.known.zero) for e, free in zeros],
-        "zero of a flow meter": [*_flow_zero(recordings, found)],
-        "falling opening": falling,
-        "dead band": [_start(e, found) for e in found.nodes],
-        "density": [*_density(recordings, found.constants)],
-        "noise": [t for r in recordings for t in _noise(r, found.constants)],
-    }
     yield from (f for f in data.signal_findings(recordings, STEP_SIGNALS, "valve") if f.fault != "noise")
-    for edge, again in found.repeated.items():
-        for fault, test in _repeated(edge, again, found.known.zero):
-            tests.setdefault(fault, []).append(test)
+    tests: dict[str, list[Test]] = {fault: [] for fault in FAULTS}
+    for fault, test in (*_edge_tests(found), *_recording_tests(recordings, found)):
+        tests.setdefault(fault, []).append(test)
     for fault, several in tests.items():
         if several:
             p, sentence = min(several)
             yield Finding(fault, min(1.0, len(several) * p), sentence)
 
 
-def _outside(edge: str, free: Line, limit: float) -> Test:
-    """Score test of a zero beyond its limit, by the straight line with any zero."""
-    zero, bar = free["zero"], BAR[1]
-    return probability(zero, free.sd("zero"), limit), (
-        f"valve, edge {edge}: the opening is straight if the zeros of the two pressures differ by "
-        f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
-    )
+def _edge_tests(found: Openings) -> Iterator[tuple[str, Test]]:
+    """Tests of each edge: zeros that a straight line wants, its fall, its start, steps with one command."""
+    limit, bar = found.known.zero, BAR[1]
+    for edge, free in found.any_zero.items():
+        if free.is_zero(found.known) and free.p >= UNLIKELY:
+            sentence = (
+                f"valve, edge {edge}: the opening is straight if the zeros of the two pressures differ by "
+                f"{free['zero'] / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
+            )
+            yield FAULTS[0], (probability(free["zero"], free.sd("zero"), limit), sentence)
+    for edge, (p, fall) in found.falling.items():
+        sentence = f"valve {edge}: the opening falls by {100 * fall:.2g} % while the command rises."
+        yield "falling opening", (p, sentence)
+    for edge in found.nodes:
+        starts = [*_start(edge, found)]
+        p, sentence = min(starts, key=lambda test: test[0])
+        yield "dead band", (min(1.0, p * len(starts)), sentence)
+    for edge, again in found.repeated.items():
+        if "lag" in again.names:
+            size, unit = (1, "V of the command") if again.by_command else (100, "% of the flow")
+            lag = f"valve {edge}: after a rising command the opening lags by {size * again['lag']:.2g} {unit}"
+            yield "hysteresis", (again.probability("lag"), f"{lag}, against a falling one.")
+            way = f"{again.span:.2g} degrees of temperature" if again.warm else f"{again.span:.2g} s"
+            drift = f"the area at the same command changes by {100 * again['drift']:.2g} % over {way}."
+            yield "oil temperature", (again.probability("drift"), f"valve {edge}: {drift}")
+        if "zero" in again.names:
+            sentence = (
+                f"valve {edge}: the area does not depend on the pressures if their zeros differ by "
+                f"{again['zero'] / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
+            )
+            yield FAULTS[0], (probability(again["zero"], again.sd("zero"), limit), sentence)
+        times = again.times_noise
+        uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
+        yield "model", (float(stats.chi2.sf(again.chi_square / UNEVEN**2, again.freedom)), uneven)
 
 
-def _flow_zero(recordings: Sequence[Recording], found: Openings) -> Iterator[Test]:
-    """The reading at closed edges against the declared zero; undeclared it is none."""
+def _recording_tests(recordings: Sequence[Recording], found: Openings) -> Iterator[tuple[str, Test]]:
+    """Tests of the oil and the sensors: the reading at closed edges, the density, noise known to a factor."""
+    c = found.constants
     if found.flow_zero:
         (zero, sd), unit = found.flow_zero, LITRES_PER_MINUTE[1]
-        limit = max(r.sensor("flow").zero_error or 0.0 for r in recordings)
+        limit = max(r.sensor("flow").zero_error or 0.0 for r in recordings)  # undeclared it is none
         sentence = (
             f"valve: the flow meter reads {zero / unit:.2g} L/min at closed edges, and {limit / unit:.2g} "
             "L/min is declared; the reading is subtracted."
         )
-        yield probability(zero, sd, limit), sentence
+        yield "zero of a flow meter", (probability(zero, sd, limit), sentence)
+    for recording in recordings:
+        if density := data.stated(recording, "density"):
+            sentence = (
+                f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
+                f"machine's of {c.density:.4g} kg/m3; the areas are those of the recorded oil."
+            )
+            yield "density", (0.0 if abs(density / c.density - 1) > SAME_OIL else 1.0, sentence)
+        for name, fast, scatter in _noises(recording, c):
+            # fast changes are not above the noise, and the scatter is not below it
+            sensor, (unit_name, one) = recording.sensor(name), LITRES_PER_MINUTE if name == "flow" else BAR
+            large = np.log(fast / (WRONG_NOISE * sensor.sd)) if fast > 0 else -np.inf
+            small = np.log(sensor.noise / (WRONG_NOISE * np.hypot(scatter, sensor.resolution / 2)))
+            sentence = (
+                f"{recording.source.name}: {name}: the noise is declared as {sensor.noise / one:.2g} "
+                f"{unit_name}, the data show {scatter / one:.2g} {unit_name}."
+            )
+            yield "noise", (float(stats.norm.sf(max(large, small) / NOISE_ERROR)), sentence)
 
 
-def _start(edge: str, found: Openings) -> Test:
-    """An edge that is open at zero command, or closed where its opening would give a flow."""
-    line = found.line or (found.lines[edge] if found.straight else None)
-    tests = [_underlap(edge, found.nodes[edge], line), *_idle(edge, found)]
-    if line:
-        sentence = (
-            f"valve {edge}: the opening does not begin with a rounding of {found.known.rounding.value:.3g} V "
-            f"as known, but with one of {line.law()[2]:.2g} V."
-        )
-        tests.append((line.as_known, sentence))
-    p, sentence = min(tests, key=lambda test: test[0])
-    return min(1.0, p * len(tests)), sentence
-
-
-def _underlap(edge: str, nodes: Nodes, line: Line | None) -> Test:
+def _start(edge: str, found: Openings) -> Iterator[Test]:
+    """An edge that is open at zero command, closed where its opening would give a flow, another rounding."""
+    line, nodes = found.line or (found.lines[edge] if found.straight else None), found.nodes[edge]
     if line:
         first, sd = line["start0"], line.sd("start0")
     else:
         a, v, s = nodes.area, nodes.command, nodes.sd
         length = (v[1] - v[0]) / (a[1] - a[0])
         first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
-    sentence = (
+    yield (
+        float(stats.norm.sf(-first / sd)),
         f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
-        "offset. The machine has no opening at zero command."
+        "offset. The machine has no opening at zero command.",
     )
-    return float(stats.norm.sf(-first / sd)), sentence
-
-
-def _idle(edge: str, found: Openings) -> Iterator[Test]:
-    """Steps at which the meter reads nothing, from the highest command on, although the opening is open."""
-    curve, nodes = found.curves[edge], found.nodes[edge]
-    command, bound = found.steps.of(edge).idle(found.constants)
+    # steps at which the meter reads nothing, from the highest command on, although the opening is open;
     # below the lowest node the least area is that of the steepest start
-    lowest, latest = nodes.command[0], float(curve.start.max())
+    command, bound = found.steps.of(edge).idle(found.constants)
+    lowest, latest = nodes.command[0], float(found.curves[edge].start.max())
     steep = np.clip((command - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
     inside = np.interp(command, nodes.command, nodes.area)
     least = np.where(command >= lowest, inside, steep * (latest < lowest))
     p = stats.norm.sf((least - bound) / np.interp(command, nodes.command, nodes.sd))
     for k in np.argsort(-command):
-        sentence = (
+        yield (
+            float(p[k]),
             f"valve {edge}: the flow meter reads nothing at {command[k]:.3g} V, although the opening gives a "
-            "flow: the opening has a step, or the meter was stuck."
+            "flow: the opening has a step, or the meter was stuck.",
         )
-        yield float(p[k]), sentence
-
-
-def _density(recordings: Sequence[Recording], c: ValveConstants) -> Iterator[Test]:
-    """An oil that is not that of the machine."""
-    for recording in recordings:
-        if density := data.stated(recording, "density"):
-            other = abs(density / c.density - 1) > SAME_OIL
-            sentence = (
-                f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
-                f"machine's of {c.density:.4g} kg/m3; the areas are those of the recorded oil."
-            )
-            yield 0.0 if other else 1.0, sentence
-
-
-def _noise(recording: Recording, c: ValveConstants) -> Iterator[Test]:
-    """Noise known to a factor of two: fast changes are not above it, and the scatter is not below it."""
-    for name, fast, scatter in _noises(recording, c):
-        sensor = recording.sensor(name)
-        large = np.log(fast / (WRONG_NOISE * sensor.sd)) if fast > 0 else -np.inf
-        small = np.log(sensor.noise / (WRONG_NOISE * np.hypot(scatter, sensor.resolution / 2)))
-        unit, one = LITRES_PER_MINUTE if name == "flow" else BAR
-        sentence = (
-            f"{recording.source.name}: {name}: the noise is declared as {sensor.noise / one:.2g} {unit}, "
-            f"the data show {scatter / one:.2g} {unit}."
+    if line:
+        yield (
+            line.as_known,
+            f"valve {edge}: the opening does not begin with a rounding of {found.known.rounding.value:.3g} V "
+            f"as known, but with one of {line.law()[2]:.2g} V.",
         )
-        yield float(stats.norm.sf(max(large, small) / NOISE_ERROR)), sentence
-
-
-def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, Test]]:
-    """Tests of steps with one command: after a rising against a falling one, against time, and the rest."""
-    if "lag" in found.names:
-        size, unit = (1, "V of the command") if found.by_command else (100, "% of the flow")
-        lag = f"valve {edge}: after a rising command the opening lags by {size * found['lag']:.2g} {unit}"
-        yield "hysteresis", (found.probability("lag"), f"{lag}, against a falling one.")
-        way = f"{found.span:.2g} degrees of temperature" if found.warm else f"{found.span:.2g} s"
-        drift = f"the area at the same command changes by {100 * found['drift']:.2g} % over {way}."
-        yield "oil temperature", (found.probability("drift"), f"valve {edge}: {drift}")
-    if "zero" in found.names:
-        zero, bar = found["zero"], BAR[1]
-        sentence = (
-            f"valve {edge}: the area does not depend on the pressures if their zeros differ by "
-            f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
-        )
-        yield "zero of a pressure sensor", (probability(zero, found.sd("zero"), limit), sentence)
-    times = found.times_noise
-    uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
-    yield "model", (float(stats.chi2.sf(found.chi_square / UNEVEN**2, found.freedom)), uneven)
 
 
 # ---- estimates -----------------------------------------------------------------------------------------
@@ -404,13 +386,11 @@ def _of_line(found: Openings, line: Line, curve: OpeningCurve, edge: str = "") -
 
 def _of_curves(found: Openings) -> Iterator[Estimate]:
     """Area of the edge that opens furthest, and the first start of an opening."""
-    largest = max(found.curves.values(), key=lambda curve: float(curve.areas[-1]))
+    curves = found.curves.values()
     note = "at full command by the opening curve, with C_d and density as known"
-    yield _full_area(largest, "valve_area", note)
-    earliest = min(found.curves.values(), key=lambda curve: float(curve.commands[0]))
-    yield _first(
-        earliest, "valve_dead_band", "start of the opening curve; the tables of the edges replace it"
-    )
+    yield _full_area(max(curves, key=lambda curve: float(curve.areas[-1])), "valve_area", note)
+    note = "start of the opening curve; the tables of the edges replace it"
+    yield _first(min(curves, key=lambda curve: float(curve.commands[0])), "valve_dead_band", note)
 
 
 def _full_area(curve: OpeningCurve, name: str, note: str) -> Estimate:

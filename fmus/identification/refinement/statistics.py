@@ -136,8 +136,11 @@ def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Ar
 
 
 def input_covariance(shooting: Shooting, solution: Solution) -> Array:
-    """Covariance of z that the noise of the inputs causes, shape (np, np)."""
-    parameters = len(solution.z)
+    """Covariance of z that the noise of the inputs causes, shape (np, np).
+
+    Drawn from the noise that smoothing leaves in them.
+    """
+    parameters, names = len(solution.z), shooting.simulator.inputs
     if not any(run.input_noise for run in shooting.problem.training):
         return np.zeros((parameters, parameters))
     rng = np.random.default_rng(0)
@@ -145,10 +148,12 @@ def input_covariance(shooting: Shooting, solution: Solution) -> Array:
     reference = solution.linear.step(solution.z, unbounded, LARGEST_RADIUS)
     changes = []
     for _ in range(DRAWS):
-        inputs = tuple(
-            u + _smoothed_noise(run, shooting.simulator.inputs, rng)
-            for run, u in zip(shooting.problem.training, shooting.inputs, strict=True)
-        )
+        inputs = tuple(u.copy() for u in shooting.inputs)
+        for run, u in zip(shooting.problem.training, inputs, strict=True):
+            for j, (sd, window) in (
+                (j, run.input_noise[n]) for j, n in enumerate(names) if n in run.input_noise
+            ):
+                u[:, j] += local_parabolas(sd * rng.standard_normal(len(run.time)), window)
         try:
             new = replace(shooting, inputs=inputs).evaluate(optimum.z, optimum.starts, False)
         except SimulationFailed:
@@ -157,16 +162,6 @@ def input_covariance(shooting: Shooting, solution: Solution) -> Array:
         changes.append(changed.step(solution.z, unbounded, LARGEST_RADIUS) - reference)
     draws = np.array(changes).reshape(-1, parameters)
     return np.asarray(draws.T @ draws / max(1, len(draws)))
-
-
-def _smoothed_noise(run: MeasuredRun, names: tuple[str, ...], rng: np.random.Generator) -> Array:
-    """A draw of the noise that smoothing leaves in a run's inputs, shape (n, nu)."""
-    drawn = np.zeros((len(run.time), len(names)))
-    for j, name in enumerate(names):
-        if name in run.input_noise:
-            sd, window = run.input_noise[name]
-            drawn[:, j] = local_parabolas(sd * rng.standard_normal(len(run.time)), window)
-    return drawn
 
 
 def unidentified(free: Sequence[FreeParameter], data_covariance: Array) -> tuple[str, ...]:
@@ -188,15 +183,14 @@ def unidentified(free: Sequence[FreeParameter], data_covariance: Array) -> tuple
 
 def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Array) -> str:
     names = [f.name for f in group]
-    dimension = round(float(np.trace(projector)))
+    listed, dimension = join_words(names), round(float(np.trace(projector)))
     if len(names) == 1:
         sd = float(np.sqrt(data_covariance[0, 0]))
         limit = f"leave a standard deviation of {100 * sd:.0f} %"
         reason = "do not determine it" if sd > 0.5 * VAGUE else limit
         if group[0].sd is None:
-            return f"{names[0]}: the data {reason}"
-        return f"{names[0]}: these recordings alone {reason}; the interval is that of the prior"
-    listed = join_words(names)
+            return f"{listed}: the data {reason}"
+        return f"{listed}: these recordings alone {reason}; the interval is that of the prior"
     if len(names) > 2 or dimension > 1 or not all(f.log for f in group):
         return f"{listed}: the data determine {len(names) - dimension} of {len(names)} combinations"
     # along the undetermined direction (a, b) of two logarithms z_1 - a / b z_2 stays the same

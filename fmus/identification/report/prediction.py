@@ -195,21 +195,23 @@ def prediction(identified: Identified) -> RecordingComparison | None:
     recordings = [*identified.of_machine("test"), *identified.of_machine("train")]
     if not recordings:
         return None
-    selected = recordings[0]
+    selected, refined = recordings[0], identified.refined
     predicted = predict(excitation(selected), default_values(identified))
-    if (refined := identified.refined) is None:
+    if refined is None:
         return compare(selected, predicted)
     simulated = (refined.held_out if selected.use == "test" else refined.training)[0]
     names = refined.problem.signals
+
+    def by_name(samples: Array) -> dict[str, Array]:
+        return dict(zip(names, samples.T, strict=True))
+
     if np.isfinite(simulated.y).all():  # with all corners of the inputs; its readings contain the zeros
-        predicted = {**predicted, **dict(zip(names, simulated.y.T, strict=True))}
+        predicted = {**predicted, **by_name(simulated.y)}
         predicted |= {name: predicted[name] - zero.value for name, zero in zeros(refined).items()}
     by_z, sd = refined.uncertainty(simulated.run)
     changes = zip(refined.problem.names, np.moveaxis(by_z, 2, 0), strict=True)
     return replace(
-        compare(selected, predicted),
-        sd=dict(zip(names, sd.T, strict=True)),
-        sensitivities={parameter: dict(zip(names, y.T, strict=True)) for parameter, y in changes},
+        compare(selected, predicted), sd=by_name(sd), sensitivities={n: by_name(y) for n, y in changes}
     )
 
 
