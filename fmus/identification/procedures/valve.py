@@ -24,12 +24,11 @@ from fmus.identification.procedures.experiment_data import STEP_SIGNALS
 from fmus.identification.procedures.openings import (
     CERTAIN,
     SAME,
+    Known,
     Line,
     Nodes,
     OpeningCurve,
     Openings,
-    Priors,
-    ValveConstants,
     ValveSteps,
     fit_openings,
 )
@@ -43,7 +42,6 @@ from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
-ROUNDING = "boom_stick.valve_command_rounding"
 REAL = 0.01, 1.5  # full commands, between which the largest command of a bench is
 MIN_VOLTAGES = 3  # different commands at which the flow must be measured
 # sign of the command that opens each edge, correction E7 in docs/equations.md
@@ -82,14 +80,14 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         remarks=tuple(remarks(corrected, found, zero, declared)),
         others=(*_resistances(found), zero, *_of_edges(found)),
         findings=tuple(_findings(tests, found)),
-        listed=tuple(_no_tables(parameters) if found.line else _tables(found)),
+        listed=tuple(_tables(found, parameters)),
     )
 
 
 def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> Openings:
     """The openings of the edges with their bands."""
     tests = data.training_recordings(recordings, "valve", SIGNALS)
-    c = ValveConstants.of(parameters)
+    c = Known.of(parameters)
     steps = data.concatenate([_steps_of(_with_its_noise(r, c), c) for r in tests])
     readings = [r for e in steps.edges if (r := closed_reading(steps.of(e), c))]
     flow_zero, sd = 0.0, max(r.sensor("flow").zero_error or 0.0 for r in tests) / 3**0.5
@@ -107,17 +105,17 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
                 f"out of {own.command.size} steps: {own.omissions() or 'none'}"
             )
     limit = max(sum(data.zero_limits([r], ("pressure_in", "pressure_out")).values()) for r in tests)
-    known = Priors(data.parameter(parameters, ROUNDING), limit, sd)
-    return replace(fit_openings(steps, c, known), flow_zero=(flow_zero, sd) if readings else None)
+    found = fit_openings(steps, replace(c, zero=limit, flow_zero=sd))
+    return replace(found, flow_zero=(flow_zero, sd) if readings else None)
 
 
 # ---- steps -------------------------------------------------------------------------------------------
 
 
-def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Array, list[slice]]:
+def _stretches(recording: Recording, c: Known) -> tuple[str, Array, list[slice]]:
     """The edge, its opening command [V] and the steps in which it is held, also those at zero."""
     edge, samples = data.condition(recording, "edge", COMMAND_SIGN), recording["command"]
-    largest, full = float(np.nanmax(np.abs(samples))), constants.full_command
+    largest, full = float(np.nanmax(np.abs(samples))), c.full_command
     if not REAL[0] * full < largest < REAL[1] * full:  # such as mV taken as V
         expected = f"expected a full command of about {full:g} V, got {largest:g} V: is its unit right?"
         raise Problem(f"{recording.source}: command: {expected}")
@@ -130,9 +128,9 @@ def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Ar
     return edge, command, [step for step in stretches if command[step.start] > -SAME * full]
 
 
-def _noises(recording: Recording, constants: ValveConstants) -> Iterator[tuple[str, float, float]]:
+def _noises(recording: Recording, c: Known) -> Iterator[tuple[str, float, float]]:
     """Signals with a declared noise, their fastest noise [SI], and their scatter within a step."""
-    steps = _stretches(recording, constants)[2]
+    steps = _stretches(recording, c)[2]
     for name in STEP_SIGNALS:
         sensor, samples = recording.sensor(name), recording[name]
         outside = np.where(np.abs(samples) <= sensor.dead_zone, np.nan, samples)
@@ -142,22 +140,22 @@ def _noises(recording: Recording, constants: ValveConstants) -> Iterator[tuple[s
             yield name, fast, max(fast, float(np.median(scatter)))
 
 
-def _with_its_noise(recording: Recording, constants: ValveConstants) -> Recording:
+def _with_its_noise(recording: Recording, c: Known) -> Recording:
     """The recording with the noise of its data where the declared one is wrong.
 
     Samples would look stuck with a noise that is much too large, and a dead zone certain with one too small.
     """
     sensors = dict(recording.sensors)
-    for name, fast, scatter in _noises(recording, constants):
+    for name, fast, scatter in _noises(recording, c):
         declared = sensors[name].noise
         if declared > WRONG_NOISE * scatter > 0 or fast > WRONG_NOISE * declared:
             sensors[name] = replace(sensors[name], noise=scatter if declared > scatter else fast)
     return replace(recording, sensors=sensors)
 
 
-def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
+def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     """All steps of a recording; a reading in the dead zone of the meter is one, too."""
-    edge, command, steps = _stretches(recording, constants)
+    edge, command, steps = _stretches(recording, c)
     means, meter = data.step_means(recording, steps), recording.sensor("flow")
     sign = np.where(means.drop < 0, -1.0, 1.0)
     flow = sign * means.flow
@@ -175,7 +173,7 @@ def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
     error = np.where(means.dead, np.maximum(of_dead, meter.resolution / 12**0.5), means.flow_error)
     temperature = next((n for n in recording.signals if "temperature" in n), "")
     warmth = recording[temperature] if temperature else np.full(recording.time.size, np.nan)
-    density = data.stated(recording, "density") or constants.density
+    density = data.stated(recording, "density") or c.density
     drop = means.drop[np.isfinite(means.drop)]
     usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in (means.drop_error, error)]
     return ValveSteps(
@@ -198,7 +196,7 @@ def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
     )
 
 
-def _opened(steps: ValveSteps, c: ValveConstants) -> ValveSteps:
+def _opened(steps: ValveSteps, c: Known) -> ValveSteps:
     """Good steps are those with a certain flow; the others bound the opening."""
     certain = steps.flow - c.leakage * (2 * steps.drop - steps.supply_drop) > CERTAIN * steps.flow_error
     most = np.maximum(steps.flow, 0.0) + CERTAIN * steps.flow_error
@@ -206,7 +204,7 @@ def _opened(steps: ValveSteps, c: ValveConstants) -> ValveSteps:
     return replace(steps, good=steps.good & certain & (steps.drop > 0), idle_flow=idle)
 
 
-def closed_reading(steps: ValveSteps, c: ValveConstants) -> tuple[float, float] | None:
+def closed_reading(steps: ValveSteps, c: Known) -> tuple[float, float] | None:
     """Mean flow [m3/s] of a closed edge and its standard error: readings that no command changes.
 
     None if less than two commands have it, or a meter in its dead zone shows nothing.
@@ -284,7 +282,7 @@ def _edge_tests(found: Openings) -> Iterator[tuple[str, Test]]:
 
 def _recording_tests(recordings: Sequence[Recording], found: Openings) -> Iterator[tuple[str, Test]]:
     """Tests of the oil and the sensors: the reading at closed edges, the density, noise known to a factor."""
-    c = found.constants
+    c = found.known
     if found.flow_zero:
         (zero, sd), unit = found.flow_zero, LITRES_PER_MINUTE[1]
         limit = max(r.sensor("flow").zero_error or 0.0 for r in recordings)  # undeclared it is none
@@ -328,7 +326,7 @@ def _start(edge: str, found: Openings) -> Iterator[Test]:
     )
     # steps at which the meter reads nothing, from the highest command on, although the opening is open;
     # below the lowest node the least area is that of the steepest start
-    command, bound = found.steps.of(edge).idle(found.constants)
+    command, bound = found.steps.of(edge).idle(found.known)
     lowest, latest = nodes.command[0], float(found.curves[edge].start.max())
     steep = np.clip((command - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
     inside = np.interp(command, nodes.command, nodes.area)
@@ -363,7 +361,7 @@ def _of_line(found: Openings, line: Line, curve: OpeningCurve, edge: str = "") -
     """Area and dead band of a straight opening; the latter is as uncertain as a foot without a flow."""
     suffix = f"[{edge}]" if edge else ""
     count = sum(int(n.steps.command.size) for e, n in found.nodes.items() if edge in ("", e))
-    note, full = f"fit of {count} steps, section 4(a)", found.constants.full_command
+    note, full = f"fit of {count} steps, section 4(a)", found.known.full_command
     name, (area, sd), about = f"valve_area{suffix}", line.area(full), f"{note}, with C_d and density as known"
     if curve.last_measured < full * (1 - SAME):
         yield curve.estimate(name, "m2", f"{about}, extrapolated", curve.draws[:, -1], area)
@@ -415,43 +413,37 @@ def _of_edges(found: Openings) -> Iterator[Estimate]:
             yield replace(point, name=f"opening[{edge}]({point.name} V)")
 
 
-def _tables(found: Openings) -> Iterator[Estimate]:
-    """Points of the tables of all edges as parameters; an untested edge gets the table of another."""
+def _tables(found: Openings, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
+    """Points of the tables of all edges as parameters; an untested edge gets the table of another.
+
+    Empty tables take the place of known ones if a straight line suffices.
+    """
+
+    def exact(name: str, value: float, unit: str, note: str) -> Estimate:
+        return Estimate(name, value, unit, 0.0, value, value, note, f"{name.rpartition('_')[0]}s")
+
     tested = found.curves
     for edge, other in SAME_WAY.items():
+        name = f"valve_{edge.replace('-', '').lower()}"
+        if found.line:
+            known = parameters.get(f"boom_stick.{name}_command_2")
+            if known and known.value > 0:
+                note = "no table: a straight line suffices, section 4(a)"
+                yield exact(f"{name}_command_1", 0.0, "V", note)
+                yield exact(f"{name}_opening_1", 0.0, "1", note)
+            continue
         source = edge if edge in tested else other if other in tested else next(iter(tested))
-        curve, name = tested[source], _table_of(edge)
         note = f"opening curve of edge {source}, section 4(a); relative to valve_area"
-        for i, command in enumerate(curve.commands, 1):
-            yield _entry(f"{name}_command_{i}", float(command), "V", note)
-        yield _entry(f"{name}_opening_1", 0.0, "1", note)
-        for i, point in enumerate(curve.openings(found.largest, note), 2):
+        for i, command in enumerate(tested[source].commands, 1):
+            yield exact(f"{name}_command_{i}", float(command), "V", note)
+        yield exact(f"{name}_opening_1", 0.0, "1", note)
+        for i, point in enumerate(tested[source].openings(found.largest, note), 2):
             yield replace(point, name=f"{name}_opening_{i}", listed=f"{name}_openings")
-
-
-def _no_tables(parameters: Mapping[str, Number]) -> Iterator[Estimate]:
-    """Empty tables in place of known ones, because a straight line suffices."""
-    for name in map(_table_of, SAME_WAY):
-        known = parameters.get(f"boom_stick.{name}_command_2")
-        if known and known.value > 0:
-            for kind, unit in (("command", "V"), ("opening", "1")):
-                yield _entry(
-                    f"{name}_{kind}_1", 0.0, unit, "no table: a straight line suffices, section 4(a)"
-                )
-
-
-def _table_of(edge: str) -> str:
-    return f"valve_{edge.replace('-', '').lower()}"
-
-
-def _entry(name: str, value: float, unit: str, note: str) -> Estimate:
-    """An entry of a list, which is exact."""
-    return Estimate(name, value, unit, 0.0, value, value, note, f"{name.rpartition('_')[0]}s")
 
 
 def _resistances(found: Openings) -> Iterator[Estimate]:
     """C_R at the voltages of `VOLTAGES`, and the zero of a straight opening."""
-    c, distinct = found.constants, found.distinct()
+    c, distinct = found.known, found.distinct()
     for edge, curve in distinct.items():
         suffix = "" if len(distinct) == 1 else f"[{edge}]"
         for voltage in VOLTAGES:

@@ -23,7 +23,7 @@ def remarks(steps: ValveSteps, found: Openings, zero: Estimate, declared: bool) 
 
     declared   whether the zero of the flow meter is declared
     """
-    good, dead, c = steps[steps.good], steps[steps.dead], found.constants
+    good, dead, c = steps[steps.good], steps[steps.dead], found.known
     if dead.command.size:
         yield (
             f"{dead.command.size} of {steps.command.size} steps, up to {dead.command.max():.3g} V, are "
@@ -156,7 +156,7 @@ def impossible(curve: Polynomial, x: Array) -> Mask:
 
 def panels(steps: ValveSteps, found: Openings) -> tuple[Panel, ...]:
     """C_R with the fit, K = Q/sqrt(dp) with masked steps, C_R with the paper's polynomials, residual."""
-    good, dead, c = steps[steps.good], steps[steps.dead & (steps.drop > 0)], found.constants
+    good, dead, c = steps[steps.good], steps[steps.dead & (steps.drop > 0)], found.known
     lines, polynomials = list[Curve](), list[Curve]()
     # K is straight above the foot of a straight opening, so it also shows the dead band
     root, gain = np.sqrt(good.drop), c.discharge_coefficient * math.sqrt(2 / c.density)
