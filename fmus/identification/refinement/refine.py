@@ -205,7 +205,7 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
     """Statistics, and simulations with the estimated parameters."""
     problem, simulator = shooting.problem, shooting.simulator
     z, p = solution.z, problem.values_of(solution.z)
-    starts = [states[0] * simulator.nominal for states in solution.evaluation.starts]
+    starts = [states[0] * simulator.nominal for states in solution.linear.at.starts]
     training = parallel(lambda k: simulate(problem.training[k], simulator, p, starts[k]), range(len(starts)))
     by_inputs = np.zeros((len(z), len(z)))
     if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
@@ -225,7 +225,7 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
         whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.signals)},
         training=tuple(training),
         held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
-        model_error=solution.scales.model_error,
+        model_error=solution.linear.scales.model_error,
         simulator=simulator,
     )
 

@@ -260,8 +260,14 @@ class Shooting:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The runs condensed around an iterate; rows [parameters | residual] of the runs and the priors."""
+    """The runs condensed around an iterate; rows [parameters | residual] of the runs and the priors.
 
+    at       the iterate, with its residuals and defects
+    scales   by which the residuals are divided
+    """
+
+    at: Evaluation
+    scales: Scales
     runs: tuple[CondensedRun, ...]
     rows: Array
 
@@ -272,11 +278,13 @@ class Linearisation:
         starts = sum(float(np.sum(run.top[:, -1] ** 2)) for run in self.runs)
         return float(np.sum(self.rows[:, -1] ** 2)) + starts
 
-    def step(self, z: Array, bounds: tuple[Array, Array], radius: float) -> Array:
-        """Damped least squares within bounds, dz; `radius` is the change of z that is hardly damped."""
+    def step(self, radius: float, bounds: tuple[Array, Array] | None = None) -> Array:
+        """Damped least squares within bounds of z, dz; `radius` is the change of z that is hardly damped."""
+        z = self.at.z
         damping = np.eye(len(z), len(z) + 1) / radius
         triangle = triangular(np.vstack([self.rows, damping]))
-        low, high = np.minimum(bounds[0] - z, 0.0), np.maximum(bounds[1] - z, 0.0)
+        least, largest = bounds or (np.full(len(z), -np.inf), np.full(len(z), np.inf))
+        low, high = np.minimum(least - z, 0.0), np.maximum(largest - z, 0.0)
         dz: Array = lsq_linear(triangle[:, :-1], -triangle[:, -1], (low, high), method="bvls").x
         return dz
 
@@ -300,7 +308,8 @@ def linearise(shooting: Shooting, old: Evaluation, new: Evaluation, scales: Scal
         runs.append(condense([next(residuals) for _ in segments], ends, start))
     sd = shooting.problem.prior_sd()
     priors = np.column_stack([np.eye(len(new.z)), new.z - shooting.problem.initial()]) / sd[:, None]
-    return Linearisation(tuple(runs), np.vstack([*(run.bottom for run in runs), priors[np.isfinite(sd)]]))
+    rows_of_all = np.vstack([*(run.bottom for run in runs), priors[np.isfinite(sd)]])
+    return Linearisation(new, scales, tuple(runs), rows_of_all)
 
 
 def cut(time: Array, seconds: float) -> tuple[int, ...]:

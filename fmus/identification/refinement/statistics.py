@@ -80,13 +80,14 @@ def statistics(solution: Solution, prior_sd: Array, by_inputs: Array) -> Statist
     prior_sd    prior standard deviations of z
     by_inputs   covariance that the noise of the inputs causes
     """
-    parameters, segments, scales = len(prior_sd), solution.evaluation.segments, solution.scales
+    linear, parameters = solution.linear, len(prior_sd)
+    segments, scales = linear.at.segments, linear.scales
     weighted = np.concatenate([s.residual / scales.sd[s.column] for s in segments])
     samples = sum(float(np.sum(1 / scales.correlation_time[s.column])) for s in segments)
-    initial_states = sum(len(run.top) for run in solution.linear.runs)
+    initial_states = sum(len(run.top) for run in linear.runs)
     degrees_of_freedom = max(1, round(samples) - parameters - initial_states)
     variance = float(weighted @ weighted) / degrees_of_freedom
-    jacobian = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
+    jacobian = np.vstack([run.bottom[:, :-1] for run in linear.runs])
     prior = np.diag(1 / prior_sd**2 + 1 / VAGUE**2)
     information = jacobian.T @ jacobian
     lengths = np.linalg.norm(jacobian, axis=0)
@@ -94,7 +95,7 @@ def statistics(solution: Solution, prior_sd: Array, by_inputs: Array) -> Statist
     smallest = float(singular[-1]) if len(jacobian) >= parameters else 0.0
     return Statistics(
         covariance=_inverse(information / variance + prior) + by_inputs,
-        robust_covariance=_jackknife(solution.linear.runs, prior, _inverse(information + prior)) + by_inputs,
+        robust_covariance=_jackknife(linear.runs, prior, _inverse(information + prior)) + by_inputs,
         data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + by_inputs,
         degrees_of_freedom=degrees_of_freedom,
         segments=len(segments),
@@ -136,30 +137,24 @@ def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Ar
 
 
 def input_covariance(shooting: Shooting, solution: Solution) -> Array:
-    """Covariance of z that the noise of the inputs causes, shape (np, np).
-
-    Drawn from the noise that smoothing leaves in them.
-    """
+    """Covariance of z that the noise of the inputs causes, shape (np, np): that which smoothing leaves."""
     parameters, names = len(solution.z), shooting.simulator.inputs
     if not any(run.input_noise for run in shooting.problem.training):
         return np.zeros((parameters, parameters))
-    rng = np.random.default_rng(0)
-    optimum, unbounded = solution.evaluation, (np.full(parameters, -np.inf), np.full(parameters, np.inf))
-    reference = solution.linear.step(solution.z, unbounded, LARGEST_RADIUS)
-    changes = []
+    rng, changes = np.random.default_rng(0), []
+    optimum, reference = solution.linear.at, solution.linear.step(LARGEST_RADIUS)
     for _ in range(DRAWS):
         inputs = tuple(u.copy() for u in shooting.inputs)
         for run, u in zip(shooting.problem.training, inputs, strict=True):
-            for j, (sd, window) in (
-                (j, run.input_noise[n]) for j, n in enumerate(names) if n in run.input_noise
-            ):
+            for j in (j for j, name in enumerate(names) if name in run.input_noise):
+                sd, window = run.input_noise[names[j]]
                 u[:, j] += local_parabolas(sd * rng.standard_normal(len(run.time)), window)
         try:
             new = replace(shooting, inputs=inputs).evaluate(optimum.z, optimum.starts, False)
         except SimulationFailed:
             continue
-        changed = linearise(shooting, optimum, new, solution.scales)
-        changes.append(changed.step(solution.z, unbounded, LARGEST_RADIUS) - reference)
+        changed = linearise(shooting, optimum, new, solution.linear.scales)
+        changes.append(changed.step(LARGEST_RADIUS) - reference)
     draws = np.array(changes).reshape(-1, parameters)
     return np.asarray(draws.T @ draws / max(1, len(draws)))
 

@@ -19,6 +19,7 @@ from fmus.identification.report.attribution import attribute
 from fmus.identification.results import Estimate, named
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.data.recording import Recording
+from orchestrator.data.trace import rms
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import plot
 from orchestrator.pages.plotting import embed
@@ -174,7 +175,7 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
         tests, fit = refined.whiteness[signal], dict[str, Any]()
         for use, traces in (("train", refined.training), ("test", refined.held_out)):
             relative = np.array([trace.nrmse()[k] for trace in traces])
-            fit[use] = prediction.rms(relative) if np.isfinite(relative).any() else None
+            fit[use] = rms(relative[told]) if (told := np.isfinite(relative)).any() else None
         fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
         fit["inputs"] = max(tests.inputs.values(), default=None)
         fits.append({"signal": signal, **html_page.json_values(fit)})
@@ -187,7 +188,7 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
         "fits": fits,
         "unidentified": [f"{sentence}." for sentence in refined.unidentified],
         "starts": [
-            {"name": f"random {k}", "away": prediction.rms(start.z - problem.initial())}
+            {"name": f"random {k}", "away": rms(start.z - problem.initial())}
             | {name: getattr(start, name) for name in START}
             for k, start in enumerate(starts, 1)
         ],

@@ -22,6 +22,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Recording, fill_gaps
 from orchestrator.data.table import Array
+from orchestrator.data.trace import rms
 
 Signals = Mapping[str, Array]
 LINES = ("supply_pressure", "tank_pressure")  # inputs of the machine that a recording may have measured
@@ -154,20 +155,15 @@ class RecordingComparison:
         return {q: max(e.items(), key=lambda item: item[1]) for q, e in by_quantity.items() if e}
 
 
-def rms(values: Array) -> float:
-    """Root mean square of the finite values, 0 if there is none."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
-
-
 def nrmse(measured: Array, predicted: Array) -> float | None:
     """Root mean square residual over the range of the measurement, without gaps; None if it is constant."""
     residual = predicted - measured
-    valid = measured[np.isfinite(residual)]
+    told = np.isfinite(residual)
+    valid = measured[told]
     if not valid.size:
         return None
     span = float(np.ptp(valid))
-    return rms(residual) / span if span > CONSTANT * (1 + float(np.abs(valid).max())) else None
+    return rms(residual[told]) / span if span > CONSTANT * (1 + float(np.abs(valid).max())) else None
 
 
 def compare(recording: Recording, predicted: Signals) -> RecordingComparison:
