@@ -146,11 +146,6 @@ class Samples:
         """Time of the centre of each window since the start [s], shape (m,)."""
         return np.asarray((self.centres + self.taps // 2) / self.rate)
 
-    @property
-    def hop(self) -> int:
-        """Distance of neighbouring windows in samples."""
-        return _hop(self.bump.size)
-
     def filtered(self, raw: Array) -> Array:
         """z, shape (channels, n - taps + 1), of samples (k, n)."""
         return np.array([np.correlate(raw[s], kernel, "valid") for s, kernel in self.channels])
@@ -171,7 +166,8 @@ class Samples:
         return sparse.csr_array((g.transpose(2, 1, 0, 3).ravel(), indices, ends), (m * r, self.raw.size))
 
 
-def _hop(size: int) -> int:
+def hop(size: int) -> int:
+    """Distance in samples of neighbouring windows of `size` samples."""
     return max(round(HOP * (size + 1) / 2), 1)
 
 
@@ -180,7 +176,7 @@ def window_starts(good: Mask, size: int) -> Indices:
     if good.size < size:
         return np.zeros(0, dtype=int)
     whole: Mask = np.asarray(sliding_window_view(good, size).all(axis=1))
-    return np.flatnonzero(whole & (np.arange(whole.size) % _hop(size) == 0))
+    return np.flatnonzero(whole & (np.arange(whole.size) % hop(size) == 0))
 
 
 def samples_of(
@@ -332,14 +328,15 @@ class Normal:
         between = (-bound - x) * self.scale, (bound - x) * self.scale
         return np.asarray(optimize.lsq_linear(rows, -np.concatenate([e, root * x]), between).x / self.scale)
 
-    def left(self, columns: Array) -> Array:
-        """What is left of other columns (..., N) after a fit by these."""
-        return np.asarray(columns - columns @ self.columns.T @ self.inverse @ self.columns)
-
     def covariance(self, e: Array, samples: Sequence[Samples], k_square: float) -> Array:
         """k^2 times that by the noise, widened where residuals e are correlated over some windows."""
-        ends, scores = _ends(samples), self.columns * e
-        middle = np.diag(self.prior) + sum(map(_scores_covariance, samples, np.split(scores, ends, axis=1)))
+        middle = np.diag(self.prior)
+        for s, scores in zip(samples, np.split(self.columns * e, _ends(samples), axis=1), strict=True):
+            by_window = scores.reshape(len(scores), -1, s.law.rows).sum(axis=2).T
+            lags = (
+                round(CORRELATION * (s.bump.size + s.taps - 1) / hop(s.bump.size)) if s.bump.size > 1 else 2
+            )
+            middle = middle + S_hac_simple(by_window, nlags=min(lags, len(by_window) // 4))
         by_noise, by_residuals = k_square * self.inverse, self.inverse @ middle @ self.inverse
         variance = np.maximum(np.diag(by_noise), TINY)
         widening = np.sqrt(np.maximum(np.diag(by_residuals) / variance, 1.0))
@@ -349,13 +346,6 @@ class Normal:
 def _ends(samples: Sequence[Samples]) -> Indices:
     """Where e of all recordings is split into that of each."""
     return np.cumsum([s.starts.size * s.law.rows for s in samples])[:-1]
-
-
-def _scores_covariance(s: Samples, scores: Array) -> Array:
-    """Covariance (c, c) of the sum of scores (c, N), which are correlated over some windows."""
-    by_window = scores.reshape(len(scores), -1, s.law.rows).sum(axis=2).T
-    lags = round(CORRELATION * (s.bump.size + s.taps - 1) / s.hop) if s.bump.size > 1 else 2
-    return np.asarray(S_hac_simple(by_window, nlags=min(lags, len(by_window) // 4)))
 
 
 @dataclass(frozen=True)
@@ -459,7 +449,8 @@ class Solution:
 
         The covariance is the larger one of those by the noise, by the scatter and by correlated residuals.
         """
-        left = self.normal.left(columns)
+        fitted = self.normal
+        left = columns - columns @ fitted.columns.T @ fitted.inverse @ fitted.columns
         new = np.linalg.norm(left, axis=1) > 1e-9 * np.linalg.norm(columns, axis=1)
         further = Normal(np.where(new[:, None], left, 0.0), np.zeros(len(columns)))
         change = further.step(self.residual)
@@ -608,11 +599,13 @@ def model_finding(solution: Solution, label: str) -> Finding:
 def _correlation(solution: Solution) -> tuple[float, float]:
     """Probability that no neighbours are correlated by more than `CORRELATED`; the largest correlation."""
     rows = [p.e.reshape(-1, s.law.rows) for s, p in zip(solution.samples, solution.parts, strict=True)]
-    products = [np.concatenate([(r[lag:] * r[:-lag]).ravel() for r in rows]) for lag in range(1, LAGS + 1)]
-    total = max(solution.fit.chi_square, solution.fit.freedom)
-    every = [(float(p.sum()) / total, p.size**-0.5) for p in products]
-    least = min(probability(rho, sd, CORRELATED) for rho, sd in every)
-    return LAGS * least, max(abs(rho) for rho, _ in every)
+    total, least, largest = max(solution.fit.chi_square, solution.fit.freedom), 1.0, 0.0
+    for lag in range(1, LAGS + 1):
+        products = np.concatenate([(r[lag:] * r[:-lag]).ravel() for r in rows])
+        rho = float(products.sum()) / total
+        least = min(least, probability(rho, products.size**-0.5, CORRELATED))
+        largest = max(largest, abs(rho))
+    return LAGS * least, largest
 
 
 def delay(solution: Solution, sensors: Collection[str], given: Sequence[str] = ()) -> tuple[float, float]:

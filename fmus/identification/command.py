@@ -52,7 +52,8 @@ def run(
     recordings = read_folder(folder)
     qualities, suspect = [quality(r) for r in recordings], doubtful(recordings)
     _print_size(folder, recordings, joint)
-    for line in (*faults(qualities), *unused_files(folder, recordings), *_warnings(suspect)):
+    doubts = (f"warning: {sentence}" for sentence in suspect)
+    for line in (*faults(qualities), *unused_files(folder, recordings), *doubts):
         print(f"  {line}")
     recordings = [resample_uniformly(r) for r in recordings]
     recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
@@ -75,8 +76,8 @@ def run(
         print(contents["explanation"].verdict)
     contradicted = [_placed(f["procedure"], f["sentence"]) for f in contents["findings"] if f["named"]]
     outside = map(extrapolation_text, extrapolated(identified))
-    for line in _warnings([*outside, *contents["warnings"], *contradicted]):
-        print(line)
+    for sentence in (*outside, *contents["warnings"], *contradicted):
+        print(f"warning: {sentence}")
     status = DOUBTFUL if suspect or contents["warnings"] else CONTRADICTED if contradicted else 0
     contents["warnings"] = [*suspect, *contents["warnings"], *contradicted]
     with doing("drawing the figures of the page"):
@@ -88,10 +89,6 @@ def run(
 def _placed(procedure: str, sentence: str) -> str:
     """A sentence that begins with the name of its procedure."""
     return sentence if sentence.startswith(procedure) else f"{procedure}: {sentence}"
-
-
-def _warnings(sentences: Sequence[str]) -> list[str]:
-    return [f"warning: {sentence}" for sentence in sentences]
 
 
 def _print_size(folder: Path, recordings: Sequence[Recording], joint: bool) -> None:

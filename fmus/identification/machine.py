@@ -215,14 +215,13 @@ def assumptions(recordings: Sequence[Recording]) -> list[str]:
 
 def estimates(refined: RefinementResult) -> tuple[Estimate, ...]:
     """The estimated parameters of the machine, as parameters.toml calls them; see `zeros` for the others."""
-    zeros_ = {zero_of(output) for output in refined.problem.outputs}
-    return tuple(e for e in refined.estimates() if e.name not in zeros_)
+    return tuple(e for e in refined.estimates() if not e.name.startswith(zero_of("")))
 
 
 def zeros(refined: RefinementResult) -> dict[str, Estimate]:
     """Signal -> estimated zero of its sensor."""
-    names = {zero_of(output): refined.problem.label(output) for output in refined.problem.outputs}
-    return {names[e.name]: e for e in refined.estimates() if e.name in names}
+    of_sensors = [e for e in refined.estimates() if e.name.startswith(zero_of(""))]
+    return {refined.problem.label(e.name.removeprefix(zero_of(""))): e for e in of_sensors}
 
 
 def zero_sentences(refined: RefinementResult) -> list[str]:
@@ -247,10 +246,8 @@ def findings(refined: RefinementResult) -> tuple[Finding, ...]:
 
 def without_zeros(recordings: Sequence[Recording], refined: RefinementResult) -> list[Recording]:
     """The recordings with the estimated zeros of the machine's sensors subtracted."""
-    found = zeros(refined)
-    return [
-        replace(r, signals={n: v - found[n].value if n in found else v for n, v in r.signals.items()})
-        if r.procedure == MACHINE
-        else r
-        for r in recordings
-    ]
+    found, corrected = zeros(refined), []
+    for r in recordings:
+        own = {n: r[n] - e.value for n, e in found.items() if r.procedure == MACHINE and n in r.signals}
+        corrected.append(replace(r, signals={**r.signals, **own}))
+    return corrected

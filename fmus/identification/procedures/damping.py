@@ -61,24 +61,22 @@ class FrictionContact:
         return f"manipulator.{self.parameter}"
 
 
-def _piston(joint: str) -> FrictionContact:
-    return FrictionContact(
-        joint,
-        f"{joint}_piston_damping",
-        "N.s/m",
-        speed=(f"speed of the {joint} piston", "m/s"),
-        resistance=("force of its friction", "N"),
+CONTACTS = {
+    joint: FrictionContact(joint, f"{joint}_{parameter}", unit, (speed, speed_unit), (resistance, force_unit))
+    for joint, parameter, unit, speed, speed_unit, resistance, force_unit in (
+        ("swing", "damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"),
+        ("boom", "piston_damping", "N.s/m", "speed of the boom piston", "m/s", "force of its friction", "N"),
+        (
+            "stick",
+            "piston_damping",
+            "N.s/m",
+            "speed of the stick piston",
+            "m/s",
+            "force of its friction",
+            "N",
+        ),
     )
-
-
-_GEAR = FrictionContact(
-    "swing",
-    "swing_damping",
-    "N.m.s/rad",
-    speed=("swing speed", "rad/s"),
-    resistance=("torque of the gear's friction", "N.m"),
-)
-CONTACTS = {"swing": _GEAR, "boom": _piston("boom"), "stick": _piston("stick")}
+}
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ class JointDamping:
     """
 
     contact: FrictionContact
-    records: tuple[momentum.JointRecording, ...]
+    records: Sequence[momentum.JointRecording]
     solution: Solution
     speed: Array
     resistance: Array
@@ -113,12 +111,6 @@ class JointDamping:
         """Standard deviation by the recordings."""
         return self.solution.fit.sd(self.contact.theta)
 
-    def estimate(self) -> Estimate:
-        """B with its interval."""
-        c, sd = self.contact, self.known_effect.total
-        note = "eq. (13) by impulses and momenta" + self.known_effect.note
-        return Estimate.normal(c.parameter, self.value, c.unit, sd, note, minimum=0.0)
-
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """B of each joint that has recordings."""
@@ -132,7 +124,18 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         procedure="damping",
         title="Viscous damping of the joints: resistance over speed",
         figure=9,
-        estimates=tuple(joint.estimate() for joint in joints if joint.value > 0),
+        estimates=tuple(
+            Estimate.normal(
+                joint.contact.parameter,
+                joint.value,
+                joint.contact.unit,
+                joint.known_effect.total,
+                f"eq. (13) by impulses and momenta{joint.known_effect.note}",
+                minimum=0.0,
+            )
+            for joint in joints
+            if joint.value > 0
+        ),
         panels=tuple(panel for joint in joints for panel in panels(joint)),
         remarks=tuple(f"{joint.contact.parameter}: {text}" for joint in joints for text in _remarks(joint)),
         others=tuple(estimate for joint in joints for estimate in _others(joint)),
@@ -149,7 +152,7 @@ def joint_damping(
         momentum.joint_recording(r, (joint,), (theta,), p, rounding=SIGN_ROUNDING) for r in recordings
     ]
     index = momentum.JOINTS.index(joint)
-    records = tuple(r for r in smoothed if _moves(r, index))
+    records = [r for r in smoothed if _moves(r, index)]
     if not records:
         files = ", ".join(str(r.source) for r in recordings)
         raise Problem(f"{files}: {momentum.ANGLES[index]}: expected a joint in motion, got one at rest")
@@ -178,7 +181,7 @@ def joint_damping(
         known_effect=momentum.known_parameter_effects(solution, parameters)[theta],
         dry=dry,
         dry_sd=dry_sd,
-        at_rest=tuple(r.source.source.name for r in smoothed if not any(r is own for own in records)),
+        at_rest=tuple(r.source.source.name for r in smoothed if not _moves(r, index)),
     )
 
 
@@ -190,12 +193,8 @@ def _moves(r: momentum.JointRecording, joint: int) -> bool:
 
 def _findings(joint: JointDamping) -> Iterator[Finding]:
     """Tests of the residual: dry friction, a change in time, delays between sensors, zeros, the model."""
-    label, solution, pressures = (
-        joint.contact.parameter,
-        joint.solution,
-        momentum.PRESSURES[joint.contact.joint],
-    )
-    recordings = [r.source for r in joint.records]
+    label, solution, recordings = joint.contact.parameter, joint.solution, [r.source for r in joint.records]
+    pressures = momentum.PRESSURES[joint.contact.joint]
     yield Finding(
         "dry friction",
         balance.probability(joint.dry, joint.dry_sd, sides=1),
@@ -260,13 +259,13 @@ def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
 
 def _others(joint: JointDamping) -> Iterator[Estimate]:
     """B by the recordings alone if its interval differs, and a dry friction."""
-    name, unit, (_, force) = joint.contact.parameter, joint.contact.unit, joint.contact.resistance
-    if joint.known_effect.significant:
-        label = f"{name}, other parameters known exactly"
-        yield Estimate.normal(label, joint.value, unit, joint.sd, "by the recordings alone")
+    contact = joint.contact
+    if joint.known_effect.note:
+        name, note = f"{contact.parameter}, other parameters known exactly", "by the recordings alone"
+        yield Estimate.normal(name, joint.value, contact.unit, joint.sd, note)
     if joint.dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
-        note = "as a further unknown of (13)"
-        yield Estimate.normal(f"dry friction next to {name}", joint.dry, force, joint.dry_sd, note)
+        name, note = f"dry friction next to {contact.parameter}", "as a further unknown of (13)"
+        yield Estimate.normal(name, joint.dry, contact.resistance[1], joint.dry_sd, note)
 
 
 def _remarks(joint: JointDamping) -> Iterator[str]:
@@ -277,7 +276,13 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
             f"{joint.value:.3g} {unit} is not a valid damping, so this estimate is not used: the "
             "value of a known parameter must be wrong."
         )
-    yield _used(joint)
+    windows = sum(r.samples.starts.size for r in joint.records)
+    possible, at_end = (sum(getattr(r, n) for r in joint.records) for n in ("possible", "at_stroke_end"))
+    stops = f"; in {at_end} samples a piston was at an end of its stroke" if at_end else ""
+    percent = f"{100 * (1 - windows / possible):.2g} %"
+    left = f"{percent} is left out because of clipped or missing samples nearby{stops}"
+    used = f"{windows} windows of {len(joint.records)} recordings are used"
+    yield f"{used}, {left if windows != possible else 'nothing is left out'}."
     for name in joint.at_rest:
         yield f"in {name} the joint is at rest, so this recording is left out."
     times, noise = solution.fit.times_noise, math.sqrt(solution.normal.inverse[0, 0])
@@ -307,15 +312,3 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
             f"there is a dry friction of {joint.dry:.3g} +- {joint.dry_sd:.2g} "
             f"{joint.contact.resistance[1]}. It is estimated together with B, which does not include it."
         )
-
-
-def _used(joint: JointDamping) -> str:
-    windows = [r.samples.starts.size for r in joint.records]
-    possible = sum(r.possible for r in joint.records)
-    used = f"{sum(windows)} windows of {len(joint.records)} recordings are used"
-    if sum(windows) == possible:
-        return f"{used}, nothing is left out."
-    at_end = sum(r.at_stroke_end for r in joint.records)
-    stops = f"; in {at_end} samples a piston was at an end of its stroke" if at_end else ""
-    percent = 100 * (1 - sum(windows) / possible)
-    return f"{used}, {percent:.2g} % is left out because of clipped or missing samples nearby{stops}."

@@ -11,16 +11,8 @@ from scipy import stats
 
 from fmus.identification.balance import SIGNIFICANT, Solution
 from fmus.identification.recording_names import TEMPERATURE
+from fmus.identification.recordings import masks
 from fmus.identification.recordings.clock import filter_for, resample_uniformly
-from fmus.identification.recordings.masks import (
-    MAX_CHANCE,
-    MIN_CHANCE,
-    OVERSTATED,
-    averages,
-    equal_by_chance,
-    faults,
-    noise,
-)
 from fmus.identification.recordings.reading import require
 from fmus.identification.results import BAR, Estimate, Finding
 from fmus.parameters import Number
@@ -129,13 +121,13 @@ def noise_sd(recording: Recording, name: str) -> float:
     The data decide if they show more than `NOISE_KNOWN` times the described noise, or far less of it.
     """
     sensor, values = recording.sensor(name), recording[name]
-    seen = noise(values, sensor)
+    seen = masks.noise(values, sensor)
     if not math.isfinite(seen):
         return sensor.sd
     if not sensor.sd or seen > NOISE_KNOWN * sensor.sd:
         return max(seen, sensor.resolution / math.sqrt(12))
     most = _most_noise(values, sensor)
-    return most if sensor.sd > OVERSTATED * most > 0 else sensor.sd
+    return most if sensor.sd > masks.OVERSTATED * most > 0 else sensor.sd
 
 
 def _most_noise(values: Array, sensor: Sensor) -> float:
@@ -144,10 +136,10 @@ def _most_noise(values: Array, sensor: Sensor) -> float:
     Correlated noise shows itself in means; so does a fast motion, which makes the result too large. A
     converter hides noise of half a step.
     """
-    found = [noise(values, sensor, moving=True)]
+    found = [masks.noise(values, sensor, moving=True)]
     for size in (4, 16):
         blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
-        found.append(noise(blocks) * math.sqrt(size))
+        found.append(masks.noise(blocks) * math.sqrt(size))
     most = max((x for x in found if math.isfinite(x)), default=0.0)
     return math.hypot(most, sensor.resolution / 2) if most > 0 else 0.0
 
@@ -164,10 +156,12 @@ def signal_findings(recordings: Sequence[Recording], names: Collection[str], lab
 
 def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
     values, sensor = recording[name], recording.sensor(name)
-    seen, most, p = noise(values, sensor), _most_noise(values, sensor), 1.0
+    seen, most, p = masks.noise(values, sensor), _most_noise(values, sensor), 1.0
     if sensor.noise > 0 and seen > 0 and most > 0:
         error = NOISE_ERROR / math.sqrt(np.isfinite(values).sum())  # of the logarithm
-        excess = max(math.log(seen / sensor.sd / NOISE_KNOWN), math.log(sensor.noise / most / OVERSTATED))
+        excess = max(
+            math.log(seen / sensor.sd / NOISE_KNOWN), math.log(sensor.noise / most / masks.OVERSTATED)
+        )
         p = float(min(1.0, 2 * stats.norm.sf(excess / error)))
     return Finding(
         "noise",
@@ -180,10 +174,10 @@ def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
 def _saturation_finding(recording: Recording, name: str, label: str) -> Finding:
     values, sensor = recording[name], recording.sensor(name)
     ends = [float(np.nanmax(values))] + ([float(np.nanmin(values))] if np.nanmin(values) < 0 else [])
-    chance = max(equal_by_chance(values, sensor), MIN_CHANCE)
+    chance = max(masks.equal_by_chance(values, sensor), masks.MIN_CHANCE)
     runs = [s.stop - s.start for end in ends for s in true_intervals((values == end) & (end != 0))]
     longest = max(runs, default=0)
-    p = min(1.0, values.size * chance ** (longest - 1)) if longest and chance <= MAX_CHANCE else 1.0
+    p = min(1.0, values.size * chance ** (longest - 1)) if longest and chance <= masks.MAX_CHANCE else 1.0
     held = f"{label}: {recording.source.name}: {name} is held at its extreme over {longest} samples"
     return Finding("saturated signal", p, held)
 
@@ -202,20 +196,17 @@ def zero_limit(recording: Recording, name: str) -> float:
     return max(ZERO_ERROR * largest, ZERO_NOISE * sensor.noise)
 
 
-def difference_limit(recordings: Sequence[Recording], names: Sequence[str]) -> float:
-    """Largest difference that errors of zeros can make between two sensors, in any of the recordings.
+def zero_limits(recordings: Sequence[Recording], names: Iterable[str]) -> dict[str, float]:
+    """Largest error of each sensor's zero in any recording.
 
     It is above zero: a perfect sensor has an error of `FINEST` of its largest reading.
     """
-    return max(
-        sum(max(zero_limit(r, n), FINEST * float(np.nanmax(np.abs(r[n]), initial=0.0))) for n in names)
-        for r in recordings
-    )
-
-
-def zero_limits(recordings: Sequence[Recording], names: Iterable[str]) -> dict[str, float]:
-    """Largest error of each sensor's zero in any recording, of a perfect one `FINEST` of its reading."""
-    return {n: difference_limit(recordings, (n,)) for n in names}
+    return {
+        n: max(
+            max(zero_limit(r, n), FINEST * float(np.nanmax(np.abs(r[n]), initial=0.0))) for r in recordings
+        )
+        for n in names
+    }
 
 
 def declared_limits(recordings: Sequence[Recording], names: Collection[str]) -> dict[str, float]:
@@ -224,18 +215,17 @@ def declared_limits(recordings: Sequence[Recording], names: Collection[str]) -> 
     return {n: max(x for x in own if x is not None) for n, own in errors.items() if any(own)}
 
 
-def course(recording: Recording, time: Array) -> tuple[Array, str]:
-    """What may change a coefficient at these times since the start: the oil's temperature, or time."""
+def course(recording: Recording, when: Array | Sequence[slice]) -> tuple[Array, str]:
+    """What may change a coefficient: the oil's temperature, or the time since the start.
+
+    when   times since the start (n,), or stretches, at whose middles it is
+    """
+    start = recording.time[0]
+    time = np.array([recording.time[x].mean() - start if isinstance(x, slice) else x for x in when])
     if TEMPERATURE not in recording.signals:
         return time, "time"
     values = recording.interpolated(TEMPERATURE)
-    return np.interp(recording.time[0] + time, recording.time, values), "oil temperature"
-
-
-def course_of(recording: Recording, stretches: Sequence[slice]) -> tuple[Array, str]:
-    """The `course` at the middles of stretches."""
-    middles = [recording.time[stretch].mean() - recording.time[0] for stretch in stretches]
-    return course(recording, np.array(middles))
+    return np.interp(start + time, recording.time, values), "oil temperature"
 
 
 def courses(recordings: Sequence[Recording], solution: Solution) -> list[tuple[Array, str]]:
@@ -321,9 +311,9 @@ def step_means(recording: Recording, steps: Sequence[slice]) -> StepMeans:
             f"{recording.source}: expected commands that are held for {SETTLING_TIME + SHORTEST_STEP:g} s or "
             "longer, got none"
         )
-    (means, errors), flow = averages(recording, STEP_SIGNALS, steps), recording["flow"]
+    (means, errors), flow = masks.averages(recording, STEP_SIGNALS, steps), recording["flow"]
     errors = np.maximum(errors, FINEST * np.abs(means))
-    causes = {name: faults(recording, name) for name in STEP_SIGNALS}
+    causes = {name: masks.faults(recording, name) for name in STEP_SIGNALS}
     in_dead_zone = causes["flow"]["dead zone"]
     # a missing sample only drops out of the mean, but a sample with a wrong value biases it
     wrong = [mask for masks in causes.values() for cause, mask in masks.items() if cause != "gaps"]

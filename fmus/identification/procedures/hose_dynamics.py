@@ -69,13 +69,6 @@ SIGNALS: Mapping[str, str] = {
 }
 PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
 SAMPLES_PER_PERIOD = 2.5  # minimum, above Nyquist's two
-UNITS = {"I": "kg/m4", "C": "m3/Pa"}
-QUANTITIES = {"I": "inertance", "C": "capacitance"}
-# lines of the machine that have each quantity as a parameter
-LINES = {
-    "I": ("boom_stick.stick_hose", "boom_stick.boom_hose", "swing.line"),
-    "C": ("boom_stick.stick_hose", "boom_stick.boom_hose"),
-}
 MIN_WINDOWS = 20  # per group: fewer do not determine five unknowns
 DEFINITION_WINDOW = 0.055  # s, filter for the definitions: a third of the shortest change
 DEFINITION_SAMPLES = 4  # intervals in that filter at least: more than the degree of its polynomial
@@ -96,15 +89,22 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     equations_ = equations(parameters, length, bore)
     for test in tests:
         _check(test, equations_[0])
-    aligned = align(equations_, tests)
-    both = [fitted(*own, aligned) for own in zip(equations_, aligned.solutions, strict=True)]
+    groups, solutions, later, delay = align(equations_, tests)
+    both = [fitted(e, groups, s, later) for e, s in zip(equations_, solutions, strict=True)]
     resistance = equations_[0].start["C_R"]
     # for each quantity the samples of each group
-    defined = [*zip(*(by_definition(group, resistance) for group in aligned.groups), strict=True)]
+    defined = [*zip(*(by_definition(group, resistance) for group in groups), strict=True)]
     sides = (
         ("dQ/dt [m3/s2]", "drop without friction", BAR),
         ("dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
     )
+    findings = list[Finding]()
+    for fits in both:
+        label = f"hose_dynamics, {fits.equation.quantity}"
+        findings += balance.zero_findings(fits.solution, label)
+        findings.append(balance.model_finding(fits.solution, label))
+    courses = data.courses(groups, solutions[0])
+    drift = balance.drift_finding(solutions[0], "C_R", courses, "hose_dynamics: the resistance")
     return ProcedureResult(
         procedure="hose_dynamics",
         title=f"Hose inertance and capacitance: {length:g} m, bore {bore * 1e3:.4g} mm",
@@ -116,7 +116,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         ),
         remarks=(*_remarks(both), data.constants_remark(tests, parameters, "density", "bulk_modulus")),
         others=tuple(_others(both, defined)),
-        findings=(*_findings(both, aligned), *data.signal_findings(tests, SIGNALS, "hose_dynamics")),
+        findings=(*findings, delay, drift, *data.signal_findings(tests, SIGNALS, "hose_dynamics")),
     )
 
 
@@ -124,19 +124,23 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
 class Equation:
     """The law of one quantity, "I" or "C", with the start of its search and its windows.
 
+    lines             of the machine that have the quantity as a parameter
     start             initial value of each unknown
     half_width        of the windows [s]
     transition_flow   at which |Q| is rounded [m3/s]
     """
 
     name: str
+    quantity: str
+    unit: str
+    lines: tuple[str, ...]
     law: Law
     start: Mapping[str, float]
     half_width: float
     transition_flow: float
 
 
-def equations(parameters: Mapping[str, Number], length: float, bore: float) -> tuple[Equation, ...]:
+def equations(parameters: Mapping[str, Number], length: float, bore: float) -> tuple[Equation, Equation]:
     """Both equations of a hose; |Q| is rounded as in `spool_valve.turbulent_drop`."""
     density, modulus, known, resistance, stick_length, stick_bore = (
         data.parameter_value(parameters, f"boom_stick.{name}")
@@ -158,13 +162,18 @@ def equations(parameters: Mapping[str, Number], length: float, bore: float) -> t
         "s": 0.0,
     }
     capacitance = {"C": float(hose.capacitance(length, bore, modulus)), "s": 0.0}
-    terms = (
-        ("I", inertance, p_in - p_out - friction, u["I"] * flow),
-        ("C", capacitance, q_in - q_out, u["C"] * pressure),
-    )
-    return tuple(
-        Equation(name, balance.law(z, {n: u[n] for n in start}, transition, f, h), start, half_width, known)
-        for name, start, f, h in terms
+
+    def equation(
+        quantity: str, unit: str, lines: tuple[str, ...], start: Mapping[str, float], f: ca.SX, h: ca.SX
+    ) -> Equation:
+        own = balance.law(z, {n: u[n] for n in start}, transition, f, h)
+        return Equation(next(iter(start)), quantity, unit, lines, own, start, half_width, known)
+
+    hoses = ("boom_stick.stick_hose", "boom_stick.boom_hose")
+    drop, stored = p_in - p_out - friction, q_in - q_out
+    return (
+        equation("inertance", "kg/m4", (*hoses, "swing.line"), inertance, drop, u["I"] * flow),
+        equation("capacitance", "m3/Pa", hoses, capacitance, stored, u["C"] * pressure),
     )
 
 
@@ -218,32 +227,27 @@ def solved(equation: Equation, groups: Sequence[Recording]) -> Solution:
 # ---- delay of a logger ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Aligned:
-    """Recordings without the delay of a logger, if there is one.
+def align(
+    both: Sequence[Equation], tests: Sequence[Recording]
+) -> tuple[Sequence[Recording], Sequence[Solution], Sequence[Recording], Finding]:
+    """The recordings without the delay of a logger, if noise does not explain it, and the finding of it.
 
-    groups      the recordings; samples that are not good are gaps if a delay is taken out
-    solutions   fit of each equation to all of them
-    later       the recordings with a delay that is one standard deviation larger; empty if none is taken out
-    finding     of the delay
+    A delay is searched for only if an equation does not fit. The second result are fits of each equation to
+    all recordings, whose samples that are not good are gaps if a delay is taken out. The third are those with
+    a delay that is one standard deviation larger; empty if none is taken out.
     """
 
-    groups: Sequence[Recording]
-    solutions: Sequence[Solution]
-    later: Sequence[Recording]
-    finding: Finding
+    def attempt(groups: Sequence[Recording]) -> list[Solution] | None:
+        try:
+            return [solved(equation, groups) for equation in both]
+        except Problem:  # one does not converge
+            return None
 
-
-def align(both: Sequence[Equation], tests: Sequence[Recording]) -> Aligned:
-    """The recordings without the delay of a logger, if noise does not explain it.
-
-    A delay is searched for only if an equation does not fit.
-    """
-    plain = aligned = _attempt(both, tests)
+    plain = aligned = attempt(tests)
     late, delayed = LOGGERS[0], 0.0
     if plain is None or any(solution.fit.misfit for solution in plain):
         late, delayed = _search(both, tests)
-        aligned = _attempt(both, [_without(test, late, delayed) for test in tests])
+        aligned = attempt([_without(test, late, delayed) for test in tests])
     changes = [balance.delay(solution, late) for solution in aligned or ()]
     change, sd = min(changes, key=lambda found: found[1], default=(0.0, math.inf))
     delayed += change
@@ -253,18 +257,10 @@ def align(both: Sequence[Equation], tests: Sequence[Recording]) -> Aligned:
     sentence = f"hose_dynamics: {', '.join(late)} would have to be {milliseconds} late"
     if p > balance.UNLIKELY:
         solutions = plain or [solved(equation, tests) for equation in both]
-        return Aligned(tests, solutions, (), Finding("time shift", p, sentence))
+        return tests, solutions, (), Finding("time shift", p, sentence)
     groups, later = ([_without(test, late, x) for test in tests] for x in (delayed, delayed + sd))
     finding = Finding("time shift", p, f"{sentence}; the estimates are without this delay")
-    return Aligned(groups, [solved(equation, groups) for equation in both], later, finding)
-
-
-def _attempt(both: Sequence[Equation], groups: Sequence[Recording]) -> list[Solution] | None:
-    """Fit of each equation; None if one does not converge."""
-    try:
-        return [solved(equation, groups) for equation in both]
-    except Problem:
-        return None
+    return groups, [solved(equation, groups) for equation in both], later, finding
 
 
 def _without(recording: Recording, late: Sequence[str], delayed: float) -> Recording:
@@ -287,35 +283,33 @@ def _search(both: Sequence[Equation], tests: Sequence[Recording]) -> tuple[Seque
     every = [(equation, [prepared(test, equation) for test in tests]) for equation in both]
     for _, samples in every:
         for k, s in enumerate(samples):
-            between = np.isin(s.starts - s.hop, s.starts) & np.isin(s.starts + s.hop, s.starts)
-            samples[k] = replace(s, starts=s.starts[between])
+            before, after = (s.starts + sign * balance.hop(s.bump.size) for sign in (-1, 1))
+            samples[k] = replace(s, starts=s.starts[np.isin(before, s.starts) & np.isin(after, s.starts)])
     if any(s.starts.size < MIN_WINDOWS for _, samples in every for s in samples):
         return LOGGERS[0], 0.0
     longest = balance.HOP * both[0].half_width
     grid = np.linspace(-longest, longest, DELAYS)
 
     def misfit(delayed: float, late: Sequence[str]) -> float:
-        return sum(_misfit(equation, samples, late, delayed) for equation, samples in every)
+        """Sum of the logarithms of the squares that plain least squares leave, linear about the starts."""
+        logarithms = []
+        for equation, samples in every:
+            columns, theta = [], np.array([*equation.start.values()])
+            for s in samples:
+                moved = shift(s.raw, (0, -delayed * s.rate), mode="nearest")
+                at = balance.linearised(s, np.where(np.isin(s.sensors, late)[:, None], moved, s.raw), theta)
+                columns.append(np.concatenate([at.e, at.by_theta[:, 0], np.ones_like(at.e)]))
+            e, *x = np.concatenate(columns, axis=1)
+            matrix = np.array(x).T / np.maximum(np.linalg.norm(x, axis=1), 1e-300)
+            left = e - matrix @ np.linalg.lstsq(matrix, e)[0]
+            logarithms.append(math.log(max(float(left @ left), 1e-300)))
+        return sum(logarithms)
 
     nearest, late = min(((x, late) for late in LOGGERS for x in grid), key=lambda tried: misfit(*tried))
     around = nearest + (grid[1] - grid[0]) * np.array([-1, 1])
     accuracy = {"xatol": 1e-2 / max(map(uniform_rate, tests))}
     found = optimize.minimize_scalar(misfit, bounds=around, args=(late,), options=accuracy)
     return late, float(found.x)
-
-
-def _misfit(equation: Equation, samples: Sequence[Samples], late: Sequence[str], delayed: float) -> float:
-    """Logarithm of the squares that plain least squares leave of an equation, linear about its start."""
-    columns, theta = [], np.array([*equation.start.values()])
-    for s in samples:
-        moved = shift(s.raw, (0, -delayed * s.rate), mode="nearest")
-        raw = np.where(np.isin(s.sensors, late)[:, None], moved, s.raw)
-        at = balance.linearised(s, raw, theta)
-        columns.append(np.concatenate([at.e, at.by_theta[:, 0], np.ones_like(at.e)]))
-    e, *x = np.concatenate(columns, axis=1)
-    matrix = np.array(x).T / np.maximum(np.linalg.norm(x, axis=1), 1e-300)
-    left = e - matrix @ np.linalg.lstsq(matrix, e)[0]
-    return math.log(max(float(left @ left), 1e-300))
 
 
 # ---- results -------------------------------------------------------------------------------------------
@@ -329,11 +323,16 @@ class GroupFits:
     equal    probability of the scatter between the groups if all have the same value
     """
 
-    name: str
+    equation: Equation
     groups: tuple[Regression, ...]
     solution: Solution
     pooled: Regression
     equal: float
+
+    @property
+    def name(self) -> str:
+        """Of the quantity."""
+        return self.equation.name
 
     @property
     def determined(self) -> bool:
@@ -341,9 +340,11 @@ class GroupFits:
         return self.pooled.determined(self.name)
 
 
-def fitted(equation: Equation, solution: Solution, aligned: Aligned) -> GroupFits:
-    """Fits of all groups and of each."""
-    name, groups, pooled, equal = equation.name, aligned.groups, solution.fit, 1.0
+def fitted(
+    equation: Equation, groups: Sequence[Recording], solution: Solution, later: Sequence[Recording]
+) -> GroupFits:
+    """Fits of all groups, which is `solution`, and of each; `later` is that of `align`."""
+    name, pooled, equal = equation.name, solution.fit, 1.0
     alone = [solved(equation, [group]).fit for group in groups] if len(groups) > 1 else [pooled]
     if pooled[name] < -balance.SIGNIFICANT * pooled.sd(name):
         files = ", ".join(str(group.source) for group in groups)
@@ -358,22 +359,10 @@ def fitted(equation: Equation, solution: Solution, aligned: Aligned) -> GroupFit
         if equal < balance.UNLIKELY:
             widening = max(1.0, values.std(ddof=1) / math.sqrt(values.size) / pooled.sd(name))
             pooled = replace(pooled, covariance=pooled.covariance * widening**2)
-    if aligned.later:
-        change = solved(equation, aligned.later).fit.values - pooled.values
+    if later:
+        change = solved(equation, later).fit.values - pooled.values
         pooled = replace(pooled, covariance=pooled.covariance + np.outer(change, change))
-    return GroupFits(name, tuple(alone), solution, pooled, equal)
-
-
-def _findings(both: Sequence[GroupFits], aligned: Aligned) -> Iterator[Finding]:
-    """Tests of both residuals: zeros, the model, a delay, a change in time."""
-    for fits in both:
-        label = f"hose_dynamics, {QUANTITIES[fits.name]}"
-        yield from balance.zero_findings(fits.solution, label)
-        yield balance.model_finding(fits.solution, label)
-    yield aligned.finding
-    solution = both[0].solution
-    courses = data.courses(aligned.groups, solution)
-    yield balance.drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")
+    return GroupFits(equation, tuple(alone), solution, pooled, equal)
 
 
 def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array]:
@@ -396,23 +385,13 @@ def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array
     return ratio(inertial_drop, rate["flow_in"]), ratio(stored, rate["pressure_out"])
 
 
-def mean_of_means(name: str, unit: str, groups: Sequence[Array]) -> Estimate:
-    """The mean of the groups' means, with Student's t interval from their scatter."""
-    means = np.array([group.mean() for group in groups if group.size])
-    n = means.size
-    mean = float(means.mean()) if n else float("nan")
-    sd = float(means.std(ddof=1) / np.sqrt(n)) if n > 1 else float("inf")
-    note = f"by definition, mean of {n} group means, section 4(c); the interval is their scatter"
-    return Estimate.normal(name, mean, unit, sd, note, max(n - 1, 1))
-
-
 def _lines(
     fits: GroupFits, groups: Sequence[Recording], parameters: Mapping[str, Number]
 ) -> Iterator[Estimate]:
     """The machine's lines by I ~ rho l/A and C ~ A l; none if the data do not determine the quantity."""
     length, bore = data.hose_size(groups)
     density = data.density_ratio(groups, parameters) if fits.name == "I" else 1.0
-    for line in LINES[fits.name] if fits.determined else ():
+    for line in fits.equation.lines if fits.determined else ():
         line_length = data.parameter_value(parameters, f"{line}_length")
         area = float(hose.area(data.parameter_value(parameters, f"{line}_bore")) / hose.area(bore))
         ratio = line_length / length
@@ -420,17 +399,27 @@ def _lines(
         note = "regression over windows, section 4(c)"
         if abs(factor - 1) > 1e-9:
             note += f", times {factor:.4g} for {line_length:g} m instead of {length:g} m"
-            note += "" if abs(area - 1) < 1e-9 else f" and {area:.4g} times the area"
-            note += "" if abs(density - 1) < 1e-9 else f" and {density:.4g} times the density"
-        name = f"{line}_{QUANTITIES[fits.name]}"
-        yield fits.pooled.estimate(name, UNITS[fits.name], note, fits.name, factor)
+            for other, of in ((area, "area"), (density, "density")):
+                note += f" and {other:.4g} times the {of}" if abs(other - 1) >= 1e-9 else ""
+        yield fits.pooled.estimate(
+            f"{line}_{fits.equation.quantity}", fits.equation.unit, note, fits.name, factor
+        )
 
 
 def _others(both: Sequence[GroupFits], defined: Sequence[Sequence[Array]]) -> Iterator[Estimate]:
+    """The tested hose by both methods, and the positions s."""
     for fits, samples in zip(both, defined, strict=True):
-        unit = UNITS[fits.name]
-        yield fits.pooled.estimate(fits.name, unit, "regression, the tested hose")
-        yield mean_of_means(f"{fits.name} by definition", unit, samples)
+        yield fits.pooled.estimate(fits.name, fits.equation.unit, "regression, the tested hose")
+        means = np.array([group.mean() for group in samples if group.size])
+        n, mean, sd = means.size, float("nan"), float("inf")
+        if n:
+            mean = float(means.mean())
+        if n > 1:
+            sd = float(means.std(ddof=1) / np.sqrt(n))
+        note = f"by definition, mean of {n} group means, section 4(c); the interval is their scatter"
+        yield Estimate.normal(
+            f"{fits.name} by definition", mean, fits.equation.unit, sd, note, max(n - 1, 1)
+        )  # Student's t
     for fits, signal, end in zip(both, ("flow", "pressure"), ("outlet", "inlet"), strict=True):
         note = f"position s of the {signal}; 0 lumped, 1/2 distributed"
         yield fits.pooled.estimate(f"weight of the {end}'s {signal}", "1", note, "s")
@@ -438,7 +427,7 @@ def _others(both: Sequence[GroupFits], defined: Sequence[Sequence[Array]]) -> It
 
 def _groups_panel(fits: GroupFits, defined: Sequence[Array]) -> Panel:
     """Values of each group by both methods."""
-    number, quantity = np.arange(1.0, len(defined) + 1), QUANTITIES[fits.name]
+    number, quantity = np.arange(1.0, len(defined) + 1), fits.equation.quantity
     values, sds = np.array([(group[fits.name], group.sd(fits.name)) for group in fits.groups]).T
     means, scatter = np.array([(samples.mean(), samples.std()) for samples in defined]).T
     ends = np.array([0.5, len(defined) + 0.5])
@@ -449,7 +438,7 @@ def _groups_panel(fits: GroupFits, defined: Sequence[Array]) -> Panel:
         Curve("regression, 95 %", number + 0.1, values, "measured", error=errors),
         Curve("regression, all groups", ends, np.full(2, fits.pooled[fits.name]), "fit", line=True),
     )
-    label = f"{quantity} [{UNITS[fits.name]}]"
+    label = f"{quantity} [{fits.equation.unit}]"
     return Panel("group", label, curves, f"{quantity.capitalize()} of each group")
 
 
@@ -474,7 +463,7 @@ def _remarks(both: Sequence[GroupFits]) -> Iterator[str]:
         "group means. They are biased by the noise of the derivatives and by the position of the flow meter."
     )
     for fits in both:
-        quantity, unit = QUANTITIES[fits.name], UNITS[fits.name]
+        quantity, unit = fits.equation.quantity, fits.equation.unit
         if not fits.determined:
             yield (
                 f"These recordings do not determine the {quantity}: {fits.pooled[fits.name]:.2g} +- "
@@ -494,4 +483,4 @@ def _remarks(both: Sequence[GroupFits]) -> Iterator[str]:
             "flow of the inlet."
         )
     for fits in both:
-        yield from balance.misfit_remark(fits.pooled, f"The equation of the {QUANTITIES[fits.name]}")
+        yield from balance.misfit_remark(fits.pooled, f"The equation of the {fits.equation.quantity}")

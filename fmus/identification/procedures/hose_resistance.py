@@ -15,7 +15,6 @@ Validity: steady flow above the dead zone of the meter; eq. (10) for a smooth pi
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache, partial
 from operator import mul
 
@@ -32,6 +31,7 @@ from fmus.identification.results import (
     BAR,
     LITRES_PER_MINUTE,
     Curve,
+    CurveKind,
     Estimate,
     Finding,
     Panel,
@@ -66,19 +66,16 @@ def laws() -> Mapping[str, balance.Law]:
     mixed    Q sqrt(R^2 + (C_R Q)^2), laminar below R/C_R as in `fmus.components.hose`; R^2 may be negative
     """
     z, transition = ca.SX.sym("z", 3), ca.SX.sym("transition")
-    q = z[2]
-    resistance, factor, laminar = (ca.SX.sym(n) for n in ("resistance", "factor", "laminar_square"))
-    turbulent = (resistance * q) ** 2
+    u = {name: ca.SX.sym(name) for name in ("resistance", "factor", "laminar_square")}
+    q, turbulent = z[2], (u["resistance"] * z[2]) ** 2
+    mixed = q * ca.sqrt(ca.fmax(u["laminar_square"] + turbulent, 1e-6 * turbulent + 1e-9))
     forms = {
-        "square": ({"resistance": resistance}, resistance * q * ca.sqrt(q**2 + transition**2)),
-        "power": ({"factor": factor}, factor * ca.sign(q) * ca.fabs(q) ** 1.75),
-        "mixed": (
-            {"resistance": resistance, "laminar_square": laminar},
-            q * ca.sqrt(ca.fmax(laminar + turbulent, 1e-6 * turbulent + 1e-9)),
-        ),
+        "square": (("resistance",), u["resistance"] * q * ca.sqrt(q**2 + transition**2)),
+        "power": (("factor",), u["factor"] * ca.sign(q) * ca.fabs(q) ** 1.75),
+        "mixed": (("resistance", "laminar_square"), mixed),
     }
     return {
-        name: balance.law(z, unknowns, transition, z[0] - z[1] - drop)
+        name: balance.law(z, {n: u[n] for n in unknowns}, transition, z[0] - z[1] - drop)
         for name, (unknowns, drop) in forms.items()
     }
 
@@ -100,7 +97,16 @@ def scaled(resistance: float, length: float, diameter: float, to_length: float, 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """C_R of the stick's and the boom's hoses from that of the tested hose."""
     tests = data.training_recordings(recordings, "hose_resistance", SIGNALS)
-    steps, along, word = steady_steps(tests)
+    means, times, word = [], list[Array](), ""
+    for test in tests:
+        stretches = data.steady_stretches(test, ["flow"])
+        if not stretches:
+            expected = f"expected a steady flow for {data.SHORTEST_STRETCH:g} s or longer, got none"
+            raise Problem(f"{test.source}: flow: {expected}")
+        means.append(data.step_means(test, stretches))
+        along, word = data.course(test, stretches)
+        times.append(along)
+    steps, along = data.concatenate(means), np.concatenate(times)
     limits = data.zero_limits(tests, ("pressure_in", "pressure_out")) | data.declared_limits(tests, ["flow"])
     fits = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limits)
     square, good = fits["square"], steps[steps.good]
@@ -134,20 +140,6 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *data.signal_findings(tests, SIGNALS, "hose_resistance"),
         ),
     )
-
-
-def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array, str]:
-    """Means over the stretches of steady flow in all recordings, with the `course` of each."""
-    means, along, word = [], list[Array](), ""
-    for recording in recordings:
-        steps = data.steady_stretches(recording, ["flow"])
-        if not steps:
-            expected = f"expected a steady flow for {data.SHORTEST_STRETCH:g} s or longer, got none"
-            raise Problem(f"{recording.source}: flow: {expected}")
-        means.append(data.step_means(recording, steps))
-        values, word = data.course_of(recording, steps)
-        along.append(values)
-    return data.concatenate(means), np.concatenate(along), word
 
 
 def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> Fits:
@@ -229,12 +221,11 @@ def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
     residual = []
     for name in fits:
         label, short = LABELS[name]
-        line = Curve(label, flows, drop_by(fits, name, flows), "compared", line=True)
-        left = Curve(short, good.flow, good.drop - drop_by(fits, name, good.flow), "compared")
-        if name == "square":
-            line, left = replace(line, kind="fit"), replace(left, kind="fit", error=good.drop_error)
-        drop.append(line)
-        residual.append(left)
+        kind: CurveKind = "fit" if name == "square" else "compared"
+        error = good.drop_error if name == "square" else None
+        drop.append(Curve(label, flows, drop_by(fits, name, flows), kind, line=True))
+        left = good.drop - drop_by(fits, name, good.flow)
+        residual.append(Curve(short, good.flow, left, kind, error=error))
     constant = np.full_like(flows[1:], fits["square"].fit["resistance"])
     in_range = flows[flows >= np.abs(good.flow).min() / 2]  # eq. (10) has no limit at Q = 0
     power_resistance = fits["power"].fit["factor"] * in_range**-0.25
@@ -272,12 +263,11 @@ def _remarks(steps: StepMeans, fits: Fits, zero: Estimate, reference_flow: str) 
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
         yield f"Left out of {steps.flow.size} steps: {omissions}{flat}."
     square, power = fits["square"].fit, fits["power"].fit
-    better, worse = "eq. (1)", "eq. (10)"
-    if not _aic(fits["square"]) < _aic(fits["power"]):
-        better, worse = worse, better
+    one_is_better = _aic(fits["square"]) < _aic(fits["power"])
+    order = "Eq. (1) fits better than eq. (10)" if one_is_better else "Eq. (10) fits better than eq. (1)"
     yield (
-        f"{better.capitalize()} fits better than {worse}: chi-square is {square.chi_square:.4g} by eq. (1), "
-        f"{power.chi_square:.4g} by eq. (10), with {square.freedom} degrees of freedom."
+        f"{order}: chi-square is {square.chi_square:.4g} by eq. (1), {power.chi_square:.4g} by eq. (10), "
+        f"with {square.freedom} degrees of freedom."
     )
     yield (
         f"C_R is valid for {reference_flow}, the weighted rms "

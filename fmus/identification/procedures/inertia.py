@@ -69,36 +69,42 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     while True:
         theta = tuple(f"manipulator.{n}" for n in (*names, *DAMPINGS))
         records = [momentum.joint_recording(r, momentum.JOINTS, theta, p, window=WINDOW) for r in training]
-        solution = balance.solve(
-            [r.samples for r in records], {n: parameters[n].value for n in theta}, "inertia", limits
-        )
-        pairs = [(solution.fit.sd(n), solution.fit[n]) for n in theta[: len(names)]]
-        relative = [math.inf if value <= 0 else sd / value for sd, value in pairs]
+        start = {n: parameters[n].value for n in theta}
+        solution = balance.solve([r.samples for r in records], start, "inertia", limits)
+        fit = solution.fit
+        relative = [fit.sd(n) / fit[n] if fit[n] > 0 else math.inf for n in theta[: len(names)]]
         if max(relative, default=0.0) <= balance.DETERMINED:
             break
         dropped.append(names.pop(relative.index(max(relative))))
-    all_effects = momentum.known_parameter_effects(solution, parameters)
-    effects = {n: all_effects[f"manipulator.{n}"] for n in names}
-    values = {n: solution.fit[f"manipulator.{n}"] for n in (*names, *DAMPINGS)}
-    units = {n: quantities(MANIPULATOR.parameters)[n].unit for n in values}
-    note = "balance of the joints' momenta"
+    effects, declared = momentum.known_parameter_effects(solution, parameters), MANIPULATOR.parameters
+    note, units = "balance of the joints' momenta", {n: q.unit for n, q in quantities(declared).items()}
+    by_name = {n: effects[f"manipulator.{n}"] for n in names}
+    seconds = sum(float(r.time[-1] - r.time[0]) for r in training)
+    titles = ", ".join(r.title for r in training)
+    misfit = (
+        "Noise does not explain the residuals: the model is incomplete, for instance without dry "
+        "friction or a swinging head. The intervals are those of the residuals."
+    )
     return ProcedureResult(
         procedure="inertia",
         title="Inertial parameters from the torques of the joints",
         figure=0,
         estimates=tuple(
-            Estimate.normal(n, values[n], units[n], e.total, note + e.note) for n, e in effects.items()
+            Estimate.normal(n, fit[f"manipulator.{n}"], units[n], e.total, note + e.note)
+            for n, e in by_name.items()
         ),
         panels=panels(records[0], solution),
         remarks=(
-            *_remarks(training, solution, dropped),
-            *(f"{n}: {text}" for n, e in effects.items() for text in e.remarks),
+            f"{seconds:.3g} s of {len(training)} recordings are used: {titles}.",
+            *(
+                f"{n}: this motion does not determine the parameter, which keeps its known value."
+                for n in dropped
+            ),
+            *([misfit] if fit.misfit else []),
+            *(f"{n}: {text}" for n, e in by_name.items() for text in e.remarks),
         ),
         others=(
-            *(
-                solution.fit.estimate(f"{n}, further unknown", units[n], note, f"manipulator.{n}")
-                for n in DAMPINGS
-            ),
+            *(fit.estimate(f"{n}, further unknown", units[n], note, f"manipulator.{n}") for n in DAMPINGS),
             *base_estimates(records, solution, p),
         ),
         findings=(
@@ -108,18 +114,6 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             balance.model_finding(solution, "inertia"),
         ),
     )
-
-
-def _remarks(training: Sequence[Recording], solution: Solution, dropped: Sequence[str]) -> Iterator[str]:
-    seconds = sum(float(r.time[-1] - r.time[0]) for r in training)
-    yield f"{seconds:.3g} s of {len(training)} recordings are used: {', '.join(r.title for r in training)}."
-    for name in dropped:
-        yield f"{name}: this motion does not determine the parameter, which keeps its known value."
-    if solution.fit.misfit:
-        yield (
-            "Noise does not explain the residuals: the model is incomplete, for instance without dry "
-            "friction or a swinging head. The intervals are those of the residuals."
-        )
 
 
 @lru_cache(maxsize=1)
@@ -205,19 +199,18 @@ def grouping(p: Array) -> Grouping:
 
 def base_estimates(
     records: Sequence[momentum.JointRecording], solution: Solution, p: Array
-) -> list[Estimate]:
+) -> Iterator[Estimate]:
     """All base parameters, estimated together with the dampings and zeros, in one step from the solution."""
-    estimated = p.copy()
-    estimated[[momentum.PARAMETERS.index(n) for n in solution.fit.names]] = solution.fit.values
-    group, fit = grouping(estimated), solution.fit
-    own = [k for k, n in enumerate(fit.names) if not n.endswith("damping")]
-    parts = []
+    estimated, fit, parts = p.copy(), solution.fit, []
+    estimated[[momentum.PARAMETERS.index(n) for n in fit.names]] = fit.values
+    group = grouping(estimated)
     for r, part in zip(records, solution.parts, strict=True):
         by_momentum, by_force = (
             np.moveaxis(x.full().reshape(3, r.z.shape[1], len(STANDARD)), 2, 0)[list(group.kept)]
             for x in regressor()(r.z[:3], r.z[3:6], np.zeros_like(r.z[:3]), estimated)[:2]
         )
         parts.append(part.whiten(flat(r.samples.integral(by_force, by_momentum))))
+    own = [k for k, n in enumerate(fit.names) if not n.endswith("damping")]
     normal = Normal(
         np.concatenate([np.concatenate(parts, axis=1), np.delete(solution.normal.columns, own, axis=0)]),
         np.concatenate([np.zeros(len(group.kept)), np.delete(solution.normal.prior, own)]),
@@ -225,13 +218,11 @@ def base_estimates(
     step, covariance = normal.step(solution.residual), normal.inverse
     if fit.misfit:
         covariance = normal.covariance(solution.residual, solution.samples, fit.times_noise**2)
-    values = group.values(standard(estimated)) + step[: len(group.kept)]
-    sds, units = np.sqrt(np.diag(covariance)), [UNITS[k] for k in group.kept]
     note = "base parameter: combination that any motion can determine"
-    return [
-        Estimate.normal(name, float(value), unit, float(sd), note)
-        for name, value, unit, sd in zip(group.names(), values, units, sds, strict=False)
-    ]
+    for name, k, value, change, variance in zip(
+        group.names(), group.kept, group.values(standard(estimated)), step, np.diag(covariance), strict=False
+    ):
+        yield Estimate.normal(name, float(value + change), UNITS[k], math.sqrt(variance), note)
 
 
 def panels(record: momentum.JointRecording, solution: Solution) -> tuple[Panel, ...]:

@@ -15,7 +15,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,16 +24,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbols, unstack
-from fmus.identification.balance import (
-    NEGLIGIBLE,
-    Law,
-    Samples,
-    Solution,
-    law,
-    modulating_function,
-    samples_of,
-    window_starts,
-)
+from fmus.identification import balance
+from fmus.identification.balance import Law, Samples, Solution
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
@@ -67,28 +60,14 @@ _PARTS = (SWING, BOOM_STICK, MANIPULATOR)
 PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
 
 
-@dataclass(frozen=True)
-class Equations:
-    """Symbols q, w, pressures, tank pressure and parameters, and expressions in them.
-
-    momentum, force        h and f of the joints, shape (3, 1)
-    position, moment_arm   of the pistons of boom and stick, shape (2, 1)
-    """
-
-    q: ca.SX
-    w: ca.SX
-    pressures: ca.SX
-    tank: ca.SX
-    p: ca.SX
-    momentum: ca.SX
-    force: ca.SX
-    position: ca.SX
-    moment_arm: ca.SX
-
-
 @lru_cache(maxsize=1)
-def symbolic_equations() -> Equations:
-    """The equations of motion at measured pressures."""
+def symbolic_equations() -> SimpleNamespace:
+    """The equations of motion at measured pressures: symbols, and expressions in them.
+
+    q, w, pressures, tank, p   angles, speeds, measured pressures, that of the tank, parameters of the machine
+    momentum, force            h and f of the joints, shape (3, 1)
+    position, moment_arm       of the pistons of boom and stick, shape (2, 1)
+    """
     q, w, tank = ca.SX.sym("q", 3), ca.SX.sym("w", 3), ca.SX.sym("tank")
     pressures, p = ca.SX.sym("pressure", len(ALL_PRESSURES)), ca.SX.sym("p", len(PARAMETERS))
     measured = {name.partition(".")[2]: pressures[k] for k, name in enumerate(ALL_PRESSURES)}
@@ -106,13 +85,8 @@ def symbolic_equations() -> Equations:
     mechanics, rods = arm.mechanics(x, own_p, _LUMPED.head), arm.pistons(x, own_p)
     momentum = mechanics.mass @ w
     tau, _ = forces(_LUMPED, x, _at(ManipulatorInputs, applied), own_p)
-    return Equations(
-        q,
-        w,
-        pressures,
-        tank,
-        p,
-        momentum,
+    return SimpleNamespace(
+        **{"q": q, "w": w, "pressures": pressures, "tank": tank, "p": p, "momentum": momentum},
         force=tau + ca.jtimes(momentum, q, w) - mechanics.coriolis - mechanics.gravity,
         position=ca.vertcat(*(r.position for r in rods)),
         moment_arm=ca.vertcat(*(r.triangle.arm for r in rods)),
@@ -152,7 +126,7 @@ def momentum_law(joints: tuple[str, ...], theta: tuple[str, ...]) -> Law:
     old = ca.vertcat(*(e.p[PARAMETERS.index(n)] for n in theta))
     momentum, force = ca.substitute([momentum, force], [old], [ca.vertcat(*(unknowns[n] for n in theta))])
     known = ca.vertcat(e.p, e.tank, rounding)
-    return law(ca.vertcat(e.q, e.w, e.pressures), unknowns, known, force, momentum)
+    return balance.law(ca.vertcat(e.q, e.w, e.pressures), unknowns, known, force, momentum)
 
 
 @lru_cache(maxsize=1)
@@ -185,23 +159,14 @@ def needed_signals(joints: Sequence[str]) -> tuple[str, ...]:
     return (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
 
 
-class Filtered(NamedTuple):
-    """Angles and pressures through one filter: N samples, n filtered ones.
+def filtered(
+    recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay
+) -> tuple[Array, list[tuple[int, Array]], Array, Mask]:
+    """The signals that the balance of some joints needs, through a filter: N samples, n filtered ones.
 
-    raw        samples without gaps, zero of pressures that are not needed, shape (9, N)
-    channels   sensor and filter of each row of z
-    z          angles, speeds, pressures, shape (12, n)
-    good       whether all samples under the filter are good, shape (n,)
+    Samples without gaps, zero of pressures that are not needed, (9, N); sensor and filter of each row of z;
+    z: angles, speeds, pressures, (12, n); whether all samples under the filter are good, (n,).
     """
-
-    raw: Array
-    channels: list[tuple[int, Array]]
-    z: Array
-    good: Mask
-
-
-def filtered(recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay) -> Filtered:
-    """The signals that the balance of some joints needs, through a filter."""
     names, none = needed_signals(joints), np.zeros(recording.time.size)
     raw = np.array([recording.interpolated(n) if n in names else none for n in SIGNALS])
     value, derivative, _ = kernel.weights
@@ -209,7 +174,7 @@ def filtered(recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay)
     channels += [(k, value) for k in range(3, len(raw))]
     z = np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels])
     good: Mask = np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1))
-    return Filtered(raw, channels, z, good)
+    return raw, channels, z, good
 
 
 @dataclass(frozen=True)
@@ -248,7 +213,7 @@ def joint_recording(
     rate = uniform_rate(recording)
     kernel = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
     half = max(round(window * rate / 2), 2) + 1
-    bump, slope = modulating_function(half, rate)
+    bump, slope = balance.modulating_function(half, rate)
     shortest = 2 * half + kernel.size
     if recording.time.size < shortest:
         raise Problem(
@@ -262,7 +227,7 @@ def joint_recording(
     good &= ~at_end
     speed = speed_ratio(joints[0], z[:3], p) * z[3 + JOINTS.index(joints[0])]
     rms = float(np.sqrt(np.mean(speed**2)))
-    if not window_starts(good, bump.size).size:
+    if not balance.window_starts(good, bump.size).size:
         raise Problem(
             f"{recording.source}: expected {shortest / rate:.2g} s without a gap or "
             f"clipped sample in {', '.join(used)}, got no such stretch"
@@ -270,14 +235,14 @@ def joint_recording(
     noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])
     known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
     samples = replace(
-        samples_of(momentum_law(joints, theta), SIGNALS, raw, noise, known),
+        balance.samples_of(momentum_law(joints, theta), SIGNALS, raw, noise, known),
         channels=channels,
         rate=rate,
         bump=bump,
         slope=slope,
-        starts=window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
+        starts=balance.window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
     )
-    possible = window_starts(np.ones_like(good), bump.size).size
+    possible = balance.window_starts(np.ones_like(good), bump.size).size
     return JointRecording(recording, samples, z, int(at_end.sum()), possible)
 
 
@@ -305,14 +270,12 @@ def parameter_vector(parameters: Mapping[str, Number]) -> Array:
 class KnownParameterEffect:
     """Effect of errors of the known parameters on an estimated parameter.
 
-    total         standard deviation by the recordings and by the known parameters, which are independent
-    significant   whether the known parameters widen the interval noticeably
-    note          addition to the note in parameters.toml; empty unless the effect is significant
-    remarks       sentences that follow the parameter's name and a colon
+    total     standard deviation by the recordings and by the known parameters, which are independent
+    note      addition to the note in parameters.toml; empty unless the known parameters widen the interval
+    remarks   sentences that follow the parameter's name and a colon
     """
 
     total: float
-    significant: bool
     note: str
     remarks: tuple[str, ...]
 
@@ -324,41 +287,30 @@ def known_parameter_effects(
     known = {n: parameters[n] for n in PARAMETERS if n not in solution.fit.names and n != EXACT}
     effects = {}
     for name, row in zip(solution.fit.names, solution.by_known(), strict=True):
-        if name in parameters:
-            by_known = dict(zip(PARAMETERS, map(float, row), strict=False))
-            by_sd = {n: by_known[n] * x.sd for n, x in known.items() if x.sd is not None}
-            by_percent = {n: by_known[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None}
-            value, sd = solution.fit[name], solution.fit.sd(name)
-            effects[name] = _effect(value, sd, parameters[name].unit, by_sd, by_percent)
+        if name not in parameters:
+            continue
+        by_known = dict(zip(PARAMETERS, map(float, row), strict=False))
+        # by one standard deviation of each known parameter, by 1 % of one without
+        by_sd = {n: by_known[n] * x.sd for n, x in known.items() if x.sd is not None}
+        by_percent = {n: by_known[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None}
+        own, unit, note, remarks = solution.fit.sd(name), parameters[name].unit, "", list[str]()
+        sd = math.sqrt(sum(x**2 for x in by_sd.values()))
+        total = math.hypot(own, sd)
+        if sd > balance.NEGLIGIBLE * own:
+            note = f"; sd {own:.2g} by the recordings, {sd:.2g} by the known parameters"
+            largest = _largest({n: x for n, x in by_sd.items() if x**2 > balance.NEGLIGIBLE * sd**2})
+            remarks.append(
+                f"the uncertainty of the known parameters adds a standard deviation of {sd:.2g} {unit} to "
+                f"the {own:.2g} {unit} from the recordings; most of it comes from {', '.join(largest)}."
+            )
+        if large := _largest({n: x for n, x in by_percent.items() if abs(x) > total}):
+            changes = ", ".join(f"{n} {100 * by_percent[n] / solution.fit[name]:+.2g} %" for n in large)
+            remarks.append(
+                "the interval assumes exact geometry and masses. An error of 1 % would change the "
+                f"value: {changes}."
+            )
+        effects[name] = KnownParameterEffect(total, note, tuple(remarks))
     return effects
-
-
-def _effect(
-    value: float, recording_sd: float, unit: str, by_sd: Mapping[str, float], by_percent: Mapping[str, float]
-) -> KnownParameterEffect:
-    """Effect on one estimate.
-
-    recording_sd   standard deviation by the recordings
-    by_sd          change by one standard deviation of each known parameter that has one
-    by_percent     change by 1 % of each known parameter without a standard deviation
-    """
-    sd, note, remarks = math.sqrt(sum(x**2 for x in by_sd.values())), "", list[str]()
-    if significant := sd > NEGLIGIBLE * recording_sd:
-        note = f"; sd {recording_sd:.2g} by the recordings, {sd:.2g} by the known parameters"
-        names = _largest({n: x for n, x in by_sd.items() if x**2 > NEGLIGIBLE * sd**2})
-        remarks.append(
-            f"the uncertainty of the known parameters adds a standard deviation of {sd:.2g} "
-            f"{unit} to the {recording_sd:.2g} {unit} from the recordings; most of it comes "
-            f"from {', '.join(names)}."
-        )
-    total = math.hypot(recording_sd, sd)
-    if large := {n: x for n, x in by_percent.items() if abs(x) > total}:
-        changes = ", ".join(f"{n} {100 * large[n] / value:+.2g} %" for n in _largest(large))
-        remarks.append(
-            "the interval assumes exact geometry and masses. An error of 1 % would change the "
-            f"value: {changes}."
-        )
-    return KnownParameterEffect(total, significant, note, tuple(remarks))
 
 
 def _largest(changes: Mapping[str, float]) -> list[str]:

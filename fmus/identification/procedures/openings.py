@@ -39,7 +39,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
 from fmus.identification.balance import UNLIKELY, Regression
-from fmus.identification.procedures.experiment_data import StepMeans, parameter_value
+from fmus.identification.procedures.experiment_data import StepMeans, parameter, parameter_value
 from fmus.identification.results import CONFIDENCE, Estimate
 from fmus.parameters import Number
 from orchestrator.data.recording import Mask
@@ -63,21 +63,37 @@ SEARCH: Mapping[str, Any] = {"method": "dogbox", "ftol": 1e-12, "xtol": 1e-12, "
 
 
 @dataclass(frozen=True)
-class ValveConstants:
-    """Known parameters of the valve and its oil."""
+class Known:
+    """Parameters of the valve and its oil, and what is known of the sensors, before the valve is measured.
+
+    rounding     of the foot of a straight line [V]; its sd may be unknown
+    zero         largest difference of the two pressures without flow [Pa], by their data sheets
+    flow_zero    standard deviation of the flow meter's zero [m3/s]; 0 if nothing is declared or found
+    drift        largest part by which areas may differ from those that were measured
+    """
 
     discharge_coefficient: float
     full_command: float
     leakage: float
     transition_flow: float
     density: float
+    rounding: Number
+    zero: float = 0.0
+    flow_zero: float = 0.0
+    drift: float = 0.0
 
     @classmethod
-    def of(cls, parameters: Mapping[str, Number]) -> ValveConstants:
+    def of(cls, parameters: Mapping[str, Number]) -> Known:
         """From the parameters of the machine, whose three valves are identical (section 4(a))."""
         names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
         valve = {name: parameter_value(parameters, f"boom_stick.valve_{name}") for name in names}
-        return cls(**valve, density=parameter_value(parameters, "boom_stick.density"))
+        rounding = parameter(parameters, "boom_stick.valve_command_rounding")
+        return cls(**valve, density=parameter_value(parameters, "boom_stick.density"), rounding=rounding)
+
+    @property
+    def zero_sd(self) -> float:
+        """That of a uniform distribution up to the limit, so that its 95 % interval holds the limit."""
+        return self.zero / math.sqrt(3)
 
     def resistance(self, area: Array) -> Array:
         """C_R [Pa.s2/m6] of effective areas [m2] by eq. (2); infinite if the edge is closed."""
@@ -117,14 +133,12 @@ class ValveSteps(StepMeans):
         """The steps of one edge."""
         return self[self.edge == edge]
 
-    def idle(self, c: ValveConstants) -> tuple[Array, Array]:
+    def idle(self, c: Known) -> tuple[Array, Array]:
         """Commands of steps whose flow is not told from zero, and the largest areas that read so."""
         shut = self[~self.good & np.isfinite(self.idle_flow) & (self.drop > 0)]
         return shut.command, replace(shut, flow=shut.idle_flow).effective(c)[0]
 
-    def effective(
-        self, c: ValveConstants, zero: float = 0.0, flow_zero: float = 0.0
-    ) -> tuple[Array, Array, Array]:
+    def effective(self, c: Known, zero: float = 0.0, flow_zero: float = 0.0) -> tuple[Array, Array, Array]:
         """Effective areas [m2] without the zeros, and their derivatives by drop and flow."""
         drop, flow = self.drop - zero, self.flow - flow_zero
         net = np.maximum(flow - c.leakage * (2 * drop - self.supply_drop), 1e-3 * np.abs(flow) + 1e-15)
@@ -132,27 +146,6 @@ class ValveSteps(StepMeans):
         area = np.sqrt(net * np.hypot(flow, c.transition_flow) / drop) / gain
         by_flow = area / 2 * (1 / net + flow / (flow**2 + c.transition_flow**2))
         return area, -area / 2 * (1 / drop + 2 * c.leakage / net), by_flow
-
-
-@dataclass(frozen=True)
-class Priors:
-    """What is known before the valve is measured.
-
-    rounding     of the foot of a straight line [V]; its sd may be unknown
-    zero         largest difference of the two pressures without flow [Pa], by their data sheets
-    flow_zero    standard deviation of the flow meter's zero [m3/s]; 0 if nothing is declared or found
-    drift        largest part by which areas may differ from those that were measured
-    """
-
-    rounding: Number
-    zero: float
-    flow_zero: float
-    drift: float = 0.0
-
-    @property
-    def zero_sd(self) -> float:
-        """That of a uniform distribution up to the limit, so that its 95 % interval holds the limit."""
-        return self.zero / math.sqrt(3)
 
 
 @dataclass(frozen=True)
@@ -167,6 +160,7 @@ class Nodes:
     error           standard errors of the areas
     """
 
+    known: Known
     steps: ValveSteps
     index: NDArray[np.int64]
     levels: Array
@@ -176,7 +170,7 @@ class Nodes:
     error: Array
 
     @classmethod
-    def of(cls, steps: ValveSteps, c: ValveConstants, scatter: float = 1.0) -> Nodes:
+    def of(cls, steps: ValveSteps, c: Known, scatter: float = 1.0) -> Nodes:
         """The nodes of the measured steps, whose errors are `scatter` times their noise."""
         s = steps[steps.good]
         s = s[np.argsort(s.command, kind="stable")]
@@ -185,7 +179,7 @@ class Nodes:
         middle, voltage = (np.bincount(index, x) / np.bincount(index) for x in (area, s.command))
         slope = np.gradient(middle, voltage)[index] if voltage.size > 1 else np.zeros_like(area)
         noise = np.hypot(np.hypot(by_flow * s.flow_error, by_drop * s.drop_error), slope * s.command_error)
-        return cls(s, index, area, np.asarray(slope), by_drop, by_flow, np.asarray(scatter * noise))
+        return cls(c, s, index, area, np.asarray(slope), by_drop, by_flow, np.asarray(scatter * noise))
 
     def mean(self, x: Array) -> Array:
         """Means (m,) of values of the steps (n,), weighted by the errors of their areas."""
@@ -227,14 +221,14 @@ class Nodes:
         likely = _tail(chi_square, self.freedom) >= UNLIKELY
         return 1.0 if likely else math.sqrt(chi_square / self.freedom)
 
-    def draws(self, known: Priors, random: np.random.Generator) -> Array:
+    def draws(self, random: np.random.Generator) -> Array:
         """Areas that noise and zeros allow, shape (DRAWS, m)."""
         noise, zeros = random.standard_normal((DRAWS, self.sd.size)), random.standard_normal((2, DRAWS, 1))
         by_zero, by_flow = self.mean(self.by_drop), self.mean(self.by_flow)
-        by_zeros = by_zero * known.zero_sd * zeros[0] + by_flow * known.flow_zero * zeros[1]
+        by_zeros = by_zero * self.known.zero_sd * zeros[0] + by_flow * self.known.flow_zero * zeros[1]
         return np.asarray(self.area + self.sd * noise - by_zeros)
 
-    def falling(self, limit: float) -> tuple[float, float]:
+    def falling(self) -> tuple[float, float]:
         """Probability that a rising opening falls as much, and its largest fall in parts of it.
 
         Chi-square of the areas about the closest ones that rise (isotonic regression), whose freedom is the
@@ -242,7 +236,7 @@ class Nodes:
         (1988), section 2.3]; with the zero of the pressures for which it is least.
         """
         best, by_zero = (math.inf, 1, 0.0), self.mean(self.by_drop)
-        for zero in np.linspace(-limit, limit, ZEROS):
+        for zero in np.linspace(-self.known.zero, self.known.zero, ZEROS):
             areas = self.area - by_zero * zero
             rising = isotonic_regression(areas, weights=self.sd**-2.0).x
             joined = max(self.sd.size - np.unique(rising).size, 1)
@@ -275,11 +269,11 @@ class Repeated(Regression):
         return min(1.0, forms * 2 * float(stats.t.sf(abs(self[name]) / self.sd(name), self.freedom)))
 
 
-def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | None:
+def repeated(steps: ValveSteps, c: Known) -> Repeated | None:
     """Regression of the steps about their nodes on lag, drift and zero; None if they tell none of these."""
     zero, largest = 0.0, 0.4 * float(steps.drop[steps.good].min())
     for _ in range(8):  # Gauss-Newton
-        found = _effects(Nodes.of(steps.without_zero(zero), c), known)
+        found = _effects(Nodes.of(steps.without_zero(zero), c))
         if not found or "zero" not in found.names:
             break
         step, zero = found["zero"], float(np.clip(zero + found["zero"], -largest, largest))
@@ -289,7 +283,7 @@ def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | 
     return found
 
 
-def _effects(nodes: Nodes, known: Priors) -> Repeated | None:
+def _effects(nodes: Nodes) -> Repeated | None:
     s, deviation = nodes.steps, nodes.within(nodes.at_node)
     warm = bool(np.isfinite(s.temperature).all() and np.ptp(s.temperature) > 0)
     cause = s.temperature if warm else s.time
@@ -312,7 +306,7 @@ def _effects(nodes: Nodes, known: Priors) -> Repeated | None:
             left = float(np.sum((deviation - values @ x) ** 2))
             covariance = inverse * max(1.0, left / freedom)
             fit = Repeated(names, values, covariance, left, freedom, warm, span, by_command)
-            if names[-1] == "zero" and fit.sd("zero") > UNTOLD * known.zero:
+            if names[-1] == "zero" and fit.sd("zero") > UNTOLD * nodes.known.zero:
                 continue
             fits.append(fit)
             break
@@ -330,7 +324,7 @@ def without_drift(steps: ValveSteps, drifting: Mapping[str, Repeated]) -> ValveS
     return replace(steps, flow=flow)
 
 
-def zero_by_pressures(each: Collection[Repeated], known: Priors) -> tuple[float, float]:
+def zero_by_pressures(each: Collection[Repeated], known: Known) -> tuple[float, float]:
     """Zero [Pa] of the pressure drop by steps with one command at several drops, and its standard deviation.
 
     A zero beyond its limit is that of the data alone.
@@ -360,7 +354,7 @@ class Line(Regression):
     rounding: float
     as_known: float = 1.0
 
-    def is_zero(self, known: Priors) -> bool:
+    def is_zero(self, known: Known) -> bool:
         """Whether a zero that was fitted without its prior may be one."""
         return self.freedom >= 4 and abs(self["zero"]) < LARGEST * known.zero
 
@@ -398,22 +392,14 @@ def _law(p: tuple[Array | float, Array | float, Array | float], command: Array) 
     return np.asarray(p[0] * straight(command - p[1] + p[2] / 2, p[2]))
 
 
-def fit_line(
-    nodes: Nodes,
-    c: ValveConstants,
-    known: Priors,
-    group: Array | None = None,
-    *,
-    any_zero: bool = False,
-    foot: bool = False,
-) -> Line:
+def fit_line(nodes: Nodes, group: Array | None = None, *, any_zero: bool = False, foot: bool = False) -> Line:
     """Least squares of straight openings.
 
     group      number of the opening of each step; by default all have one
     any_zero   without the prior of the zero of the pressures
     foot       with a free rounding
     """
-    s, v = nodes.steps, nodes.steps.command
+    c, s, v = nodes.known, nodes.steps, nodes.steps.command
     group = np.zeros(v.size, dtype=int) if group is None else group
     count = int(group.max()) + 1
     area = s.effective(c)[0]
@@ -421,11 +407,11 @@ def fit_line(
     # name -> scale, start over the scale, mean and standard deviation of the prior
     unknowns = {f"slope{g}": (float(slope), 1.0, 0.0, math.inf) for g in range(count)}
     unknowns |= {f"start{g}": (1.0, float(-level / slope), 0.0, math.inf) for g in range(count)}
-    unknowns["zero"] = known.zero, 0.0, 0.0, math.inf if any_zero else known.zero_sd
-    if known.flow_zero:
-        unknowns["flow_zero"] = known.flow_zero, 0.0, 0.0, known.flow_zero
-    if foot or known.rounding.sd:
-        width, sd = known.rounding.value, math.inf if foot else known.rounding.sd or 0.0
+    unknowns["zero"] = c.zero, 0.0, 0.0, math.inf if any_zero else c.zero_sd
+    if c.flow_zero:
+        unknowns["flow_zero"] = c.flow_zero, 0.0, 0.0, c.flow_zero
+    if foot or c.rounding.sd:
+        width, sd = c.rounding.value, math.inf if foot else c.rounding.sd or 0.0
         unknowns["rounding"] = 1.0, float(np.clip(width, 0.01, 1.9)), width, sd
     names = tuple(unknowns)
     scale, start, mean, prior = np.array(list(unknowns.values())).T
@@ -434,12 +420,12 @@ def fit_line(
     def residual(x: Array) -> Array:
         p = dict(zip(names, x * scale, strict=True))
         slopes, starts = (np.array([p[f"{n}{g}"] for g in range(count)])[group] for n in ("slope", "start"))
-        w = max(p.get("rounding", known.rounding.value), ROUNDING[0])
+        w = max(p.get("rounding", c.rounding.value), ROUNDING[0])
         measured = s.effective(c, p["zero"], p.get("flow_zero", 0.0))[0]
         left = (measured - _law((slopes, starts, w), v)) / nodes.error
         return np.append(left, ((x * scale - mean) / prior)[told])
 
-    largest = 0.4 * float(s.drop.min()) / known.zero
+    largest = 0.4 * float(s.drop.min()) / c.zero
     limits = {"rounding": ROUNDING, "zero": (-largest, largest)}
     bounds = np.array([limits.get(n, (-np.inf, np.inf)) for n in names]).T
     fit = optimize.least_squares(residual, start, "3-point", bounds, **SEARCH)
@@ -456,20 +442,21 @@ def fit_line(
         x, _, rank, _ = np.linalg.lstsq(wide, r, rcond=1 / float(np.linalg.norm(wide, 2)))
         left, more = r - wide @ x, int(rank) - len(names)
         p = min(1.0, 2 * min(p, _tail(chi_square - float(left @ left), more)))
-    return Line(names, found * scale, np.asarray(covariance), chi_square, freedom, p, known.rounding.value)
+    return Line(names, found * scale, np.asarray(covariance), chi_square, freedom, p, c.rounding.value)
 
 
-def line(nodes: Nodes, c: ValveConstants, known: Priors, *, any_zero: bool = False) -> Line:
+def line(nodes: Nodes, *, any_zero: bool = False) -> Line:
     """The straight line of one opening; its rounding is free if steps on the foot determine it."""
+    rounding = nodes.known.rounding
 
     def with_rounding(value: float) -> Line:
-        other = replace(known, rounding=replace(known.rounding, value=value))
-        return fit_line(nodes, c, other, any_zero=any_zero)
+        other = replace(nodes.known, rounding=replace(rounding, value=value))
+        return fit_line(replace(nodes, known=other), any_zero=any_zero)
 
-    fixed = fit_line(nodes, c, known, any_zero=any_zero)
-    if np.count_nonzero(nodes.steps.command < fixed["start0"] + ROUNDING[1] / 2) < 2 or known.rounding.sd:
+    fixed = fit_line(nodes, any_zero=any_zero)
+    if np.count_nonzero(nodes.steps.command < fixed["start0"] + ROUNDING[1] / 2) < 2 or rounding.sd:
         return fixed
-    free, sharp = fit_line(nodes, c, known, any_zero=any_zero, foot=True), with_rounding(ROUNDING[0])
+    free, sharp = fit_line(nodes, any_zero=any_zero, foot=True), with_rounding(ROUNDING[0])
     better = fixed.chi_square - min(free.chi_square, sharp.chi_square)
     as_known = _tail(better, 1)
     certain = free.determined("rounding") and free["rounding"] < 0.99 * ROUNDING[1]
@@ -543,15 +530,13 @@ def tabulated(commands: Array, areas: Array, command: Array) -> Array:
     return np.asarray(np.where(command <= commands[0], 0.0, cubic(np.clip(command, before, commands[-1]))))
 
 
-def curve(
-    nodes: Nodes, steps: ValveSteps, c: ValveConstants, known: Priors, fitted: Line | None, monotone: bool
-) -> OpeningCurve:
+def curve(nodes: Nodes, steps: ValveSteps, fitted: Line | None, monotone: bool) -> OpeningCurve:
     """The opening with its band: the fitted line, or without one the curve through the nodes.
 
     steps      of the edges of this opening, also those without a flow
     monotone   whether the band is that of an opening that rises
     """
-    random = np.random.default_rng(0)
+    c, random = nodes.known, np.random.default_rng(0)
     v = nodes.command[nodes.command < c.full_command * (1 + SAME)]
     bounds = np.column_stack(steps.idle(c))
     inside = [*v, *bounds[bounds[:, 0] < c.full_command, 0], 0.02]
@@ -563,7 +548,7 @@ def curve(
         draws, values, exponents = _law(p, grid), _law(p, v), SHORT_FOOT
         starts = (p[1] - p[2] / 2)[:, 0]
     else:
-        values = nodes.draws(known, random)[:, : v.size]
+        values = nodes.draws(random)[:, : v.size]
         mean = isotonic_regression(nodes.area[: v.size], weights=nodes.sd[: v.size] ** -2.0).x
         draws, exponents = np.empty((DRAWS, grid.size)), FOOT
         draws[:, between] = _kinked(v, values, grid[between], random)
@@ -588,7 +573,7 @@ def curve(
     way = grid[above] - v[-1]
     draws[:, above] = values[:, -1:] + random.uniform(0.0, 2.0, (DRAWS, 1)) * last * way
     middle[above] = np.interp(v[-1], grid, middle) + max(float(np.median(last)), 0.0) * way
-    draws = np.maximum(draws, 0.0) * (1 + known.drift * random.uniform(-1.0, 1.0, (DRAWS, 1)))
+    draws = np.maximum(draws, 0.0) * (1 + c.drift * random.uniform(-1.0, 1.0, (DRAWS, 1)))
     low, high = simultaneous_band(draws)
     if monotone:  # a rising curve that is in the band is in this one, too
         low, high = np.maximum.accumulate(low), np.minimum.accumulate(high[::-1])[::-1]
@@ -679,16 +664,13 @@ def table(command: Array, area: Array, half_band: Array, start: float) -> tuple[
     while improved and best > CLOSE:
         improved = False
         for k in sorted(chosen - {inner[-1]}):
-            for other in (inner[i] for i in _neighbours(inner.index(k), len(inner))):
+            at = inner.index(k)
+            near = (at + step for step in (-1, 1, -2, 2, -4, 4))
+            for other in [inner[i] for i in near if 0 <= i < len(inner) - 1]:
                 moved = chosen - {k} | {other}
                 if len(moved) == len(chosen) and (worst := float(error(moved).max())) < best:
                     chosen, best, improved, k = moved, worst, True, other
     return points(chosen)
-
-
-def _neighbours(index: int, count: int) -> Iterator[int]:
-    """Indices up to four before and after one, without the last."""
-    return (i for d in (1, 2, 4) for i in (index - d, index + d) if 0 <= i < count - 1)
 
 
 # ---- all edges ---------------------------------------------------------------------------------------
@@ -713,8 +695,7 @@ class Openings:
     """
 
     steps: ValveSteps
-    constants: ValveConstants
-    known: Priors
+    known: Known
     nodes: Mapping[str, Nodes]
     lines: Mapping[str, Line]
     line: Line | None
@@ -749,59 +730,58 @@ class Openings:
         return dict(self.curves)
 
 
-def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Openings:
+def fit_openings(steps: ValveSteps, known: Known) -> Openings:
     """Straight line or curves of all edges: a line if it suffices for each, one opening if they are equal."""
     edges = steps.edges
-    found_again = {e: r for e in edges if (r := repeated(steps.of(e), c, known))}
+    found_again = {e: r for e in edges if (r := repeated(steps.of(e), known))}
     drifting = {
         e: r for e, r in found_again.items() if "drift" in r.names and r.probability("drift") < UNLIKELY
     }
     largest = max((abs(r["drift"]) for r in drifting.values()), default=0.0)
     steps, known = without_drift(steps, drifting), replace(known, drift=largest)
     zero, zero_sd = zero_by_pressures(found_again.values(), known)
-    corrected = steps.without_zero(zero)
-    scatter = max(Nodes.of(corrected.of(e), c).scattered() for e in edges)
-    measured, nodes = ({e: Nodes.of(some.of(e), c, scatter) for e in edges} for some in (steps, corrected))
-    any_zero = {e: line(n, c, known, any_zero=True) for e, n in measured.items()}
-    lines = {e: line(n, c, known) for e, n in measured.items()}
+    corrected, by_curve = steps.without_zero(zero), replace(known, zero=3**0.5 * zero_sd)
+    scatter = max(Nodes.of(corrected.of(e), known).scattered() for e in edges)
+    measured = {e: Nodes.of(steps.of(e), known, scatter) for e in edges}
+    nodes = {e: Nodes.of(corrected.of(e), by_curve, scatter) for e in edges}
+    any_zero = {e: line(n, any_zero=True) for e, n in measured.items()}
+    lines = {e: line(n) for e, n in measured.items()}
     for e, free in any_zero.items():  # a zero outside its declaration is named, and used
         if lines[e].p < UNLIKELY / len(edges) <= free.p and free.is_zero(known):
             lines[e] = free
-    by_curve = replace(known, zero=3**0.5 * zero_sd)
-    falling = {e: n.falling(by_curve.zero) for e, n in nodes.items()}
+    falling = {e: n.falling() for e, n in nodes.items()}
     found = Openings(
-        steps, c, known, nodes, lines, None, any_zero, {}, 1.0, falling, found_again, (zero, zero_sd)
+        steps, known, nodes, lines, None, any_zero, {}, 1.0, falling, found_again, (zero, zero_sd)
     )
     if found.straight:
         return _straight(replace(found, nodes=measured), scatter)
-    pooled = Nodes.of(corrected, c, scatter)
+    pooled = Nodes.of(corrected, by_curve, scatter)
     equal = _tail(*_difference(nodes.values(), pooled))
     rises = {e: p >= UNLIKELY for e, (p, _) in falling.items()}
     if equal > UNLIKELY:
-        one = curve(pooled, corrected, c, by_curve, None, monotone=all(rises.values()))
-        return replace(found, curves=dict.fromkeys(edges, one), equal=equal)
-    own = {e: curve(nodes[e], corrected.of(e), c, by_curve, None, monotone=rises[e]) for e in edges}
-    return replace(found, curves=own, equal=equal)
+        curves = dict.fromkeys(edges, curve(pooled, corrected, None, monotone=all(rises.values())))
+    else:
+        curves = {e: curve(n, corrected.of(e), None, monotone=rises[e]) for e, n in nodes.items()}
+    return replace(found, curves=curves, equal=equal)
 
 
 def _straight(found: Openings, scatter: float) -> Openings:
     """The straight line of all edges together, unless they differ or are open at zero command."""
-    steps, c, known, edges = found.steps, found.constants, found.known, found.steps.edges
-    pooled = Nodes.of(steps, c, scatter)
+    steps, known, edges = found.steps, found.known, found.steps.edges
+    pooled = Nodes.of(steps, known, scatter)
     group = np.array([edges.index(str(e)) for e in pooled.steps.edge])
     any_common = any(found.lines[e] is found.any_zero[e] for e in edges)
-    common = line(pooled, c, known, any_zero=any_common)
+    common = line(pooled, any_zero=any_common)
     foot = "rounding" in common.names and not known.rounding.sd
-    apart = fit_line(pooled, c, known, group, any_zero=any_common, foot=foot)
+    apart = fit_line(pooled, group, any_zero=any_common, foot=foot)
     equal = _tail(common.chi_square - apart.chi_square, 2 * (len(edges) - 1))
-    own = {e: curve(n, steps.of(e), c, known, found.lines[e], monotone=True) for e, n in found.nodes.items()}
+    own = {e: curve(n, steps.of(e), found.lines[e], monotone=True) for e, n in found.nodes.items()}
+    found = replace(found, own=own, curves=own, equal=equal)
     if equal <= UNLIKELY or common["start0"] <= -CERTAIN * common.sd("start0"):
-        return replace(found, own=own, curves=own, equal=equal)
-    any_zero = {"all": line(pooled, c, known, any_zero=True)} if len(edges) > 1 else found.any_zero
-    one = curve(pooled, steps, c, known, common, monotone=True)
-    return replace(
-        found, own=own, line=common, any_zero=any_zero, curves=dict.fromkeys(edges, one), equal=equal
-    )
+        return found
+    any_zero = {"all": line(pooled, any_zero=True)} if len(edges) > 1 else found.any_zero
+    one = curve(pooled, steps, common, monotone=True)
+    return replace(found, line=common, any_zero=any_zero, curves=dict.fromkeys(edges, one))
 
 
 def _difference(each: Collection[Nodes], pooled: Nodes) -> tuple[float, int]:

@@ -37,26 +37,22 @@ def identify(recordings: Sequence[Recording], _parameters: Mapping[str, Number])
     """The zero of each pressure sensor and flow meter that was recorded at rest."""
     tests = training_recordings(recordings, "rest", SIGNALS)
     zeros, findings, unknown = dict[str, Estimate](), list[Finding](), list[str]()
-    for recording in tests:
-        for name, unit in recording.units.items():
-            if unit not in READ:
-                continue
-            zero, sd = _zero(recording, name)
-            if not math.isfinite(sd):
-                unknown.append(name)
-                continue
-            kind, (display, one) = READ[unit]
-            limit = zero_limit(recording, name)
-            sentence = (
-                f"rest: the zero of {name} is {zero / one:.3g} +- {sd / one:.2g} {display}; the declared "
-                f"limit is {limit / one:.3g} {display}"
-            )
-            if abs(zero) > LARGEST * limit + 10 * sd:
-                raise Problem(f"{recording.source}: {name}: {LOADED}, got {zero / one:.3g} {display}")
-            findings.append(Finding(f"zero of a {kind}", probability(zero, sd, limit), sentence))
-            zeros[name] = Estimate.normal(
-                name, zero, unit, sd, "mean at rest, subtracted from all recordings"
-            )
+    note = "mean at rest, subtracted from all recordings"
+    for recording, name in ((r, n) for r in tests for n, unit in r.units.items() if unit in READ):
+        zero, sd = _zero(recording, name)
+        if not math.isfinite(sd):
+            unknown.append(name)
+            continue
+        unit, limit = recording.units[name], zero_limit(recording, name)
+        kind, (display, one) = READ[unit]
+        if abs(zero) > LARGEST * limit + 10 * sd:
+            raise Problem(f"{recording.source}: {name}: {LOADED}, got {zero / one:.3g} {display}")
+        sentence = (
+            f"rest: the zero of {name} is {zero / one:.3g} +- {sd / one:.2g} {display}; the declared "
+            f"limit is {limit / one:.3g} {display}"
+        )
+        findings.append(Finding(f"zero of a {kind}", probability(zero, sd, limit), sentence))
+        zeros[name] = Estimate.normal(name, zero, unit, sd, note)
     return ProcedureResult(
         procedure="rest",
         title="Zeros of the sensors, at rest",
@@ -93,26 +89,16 @@ def subtracted(recordings: Sequence[Recording], result: ProcedureResult) -> list
 
     A sensor of the machine that declares no limit has none afterwards, because its zero is not estimated.
     """
-    zeros = {e.name: e for e in result.others}
-    return [r if r.procedure == "rest" else _without(r, zeros) for r in recordings]
-
-
-def _without(recording: Recording, zeros: Mapping[str, Estimate]) -> Recording:
-    own = {n: e for n, e in zeros.items() if n in recording.signals}
-    signals = {n: recording[n] - e.value for n, e in own.items()}
-    sensors = {
-        n: replace(
-            s,
-            low=s.low - e.value,
-            high=s.high - e.value,
-            zero_error=None if s.zero_error is None and "." in n else 2 * e.sd,
-        )
-        for n, e in own.items()
-        for s in [recording.sensor(n)]
-    }
-    return replace(
-        recording, signals={**recording.signals, **signals}, sensors={**recording.sensors, **sensors}
-    )
+    corrected = []
+    for r in recordings:
+        signals, sensors = dict(r.signals), dict(r.sensors)
+        for e in (e for e in result.others if e.name in r.signals and r.procedure != "rest"):
+            s, n = r.sensor(e.name), e.name
+            error = None if s.zero_error is None and "." in n else 2 * e.sd
+            signals[n] = r[n] - e.value
+            sensors[n] = replace(s, low=s.low - e.value, high=s.high - e.value, zero_error=error)
+        corrected.append(replace(r, signals=signals, sensors=sensors))
+    return corrected
 
 
 def _panels(recording: Recording, zeros: Mapping[str, Estimate]) -> Iterator[Panel]:

@@ -24,13 +24,11 @@ from fmus.identification.procedures.experiment_data import STEP_SIGNALS
 from fmus.identification.procedures.openings import (
     CERTAIN,
     SAME,
+    Known,
     Line,
     Nodes,
     OpeningCurve,
     Openings,
-    Priors,
-    Repeated,
-    ValveConstants,
     ValveSteps,
     fit_openings,
 )
@@ -44,7 +42,6 @@ from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
-ROUNDING = "boom_stick.valve_command_rounding"
 REAL = 0.01, 1.5  # full commands, between which the largest command of a bench is
 MIN_VOLTAGES = 3  # different commands at which the flow must be measured
 # sign of the command that opens each edge, correction E7 in docs/equations.md
@@ -53,6 +50,16 @@ SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges tha
 WRONG_NOISE = 2.0  # factor up to which a noise is known
 NOISE_ERROR = 0.05  # standard deviation of the logarithm of a noise that was found
 SAME_OIL = 0.01  # relative difference of two densities of one oil
+FAULTS = (  # in the order of their findings; those of repeated steps follow
+    *(
+        "zero of a pressure sensor",
+        "zero of a flow meter",
+        "falling opening",
+        "dead band",
+        "density",
+        "noise",
+    ),
+)
 Test = tuple[float, str]  # probability and sentence of a finding
 UNEVEN = 1.3  # scatter over its noise that ripple and errors of a standard error may cause
 
@@ -73,14 +80,14 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         remarks=tuple(remarks(corrected, found, zero, declared)),
         others=(*_resistances(found), zero, *_of_edges(found)),
         findings=tuple(_findings(tests, found)),
-        listed=tuple(_no_tables(parameters) if found.line else _tables(found)),
+        listed=tuple(_tables(found, parameters)),
     )
 
 
 def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> Openings:
     """The openings of the edges with their bands."""
     tests = data.training_recordings(recordings, "valve", SIGNALS)
-    c = ValveConstants.of(parameters)
+    c = Known.of(parameters)
     steps = data.concatenate([_steps_of(_with_its_noise(r, c), c) for r in tests])
     readings = [r for e in steps.edges if (r := closed_reading(steps.of(e), c))]
     flow_zero, sd = 0.0, max(r.sensor("flow").zero_error or 0.0 for r in tests) / 3**0.5
@@ -97,18 +104,18 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
                 f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "
                 f"out of {own.command.size} steps: {own.omissions() or 'none'}"
             )
-    limit = data.difference_limit(tests, ("pressure_in", "pressure_out"))
-    known = Priors(data.parameter(parameters, ROUNDING), limit, sd)
-    return replace(fit_openings(steps, c, known), flow_zero=(flow_zero, sd) if readings else None)
+    limit = max(sum(data.zero_limits([r], ("pressure_in", "pressure_out")).values()) for r in tests)
+    found = fit_openings(steps, replace(c, zero=limit, flow_zero=sd))
+    return replace(found, flow_zero=(flow_zero, sd) if readings else None)
 
 
 # ---- steps -------------------------------------------------------------------------------------------
 
 
-def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Array, list[slice]]:
+def _stretches(recording: Recording, c: Known) -> tuple[str, Array, list[slice]]:
     """The edge, its opening command [V] and the steps in which it is held, also those at zero."""
     edge, samples = data.condition(recording, "edge", COMMAND_SIGN), recording["command"]
-    largest, full = float(np.nanmax(np.abs(samples))), constants.full_command
+    largest, full = float(np.nanmax(np.abs(samples))), c.full_command
     if not REAL[0] * full < largest < REAL[1] * full:  # such as mV taken as V
         expected = f"expected a full command of about {full:g} V, got {largest:g} V: is its unit right?"
         raise Problem(f"{recording.source}: command: {expected}")
@@ -121,9 +128,9 @@ def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Ar
     return edge, command, [step for step in stretches if command[step.start] > -SAME * full]
 
 
-def _noises(recording: Recording, constants: ValveConstants) -> Iterator[tuple[str, float, float]]:
+def _noises(recording: Recording, c: Known) -> Iterator[tuple[str, float, float]]:
     """Signals with a declared noise, their fastest noise [SI], and their scatter within a step."""
-    steps = _stretches(recording, constants)[2]
+    steps = _stretches(recording, c)[2]
     for name in STEP_SIGNALS:
         sensor, samples = recording.sensor(name), recording[name]
         outside = np.where(np.abs(samples) <= sensor.dead_zone, np.nan, samples)
@@ -133,22 +140,22 @@ def _noises(recording: Recording, constants: ValveConstants) -> Iterator[tuple[s
             yield name, fast, max(fast, float(np.median(scatter)))
 
 
-def _with_its_noise(recording: Recording, constants: ValveConstants) -> Recording:
+def _with_its_noise(recording: Recording, c: Known) -> Recording:
     """The recording with the noise of its data where the declared one is wrong.
 
     Samples would look stuck with a noise that is much too large, and a dead zone certain with one too small.
     """
     sensors = dict(recording.sensors)
-    for name, fast, scatter in _noises(recording, constants):
+    for name, fast, scatter in _noises(recording, c):
         declared = sensors[name].noise
         if declared > WRONG_NOISE * scatter > 0 or fast > WRONG_NOISE * declared:
             sensors[name] = replace(sensors[name], noise=scatter if declared > scatter else fast)
     return replace(recording, sensors=sensors)
 
 
-def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
+def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     """All steps of a recording; a reading in the dead zone of the meter is one, too."""
-    edge, command, steps = _stretches(recording, constants)
+    edge, command, steps = _stretches(recording, c)
     means, meter = data.step_means(recording, steps), recording.sensor("flow")
     sign = np.where(means.drop < 0, -1.0, 1.0)
     flow = sign * means.flow
@@ -166,7 +173,7 @@ def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
     error = np.where(means.dead, np.maximum(of_dead, meter.resolution / 12**0.5), means.flow_error)
     temperature = next((n for n in recording.signals if "temperature" in n), "")
     warmth = recording[temperature] if temperature else np.full(recording.time.size, np.nan)
-    density = data.stated(recording, "density") or constants.density
+    density = data.stated(recording, "density") or c.density
     drop = means.drop[np.isfinite(means.drop)]
     usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in (means.drop_error, error)]
     return ValveSteps(
@@ -189,7 +196,7 @@ def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
     )
 
 
-def _opened(steps: ValveSteps, c: ValveConstants) -> ValveSteps:
+def _opened(steps: ValveSteps, c: Known) -> ValveSteps:
     """Good steps are those with a certain flow; the others bound the opening."""
     certain = steps.flow - c.leakage * (2 * steps.drop - steps.supply_drop) > CERTAIN * steps.flow_error
     most = np.maximum(steps.flow, 0.0) + CERTAIN * steps.flow_error
@@ -197,7 +204,7 @@ def _opened(steps: ValveSteps, c: ValveConstants) -> ValveSteps:
     return replace(steps, good=steps.good & certain & (steps.drop > 0), idle_flow=idle)
 
 
-def closed_reading(steps: ValveSteps, c: ValveConstants) -> tuple[float, float] | None:
+def closed_reading(steps: ValveSteps, c: Known) -> tuple[float, float] | None:
     """Mean flow [m3/s] of a closed edge and its standard error: readings that no command changes.
 
     None if less than two commands have it, or a meter in its dead zone shows nothing.
@@ -227,143 +234,116 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
         (edge,) = found.nodes
         sentence = f"valve: only the edge {edge} was measured; the other three are taken to be like it."
         yield Finding("one measured edge", 0.0, sentence)
-    falling = [
-        (p, f"valve {e}: the opening falls by {100 * fall:.2g} % while the command rises.")
-        for e, (p, fall) in found.falling.items()
-    ]
-    zeros = [
-        (e, free) for e, free in found.any_zero.items() if free.is_zero(found.known) and free.p >= UNLIKELY
-    ]
-    tests: dict[str, list[Test]] = {
-        "zero of a pressure sensor": [_outside(e, free, found.known.zero) for e, free in zeros],
-        "zero of a flow meter": [*_flow_zero(recordings, found)],
-        "falling opening": falling,
-        "dead band": [_start(e, found) for e in found.nodes],
-        "density": [*_density(recordings, found.constants)],
-        "noise": [t for r in recordings for t in _noise(r, found.constants)],
-    }
     yield from (f for f in data.signal_findings(recordings, STEP_SIGNALS, "valve") if f.fault != "noise")
-    for edge, again in found.repeated.items():
-        for fault, test in _repeated(edge, again, found.known.zero):
-            tests.setdefault(fault, []).append(test)
+    tests: dict[str, list[Test]] = {fault: [] for fault in FAULTS}
+    for fault, test in (*_edge_tests(found), *_recording_tests(recordings, found)):
+        tests.setdefault(fault, []).append(test)
     for fault, several in tests.items():
         if several:
             p, sentence = min(several)
             yield Finding(fault, min(1.0, len(several) * p), sentence)
 
 
-def _outside(edge: str, free: Line, limit: float) -> Test:
-    """Score test of a zero beyond its limit, by the straight line with any zero."""
-    zero, bar = free["zero"], BAR[1]
-    return probability(zero, free.sd("zero"), limit), (
-        f"valve, edge {edge}: the opening is straight if the zeros of the two pressures differ by "
-        f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
-    )
+def _edge_tests(found: Openings) -> Iterator[tuple[str, Test]]:
+    """Tests of each edge: zeros that a straight line wants, its fall, its start, steps with one command."""
+    limit, bar = found.known.zero, BAR[1]
+    for edge, free in found.any_zero.items():
+        if free.is_zero(found.known) and free.p >= UNLIKELY:
+            sentence = (
+                f"valve, edge {edge}: the opening is straight if the zeros of the two pressures differ by "
+                f"{free['zero'] / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
+            )
+            yield FAULTS[0], (probability(free["zero"], free.sd("zero"), limit), sentence)
+    for edge, (p, fall) in found.falling.items():
+        sentence = f"valve {edge}: the opening falls by {100 * fall:.2g} % while the command rises."
+        yield "falling opening", (p, sentence)
+    for edge in found.nodes:
+        starts = [*_start(edge, found)]
+        p, sentence = min(starts, key=lambda test: test[0])
+        yield "dead band", (min(1.0, p * len(starts)), sentence)
+    for edge, again in found.repeated.items():
+        if "lag" in again.names:
+            size, unit = (1, "V of the command") if again.by_command else (100, "% of the flow")
+            lag = f"valve {edge}: after a rising command the opening lags by {size * again['lag']:.2g} {unit}"
+            yield "hysteresis", (again.probability("lag"), f"{lag}, against a falling one.")
+            way = f"{again.span:.2g} degrees of temperature" if again.warm else f"{again.span:.2g} s"
+            drift = f"the area at the same command changes by {100 * again['drift']:.2g} % over {way}."
+            yield "oil temperature", (again.probability("drift"), f"valve {edge}: {drift}")
+        if "zero" in again.names:
+            sentence = (
+                f"valve {edge}: the area does not depend on the pressures if their zeros differ by "
+                f"{again['zero'] / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
+            )
+            yield FAULTS[0], (probability(again["zero"], again.sd("zero"), limit), sentence)
+        times = again.times_noise
+        uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
+        yield "model", (float(stats.chi2.sf(again.chi_square / UNEVEN**2, again.freedom)), uneven)
 
 
-def _flow_zero(recordings: Sequence[Recording], found: Openings) -> Iterator[Test]:
-    """The reading at closed edges against the declared zero; undeclared it is none."""
+def _recording_tests(recordings: Sequence[Recording], found: Openings) -> Iterator[tuple[str, Test]]:
+    """Tests of the oil and the sensors: the reading at closed edges, the density, noise known to a factor."""
+    c = found.known
     if found.flow_zero:
         (zero, sd), unit = found.flow_zero, LITRES_PER_MINUTE[1]
-        limit = max(r.sensor("flow").zero_error or 0.0 for r in recordings)
+        limit = max(r.sensor("flow").zero_error or 0.0 for r in recordings)  # undeclared it is none
         sentence = (
             f"valve: the flow meter reads {zero / unit:.2g} L/min at closed edges, and {limit / unit:.2g} "
             "L/min is declared; the reading is subtracted."
         )
-        yield probability(zero, sd, limit), sentence
+        yield "zero of a flow meter", (probability(zero, sd, limit), sentence)
+    for recording in recordings:
+        if density := data.stated(recording, "density"):
+            sentence = (
+                f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
+                f"machine's of {c.density:.4g} kg/m3; the areas are those of the recorded oil."
+            )
+            yield "density", (0.0 if abs(density / c.density - 1) > SAME_OIL else 1.0, sentence)
+        for name, fast, scatter in _noises(recording, c):
+            # fast changes are not above the noise, and the scatter is not below it
+            sensor, (unit_name, one) = recording.sensor(name), LITRES_PER_MINUTE if name == "flow" else BAR
+            large = np.log(fast / (WRONG_NOISE * sensor.sd)) if fast > 0 else -np.inf
+            small = np.log(sensor.noise / (WRONG_NOISE * np.hypot(scatter, sensor.resolution / 2)))
+            sentence = (
+                f"{recording.source.name}: {name}: the noise is declared as {sensor.noise / one:.2g} "
+                f"{unit_name}, the data show {scatter / one:.2g} {unit_name}."
+            )
+            yield "noise", (float(stats.norm.sf(max(large, small) / NOISE_ERROR)), sentence)
 
 
-def _start(edge: str, found: Openings) -> Test:
-    """An edge that is open at zero command, or closed where its opening would give a flow."""
-    line = found.line or (found.lines[edge] if found.straight else None)
-    tests = [_underlap(edge, found.nodes[edge], line), *_idle(edge, found)]
-    if line:
-        sentence = (
-            f"valve {edge}: the opening does not begin with a rounding of {found.known.rounding.value:.3g} V "
-            f"as known, but with one of {line.law()[2]:.2g} V."
-        )
-        tests.append((line.as_known, sentence))
-    p, sentence = min(tests, key=lambda test: test[0])
-    return min(1.0, p * len(tests)), sentence
-
-
-def _underlap(edge: str, nodes: Nodes, line: Line | None) -> Test:
+def _start(edge: str, found: Openings) -> Iterator[Test]:
+    """An edge that is open at zero command, closed where its opening would give a flow, another rounding."""
+    line, nodes = found.line or (found.lines[edge] if found.straight else None), found.nodes[edge]
     if line:
         first, sd = line["start0"], line.sd("start0")
     else:
         a, v, s = nodes.area, nodes.command, nodes.sd
         length = (v[1] - v[0]) / (a[1] - a[0])
         first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
-    sentence = (
+    yield (
+        float(stats.norm.sf(-first / sd)),
         f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
-        "offset. The machine has no opening at zero command."
+        "offset. The machine has no opening at zero command.",
     )
-    return float(stats.norm.sf(-first / sd)), sentence
-
-
-def _idle(edge: str, found: Openings) -> Iterator[Test]:
-    """Steps at which the meter reads nothing, from the highest command on, although the opening is open."""
-    curve, nodes = found.curves[edge], found.nodes[edge]
-    command, bound = found.steps.of(edge).idle(found.constants)
+    # steps at which the meter reads nothing, from the highest command on, although the opening is open;
     # below the lowest node the least area is that of the steepest start
-    lowest, latest = nodes.command[0], float(curve.start.max())
+    command, bound = found.steps.of(edge).idle(found.known)
+    lowest, latest = nodes.command[0], float(found.curves[edge].start.max())
     steep = np.clip((command - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
     inside = np.interp(command, nodes.command, nodes.area)
     least = np.where(command >= lowest, inside, steep * (latest < lowest))
     p = stats.norm.sf((least - bound) / np.interp(command, nodes.command, nodes.sd))
     for k in np.argsort(-command):
-        sentence = (
+        yield (
+            float(p[k]),
             f"valve {edge}: the flow meter reads nothing at {command[k]:.3g} V, although the opening gives a "
-            "flow: the opening has a step, or the meter was stuck."
+            "flow: the opening has a step, or the meter was stuck.",
         )
-        yield float(p[k]), sentence
-
-
-def _density(recordings: Sequence[Recording], c: ValveConstants) -> Iterator[Test]:
-    """An oil that is not that of the machine."""
-    for recording in recordings:
-        if density := data.stated(recording, "density"):
-            other = abs(density / c.density - 1) > SAME_OIL
-            sentence = (
-                f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
-                f"machine's of {c.density:.4g} kg/m3; the areas are those of the recorded oil."
-            )
-            yield 0.0 if other else 1.0, sentence
-
-
-def _noise(recording: Recording, c: ValveConstants) -> Iterator[Test]:
-    """Noise known to a factor of two: fast changes are not above it, and the scatter is not below it."""
-    for name, fast, scatter in _noises(recording, c):
-        sensor = recording.sensor(name)
-        large = np.log(fast / (WRONG_NOISE * sensor.sd)) if fast > 0 else -np.inf
-        small = np.log(sensor.noise / (WRONG_NOISE * np.hypot(scatter, sensor.resolution / 2)))
-        unit, one = LITRES_PER_MINUTE if name == "flow" else BAR
-        sentence = (
-            f"{recording.source.name}: {name}: the noise is declared as {sensor.noise / one:.2g} {unit}, "
-            f"the data show {scatter / one:.2g} {unit}."
+    if line:
+        yield (
+            line.as_known,
+            f"valve {edge}: the opening does not begin with a rounding of {found.known.rounding.value:.3g} V "
+            f"as known, but with one of {line.law()[2]:.2g} V.",
         )
-        yield float(stats.norm.sf(max(large, small) / NOISE_ERROR)), sentence
-
-
-def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, Test]]:
-    """Tests of steps with one command: after a rising against a falling one, against time, and the rest."""
-    if "lag" in found.names:
-        size, unit = (1, "V of the command") if found.by_command else (100, "% of the flow")
-        lag = f"valve {edge}: after a rising command the opening lags by {size * found['lag']:.2g} {unit}"
-        yield "hysteresis", (found.probability("lag"), f"{lag}, against a falling one.")
-        way = f"{found.span:.2g} degrees of temperature" if found.warm else f"{found.span:.2g} s"
-        drift = f"the area at the same command changes by {100 * found['drift']:.2g} % over {way}."
-        yield "oil temperature", (found.probability("drift"), f"valve {edge}: {drift}")
-    if "zero" in found.names:
-        zero, bar = found["zero"], BAR[1]
-        sentence = (
-            f"valve {edge}: the area does not depend on the pressures if their zeros differ by "
-            f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
-        )
-        yield "zero of a pressure sensor", (probability(zero, found.sd("zero"), limit), sentence)
-    times = found.times_noise
-    uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
-    yield "model", (float(stats.chi2.sf(found.chi_square / UNEVEN**2, found.freedom)), uneven)
 
 
 # ---- estimates -----------------------------------------------------------------------------------------
@@ -381,7 +361,7 @@ def _of_line(found: Openings, line: Line, curve: OpeningCurve, edge: str = "") -
     """Area and dead band of a straight opening; the latter is as uncertain as a foot without a flow."""
     suffix = f"[{edge}]" if edge else ""
     count = sum(int(n.steps.command.size) for e, n in found.nodes.items() if edge in ("", e))
-    note, full = f"fit of {count} steps, section 4(a)", found.constants.full_command
+    note, full = f"fit of {count} steps, section 4(a)", found.known.full_command
     name, (area, sd), about = f"valve_area{suffix}", line.area(full), f"{note}, with C_d and density as known"
     if curve.last_measured < full * (1 - SAME):
         yield curve.estimate(name, "m2", f"{about}, extrapolated", curve.draws[:, -1], area)
@@ -404,13 +384,11 @@ def _of_line(found: Openings, line: Line, curve: OpeningCurve, edge: str = "") -
 
 def _of_curves(found: Openings) -> Iterator[Estimate]:
     """Area of the edge that opens furthest, and the first start of an opening."""
-    largest = max(found.curves.values(), key=lambda curve: float(curve.areas[-1]))
+    curves = found.curves.values()
     note = "at full command by the opening curve, with C_d and density as known"
-    yield _full_area(largest, "valve_area", note)
-    earliest = min(found.curves.values(), key=lambda curve: float(curve.commands[0]))
-    yield _first(
-        earliest, "valve_dead_band", "start of the opening curve; the tables of the edges replace it"
-    )
+    yield _full_area(max(curves, key=lambda curve: float(curve.areas[-1])), "valve_area", note)
+    note = "start of the opening curve; the tables of the edges replace it"
+    yield _first(min(curves, key=lambda curve: float(curve.commands[0])), "valve_dead_band", note)
 
 
 def _full_area(curve: OpeningCurve, name: str, note: str) -> Estimate:
@@ -435,43 +413,37 @@ def _of_edges(found: Openings) -> Iterator[Estimate]:
             yield replace(point, name=f"opening[{edge}]({point.name} V)")
 
 
-def _tables(found: Openings) -> Iterator[Estimate]:
-    """Points of the tables of all edges as parameters; an untested edge gets the table of another."""
+def _tables(found: Openings, parameters: Mapping[str, Number]) -> Iterator[Estimate]:
+    """Points of the tables of all edges as parameters; an untested edge gets the table of another.
+
+    Empty tables take the place of known ones if a straight line suffices.
+    """
+
+    def exact(name: str, value: float, unit: str, note: str) -> Estimate:
+        return Estimate(name, value, unit, 0.0, value, value, note, f"{name.rpartition('_')[0]}s")
+
     tested = found.curves
     for edge, other in SAME_WAY.items():
+        name = f"valve_{edge.replace('-', '').lower()}"
+        if found.line:
+            known = parameters.get(f"boom_stick.{name}_command_2")
+            if known and known.value > 0:
+                note = "no table: a straight line suffices, section 4(a)"
+                yield exact(f"{name}_command_1", 0.0, "V", note)
+                yield exact(f"{name}_opening_1", 0.0, "1", note)
+            continue
         source = edge if edge in tested else other if other in tested else next(iter(tested))
-        curve, name = tested[source], _table_of(edge)
         note = f"opening curve of edge {source}, section 4(a); relative to valve_area"
-        for i, command in enumerate(curve.commands, 1):
-            yield _entry(f"{name}_command_{i}", float(command), "V", note)
-        yield _entry(f"{name}_opening_1", 0.0, "1", note)
-        for i, point in enumerate(curve.openings(found.largest, note), 2):
+        for i, command in enumerate(tested[source].commands, 1):
+            yield exact(f"{name}_command_{i}", float(command), "V", note)
+        yield exact(f"{name}_opening_1", 0.0, "1", note)
+        for i, point in enumerate(tested[source].openings(found.largest, note), 2):
             yield replace(point, name=f"{name}_opening_{i}", listed=f"{name}_openings")
-
-
-def _no_tables(parameters: Mapping[str, Number]) -> Iterator[Estimate]:
-    """Empty tables in place of known ones, because a straight line suffices."""
-    for name in map(_table_of, SAME_WAY):
-        known = parameters.get(f"boom_stick.{name}_command_2")
-        if known and known.value > 0:
-            for kind, unit in (("command", "V"), ("opening", "1")):
-                yield _entry(
-                    f"{name}_{kind}_1", 0.0, unit, "no table: a straight line suffices, section 4(a)"
-                )
-
-
-def _table_of(edge: str) -> str:
-    return f"valve_{edge.replace('-', '').lower()}"
-
-
-def _entry(name: str, value: float, unit: str, note: str) -> Estimate:
-    """An entry of a list, which is exact."""
-    return Estimate(name, value, unit, 0.0, value, value, note, f"{name.rpartition('_')[0]}s")
 
 
 def _resistances(found: Openings) -> Iterator[Estimate]:
     """C_R at the voltages of `VOLTAGES`, and the zero of a straight opening."""
-    c, distinct = found.constants, found.distinct()
+    c, distinct = found.known, found.distinct()
     for edge, curve in distinct.items():
         suffix = "" if len(distinct) == 1 else f"[{edge}]"
         for voltage in VOLTAGES:

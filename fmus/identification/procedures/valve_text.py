@@ -23,7 +23,7 @@ def remarks(steps: ValveSteps, found: Openings, zero: Estimate, declared: bool) 
 
     declared   whether the zero of the flow meter is declared
     """
-    good, dead, c = steps[steps.good], steps[steps.dead], found.constants
+    good, dead, c = steps[steps.good], steps[steps.dead], found.known
     if dead.command.size:
         yield (
             f"{dead.command.size} of {steps.command.size} steps, up to {dead.command.max():.3g} V, are "
@@ -156,7 +156,7 @@ def impossible(curve: Polynomial, x: Array) -> Mask:
 
 def panels(steps: ValveSteps, found: Openings) -> tuple[Panel, ...]:
     """C_R with the fit, K = Q/sqrt(dp) with masked steps, C_R with the paper's polynomials, residual."""
-    good, dead, c = steps[steps.good], steps[steps.dead & (steps.drop > 0)], found.constants
+    good, dead, c = steps[steps.good], steps[steps.dead & (steps.drop > 0)], found.known
     lines, polynomials = list[Curve](), list[Curve]()
     # K is straight above the foot of a straight opening, so it also shows the dead band
     root, gain = np.sqrt(good.drop), c.discharge_coefficient * math.sqrt(2 / c.density)
@@ -168,7 +168,15 @@ def panels(steps: ValveSteps, found: Openings) -> tuple[Panel, ...]:
         opened, label = np.linspace(group.command.min(), c.full_command, 400), f": {name}" if name else ""
         area = np.interp(opened, curve.command, curve.area)
         lines.append(Curve(f"fit, eq. (2){label}", opened, c.resistance(area), "fit", line=True))
-        polynomials += _polynomials(group)
+        # the paper's polynomial, where it is impossible, and the polynomial of ln C_R
+        paper, log = (polynomial(group.command, y) for y in (group.resistance, np.log(group.resistance)))
+        at = np.linspace(group.command.min(), group.command.max(), 400)
+        bad = np.where(impossible(paper, at), paper(at), math.nan)
+        polynomials += [
+            Curve(f"polynomial of degree {paper.degree()}", at, paper(at), "compared", line=True),
+            Curve("polynomial negative or rising", at, bad, "masked", line=True),
+            Curve(f"ln C_R of degree {log.degree()}", at, np.exp(log(at)), "corrected", line=True),
+        ]
         band = "95 % band" if len(gains) == 2 else ""
         gains.append(Curve(f"fit{label}", curve.command, gain * curve.area, "fit", line=True))
         for end, text in ((curve.low, band), (curve.high, "")):
@@ -195,15 +203,3 @@ def _by_curve(good: ValveSteps, found: Openings) -> list[tuple[str, ValveSteps, 
     if len(distinct := found.distinct()) == 1:
         return [("", good, found.common)]
     return [(edge, good.of(edge), curve) for edge, curve in distinct.items()]
-
-
-def _polynomials(good: ValveSteps) -> tuple[Curve, ...]:
-    """The paper's polynomial, where it is impossible, and the polynomial of ln C_R."""
-    opened = np.linspace(good.command.min(), good.command.max(), 400)
-    paper, log = (polynomial(good.command, y) for y in (good.resistance, np.log(good.resistance)))
-    bad = np.where(impossible(paper, opened), paper(opened), math.nan)
-    return (
-        Curve(f"polynomial of degree {paper.degree()}", opened, paper(opened), "compared", line=True),
-        Curve("polynomial negative or rising", opened, bad, "masked", line=True),
-        Curve(f"ln C_R of degree {log.degree()}", opened, np.exp(log(opened)), "corrected", line=True),
-    )

@@ -19,11 +19,12 @@ independent of load. The payload is a point mass at or below the tip, at the tip
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from fmus.identification import balance
-from fmus.identification.balance import Solution
+from fmus.identification.balance import Samples, Solution
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
@@ -52,19 +53,15 @@ class Weighed:
     `plain`, the fit without zeros, and the zeros that the data sheets allow are in their intervals.
     """
 
-    records: tuple[momentum.JointRecording, ...]
+    records: Sequence[momentum.JointRecording]
     solution: Solution
     plain: Solution
     head: float
 
-    def stated(self, k: int) -> float | None:
-        """The payload [kg] that a recording states."""
-        return data.stated(self.records[k].source, CONDITION)
-
     @property
     def tares(self) -> list[int]:
         """The recordings of the empty head."""
-        return [k for k in range(len(self.records)) if self.stated(k) == 0.0]
+        return [k for k, r in enumerate(self.records) if data.stated(r.source, CONDITION) == 0.0]
 
     def payload(self, k: int) -> tuple[float, float]:
         """Payload [kg] of a recording and its standard deviation."""
@@ -85,84 +82,64 @@ class Weighed:
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """The payload of each recording that is not one of the empty head."""
-    weighed = weigh(
-        data.training_recordings(recordings, "weighing", SIGNALS), momentum.parameter_vector(parameters)
-    )
-    fit, tares = weighed.solution.fit, len(weighed.tares)
-    how = "moments of the boom's cylinder, " + (
-        f"less the tare of {tares} recording{'s' * (tares > 1)}"
-        if tares
-        else "less the known mass of the head"
-    )
-    loaded = [k for k in range(len(weighed.records)) if k not in weighed.tares]
-    courses = data.courses([r.source for r in weighed.records], weighed.solution)
+    tests = data.training_recordings(recordings, "weighing", SIGNALS)
+    weighed = weigh(tests, momentum.parameter_vector(parameters))
+    solution, fit, tares = weighed.solution, weighed.solution.fit, len(weighed.tares)
+    less = f"the tare of {tares} recording{'s' * (tares > 1)}" if tares else "the known mass of the head"
+    how = f"moments of the boom's cylinder, less {less}"
+    payloads = {k: weighed.payload(k) for k in range(len(tests)) if k not in weighed.tares}
     return ProcedureResult(
         procedure="weighing",
         title="Payload from the pressures of the boom's cylinder",
         figure=0,
         estimates=(),
-        panels=tuple(panel for k in range(len(weighed.records)) for panel in _panels(weighed, k)),
-        remarks=tuple(_remarks(weighed, loaded)),
+        panels=tuple(panel for k in range(len(tests)) for panel in _panels(weighed, k)),
+        remarks=tuple(_remarks(weighed, payloads)),
         others=(
-            *(
-                Estimate.normal(fit.names[k], value, "kg", sd, how)
-                for k in loaded
-                for value, sd in [weighed.payload(k)]
-            ),
+            *(Estimate.normal(fit.names[k], value, "kg", sd, how) for k, (value, sd) in payloads.items()),
             fit.estimate("viscous friction, further unknown", "N.s/m", how, DAMPING),
             fit.estimate("dry friction, further unknown", "N", how, momentum.DRY),
         ),
         findings=(
-            balance.drift_finding(weighed.solution, DAMPING, courses, "weighing: friction"),
-            *balance.zero_findings(weighed.solution, "weighing"),
-            *data.signal_findings([r.source for r in weighed.records], SIGNALS, "weighing"),
-            balance.model_finding(weighed.solution, "weighing"),
+            balance.drift_finding(solution, DAMPING, data.courses(tests, solution), "weighing: friction"),
+            *balance.zero_findings(solution, "weighing"),
+            *data.signal_findings(tests, SIGNALS, "weighing"),
+            balance.model_finding(solution, "weighing"),
         ),
     )
 
 
 def weigh(recordings: Sequence[Recording], p: Array) -> Weighed:
     """Masses and friction of all recordings together; Problem if the boom does not move up and down."""
-    records = [
-        momentum.joint_recording(
+    records, samples = list[momentum.JointRecording](), list[Samples]()
+    names = [f"payload[{r.source.stem}]" for r in recordings]
+    for name, r in zip(names, recordings, strict=True):
+        record = momentum.joint_recording(
             r, (JOINT,), (HEAD, DAMPING), p, window=WINDOW, slow=SLOW, rounding=SIGN_ROUNDING
         )
-        for r in recordings
-    ]
-    for record in records:
-        _check_motion(record)
-    names = [f"payload[{r.source.stem}]" for r in recordings]
+        speed = record.z[3 + momentum.JOINTS.index(JOINT)][record.samples.centres]
+        up, down = float(np.sum(np.maximum(speed, 0.0))), float(np.sum(np.maximum(-speed, 0.0)))
+        if min(up, down) < BOTH_WAYS * (up + down) or not up + down:
+            raise Problem(
+                f"{r.source}: manipulator.{JOINT}_angle: expected a slow motion up and down, in "
+                f"which friction averages out, got {100 * up / (up + down or 1.0):.0f} % of the way up"
+            )
+        records.append(record)
+        samples.append(replace(record.samples, names=(name, *record.samples.names[1:])))
     head = float(p[momentum.PARAMETERS.index(HEAD)])
-    samples = [
-        replace(r.samples, names=(n, *r.samples.names[1:])) for r, n in zip(records, names, strict=True)
-    ]
     start = dict.fromkeys(names, head) | {DAMPING: 0.0, momentum.DRY: 0.0, momentum.OFFSET: 0.0}
     limits = {n: max(data.zero_limit(r, n) for r in recordings) for n in momentum.PRESSURES[JOINT]}
-    solution = balance.solve(samples, start, "weighing", limits, tested=(momentum.OFFSET,))
-    plain = (
-        balance.solve(samples, start, "weighing", tested=(momentum.OFFSET,))
-        if solution.fit.misfit
-        else solution
-    )
-    return Weighed(tuple(records), solution, plain, head)
+    solve = partial(balance.solve, samples, start, "weighing", tested=(momentum.OFFSET,))
+    solution = solve(limits)
+    return Weighed(records, solution, solve() if solution.fit.misfit else solution, head)
 
 
-def _check_motion(record: momentum.JointRecording) -> None:
-    speed = record.z[3 + momentum.JOINTS.index(JOINT)][record.samples.centres]
-    up, down = float(np.sum(np.maximum(speed, 0.0))), float(np.sum(np.maximum(-speed, 0.0)))
-    if min(up, down) < BOTH_WAYS * (up + down) or not up + down:
-        raise Problem(
-            f"{record.source.source}: manipulator.{JOINT}_angle: expected a slow motion up and down, in "
-            f"which friction averages out, got {100 * up / (up + down or 1.0):.0f} % of the way up"
-        )
-
-
-def _remarks(weighed: Weighed, loaded: Sequence[int]) -> Iterator[str]:
+def _remarks(weighed: Weighed, payloads: Mapping[int, tuple[float, float]]) -> Iterator[str]:
     fit, limits = weighed.solution.fit, weighed.solution.limits
-    if not loaded:
+    if not payloads:
         yield f"All recordings are of the empty head ({CONDITION} = 0): there is no payload to weigh."
-    for k in loaded:
-        stated, (value, sd) = weighed.stated(k), weighed.payload(k)
+    for k, (value, sd) in payloads.items():
+        stated = data.stated(weighed.records[k].source, CONDITION)
         if stated is not None:
             off = 100 * (value / stated - 1)
             yield f"{fit.names[k]}: the recording states {stated:.6g} kg; the estimate is {off:+.2g} % off."

@@ -33,7 +33,6 @@ OVERSTATED = 3.0  # stated noise over estimated noise, from which the stated noi
 WHITE = 0.7  # least ratio of the noise estimates by the sixth and the fourth difference if the noise is white
 MIN_GOOD = 0.5  # least fraction of good samples for an average
 ROUNDING = 1e-9  # s, of time stamps, in a settling time
-SHORTEST_REACH = 32  # samples at which the search for the end of an interval looks first
 EXACT = Sensor()  # without noise, steps, ends and dead zone
 
 
@@ -173,22 +172,14 @@ def steady(recording: Recording, command: str, settle: float = 0.0, shortest: fl
 
 def _starts(values: Array, width: float) -> NDArray[np.intp]:
     """Where a signal leaves the mean of the samples since the last such place by more than `width`."""
-    jumps = (~(np.abs(np.diff(values)) <= width)).tolist()  # also at a gap and after it
-    starts, reach = [0], SHORTEST_REACH
-    while starts[-1] + 1 < len(values):
-        start = starts[-1]
-        if jumps[start]:
-            starts.append(start + 1)
-            continue
-        ahead = values[start : start + reach]
-        before = np.cumsum(ahead[:-1]) / np.arange(1, len(ahead))
-        if (leaves := np.flatnonzero(~(np.abs(ahead[1:] - before) <= width))).size:
-            starts.append(start + 1 + int(leaves[0]))
-            reach = SHORTEST_REACH
-        elif start + reach < len(values):
-            reach *= 4
+    first, *others = values.tolist()
+    starts, total = [0], first
+    for k, value in enumerate(others, 1):
+        if abs(value - total / (k - starts[-1])) <= width:  # false at a gap and after it
+            total += value
         else:
-            break
+            starts.append(k)
+            total = value
     return np.array(starts)
 
 

@@ -79,17 +79,16 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
     """Signals and times of recordings that are a factor 1000 from usual, with the unit that may be meant."""
     told: list[str] = []
     for r in recordings:
-        told += doubts((f"{r.source}: {n}", *r.peak(n), _usual(r, n)) for n in r.signals)
+        rows = []
+        for name in r.signals:
+            unit = r.units[name]
+            factor, offset = factor_and_offset(unit, r.file_units.get(name, unit), name)
+            usual = [factor * size + offset for size in USUAL.get(unit, ())]  # in the unit of the file
+            rows.append((f"{r.source}: {name}", *r.peak(name), usual))
+        told += doubts(rows)
         if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
             told.append(f"{r.source}: {end:.6g} s; did you mean ms?")
     return told
-
-
-def _usual(recording: Recording, name: str) -> list[float]:
-    """Usual magnitudes of a signal, in the unit of the file."""
-    unit = recording.units[name]
-    factor, offset = factor_and_offset(unit, recording.file_units.get(name, unit), name)
-    return [factor * size + offset for size in USUAL.get(unit, ())]
 
 
 def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:

@@ -241,19 +241,17 @@ def sources(model: ReducedModel) -> dict[str, str]:
 
 def _interface(model: ReducedModel) -> Interface:
     """The model in the form of an FMU interface, without start values: one library serves all values."""
-
-    def variables(kind: Kind, names: Sequence[str], prefix: str = "") -> list[Variable]:
-        declared = {name: model.quantities[name] for name in names}
-        bare = {prefix + name: Quantity(q.unit, q.text, q.nominal) for name, q in declared.items()}
-        return [Variable(name, kind, q, None) for name, q in bare.items()]
-
-    groups = [
-        variables("FIXED", model.parameters),
-        variables("INPUT", model.inputs),
-        variables("STATE", model.states),
-        variables("DERIVATIVE", model.states, "der_"),
-        [],  # outputs are in sens.c only
-    ]
+    groups: list[list[Variable]] = []
+    kinds: tuple[tuple[Kind, Sequence[str], str], ...] = (
+        ("FIXED", model.parameters, ""),
+        ("INPUT", model.inputs, ""),
+        ("STATE", model.states, ""),
+        ("DERIVATIVE", model.states, "der_"),
+    )
+    for kind, names, prefix in kinds:
+        declared = [(prefix + name, model.quantities[name]) for name in names]
+        groups.append([Variable(n, kind, Quantity(q.unit, q.text, q.nominal), None) for n, q in declared])
+    groups.append([])  # outputs are in sens.c only
     equations = replace(model.equations, y=ca.SX(0, 1))
     # declared stiff by default, so that only the implicit method is used; only that one has sensitivities
     return make_interface("refined", "A model for output error", groups, equations, ca.SX(0, 1))

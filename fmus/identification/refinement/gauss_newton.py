@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmus.identification.refinement.compiled_model import SimulationFailed
-from fmus.identification.refinement.shooting import Evaluation, Linearisation, Scales, Shooting, linearise
+from fmus.identification.refinement.shooting import Evaluation, Linearisation, Shooting, linearise
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -50,11 +50,9 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Solution:
-    """The end of a search: the last iterate, its linearisation, the reason of the end."""
+    """The end of a search: the last iterate with its linearisation, the reason of the end."""
 
-    evaluation: Evaluation
     linear: Linearisation
-    scales: Scales
     history: tuple[Iteration, ...]
     reason: str
 
@@ -66,7 +64,7 @@ class Solution:
     @property
     def z(self) -> Array:
         """z of the parameters."""
-        return self.evaluation.z
+        return self.linear.at.z
 
 
 def minimise(
@@ -87,48 +85,43 @@ def minimise(
     problem, outputs = shooting.problem, len(shooting.problem.outputs)
     z = previous.z if previous else z
     try:
-        current = shooting.evaluate(z, shooting.measured_starts(z))
+        start = shooting.evaluate(z, shooting.measured_starts(z))
     except SimulationFailed as failed:
-        start = "cannot be simulated with the initial parameter values"
-        raise Problem(f"{problem.sub.name}: {start}: {failed}") from None
-    scales = current.scales(outputs, correlated=False)
-    linear = linearise(shooting, current, current, scales)
+        what = "cannot be simulated with the initial parameter values"
+        raise Problem(f"{problem.sub.name}: {what}: {failed}") from None
+    linear = linearise(shooting, start, start, start.scales(outputs, correlated=False))
     history, reason = list(previous.history) if previous else [], f"{iterations} iterations"
     if previous and previous.reason == INTERRUPTED:
-        return Solution(current, linear, scales, tuple(history), INTERRUPTED)
+        return Solution(linear, tuple(history), INTERRUPTED)
     far, trust = True, (1.0, 1.0)
     try:
         for _ in range(iterations):
-            best = linear.merit(linear.step(current.z, problem.bounds(), LARGEST_RADIUS))
+            current = linear.at
+            best = linear.merit(linear.step(LARGEST_RADIUS, problem.bounds()))
             remaining = math.sqrt(max(0.0, linear.merit() - best))
             history.append(Iteration(len(history), current.rms, remaining, problem.by_name(current.z)))
             if progress:
                 progress(history[-1])
-            new_scales = current.scales(outputs, correlated=not far)
-            settled = new_scales.change(scales) < SETTLED
+            scales = current.scales(outputs, correlated=not far)
+            settled = scales.change(linear.scales) < SETTLED
             converged = settled and not far and remaining < tolerance and current.continuous(CLOSED)
             if remaining < DETACHED if shooting.detached else converged:
                 reason = CONVERGED
                 break
             if far and settled and remaining < 1:
-                far, new_scales = False, current.scales(outputs, correlated=True)
-            new, trust = _next(shooting, current, linear, scales, trust)
+                far, scales = False, current.scales(outputs, correlated=True)
+            new, trust = _next(shooting, linear, trust)
             if new is None:
                 reason = STUCK
                 break
-            current, scales = new, new_scales
-            linear = linearise(shooting, current, current, scales)
+            linear = linearise(shooting, new, new, scales)
     except KeyboardInterrupt:
         reason = INTERRUPTED
-    return Solution(current, linear, scales, tuple(history), reason)
+    return Solution(linear, tuple(history), reason)
 
 
 def _next(
-    shooting: Shooting,
-    current: Evaluation,
-    linear: Linearisation,
-    scales: Scales,
-    trust: tuple[float, float],
+    shooting: Shooting, linear: Linearisation, trust: tuple[float, float]
 ) -> tuple[Evaluation | None, tuple[float, float]]:
     """The next iterate, None if no step reduces the merit.
 
@@ -137,11 +130,10 @@ def _next(
     Along a step, of which the whole is predicted to decrease the merit by `full`, the merit decreases by
     2 full t - c t^2. The decrease at the fraction t that was taken determines c, and c the best t.
     """
-    radius, fraction = trust
-    merit, bounds = linear.merit(), shooting.problem.bounds()
+    (radius, fraction), current, merit = trust, linear.at, linear.merit()
     slack = 1e-9 * merit  # rounding and the solver's error
     while radius > SMALLEST_RADIUS and fraction > SMALLEST_FRACTION:
-        dz = linear.step(current.z, bounds, radius)
+        dz = linear.step(radius, shooting.problem.bounds())
         full = max(merit - linear.merit(dz), 0.0)
         predicted = full * fraction * (2 - fraction)
         z, runs = current.z + fraction * dz, zip(current.starts, linear.runs, strict=True)
@@ -151,7 +143,7 @@ def _next(
             else:
                 starts = tuple(states + fraction * run.states(dz) for states, run in runs)
             new = shooting.evaluate(z, starts)
-            decrease = merit - linearise(shooting, current, new, scales).merit() + slack
+            decrease = merit - linearise(shooting, current, new, linear.scales).merit() + slack
         except SimulationFailed:
             decrease = -math.inf
         if decrease > _ACCEPTED * predicted:

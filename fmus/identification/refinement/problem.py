@@ -8,6 +8,7 @@ longest window for which the removed part is no larger than the noise of the sen
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise, permutations
 
@@ -158,11 +159,9 @@ class MeasuredRun:
         """Initial states of all segments, shape (segments, nx): measured if possible, else simulated."""
         states = [self.initial_state(simulator, p, inputs, corrected=False)[0]]
         for first, last in pairwise(edges[:-1]):
-            window = slice(first, last + 1)
-            try:
+            window, end = slice(first, last + 1), states[-1].copy()
+            with suppress(SimulationFailed):
                 end = simulator.segment(states[-1], p, self.time[window], inputs[window], False).x.copy()
-            except SimulationFailed:
-                end = states[-1].copy()
             for j, name in enumerate(simulator.states):
                 if name in self.measured_states and np.isfinite(self.measured_states[name][last]):
                     end[j] = self.measured_states[name][last]
@@ -251,21 +250,21 @@ class RecordingMap:
     def run(self, recording: Recording) -> MeasuredRun:
         """The measured run of one recording."""
         self._check(recording)
-        read = {n: signal for n in self.outputs if (signal := self._signal(n)) in recording.signals}
-        measured = np.zeros((len(recording.time), len(self.outputs)))
-        weight, scale = np.zeros(measured.shape), np.ones(len(self.outputs))
+        shape, moving = (len(recording.time), len(self.outputs)), False
+        measured, weight, scale = np.zeros(shape), np.zeros(shape), np.ones(len(self.outputs))
         for k, name in enumerate(self.outputs):
-            if name not in read:
+            if (signal := self._signal(name)) not in recording.signals:
                 continue
-            usable = usable_samples(recording, read[name])
-            measured[usable, k] = samples = recording[read[name]][usable]
-            sd = self.sd.get(name, recording.sensor(read[name]).sd)
+            usable = usable_samples(recording, signal)
+            measured[usable, k] = samples = recording[signal][usable]
+            sd = self.sd.get(name, recording.sensor(signal).sd)
             if not sd > 0:
                 expected = "expected a sensor with noise or resolution"
-                raise Problem(f"{recording.source}: {read[name]}: {expected}, got none")
+                raise Problem(f"{recording.source}: {signal}: {expected}, got none")
             weight[:, k] = usable / sd
             if samples.size:  # the range; for a constant signal the magnitude
                 scale[k] = float(np.ptp(samples)) or float(np.max(np.abs(samples))) or 1.0
+            moving = moving or moves_at_start(recording, signal)
         inputs = {name: self._input(recording, name) for name in quantities(self.sub.inputs)}
         return MeasuredRun(
             name=recording.source.stem,
@@ -275,7 +274,7 @@ class RecordingMap:
             weight=weight,
             scale=scale,
             measured_states=self._measured_states(recording),
-            at_rest=() if any(moves_at_start(recording, s) for s in read.values()) else tuple(self.rest),
+            at_rest=() if moving else tuple(self.rest),
             input_noise={
                 name: (recording.sensor(self._signal(name)).sd, window)
                 for name, (_, window) in inputs.items()
@@ -305,20 +304,18 @@ class RecordingMap:
         if signal not in recording.signals:
             return np.full(len(recording.time), (self.values or default_values(self.sub)).u[name]), 0
         samples, noise = fill_gaps(recording, signal), recording.sensor(signal).sd
-        if not noise > 0:
-            return samples, 0
-        if name not in self.smooth:
-            return samples, 1
-        return smoothed(recording.time, samples, self.smooth[name], noise)
+        if noise > 0 and name in self.smooth:
+            return smoothed(recording.time, samples, self.smooth[name], noise)
+        return samples, int(noise > 0)
 
     def _measured_states(self, recording: Recording) -> dict[str, Array]:
         """Trajectories of the states that are measured outputs, and of those that are the rate of one."""
         states, outputs = list(quantities(self.sub.states)), quantities(self.sub.outputs)
-        trajectories: dict[str, Array] = {}
-        for name in states:
-            signal = self._signal(name)
-            if name in outputs and signal in recording.signals:
-                trajectories[name] = np.where(usable_samples(recording, signal), recording[signal], np.nan)
+        trajectories = {
+            name: np.where(usable_samples(recording, signal), recording[signal], np.nan)
+            for name in states
+            if name in outputs and (signal := self._signal(name)) in recording.signals
+        }
         model, step = symbolic(self.sub), period(recording.time)
         window = max(3, _odd_samples(recording.time, SPEED_WINDOW))
         for (i, name), (j, rate) in permutations(enumerate(states), 2):

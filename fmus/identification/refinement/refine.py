@@ -107,22 +107,21 @@ class RefinementResult:
 
         Intervals end at a bound if that is nearer, and are open if the data do not determine the parameter.
         """
-        robust = self.robust
+        robust, problem, runs = self.robust, self.problem, len(self.problem.training)
         basis = "errors over segments" if robust else "errors of independent residuals"
-        runs = len(self.problem.training)
         note = f"joint refinement of {len(self.z)} parameters on {runs} recording{'s' * (runs > 1)}, {basis}"
         note += "" if self.converged else f"; the search did not converge: {self.reason}"
-        problem, sd = self.problem, self.statistics.sd(robust)
+        sd = self.statistics.sd(robust)
         half = coverage_factor(self.statistics.degrees(robust)) * sd
         log = np.array([f.log for f in problem.free])
         half = np.where((sd > VAGUE / 2) | (log & (half > _OPEN)), math.inf, half)
-        low, high = np.clip([self.z - half, self.z + half], *problem.bounds())
-        columns = [problem.values_of(z).tolist() for z in (self.z, low, high)]
+        ends = np.clip([self.z - half, self.z + half], *problem.bounds())
+        values, lows, highs = (problem.values_of(z).tolist() for z in (self.z, *ends))
         sds = (sd * problem.derivatives(self.z)).tolist()
-        names = [problem.label(f.name) for f in problem.free]
+        rows = zip(map(problem.label, problem.names), problem.free, values, sds, lows, highs, strict=True)
         return tuple(
-            Estimate(name, value, f.unit, sd, low, high, note + "; at its bound" * (name in self.at_bound))
-            for name, f, sd, value, low, high in zip(names, problem.free, sds, *columns, strict=True)
+            Estimate(name, value, f.unit, own, low, high, note + "; at its bound" * (name in self.at_bound))
+            for name, f, value, own, low, high in rows
         )
 
     def uncertainty(self, run: MeasuredRun) -> tuple[Array, Array]:
@@ -206,7 +205,7 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
     """Statistics, and simulations with the estimated parameters."""
     problem, simulator = shooting.problem, shooting.simulator
     z, p = solution.z, problem.values_of(solution.z)
-    starts = [states[0] * simulator.nominal for states in solution.evaluation.starts]
+    starts = [states[0] * simulator.nominal for states in solution.linear.at.starts]
     training = parallel(lambda k: simulate(problem.training[k], simulator, p, starts[k]), range(len(starts)))
     by_inputs = np.zeros((len(z), len(z)))
     if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
@@ -226,7 +225,7 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
         whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.signals)},
         training=tuple(training),
         held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
-        model_error=solution.scales.model_error,
+        model_error=solution.linear.scales.model_error,
         simulator=simulator,
     )
 
@@ -238,11 +237,9 @@ def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledMod
 
 def advice(refined: RefinementResult) -> tuple[str, ...]:
     """Sentences on how the search ended and on the validity of the intervals; empty if all is well."""
-    sentences = []
+    sentences, segments = [], refined.statistics.segments
     outcome = f"The search did not converge: {refined.reason}"
-    if refined.converged:
-        pass
-    elif refined.reason == INTERRUPTED:
+    if refined.reason == INTERRUPTED:
         sentences.append(f"{outcome}. Values and intervals are those of the best point so far.")
     elif refined.reason == STUCK:
         sentences.append(
@@ -250,12 +247,11 @@ def advice(refined: RefinementResult) -> tuple[str, ...]:
             "friction or a stop. The values are the best so far. Fix the parameters that the data do not "
             "determine (--free names the others), or begin from other values."
         )
-    else:
+    elif not refined.converged:
         sentences.append(
             f"{outcome} were not enough. The values are the best so far, the intervals are too narrow. "
             "Look for a signal with a wrong sign or unit, and free fewer parameters (--free)."
         )
-    segments = refined.statistics.segments
     if refined.robust and segments == 1:
         sentences.append(
             "There is a single segment, from which the effect of correlated residuals cannot be estimated: "
@@ -313,7 +309,9 @@ def multistart(refined: RefinementResult, count: int) -> Iterator[RandomStart]:
         try:
             shooting = cut_into_segments(problem, refined.simulator, z)
             predictions = fit_predictions(shooting, z)
-            joined = _same_end(predictions, path)
+            # both have converged to parameters whose residuals differ by less than the tolerances of both
+            distance = float(np.linalg.norm(predictions.linear.rows[:, :-1] @ (predictions.z - path.z)))
+            joined = predictions.converged and path.converged and distance < 2 * DETACHED
             solution = best if joined else _whole(shooting, z, predictions)
         except Problem:  # the model cannot be simulated from there
             yield RandomStart(z, math.inf, math.nan, 0)
@@ -329,12 +327,6 @@ def _whole(shooting: Shooting, z: Array, predictions: Solution) -> Solution:
     if solution.reason == INTERRUPTED:
         raise KeyboardInterrupt
     return solution
-
-
-def _same_end(one: Solution, other: Solution) -> bool:
-    """Have both converged to parameters whose residuals differ by less than the tolerances of both?"""
-    apart = float(np.linalg.norm(other.linear.rows[:, :-1] @ (one.z - other.z)))
-    return one.converged and other.converged and apart < 2 * DETACHED
 
 
 def random_start(problem: EstimationProblem, rng: np.random.Generator) -> Array:
@@ -353,14 +345,14 @@ def random_start(problem: EstimationProblem, rng: np.random.Generator) -> Array:
 
 def subsampled(problem: EstimationProblem) -> EstimationProblem:
     """The same problem with one of `EVERY` samples."""
-
-    def subsample(run: MeasuredRun) -> MeasuredRun:
-        return replace(
+    training = tuple(
+        replace(
             run,
             **{name: getattr(run, name)[::EVERY] for name in ("time", "measured", "weight")},
             inputs={name: u[::EVERY] for name, u in run.inputs.items()},
             input_noise={},
             measured_states={name: x[::EVERY] for name, x in run.measured_states.items()},
         )
-
-    return replace(problem, training=tuple(map(subsample, problem.training)), held_out=())
+        for run in problem.training
+    )
+    return replace(problem, training=training, held_out=())

@@ -234,38 +234,40 @@ class Shooting:
     def evaluate(self, z: Array, starts: tuple[Array, ...], sensitivities: bool = True) -> Evaluation:
         """Simulate all segments; raises SimulationFailed."""
         p, p_z = self.problem.values_of(z), self.problem.derivatives(z)
+        nominal = self.simulator.nominal
 
-        def evaluate_segment(task: tuple[int, int]) -> Segment:
-            run, i = task
-            return self._segment(run, i, starts[run][i], p, p_z, sensitivities)
+        def segment(task: tuple[int, int]) -> Segment:
+            k, i = task
+            run, (first, last) = self.problem.training[k], self.edges[k][i : i + 2]
+            time, inputs = run.time[first : last + 1], self.inputs[k][first : last + 1]
+            solution = self.simulator.segment(starts[k][i] * nominal, p, time, inputs, sensitivities)
+            count = last - first + (i == len(self.edges[k]) - 2)  # a sample on an edge counts once
+            weight = run.weight[first : first + count]
+            used = weight > 0
+            w, column = weight[used], np.nonzero(used)[1]
+            residual = (solution.y[:count][used] - run.measured[first : first + count][used]) * w
+            jacobian = end_by = np.empty((0, 0))
+            if sensitivities:
+                by = np.hstack([solution.y_x[:count][used] * nominal, solution.y_p[:count][used] * p_z])
+                jacobian = by * w[:, None]
+                end_by = np.hstack([solution.x_x * nominal, solution.x_p * p_z]) / nominal[:, None]
+            return Segment(residual, column, solution.x / nominal, jacobian, end_by)
 
         tasks = [(k, i) for k, edges in enumerate(self.edges) for i in range(len(edges) - 1)]
-        segments = iter(parallel(evaluate_segment, tasks))
+        segments = iter(parallel(segment, tasks))
         return Evaluation(z, starts, tuple(tuple(next(segments) for _ in e[1:]) for e in self.edges))
-
-    def _segment(self, run: int, i: int, start: Array, p: Array, p_z: Array, sensitivities: bool) -> Segment:
-        record, edges = self.problem.training[run], self.edges[run]
-        first, last = edges[i], edges[i + 1]
-        nominal = self.simulator.nominal
-        time, inputs = record.time[first : last + 1], self.inputs[run][first : last + 1]
-        solution = self.simulator.segment(start * nominal, p, time, inputs, sensitivities)
-        count = last - first + (i == len(edges) - 2)  # a sample on an edge counts once
-        weight = record.weight[first : first + count]
-        used = weight > 0
-        w, column = weight[used], np.nonzero(used)[1]
-        residual = (solution.y[:count][used] - record.measured[first : first + count][used]) * w
-        jacobian = end_by = np.empty((0, 0))
-        if sensitivities:
-            by = np.hstack([solution.y_x[:count][used] * nominal, solution.y_p[:count][used] * p_z])
-            jacobian = by * w[:, None]
-            end_by = np.hstack([solution.x_x * nominal, solution.x_p * p_z]) / nominal[:, None]
-        return Segment(residual, column, solution.x / nominal, jacobian, end_by)
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The runs condensed around an iterate; rows [parameters | residual] of the runs and the priors."""
+    """The runs condensed around an iterate; rows [parameters | residual] of the runs and the priors.
 
+    at       the iterate, with its residuals and defects
+    scales   by which the residuals are divided
+    """
+
+    at: Evaluation
+    scales: Scales
     runs: tuple[CondensedRun, ...]
     rows: Array
 
@@ -276,11 +278,13 @@ class Linearisation:
         starts = sum(float(np.sum(run.top[:, -1] ** 2)) for run in self.runs)
         return float(np.sum(self.rows[:, -1] ** 2)) + starts
 
-    def step(self, z: Array, bounds: tuple[Array, Array], radius: float) -> Array:
-        """Damped least squares within bounds, dz; `radius` is the change of z that is hardly damped."""
+    def step(self, radius: float, bounds: tuple[Array, Array] | None = None) -> Array:
+        """Damped least squares within bounds of z, dz; `radius` is the change of z that is hardly damped."""
+        z = self.at.z
         damping = np.eye(len(z), len(z) + 1) / radius
         triangle = triangular(np.vstack([self.rows, damping]))
-        low, high = np.minimum(bounds[0] - z, 0.0), np.maximum(bounds[1] - z, 0.0)
+        least, largest = bounds or (np.full(len(z), -np.inf), np.full(len(z), np.inf))
+        low, high = np.minimum(least - z, 0.0), np.maximum(largest - z, 0.0)
         dz: Array = lsq_linear(triangle[:, :-1], -triangle[:, -1], (low, high), method="bvls").x
         return dz
 
@@ -304,7 +308,8 @@ def linearise(shooting: Shooting, old: Evaluation, new: Evaluation, scales: Scal
         runs.append(condense([next(residuals) for _ in segments], ends, start))
     sd = shooting.problem.prior_sd()
     priors = np.column_stack([np.eye(len(new.z)), new.z - shooting.problem.initial()]) / sd[:, None]
-    return Linearisation(tuple(runs), np.vstack([*(run.bottom for run in runs), priors[np.isfinite(sd)]]))
+    rows_of_all = np.vstack([*(run.bottom for run in runs), priors[np.isfinite(sd)]])
+    return Linearisation(new, scales, tuple(runs), rows_of_all)
 
 
 def cut(time: Array, seconds: float) -> tuple[int, ...]:

@@ -80,13 +80,14 @@ def statistics(solution: Solution, prior_sd: Array, by_inputs: Array) -> Statist
     prior_sd    prior standard deviations of z
     by_inputs   covariance that the noise of the inputs causes
     """
-    parameters, segments, scales = len(prior_sd), solution.evaluation.segments, solution.scales
+    linear, parameters = solution.linear, len(prior_sd)
+    segments, scales = linear.at.segments, linear.scales
     weighted = np.concatenate([s.residual / scales.sd[s.column] for s in segments])
     samples = sum(float(np.sum(1 / scales.correlation_time[s.column])) for s in segments)
-    initial_states = sum(len(run.top) for run in solution.linear.runs)
+    initial_states = sum(len(run.top) for run in linear.runs)
     degrees_of_freedom = max(1, round(samples) - parameters - initial_states)
     variance = float(weighted @ weighted) / degrees_of_freedom
-    jacobian = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
+    jacobian = np.vstack([run.bottom[:, :-1] for run in linear.runs])
     prior = np.diag(1 / prior_sd**2 + 1 / VAGUE**2)
     information = jacobian.T @ jacobian
     lengths = np.linalg.norm(jacobian, axis=0)
@@ -94,7 +95,7 @@ def statistics(solution: Solution, prior_sd: Array, by_inputs: Array) -> Statist
     smallest = float(singular[-1]) if len(jacobian) >= parameters else 0.0
     return Statistics(
         covariance=_inverse(information / variance + prior) + by_inputs,
-        robust_covariance=_jackknife(solution.linear.runs, prior, _inverse(information + prior)) + by_inputs,
+        robust_covariance=_jackknife(linear.runs, prior, _inverse(information + prior)) + by_inputs,
         data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + by_inputs,
         degrees_of_freedom=degrees_of_freedom,
         segments=len(segments),
@@ -136,37 +137,26 @@ def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Ar
 
 
 def input_covariance(shooting: Shooting, solution: Solution) -> Array:
-    """Covariance of z that the noise of the inputs causes, shape (np, np)."""
-    parameters = len(solution.z)
+    """Covariance of z that the noise of the inputs causes, shape (np, np): that which smoothing leaves."""
+    parameters, names = len(solution.z), shooting.simulator.inputs
     if not any(run.input_noise for run in shooting.problem.training):
         return np.zeros((parameters, parameters))
-    rng = np.random.default_rng(0)
-    optimum, unbounded = solution.evaluation, (np.full(parameters, -np.inf), np.full(parameters, np.inf))
-    reference = solution.linear.step(solution.z, unbounded, LARGEST_RADIUS)
-    changes = []
+    rng, changes = np.random.default_rng(0), []
+    optimum, reference = solution.linear.at, solution.linear.step(LARGEST_RADIUS)
     for _ in range(DRAWS):
-        inputs = tuple(
-            u + _smoothed_noise(run, shooting.simulator.inputs, rng)
-            for run, u in zip(shooting.problem.training, shooting.inputs, strict=True)
-        )
+        inputs = tuple(u.copy() for u in shooting.inputs)
+        for run, u in zip(shooting.problem.training, inputs, strict=True):
+            for j in (j for j, name in enumerate(names) if name in run.input_noise):
+                sd, window = run.input_noise[names[j]]
+                u[:, j] += local_parabolas(sd * rng.standard_normal(len(run.time)), window)
         try:
             new = replace(shooting, inputs=inputs).evaluate(optimum.z, optimum.starts, False)
         except SimulationFailed:
             continue
-        changed = linearise(shooting, optimum, new, solution.scales)
-        changes.append(changed.step(solution.z, unbounded, LARGEST_RADIUS) - reference)
+        changed = linearise(shooting, optimum, new, solution.linear.scales)
+        changes.append(changed.step(LARGEST_RADIUS) - reference)
     draws = np.array(changes).reshape(-1, parameters)
     return np.asarray(draws.T @ draws / max(1, len(draws)))
-
-
-def _smoothed_noise(run: MeasuredRun, names: tuple[str, ...], rng: np.random.Generator) -> Array:
-    """A draw of the noise that smoothing leaves in a run's inputs, shape (n, nu)."""
-    drawn = np.zeros((len(run.time), len(names)))
-    for j, name in enumerate(names):
-        if name in run.input_noise:
-            sd, window = run.input_noise[name]
-            drawn[:, j] = local_parabolas(sd * rng.standard_normal(len(run.time)), window)
-    return drawn
 
 
 def unidentified(free: Sequence[FreeParameter], data_covariance: Array) -> tuple[str, ...]:
@@ -188,15 +178,14 @@ def unidentified(free: Sequence[FreeParameter], data_covariance: Array) -> tuple
 
 def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Array) -> str:
     names = [f.name for f in group]
-    dimension = round(float(np.trace(projector)))
+    listed, dimension = join_words(names), round(float(np.trace(projector)))
     if len(names) == 1:
         sd = float(np.sqrt(data_covariance[0, 0]))
         limit = f"leave a standard deviation of {100 * sd:.0f} %"
         reason = "do not determine it" if sd > 0.5 * VAGUE else limit
         if group[0].sd is None:
-            return f"{names[0]}: the data {reason}"
-        return f"{names[0]}: these recordings alone {reason}; the interval is that of the prior"
-    listed = join_words(names)
+            return f"{listed}: the data {reason}"
+        return f"{listed}: these recordings alone {reason}; the interval is that of the prior"
     if len(names) > 2 or dimension > 1 or not all(f.log for f in group):
         return f"{listed}: the data determine {len(names) - dimension} of {len(names)} combinations"
     # along the undetermined direction (a, b) of two logarithms z_1 - a / b z_2 stays the same

@@ -30,12 +30,12 @@ from fmus.identification.report.prediction import (
     Signals,
     excitation,
     predict,
-    rms,
 )
 from fmus.identification.report.report_texts import percent
 from fmus.identification.results import CONFIDENCE
 from orchestrator.base.processes import mapping
 from orchestrator.data.table import Array
+from orchestrator.data.trace import rms
 
 # effect -> the variants that have it
 EFFECTS: Mapping[str, Mapping[str, str]] = {
@@ -153,7 +153,7 @@ def explain(
     small      root mean square of each signal's residual below which the signal is left out
     """
     noise, small = noise or {}, small or {}
-    size = {name: rms(values) for name, values in residual.items()}
+    size = {name: rms(values[np.isfinite(values)]) for name, values in residual.items()}
     used = unexplained(residual, noise, small)
     quiet = tuple(n for n in residual if n not in used)
     if not used:
@@ -199,7 +199,7 @@ def explain(
 def unexplained(residual: Signals, noise: Mapping[str, float], small: Mapping[str, float]) -> list[str]:
     """Signals whose residual is above the noise of their sensor, and not small; arguments as in `explain`."""
     least = {n: max(ABOVE_NOISE * noise.get(n, 0.0), small.get(n, 0.0)) for n in residual}
-    return [n for n, values in residual.items() if rms(values) > least[n]]
+    return [n for n, values in residual.items() if rms(values[np.isfinite(values)]) > least[n]]
 
 
 def orthogonal_part(columns: Array, regressors: Array) -> Array:

@@ -167,7 +167,8 @@ def _draw_panel(axes: Axes, panel: Panel, columns: int) -> None:
         index = count[curve.kind]
         style = _style(curve, index, measured_line=measured_line, several=several)
         if residual:
-            style |= _line(PALETTE.pair(index)[1], 0.8, "-") if curve.line else {"markersize": 3.5}
+            thin = {"color": PALETTE.pair(index)[1], "linewidth": 0.8, "linestyle": "-"}
+            style |= thin if curve.line else {"markersize": 3.5}
         count[curve.kind] += 1
         _draw_curve(axes, panel, curve, style | {"zorder": 2 + 0.1 * order})
     if panel.log:
@@ -195,27 +196,19 @@ def _style(curve: Curve, index: int, *, measured_line: bool, several: bool) -> d
     several         whether there are several measured curves, so that a fit has the colour of its measurement
     """
     light, dark = PALETTE.pair(index)
+    other, dashes, pair = CORRECTED if curve.kind == "corrected" else COMPARED[index % len(COMPARED)]
+    compared, fitted = PALETTE.pair(pair)[1], dark if several else PALETTE.pair(0)[1]
     mark = MARKS[index % len(MARKS)]
-    if curve.kind == "measured":
-        return _line(light, 2.6, "-") if curve.line else _marks(mark, light, light, 5)
-    if curve.kind == "masked":
-        return _line(PALETTE.grid, 7.0, "-") if curve.line else _marks(mark, PALETTE.faint, "none", 4.5)
-    if curve.kind == "fit":
-        colour, dashes = dark if several else PALETTE.pair(0)[1], DOTS if measured_line else "-"
-        return _line(colour, 1.5, dashes) if curve.line else _marks("x", colour, colour, 6)
-    mark, dashes, pair = CORRECTED if curve.kind == "corrected" else COMPARED[index % len(COMPARED)]
-    colour = PALETTE.pair(pair)[1]
-    return _line(colour, 1.3, dashes) if curve.line else _marks(mark, colour, "none", 5)
-
-
-def _marks(mark: str, colour: str, face: str, size: float) -> dict[str, Any]:
-    edge = 1.4 if mark == "x" else 0.9
-    style = {"linestyle": "none", "marker": mark, "markersize": size, "markeredgewidth": edge}
-    return style | {"color": colour, "markerfacecolor": face}
-
-
-def _line(colour: str, width: float, dashes: Any) -> dict[str, Any]:
-    return {"color": colour, "linewidth": width, "linestyle": dashes}
+    # of a line its colour, width and dashes; of marks the mark, colour, face and size
+    line, marks = {
+        "measured": ((light, 2.6, "-"), (mark, light, light, 5)),
+        "masked": ((PALETTE.grid, 7.0, "-"), (mark, PALETTE.faint, "none", 4.5)),
+        "fit": ((fitted, 1.5, DOTS if measured_line else "-"), ("x", fitted, fitted, 6)),
+    }.get(curve.kind, ((compared, 1.3, dashes), (other, compared, "none", 5)))
+    if curve.line:
+        return dict(zip(("color", "linewidth", "linestyle"), line, strict=True))
+    style = dict(zip(("marker", "color", "markerfacecolor", "markersize"), marks, strict=True))
+    return style | {"linestyle": "none", "markeredgewidth": 1.4 if marks[0] == "x" else 0.9}
 
 
 def _draw_curve(axes: Axes, panel: Panel, curve: Curve, style: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from fmus.identification.report.attribution import attribute
 from fmus.identification.results import Estimate, named
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.data.recording import Recording
+from orchestrator.data.trace import rms
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import plot
 from orchestrator.pages.plotting import embed
@@ -169,21 +170,28 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
     away       root mean square distance of the start from the values before, relative changes of parameters
     ...        the attributes `START` of a `RandomStart`
     """
-    problem = refined.problem
+    problem, fits = refined.problem, []
+    for k, signal in enumerate(problem.signals):
+        tests, fit = refined.whiteness[signal], dict[str, Any]()
+        for use, traces in (("train", refined.training), ("test", refined.held_out)):
+            relative = np.array([trace.nrmse()[k] for trace in traces])
+            fit[use] = rms(relative[told]) if (told := np.isfinite(relative)).any() else None
+        fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
+        fit["inputs"] = max(tests.inputs.values(), default=None)
+        fits.append({"signal": signal, **html_page.json_values(fit)})
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
-    rows = [
-        {"name": f"random {k}", "away": prediction.rms(start.z - problem.initial())}
-        | {name: getattr(start, name) for name in START}
-        for k, start in enumerate(starts, 1)
-    ]
     return {
         "names": [problem.label(name) for name in problem.names],
         "correlation": refined.statistics.correlation,
         "condition": refined.statistics.condition,
-        "fits": [_fit(refined, k) for k in range(len(problem.outputs))],
+        "fits": fits,
         "unidentified": [f"{sentence}." for sentence in refined.unidentified],
-        "starts": rows,
+        "starts": [
+            {"name": f"random {k}", "away": rms(start.z - problem.initial())}
+            | {name: getattr(start, name) for name in START}
+            for k, start in enumerate(starts, 1)
+        ],
         "facts": {
             "recordings": f"{len(problem.training)} for training, {problem.seconds:.0f} s; "
             f"{len(problem.held_out)} held out",
@@ -193,18 +201,6 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
         },
         "remarks": [*advice(refined), *(f"{name} ended at its bound." for name in refined.at_bound)],
     }
-
-
-def _fit(refined: RefinementResult, k: int) -> dict[str, Any]:
-    """Goodness of fit of an output."""
-    signal = refined.problem.signals[k]
-    tests, fit = refined.whiteness[signal], dict[str, Any]()
-    for use, traces in (("train", refined.training), ("test", refined.held_out)):
-        relative = np.array([trace.nrmse()[k] for trace in traces])
-        fit[use] = prediction.rms(relative) if np.isfinite(relative).any() else None
-    fit |= {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
-    fit["inputs"] = max(tests.inputs.values(), default=None)
-    return {"signal": signal, **html_page.json_values(fit)}
 
 
 def quality(recording: Recording) -> dict[str, Any]:

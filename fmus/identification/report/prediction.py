@@ -22,6 +22,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Recording, fill_gaps
 from orchestrator.data.table import Array
+from orchestrator.data.trace import rms
 
 Signals = Mapping[str, Array]
 LINES = ("supply_pressure", "tank_pressure")  # inputs of the machine that a recording may have measured
@@ -154,20 +155,15 @@ class RecordingComparison:
         return {q: max(e.items(), key=lambda item: item[1]) for q, e in by_quantity.items() if e}
 
 
-def rms(values: Array) -> float:
-    """Root mean square of the finite values, 0 if there is none."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
-
-
 def nrmse(measured: Array, predicted: Array) -> float | None:
     """Root mean square residual over the range of the measurement, without gaps; None if it is constant."""
     residual = predicted - measured
-    valid = measured[np.isfinite(residual)]
+    told = np.isfinite(residual)
+    valid = measured[told]
     if not valid.size:
         return None
     span = float(np.ptp(valid))
-    return rms(residual) / span if span > CONSTANT * (1 + float(np.abs(valid).max())) else None
+    return rms(residual[told]) / span if span > CONSTANT * (1 + float(np.abs(valid).max())) else None
 
 
 def compare(recording: Recording, predicted: Signals) -> RecordingComparison:
@@ -195,21 +191,23 @@ def prediction(identified: Identified) -> RecordingComparison | None:
     recordings = [*identified.of_machine("test"), *identified.of_machine("train")]
     if not recordings:
         return None
-    selected = recordings[0]
+    selected, refined = recordings[0], identified.refined
     predicted = predict(excitation(selected), default_values(identified))
-    if (refined := identified.refined) is None:
+    if refined is None:
         return compare(selected, predicted)
     simulated = (refined.held_out if selected.use == "test" else refined.training)[0]
     names = refined.problem.signals
+
+    def by_name(samples: Array) -> dict[str, Array]:
+        return dict(zip(names, samples.T, strict=True))
+
     if np.isfinite(simulated.y).all():  # with all corners of the inputs; its readings contain the zeros
-        predicted = {**predicted, **dict(zip(names, simulated.y.T, strict=True))}
+        predicted = {**predicted, **by_name(simulated.y)}
         predicted |= {name: predicted[name] - zero.value for name, zero in zeros(refined).items()}
     by_z, sd = refined.uncertainty(simulated.run)
     changes = zip(refined.problem.names, np.moveaxis(by_z, 2, 0), strict=True)
     return replace(
-        compare(selected, predicted),
-        sd=dict(zip(names, sd.T, strict=True)),
-        sensitivities={parameter: dict(zip(names, y.T, strict=True)) for parameter, y in changes},
+        compare(selected, predicted), sd=by_name(sd), sensitivities={n: by_name(y) for n, y in changes}
     )
 
 
