@@ -68,6 +68,7 @@ matrix: $(TESTING)
 
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
+	$(BIN)/python -m benchmarks.peers.many
 
 # a sample of changed operators and numbers, and whether the tests near them notice; two hours
 mutants: $(TESTING)

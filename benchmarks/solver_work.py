@@ -62,7 +62,9 @@ def counting(system: Path, folder: Path) -> Path:
     with zipfile.ZipFile(system) as archive, zipfile.ZipFile(out, "w") as copy:
         for name in archive.namelist():
             content = archive.read(name)
-            copy.writestr(name, _counting(folder, Path(name).stem, content) if name.endswith(".fmu") else content)
+            copy.writestr(
+                name, _counting(folder, Path(name).stem, content) if name.endswith(".fmu") else content
+            )
     return out
 
 

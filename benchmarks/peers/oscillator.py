@@ -43,7 +43,7 @@ MASSES = {
 
 def build(folder: Path) -> Path:
     """Write oscillator.ssp."""
-    fmus = {name: _fmu(folder, name, number) for number, name in enumerate(MASSES)}
+    fmus = {name: fmu(folder, name) for name in MASSES}
     system = assemble(fmus, WIRES, name="oscillator", stop=10.0, step=1e-3)
     return write_ssp(system, folder / "oscillator.ssp")
 
@@ -56,9 +56,9 @@ def exact(time: np.ndarray) -> np.ndarray:
     return np.sin(np.outer(time, frequencies)) @ (modes[0] * amplitudes)
 
 
-def _fmu(folder: Path, name: str, number: int) -> Path:
+def fmu(folder: Path, name: str) -> Path:
     """One mass, with its source, so that it can be compiled into other programs too."""
-    sizes = f'#define MASS {number}\n#define MODEL_GUID "{name}"\n'.encode()
+    sizes = f'#define MASS {list(MASSES).index(name)}\n#define MODEL_GUID "{name}"\n'.encode()
     code = {f"{name}_fmu.c": SOURCE.read_bytes(), "sizes.h": sizes}
     platform = host()
     library = shared_library(name, code, [f"{name}_fmu.c"], platform)
