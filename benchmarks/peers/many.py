@@ -3,8 +3,8 @@
     python -m benchmarks.peers.many [--count 10 50 200 400] [--repeats 3]
 
 The FMU is the first mass of `oscillator.py`; the position of each pulls the next one. Jacobi, 10 000
-steps of 1 ms, one signal recorded. Each run is a process of its own, in turn; `set-up` is from the path of the
-SSP to the first step, `both` with all steps: medians of the wall time, and of the processor time.
+steps of 1 ms, one signal recorded. Each run is a process of its own, in turn; `set-up` is from the path of
+the SSP to the first step, `both` with all steps: medians of the wall time, and of the processor time.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
@@ -41,13 +42,13 @@ def chain(folder: Path, count: int) -> Path:
     """The system."""
     mass = fmu(folder, "mass_a")
     names = [f"mass_{i}" for i in range(count)]
-    wires = [f"{a}.x -> {b}.x2" for a, b in zip(names, names[1:], strict=False)]
+    wires = [f"{a}.x -> {b}.x2" for a, b in pairwise(names)]
     system = assemble(dict.fromkeys(names, mass), wires, name="chain", stop=STEP * STEPS, step=STEP)
     return write_ssp(system, folder / f"chain_{count}.ssp")
 
 
 def once(label: str, system: Path) -> dict[str, list[float]]:
-    """Wall and processor time [s] of set-up and of both, in this process; what Python imports is not counted."""
+    """Wall and processor time [s] of set-up and of both, in this process, without the imports of Python."""
     tool, options = TOOLS[label]
     run, signal = find(tool), "mass_1.x"
     begin = Spent.until_now()
@@ -69,10 +70,9 @@ def main() -> None:
         print(json.dumps(once(asked.once[0], Path(asked.once[1]))))
         return
     console = Console(highlight=False)
+    columns = "", "set-up [s]", "both [s]", "CPU of both [s]", "us per step and FMU"
     for count in asked.count:
-        table = Table(
-            "", "set-up [s]", "both [s]", "CPU of both [s]", "us per step and FMU", title=f"{count} FMUs"
-        )
+        table = Table(*columns, title=f"{count} FMUs")
         with tempfile.TemporaryDirectory() as folder:
             system = chain(Path(folder), count)
             found = {label: list[dict[str, list[float]]]() for label in TOOLS}
