@@ -16,7 +16,6 @@ and frequency-dependent friction. Signs as in `fmus.boom_stick.variables`.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from fmus.boom_stick import compensated, drive, lumped
@@ -26,43 +25,28 @@ from fmus.boom_stick.variables import (
     SIDES,
     AxisInputs,
     BoomStickInputs,
-    BoomStickState,
     DetailedBoomStickOutputs,
     DetailedBoomStickParameters,
+    OilState,
 )
 from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
-from fmus.components.hose import Hose, HydraulicLine, LineState
+from fmus.components.detailed_drive import DetailedState
+from fmus.components.hose import Hose, HydraulicLine
 from fmus.components.load_sensing import LoadPressure
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
-from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
+from fmus.contract import Group, Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
-
-PARAMETERS = Path(__file__).with_name("parameters.toml")
-
-
-@dataclass(frozen=True)
-class DriveState:
-    """State of spool, both hoses and both chambers (pressures [Pa]); also for their rates and names."""
-
-    spool: SpoolState
-    lines: tuple[LineState, LineState]
-    pressures: tuple[Any, Any]
-
-    def all(self) -> tuple[Any, ...]:
-        """All entries in order."""
-        head, rod = self.lines
-        return (*self.pressures, *head.all(), *rod.all(), self.spool.position, self.spool.speed)
 
 
 @dataclass(frozen=True)
 class DetailedDrive:
     """One drive at one instant.
 
+    state, names      group of its states without prefix, and their names
     x                 state
     u                 inputs
     ports             ports of the valve: A at the head side, B at the rod side
@@ -70,12 +54,14 @@ class DetailedDrive:
     anti_cavitation   flows of the anti-cavitation valves of both chambers [m3/s]
     """
 
+    state: type[Any]
+    names: DetailedState
     cylinder: Cylinder
     line: HydraulicLine
     spool: Spool
     curves: OpeningCurves
     full_command: Scalar
-    x: DriveState
+    x: DetailedState
     u: AxisInputs
     ports: tuple[EdgeFlows, EdgeFlows]
     relief: Pair
@@ -102,7 +88,7 @@ class DetailedDrive:
         )
         return head, rod
 
-    def rates(self) -> DriveState:
+    def rates(self) -> Any:
         """Time derivative of the state."""
         commanded = spool_valve.commanded_position(self.u.command, self.full_command)
         head, rod = (
@@ -110,7 +96,8 @@ class DetailedDrive:
             for state, port, p in zip(self.x.lines, self.ports, self.x.pressures, strict=True)
         )
         spool = spool_valve.spool_rates(self.spool, self.x.spool, commanded)
-        return DriveState(spool, (head, rod), self.pressure_rates())
+        rates = DetailedState(spool, (head, rod), self.pressure_rates())
+        return self.state(**dict(zip(self.names.all(), rates.all(), strict=True)))
 
     def load_pressure(self) -> LoadPressure:
         """Load pressure of the section."""
@@ -168,23 +155,24 @@ def line(p: DetailedBoomStickParameters, axis: str) -> HydraulicLine:
 
 
 def _drives(
-    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
+    states: Mapping[str, type[Any]],
+    names: Mapping[str, DetailedState],
+    x: Any,
+    u: BoomStickInputs,
+    p: DetailedBoomStickParameters,
 ) -> Iterator[DetailedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
     edges, spool, curves = Edges.of(p, "valve"), Spool.of(p, "spool"), OpeningCurves.of(p, "valve")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
-    for (axis, n), inputs in zip(names.items(), drive.inputs(u), strict=True):
-        head, rod = (line_names.apply(partial(getattr, x)) for line_names in n.lines)
-        state = DriveState(
-            SpoolState(getattr(x, n.spool.position), getattr(x, n.spool.speed)),
-            (head, rod),
-            (getattr(x, n.pressures[0]), getattr(x, n.pressures[1])),
-        )
+    for (axis, group), inputs in zip(states.items(), drive.inputs(u), strict=True):
+        state = names[axis].apply(partial(getattr, group.of(x, axis)))
         excess = tuple(pressure - inputs.tank_pressure for pressure in state.pressures)
+        flows = state.lines[0].flows[0], state.lines[1].flows[0]
         yield DetailedDrive(
-            *(Cylinder.of(p, axis), line(p, axis), spool, curves, edges.full_command, state, inputs),
+            *(group, names[axis], Cylinder.of(p, axis), line(p, axis), spool, curves, edges.full_command),
+            *(state, inputs),
             ports=spool_valve.spool_ports(
-                *(edges, spool, state.spool.position, head.flows[0], rod.flows[0]),
+                *(edges, spool, state.spool.position, *flows),
                 *(inputs.supply_pressure, inputs.tank_pressure, p.density, curves),
             ),
             relief=(orifice.relief_flow(relief, excess[0]), orifice.relief_flow(relief, excess[1])),
@@ -195,49 +183,47 @@ def _drives(
         )
 
 
-def _names(axis: str, lumps: int, unsteady_friction: bool) -> DriveState:
-    """Names of the states of one drive."""
+def _names(lumps: int, unsteady_friction: bool) -> DetailedState:
+    """Names of the states of one drive, without prefix."""
     head, rod = (
-        hose.state_names(
-            *(f"{axis}_{side}_valve_flow", f"{axis}_{side}_flow", f"{axis}_{side}_hose", ""),
-            *(lumps, unsteady_friction),
-        )
+        hose.state_names(f"{side}_valve_flow", f"{side}_flow", f"{side}_hose", "", lumps, unsteady_friction)
         for side in SIDES
     )
-    spool = SpoolState(f"{axis}_spool_position", f"{axis}_spool_speed")
-    return DriveState(spool, (head, rod), (f"{axis}_head_pressure", f"{axis}_rod_pressure"))
+    spool = SpoolState("spool_position", "spool_speed")
+    return DetailedState(spool, (head, rod), ("head_pressure", "rod_pressure"))
 
 
-def _states(axis: str, names: DriveState) -> Iterator[tuple[str, Quantity]]:
-    """(name, declaration) of the states of one drive."""
-    lumped_states = quantities(BoomStickState)
-    yield names.spool.position, Quantity("1", f"Spool position of the {axis} valve, relative to its stroke")
-    yield names.spool.speed, Quantity("1/s", f"Spool speed of the {axis} valve", 10.0)
-    for side, line_names, pressure in zip(SIDES, names.lines, names.pressures, strict=True):
-        hose_text = f"the {side} hose of the {axis}"
-        first = Quantity("m3/s", f"Flow from the valve into {hose_text}", 1e-3)
-        last = lumped_states[line_names.flows[-1]]
-        yield pressure, lumped_states[pressure]
-        yield from hose.state_quantities(line_names, hose_text, first, last)
+def _state(names: DetailedState) -> type[Any]:
+    """The group of the states of one drive."""
+    lines = [
+        (
+            f"the {side} hose of the {{}}",
+            Quantity("m3/s", f"Flow from the valve into the {side} hose of the {{}}", 1e-3),
+            quantities(OilState)[f"{side}_flow"],
+        )
+        for side in SIDES
+    ]
+    return make_group("DetailedDriveState", dict(names.declarations("{}", lines, quantities(OilState))))
 
 
 def _initial(
-    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
+    names: Mapping[str, DetailedState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> dict[str, Scalar]:
     """Initial state: pressures in balance with the holding forces, no flow, spools at their commands."""
     chambers = drive.holding_pressures(u, p)
-    state: dict[str, Scalar] = {}
-    for n, command in zip(names.values(), (u.boom_command, u.stick_command), strict=True):
-        state |= dict.fromkeys(n.all(), 0.0)
-        state[n.spool.position] = spool_valve.commanded_position(command, p.valve_full_command)
-        for pressure, line_names in zip(n.pressures, n.lines, strict=True):
-            state |= dict.fromkeys((pressure, *line_names.pressures), chambers[pressure])
-    return state
+    boom, stick = (
+        n.start(
+            spool_valve.commanded_position(getattr(u, f"{axis}_command"), p.valve_full_command),
+            (chambers[f"{axis}_head_pressure"], chambers[f"{axis}_rod_pressure"]),
+        )
+        for axis, n in names.items()
+    )
+    return drive.prefixed(boom, stick)
 
 
 def default_lumps() -> dict[str, int]:
     """Lumps per hose by axis for the values of parameters.toml."""
-    p = group_of(PARAMETERS, DetailedBoomStickParameters)
+    p = group_of(drive.PARAMETERS, DetailedBoomStickParameters)
     return {axis: hose.default_lumps(line(p, axis)) for axis in AXES}
 
 
@@ -249,35 +235,25 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
     """
     count = default_lumps() if lumps is None else lumps
     by_axis = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
-    names = {axis: _names(axis, n, unsteady_friction) for axis, n in by_axis.items()}
-    state = make_group(
-        "DetailedBoomStickState", dict(q for axis, n in names.items() for q in _states(axis, n))
-    )
+    names = {axis: _names(n, unsteady_friction) for axis, n in by_axis.items()}
+    states = {axis: _state(n) for axis, n in names.items()}
 
-    def dynamics(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> Any:
-        """Time derivative of the state."""
-        drives = zip(names.values(), _drives(names, x, u, p), strict=True)
-        return state(**{n: r for own, d in drives for n, r in zip(own.all(), d.rates().all(), strict=True)})
-
-    def observe(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> DetailedBoomStickOutputs:
-        """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
-        boom, stick = (d.observe() for d in _drives(names, x, u, p))
-        return DetailedBoomStickOutputs(**drive.joint_outputs(boom, stick))
+    class State(Group, **states):
+        """State of both drives."""
 
     sub = drive.variant(
+        partial(_drives, states, names),
+        Hose,
         text="Detailed hydraulic drives of boom and stick: spool dynamics, lines, air, relief valves",
         parameters=DetailedBoomStickParameters,
-        states=state,
+        states=State,
         outputs=DetailedBoomStickOutputs,
-        dynamics=dynamics,
-        observe=observe,
         initial=partial(_initial, names),
         require=drive.require_tables_and_cylinders,
-        derive=partial(drive.derive, Hose),
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     )
     others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}
-    return family("boom_stick", **others, detailed=at_temperature(sub))["detailed"]
+    return family("boom_stick", **others, detailed=sub)["detailed"]
 
 
 BOOM_STICK = detailed()
