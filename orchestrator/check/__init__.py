@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from orchestrator.check.finding import Finding
     from orchestrator.check.report import CheckReport
-    from orchestrator.check.rule import CheckRule, Finding
+    from orchestrator.check.rule import CheckRule
     from orchestrator.check.subject import Subject
 
 DEFECT = "check.defect"
@@ -57,7 +58,7 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
 
 def _findings(rule: CheckRule, subject: Subject) -> list[Finding]:
     """The findings of a rule; an exception in a rule becomes a finding, so that the other rules still run."""
-    from orchestrator.check.rule import Finding
+    from orchestrator.check.finding import Finding
 
     try:
         return list(rule(subject))

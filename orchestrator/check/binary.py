@@ -144,7 +144,8 @@ def _machine(value: Any) -> str:
 def _elf(b: Any) -> dict[str, Any]:
     import lief
 
-    tags, flag = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment
+    tags, types, flags = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment.TYPE, lief.ELF.Segment.FLAGS
+    executable = [s for s in b.segments if s.has(flags.X)]
     undefined = [s for s in b.dynamic_symbols if not s.shndx and s.name]
     versions: dict[str, tuple[int, ...]] = {}
     families = {}
@@ -155,8 +156,8 @@ def _elf(b: Any) -> dict[str, Any]:
             numbers = tuple(int(n) for n in version.split(".") if n.isdigit())
             versions[family] = max(versions.get(family, ()), numbers)
     traits = {
-        "executable stack": any(s.type == flag.TYPE.GNU_STACK and s.has(flag.FLAGS.X) for s in b.segments),
-        "writable code": any(_is_writable_code(s, flag) for s in b.segments),
+        "executable stack": any(s.type == types.GNU_STACK for s in executable),
+        "writable code": any(s.type == types.LOAD and s.has(flags.W) for s in executable),
         "text relocations": b.has(tags.TEXTREL),
     }
     libraries = [str(n) for n in b.libraries]
@@ -173,11 +174,6 @@ def _elf(b: Any) -> dict[str, Any]:
         "traits": tuple(trait for trait, found in traits.items() if found),
         "debug": sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
     }
-
-
-def _is_writable_code(segment: Any, flag: Any) -> bool:
-    load = segment.type == flag.TYPE.LOAD
-    return bool(load and segment.has(flag.FLAGS.W) and segment.has(flag.FLAGS.X))
 
 
 def _unresolved(symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]) -> tuple[str, ...]:
@@ -221,8 +217,9 @@ def _macho(b: Any) -> dict[str, Any]:
     macos = (
         b.build_version.minos if b.has_build_version else b.version_min.version if b.has_version_min else ()
     )
-    # libraries for old versions of macOS list their exports in the symbol table only
-    exports = list(b.exported_functions) or [s for s in b.symbols if _is_defined(s)]
+    # libraries for old versions of macOS list their exports in the symbol table only, as external symbols of
+    # a section: N_EXT is set, N_TYPE is N_SECT, N_STAB is zero
+    exports = list(b.exported_functions) or [s for s in b.symbols if s.raw_type & 0xEF == 0x0F]
     return {
         "format": "Mach-O",
         "machine": _machine(b.header.cpu_type),
@@ -235,11 +232,6 @@ def _macho(b: Any) -> dict[str, Any]:
         "debug": sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
         "macos": tuple(macos),
     }
-
-
-def _is_defined(symbol: Any) -> bool:
-    """An external symbol of a section: N_EXT is set, N_TYPE is N_SECT, N_STAB is zero."""
-    return bool(symbol.raw_type & 0xEF == 0x0F)
 
 
 def required(major: int, kinds: Collection[str]) -> tuple[str, ...]:

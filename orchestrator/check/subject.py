@@ -8,7 +8,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from orchestrator.base.files import (
 )
 from orchestrator.base.xml import MAX_BYTES, Element, excess, too_large
 from orchestrator.check.binary import Binary, read_all
-from orchestrator.check.rule import Finding
+from orchestrator.check.finding import Finding
 from orchestrator.fmi.raw_description import ModelDescription, read_description
 
 DESCRIPTION = "modelDescription.xml"
@@ -38,8 +38,15 @@ def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ..
     try:
         with path.open("rb") as file, open_archive(file) as archive:
             members = archive.infolist()
-            refusals = list(_refusals(members, path.stat().st_size))
-            faults = refusals or [*_faults(members), *_extract(archive, folder)]
+            refused = {
+                "archive.size": size_fault(members, path.stat().st_size),
+                "archive.zip": overlap(members),
+            }
+            told = [
+                (rule, f"{fault}; its members are not checked") for rule, fault in refused.items() if fault
+            ]
+            faults = [Finding(rule, "error", text) for rule, text in told]
+            faults = faults or [*_faults(members), *_extract(archive, folder)]
     except ZIP_ERRORS as problem:
         text = f"{path.name}: expected a zip archive, got {_content(path)}: {problem}"
         return (), (Finding("archive.zip", "error", text),)
@@ -56,13 +63,6 @@ def _content(path: Path) -> str:
         return "a Git LFS pointer (fetch the file itself)"
     formats = {b"PK": "a damaged archive", b"<": "XML", b"7z": "a 7z archive", b"\x1f\x8b": "a gzip file"}
     return next((name for start, name in formats.items() if head.startswith(start)), "an unknown format")
-
-
-def _refusals(members: list[zipfile.ZipInfo], packed: int) -> Iterator[Finding]:
-    """Findings for which an archive of `packed` bytes is not unpacked."""
-    for rule, fault in (("archive.size", size_fault(members, packed)), ("archive.zip", overlap(members))):
-        if fault:
-            yield Finding(rule, "error", f"{fault}; its members are not checked")
 
 
 def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
@@ -122,7 +122,7 @@ class Subject:
     version: str = ""
     root: Element = None
     names: tuple[str, ...] = ()
-    faults: tuple[Finding, ...] = field(default=())
+    faults: tuple[Finding, ...] = ()
 
     @property
     def major(self) -> int:
@@ -158,17 +158,21 @@ def parse_unpacked(
     path: Path, folder: Path, names: tuple[str, ...] = (), faults: tuple[Finding, ...] = ()
 ) -> Subject:
     """Parse an FMU that is already unpacked in `folder`; `names` and `faults` are those of the archive."""
-    root, fault = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
+    root, fault = read_xml(folder, DESCRIPTION)
     xml_faults = (Finding("xml.syntax", "error", fault),) if fault else ()
     version = "" if root is None else root.get("fmiVersion", "")
     return Subject(path, folder, version, root, names, (*faults, *xml_faults))
 
 
 def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
-    """The root of an XML file, or None and the fault. Entities are not expanded, and nothing is fetched."""
+    """The root of an XML file, or None and the fault, which is empty if there is no such file.
+
+    Entities are not expanded, and nothing is fetched.
+    """
     from lxml import etree
 
-    path = folder / file
+    if not (path := folder / file).is_file():
+        return None, ""
     if (size := path.stat().st_size) > MAX_BYTES:
         return None, f"{file}: expected at most {MAX_BYTES / 1e6:.0f} MB, got {size / 1e6:.0f} MB"
     text = path.read_bytes()

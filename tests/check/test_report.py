@@ -14,8 +14,8 @@ from check.test_faults import FAULTS
 from check.test_probes import PLANTED
 from orchestrator.__main__ import main
 from orchestrator.check import all_rules, check
+from orchestrator.check.finding import SEVERITIES, Finding, error
 from orchestrator.check.report import MAX_PRINTED, TOOLS, CheckReport, table
-from orchestrator.check.rule import SEVERITIES, Finding, error
 from orchestrator.check.rules import STATIC
 from orchestrator.check.subject import open_subject
 

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from orchestrator.base.text import MODELICA, words
-from orchestrator.check.rule import Finding, error, join_variables, warning
+from orchestrator.check.finding import Finding, error, join_variables, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
 from orchestrator.fmi.raw_description import DeclaredVariable as Variable
@@ -140,16 +140,14 @@ def variable_string(subject: Subject) -> Iterator[str]:
 
 def variable_array(subject: Subject) -> Iterator[str]:
     """Variables are scalars."""
-    arrays = [v for v in subject.model.variables if v.shape]
-    if arrays:
+    if arrays := [v for v in subject.model.variables if v.shape]:
         yield f"{arrays[0]} is an array; tools that were made for FMI 2 may not support arrays"
 
 
 def variable_text(subject: Subject) -> Iterator[str]:
     """Inputs, outputs and parameters have a description."""
     ports = subject.model.of("input", "output", "parameter")
-    undescribed = [v for v in ports if not v.get("description").strip()]
-    if undescribed:
+    if undescribed := [v for v in ports if not v.get("description").strip()]:
         yield f"{join_variables(undescribed)}: no description"
 
 
@@ -202,8 +200,7 @@ def name_characters(subject: Subject) -> Iterator[str]:
     """Names are identifiers: letters, digits and underscores."""
     if _structured(subject):
         return  # checked by the rule name.grammar
-    unusual = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
-    if unusual:
+    if unusual := [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]:
         yield f"{join_variables(unusual)}: not identifiers; tools rename or quote them"
 
 
@@ -231,15 +228,13 @@ def name_keyword(subject: Subject) -> Iterator[str]:
     for v in subject.model.variables:
         if v.causality == "independent":
             continue
-        languages = [n for n, words in (("Modelica", MODELICA), ("C", C)) if v.name in words]
-        if languages:
+        if languages := [n for n, words in (("Modelica", MODELICA), ("C", C)) if v.name in words]:
             yield f"{v}: is a keyword of {' and '.join(languages)}"
 
 
 def name_length(subject: Subject) -> Iterator[str]:
     """Names have at most 63 characters."""
-    long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]
-    if long:
+    if long := [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]:
         yield f"{join_variables(long)}: {len(long[0].name)} characters, expected at most {MAX_LENGTH}"
 
 
@@ -278,18 +273,13 @@ def value_range(subject: Subject) -> Iterator[str]:
     """Start values are between min and max, and min is below max."""
     for v in subject.model.variables:
         low, high = number(v, v.attributes.get("min")), number(v, v.attributes.get("max"))
-        if low is not None and high is not None and low > high:
+        low, high = -math.inf if low is None else low, math.inf if high is None else high
+        if low > high:
             yield f"{v}: min {low:g} is above max {high:g}"
             continue
         for value in (number(v, s) for s in v.starts or ()):
-            if value is not None and not (value if low is None else low) <= value <= (
-                value if high is None else high
-            ):
-                yield f"{v}: start value {value:g} is outside of {_interval(low, high)}"
-
-
-def _interval(low: float | None, high: float | None) -> str:
-    return f"{'-inf' if low is None else f'{low:g}'} ... {'inf' if high is None else f'{high:g}'}"
+            if value is not None and not low <= value <= high:
+                yield f"{v}: start value {value:g} is outside of {low:g} ... {high:g}"
 
 
 def value_nominal(subject: Subject) -> Iterator[str]:
@@ -312,6 +302,5 @@ def value_enumeration(subject: Subject) -> Iterator[str]:
         name = v.get("declaredType")
         if v.type != "Enumeration" or name not in model.types:
             continue
-        wrong = [s for s in v.starts or () if s not in allowed[name]]
-        if wrong:
+        if wrong := [s for s in v.starts or () if s not in allowed[name]]:
             yield f"{v}: start value: expected one of {', '.join(items[name][:8])}, got {wrong[0]}"
