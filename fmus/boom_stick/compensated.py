@@ -299,7 +299,7 @@ def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Requirements of cylinders, valves, compensators and counterbalance valves."""
     return {
         **compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator")),
-        **drive.require_cylinders(x, u, p),
+        **drive.require_cylinders(u, p),
     }
 
 

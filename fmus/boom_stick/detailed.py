@@ -249,7 +249,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         states=State,
         outputs=DetailedBoomStickOutputs,
         initial=partial(_initial, names),
-        require=drive.require_tables_and_cylinders,
+        require=drive.require,
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     )
     others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}

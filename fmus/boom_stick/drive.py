@@ -175,7 +175,7 @@ def holding_pressures(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     return state
 
 
-def require_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
+def require_cylinders(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     """Requirements of the cylinders: rods thinner than bores, chambers with positive volume."""
     conditions: dict[str, Scalar] = {}
     for axis in AXES:
@@ -187,15 +187,9 @@ def require_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]
     return conditions
 
 
-def require_tables_and_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
-    """Requirements of cylinders and tables of the valve."""
-    tables = opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
-    return tables | require_cylinders(x, u, p)
-
-
 def require(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     """Requirements of cylinders and valve."""
-    return spool_valve.opens(Valve.of(p, "valve")) | require_tables_and_cylinders(x, u, p)
+    return spool_valve.requirements(p) | require_cylinders(u, p)
 
 
 TERMINALS: tuple[Terminal, ...] = (

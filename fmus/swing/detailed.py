@@ -177,7 +177,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         dynamics=partial(_dynamics, names, state),
         observe=partial(_observe, names),
         initial=partial(_initial, names),
-        require=drive.require_tables,
+        require=drive.require,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}

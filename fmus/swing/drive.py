@@ -15,7 +15,7 @@ from fmus.components.motor import MotorNodes
 from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
-from fmus.components.spool_valve import EdgeFlows, Valve
+from fmus.components.spool_valve import EdgeFlows
 from fmus.contract import Scalar, Subsystem, Terminal, quantities
 from fmus.swing.variables import LinePressures, SwingInputs
 
@@ -130,14 +130,9 @@ def initial_pressures(x: object, u: SwingInputs, p: Any) -> dict[str, Scalar]:
     return dict.fromkeys(quantities(LinePressures), u.tank_pressure + p.initial_preload)
 
 
-def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:
-    """Requirements of the tables of the valve."""
-    return opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
-
-
 def require(x: object, u: object, p: Any) -> dict[str, Scalar]:
     """Requirements of the valve."""
-    return spool_valve.opens(Valve.of(p, "valve")) | require_tables(x, u, p)
+    return spool_valve.requirements(p)
 
 
 TERMINALS: tuple[Terminal, ...] = (
