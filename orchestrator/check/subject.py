@@ -12,18 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from orchestrator.base import files
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import (
-    FULL,
-    ZIP_ERRORS,
-    extract_member,
-    name_fault,
-    open_archive,
-    overlap,
-    size_fault,
-    temporary_folder,
-    why_unreadable,
-)
 from orchestrator.base.xml import MAX_BYTES, Element, excess, too_large
 from orchestrator.check.binary import Binary, read_all
 from orchestrator.check.finding import Finding
@@ -36,18 +26,18 @@ SYMBOLIC_LINK = 0o120000
 def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
     """Unpack members with safe names into `folder`; returns the names of all members, and findings."""
     try:
-        with path.open("rb") as file, open_archive(file) as archive:
+        with path.open("rb") as file, files.open_archive(file) as archive:
             members = archive.infolist()
             refused = {
-                "archive.size": size_fault(members, path.stat().st_size),
-                "archive.zip": overlap(members),
+                "archive.size": files.size_fault(members, path.stat().st_size),
+                "archive.zip": files.overlap(members),
             }
             told = [
                 (rule, f"{fault}; its members are not checked") for rule, fault in refused.items() if fault
             ]
             faults = [Finding(rule, "error", text) for rule, text in told]
             faults = faults or [*_faults(members), *_extract(archive, folder)]
-    except ZIP_ERRORS as problem:
+    except files.ZIP_ERRORS as problem:
         text = f"{path.name}: expected a zip archive, got {_content(path)}: {problem}"
         return (), (Finding("archive.zip", "error", text),)
     return tuple(m.orig_filename for m in members), tuple(faults)
@@ -70,13 +60,13 @@ def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
     names: dict[str, str] = {}
     for member in members:
         name = f"member {member.orig_filename!r}"
-        if fault := name_fault(member):
+        if fault := files.name_fault(member):
             yield Finding("archive.name", "error", f"{name} {fault}")
         elif "\\" in member.orig_filename:
             yield Finding("archive.name", "error", f"{name} has a backslash, expected forward slashes")
         if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
             yield Finding("archive.link", "error", f"{name} is a symbolic link, expected a file")
-        if fault := why_unreadable(member):
+        if fault := files.why_unreadable(member):
             yield Finding("archive.method", "error", f"{name} {fault}")
         elif member.compress_type == zipfile.ZIP_STORED and member.flag_bits & 8 and member.file_size:
             text = f"{name} is stored with a data descriptor, expected none"
@@ -91,12 +81,12 @@ def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
 def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
     """Unpack the members that can be unpacked; yields findings on the others."""
     for member in archive.infolist():
-        if name_fault(member) or why_unreadable(member) or member.is_dir():
+        if files.name_fault(member) or files.why_unreadable(member) or member.is_dir():
             continue
         try:
-            extract_member(archive, member, folder)
-        except ZIP_ERRORS as problem:
-            if isinstance(problem, OSError) and problem.errno in FULL:
+            files.extract_member(archive, member, folder)
+        except files.ZIP_ERRORS as problem:
+            if isinstance(problem, OSError) and problem.errno in files.FULL:
                 raise Problem(
                     f"{archive.filename}: cannot be unpacked into {folder}: {problem.strerror}"
                 ) from None
@@ -150,7 +140,7 @@ class Subject:
 @contextmanager
 def open_subject(path: Path) -> Iterator[Subject]:
     """Unpack an FMU into a temporary folder and parse it; faults become findings of the subject."""
-    with temporary_folder("harvester-check-", str(path)) as folder:
+    with files.temporary_folder("harvester-check-", str(path)) as folder:
         yield parse_unpacked(path, folder, *unpack(path, folder))
 
 

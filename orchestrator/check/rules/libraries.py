@@ -7,7 +7,9 @@ import ast
 import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 
+from orchestrator.base.text import grouped
 from orchestrator.check.binary import SUFFIXES, Binary, required
 from orchestrator.check.finding import Finding, error, join_names, note, warning
 from orchestrator.check.subject import Subject
@@ -121,15 +123,9 @@ def _next_to(b: Binary, library: str, subject: Subject) -> bool:
 def binary_libraries(subject: Subject) -> Iterator[Finding]:
     """The libraries that a library needs are on every machine of the platform, or in the same folder."""
     for b in subject.binaries:
-        needs: dict[tuple[str, bool], list[str]] = {}
-        for library in b.libraries:
-            if not (
-                re.fullmatch(SYSTEM[b.format], library)
-                or PYTHON_LIBRARY.fullmatch(library)
-                or _next_to(b, library, subject)
-            ):
-                needs.setdefault(_describe(b, library), []).append(library)
-        for (description, common), names in needs.items():
+        needed = [n for n in b.libraries if not re.fullmatch(SYSTEM[b.format], n)]
+        needed = [n for n in needed if not (PYTHON_LIBRARY.fullmatch(n) or _next_to(b, n, subject))]
+        for (description, common), names in grouped(needed, partial(_describe, b)).items():
             make = note if common else warning
             yield make(f"{b}: needs {', '.join(names)} on the target machine: {description}")
 

@@ -2,10 +2,9 @@
 
 import math
 import re
-from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.base.text import MODELICA, words
+from orchestrator.base.text import MODELICA, grouped, words
 from orchestrator.check.finding import Finding, error, join_variables, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
@@ -75,16 +74,15 @@ def variable_reference(subject: Subject) -> Iterator[str]:
 
 def variable_alias(subject: Subject) -> Iterator[Finding]:
     """Variables with the same value reference are consistent (FMI 2)."""
-    sets: dict[tuple[str, int], list[Variable]] = defaultdict(list)
-    for v in subject.model.variables:
-        if v.reference is not None:
-            sets[_base(v.type), v.reference].append(v)
-    for aliases in (s for s in sets.values() if len(s) > 1):
-        yield from _alias(aliases)
+    referenced = (v for v in subject.model.variables if v.reference is not None)
+    for aliases in grouped(referenced, _storage).values():
+        if len(aliases) > 1:
+            yield from _alias(aliases)
 
 
-def _base(type_: str) -> str:
-    return "Integer" if type_ == "Enumeration" else type_
+def _storage(v: Variable) -> tuple[str, int | None]:
+    """Type and reference of a value; an enumeration is an integer."""
+    return "Integer" if v.type == "Enumeration" else v.type, v.reference
 
 
 def _alias(aliases: list[Variable]) -> Iterator[Finding]:
@@ -206,10 +204,7 @@ def name_characters(subject: Subject) -> Iterator[str]:
 
 def name_mangled(subject: Subject) -> Iterator[str]:
     """Names remain different if a tool replaces all characters except letters and digits."""
-    groups: dict[str, list[Variable]] = defaultdict(list)
-    for v in subject.model.variables:
-        groups[re.sub(r"\W", "_", v.name)].append(v)
-    for name, same in groups.items():
+    for name, same in grouped(subject.model.variables, lambda v: re.sub(r"\W", "_", v.name)).items():
         if len({v.name for v in same}) > 1:
             yield f"{same[1]}: becomes {name} in some tools, as {same[0].name} does"
 
