@@ -29,15 +29,13 @@ from fmus.boom_stick.variables import (
     DetailedBoomStickParameters,
     OilState,
 )
-from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, orifice, spool_valve
+from fmus.components import chamber, cylinder, hose, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
-from fmus.components.detailed_drive import DetailedState
+from fmus.components.detailed_drive import DetailedState, ValveAndLines
 from fmus.components.hose import Hose, HydraulicLine
-from fmus.components.load_sensing import LoadPressure
-from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
-from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
+from fmus.components.spool_valve import SpoolState
 from fmus.contract import Group, Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
 
@@ -47,9 +45,8 @@ class DetailedDrive:
     """One drive at one instant.
 
     state, names      group of its states without prefix, and their names
-    x                 state
+    valve             with its lines: port A at the head side, B at the rod side
     u                 inputs
-    ports             ports of the valve: A at the head side, B at the rod side
     relief            flows of the relief valves of both chambers [m3/s]
     anti_cavitation   flows of the anti-cavitation valves of both chambers [m3/s]
     """
@@ -57,13 +54,8 @@ class DetailedDrive:
     state: type[Any]
     names: DetailedState
     cylinder: Cylinder
-    line: HydraulicLine
-    spool: Spool
-    curves: OpeningCurves
-    full_command: Scalar
-    x: DetailedState
+    valve: ValveAndLines
     u: AxisInputs
-    ports: tuple[EdgeFlows, EdgeFlows]
     relief: Pair
     anti_cavitation: Pair
 
@@ -78,10 +70,10 @@ class DetailedDrive:
         displaced = (-a_head * self.u.velocity, a_rod * self.u.velocity)
         head, rod = (
             chamber.pressure_rate(
-                p, line.flows[-1] + swept - relief + anti, v * chamber.compliance(self.line.fluid, p)
+                p, line.flows[-1] + swept - relief + anti, v * chamber.compliance(self.valve.line.fluid, p)
             )
             for p, line, swept, relief, anti, v in zip(
-                *(self.x.pressures, self.x.lines, displaced),
+                *(self.valve.x.pressures, self.valve.x.lines, displaced),
                 *(self.relief, self.anti_cavitation, self.volumes),
                 strict=True,
             )
@@ -90,57 +82,41 @@ class DetailedDrive:
 
     def rates(self) -> Any:
         """Time derivative of the state."""
-        commanded = spool_valve.commanded_position(self.u.command, self.full_command)
-        head, rod = (
-            hose.rates(self.line, state, port.pressure, p)
-            for state, port, p in zip(self.x.lines, self.ports, self.x.pressures, strict=True)
-        )
-        spool = spool_valve.spool_rates(self.spool, self.x.spool, commanded)
-        rates = DetailedState(spool, (head, rod), self.pressure_rates())
+        rates = self.valve.rates(self.u.command, self.pressure_rates())
         return self.state(**dict(zip(self.names.all(), rates.all(), strict=True)))
-
-    def load_pressure(self) -> LoadPressure:
-        """Load pressure of the section."""
-        bands = opening_curve.meter_in_dead_bands(
-            self.curves, self.spool.overlap_pa, self.spool.overlap_pb, self.full_command
-        )
-        return load_sensing.load_pressure(
-            *(self.x.spool.position, self.x.spool.speed, bands, 1),
-            *(self.x.pressures, self.pressure_rates(), self.u),
-        )
 
     def observe(self) -> dict[str, Any]:
         """Outputs by name without prefix, for `drive.joint_outputs`."""
-        (head, rod), (p_head, p_rod) = self.cylinder.areas, self.x.pressures
-        fluid, tank = self.line.fluid, self.u.tank_pressure
+        (head, rod), x, line, ports = self.cylinder.areas, self.valve.x, self.valve.line, self.valve.ports
+        (p_head, p_rod), fluid, tank = x.pressures, line.fluid, self.u.tank_pressure
         relieved = tuple(out - back for out, back in zip(self.relief, self.anti_cavitation, strict=True))
-        densities = tuple(chamber.energy_density(fluid, p) for p in self.x.pressures)
+        densities = tuple(chamber.energy_density(fluid, p) for p in x.pressures)
         compression = sum(
             v * e + chamber.stored_energy(p, 0.0)
-            for v, e, p in zip(self.volumes, densities, self.x.pressures, strict=True)
+            for v, e, p in zip(self.volumes, densities, x.pressures, strict=True)
         )
-        edges = sum(spool_valve.throttling_loss(n, self.u.supply_pressure, tank) for n in self.ports)
+        edges = sum(spool_valve.throttling_loss(n, self.u.supply_pressure, tank) for n in ports)
         relief_heat = (p_head - tank) * relieved[0] + (p_rod - tank) * relieved[1]
         outputs = {
             "force": cylinder.force(head, rod, p_head, p_rod),
             "force_rate": cylinder.force(head, rod, *self.pressure_rates()),
-            "void_volume": sum(map(chamber.cavity_volume, self.x.pressures))
-            + sum(map(hose.cavity_volume, self.x.lines)),
-            "spool_position": self.x.spool.position,
+            "void_volume": sum(map(chamber.cavity_volume, x.pressures))
+            + sum(map(hose.cavity_volume, x.lines)),
+            "spool_position": x.spool.position,
             "relief_flow": sum(self.relief),
             "anti_cavitation_flow": sum(self.anti_cavitation),
-            "supply_flow": sum(n.supply for n in self.ports),
-            "return_flow": sum(n.tank for n in self.ports) + sum(relieved),
-            "stored_energy": compression + sum(hose.stored_energy(self.line, x) for x in self.x.lines),
-            "dissipated_power": edges + relief_heat + sum(hose.heat(self.line, x) for x in self.x.lines),
+            "supply_flow": sum(n.supply for n in ports),
+            "return_flow": sum(n.tank for n in ports) + sum(relieved),
+            "stored_energy": compression + sum(hose.stored_energy(line, state) for state in x.lines),
+            "dissipated_power": edges + relief_heat + sum(hose.heat(line, state) for state in x.lines),
             "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
-            drive.LOAD: self.load_pressure(),
+            drive.LOAD: self.valve.load_pressure(self.pressure_rates(), self.u),
         }
-        for side, p, port, line in zip(SIDES, self.x.pressures, self.ports, self.x.lines, strict=True):
+        for side, p, port, state in zip(SIDES, x.pressures, ports, x.lines, strict=True):
             outputs |= {
                 f"{side}_pressure": p,
-                f"{side}_flow": line.flows[-1],
-                f"{side}_valve_flow": line.flows[0],
+                f"{side}_flow": state.flows[-1],
+                f"{side}_valve_flow": state.flows[0],
                 f"{side}_valve_pressure": port.pressure,
                 f"{side}_bulk_modulus": chamber.bulk_modulus(fluid, p),
             }
@@ -162,19 +138,13 @@ def _drives(
     p: DetailedBoomStickParameters,
 ) -> Iterator[DetailedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
-    edges, spool, curves = Edges.of(p, "valve"), Spool.of(p, "spool"), OpeningCurves.of(p, "valve")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
     for (axis, group), inputs in zip(states.items(), drive.inputs(u), strict=True):
         state = names[axis].apply(partial(getattr, group.of(x, axis)))
         excess = tuple(pressure - inputs.tank_pressure for pressure in state.pressures)
-        flows = state.lines[0].flows[0], state.lines[1].flows[0]
         yield DetailedDrive(
-            *(group, names[axis], Cylinder.of(p, axis), line(p, axis), spool, curves, edges.full_command),
-            *(state, inputs),
-            ports=spool_valve.spool_ports(
-                *(edges, spool, state.spool.position, *flows),
-                *(inputs.supply_pressure, inputs.tank_pressure, p.density, curves),
-            ),
+            *(group, names[axis], Cylinder.of(p, axis)),
+            *(ValveAndLines.of(p, inputs, line(p, axis), state), inputs),
             relief=(orifice.relief_flow(relief, excess[0]), orifice.relief_flow(relief, excess[1])),
             anti_cavitation=(
                 orifice.relief_flow(anti, -excess[0]),

@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fmus.components import chamber, hose, load_sensing, motor, opening_curve, spool_valve
+from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
-from fmus.components.detailed_drive import DetailedState
+from fmus.components.detailed_drive import DetailedState, ValveAndLines
 from fmus.components.hose import HydraulicLine
 from fmus.components.motor import MotorNodes
-from fmus.components.opening_curve import OpeningCurves
-from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
+from fmus.components.spool_valve import SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
 from fmus.swing import compensated, drive, lumped
@@ -38,39 +37,32 @@ def line(p: DetailedSwingParameters) -> HydraulicLine:
 
 @dataclass(frozen=True)
 class _Evaluated:
-    """The drive at one instant: state, ports of valve and motor, valves at the motor."""
+    """The drive at one instant: valve with its lines, ports of the motor, valves at the motor."""
 
-    state: DetailedState
-    ports: tuple[EdgeFlows, EdgeFlows]
+    valve: ValveAndLines
     nodes: MotorNodes
     valves: MotorValves
 
 
 def _evaluate(names: DetailedState, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _Evaluated:
-    state, tank = names.apply(partial(getattr, x)), u.tank_pressure
-    flows = state.lines[0].flows[0], state.lines[1].flows[0]
+    state = names.apply(partial(getattr, x))
+    displaced = drive.displacement(p) * u.swing_speed
     return _Evaluated(
-        state,
-        spool_valve.spool_ports(
-            *(Edges.of(p, "valve"), Spool.of(p, "spool"), state.spool.position),
-            *(*flows, u.supply_pressure, tank, p.density, OpeningCurves.of(p, "valve")),
-        ),
-        motor.nodes_at_port_pressures(
-            *state.pressures, tank, drive.displacement(p) * u.swing_speed, *drive.leakage(p)
-        ),
+        ValveAndLines.of(p, u, line(p), state),
+        motor.nodes_at_port_pressures(*state.pressures, u.tank_pressure, displaced, *drive.leakage(p)),
         drive.motor_valves(p, u, x),
     )
 
 
 def _pressure_rates(n: _Evaluated, p: DetailedSwingParameters) -> Pair:
-    line_a, line_b = n.state.lines
+    line_a, line_b = n.valve.x.lines
     nets = (
         line_a.flows[-1] - n.nodes.flow_1 - n.valves.cross + n.valves.anti[0],
         line_b.flows[-1] - n.nodes.flow_2 + n.valves.cross + n.valves.anti[1],
     )
     a, b = (
         chamber.pressure_rate(pressure, net, p.motor_volume * chamber.compliance(Fluid.of(p), pressure))
-        for pressure, net in zip(n.state.pressures, nets, strict=True)
+        for pressure, net in zip(n.valve.x.pressures, nets, strict=True)
     )
     return a, b
 
@@ -80,29 +72,17 @@ def _dynamics(
 ) -> Any:
     """Time derivative of the state."""
     n = _evaluate(names, x, u, p)
-    commanded = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
-    a, b = (
-        hose.rates(line(p), state, port.pressure, pressure)
-        for state, port, pressure in zip(n.state.lines, n.ports, n.state.pressures, strict=True)
-    )
-    spool = spool_valve.spool_rates(Spool.of(p, "spool"), n.state.spool, commanded)
-    rates = DetailedState(spool, (a, b), _pressure_rates(n, p))
+    rates = n.valve.rates(u.swing_command, _pressure_rates(n, p))
     return group(**dict(zip(names.all(), rates.all(), strict=True)))
 
 
-def _observe(
-    names: DetailedState, x: Any, u: SwingInputs, p: DetailedSwingParameters
-) -> DetailedSwingOutputs:
+def _observe(names: DetailedState, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> Any:
     """Outputs; the torque depends only on states."""
-    n, swing_line = _evaluate(names, x, u, p), line(p)
-    spool, lines, pressures = n.state.spool, n.state.lines, n.state.pressures
-    bands = opening_curve.meter_in_dead_bands(
-        OpeningCurves.of(p, "valve"), p.spool_overlap_pa, p.spool_overlap_pb, p.valve_full_command
-    )
+    n = _evaluate(names, x, u, p)
+    swing_line, ports, lines, pressures = n.valve.line, n.valve.ports, n.valve.x.lines, n.valve.x.pressures
     rates, flows = _pressure_rates(n, p), (lines[0].flows[0], lines[1].flows[0])
-    load = load_sensing.load_pressure(spool.position, spool.speed, bands, 1, pressures, rates, u)
-    outputs = drive.observe(p, u, x, rates, flows, n.ports, n.nodes, load=load)
-    for side, state, port, pressure in zip(SIDES, lines, n.ports, pressures, strict=True):
+    outputs = drive.observe(p, u, x, rates, flows, ports, n.nodes, load=n.valve.load_pressure(rates, u))
+    for side, state, port, pressure in zip(SIDES, lines, ports, pressures, strict=True):
         outputs |= {
             f"swing_valve_pressure_{side}": port.pressure,
             f"swing_motor_flow_{side}": state.flows[-1],
@@ -118,7 +98,7 @@ def _observe(
     return DetailedSwingOutputs(
         **outputs,
         stored_energy=chambers + sum(hose.stored_energy(swing_line, state) for state in lines),
-        swing_spool_position=spool.position,
+        swing_spool_position=n.valve.x.spool.position,
         swing_relief_flow=n.valves.cross,
         swing_anti_cavitation_flow=sum(n.valves.anti),
     )
