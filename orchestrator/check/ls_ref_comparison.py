@@ -159,16 +159,12 @@ def _errors(
     errors: dict[str, float] = {}
     results = [np.array(run[key]) for key in ("before", "after") if run[key]]
     for i, v in enumerate(flat(variables)):
-        scale = _scale(expected[:, i], v)
-        values = [rms(rows[:, i] - expected[:, i]) / scale for rows in results]
+        column = expected[:, i]
+        scale = span(column) or max(float(np.max(np.abs(column))), v.nominal)  # of a constant its magnitude
+        values = [rms(rows[:, i] - column) / scale for rows in results]
         smallest = min((x for x in values if not math.isnan(x)), default=math.inf)
         errors[v.name] = max(smallest, errors.get(v.name, 0.0))
     return errors
-
-
-def _scale(column: NDArray[np.float64], v: DeclaredVariable) -> float:
-    """The range of a signal; for a constant signal its magnitude."""
-    return span(column) or max(float(np.max(np.abs(column))), v.nominal)
 
 
 ERROR_LEVEL, WARNING_LEVEL = 1e-2, 1e-3  # NRMSE above which a finding is an error, a warning

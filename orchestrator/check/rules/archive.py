@@ -174,10 +174,6 @@ HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 HEADERS_3 = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
 
 
-def _code(subject: Subject) -> list[str]:
-    return sorted(f for f in subject.files if f.startswith("sources/") and f.endswith(CODE))
-
-
 def _severity(subject: Subject) -> Callable[..., Finding]:
     """A fault of the sources matters less if there are binaries."""
     return warning if subject.binaries else error
@@ -197,7 +193,7 @@ def source_listed(subject: Subject) -> Iterator[Finding]:
 
 def source_build(subject: Subject) -> Iterator[Finding]:
     """Sources come with a list of the files to compile."""
-    code = _code(subject)
+    code = sorted(f for f in subject.files if f.startswith("sources/") and f.endswith(CODE))
     if not code or not subject.model.interfaces:
         return
     kinds = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]

@@ -168,19 +168,13 @@ CPP = words(
 )
 
 
-def _named(subject: Subject) -> Iterator[tuple[Variable, str]]:
-    for v in subject.model.variables:
-        for name in v.names:
-            yield v, name
-
-
 def _structured(subject: Subject) -> bool:
     return subject.root is not None and subject.root.get("variableNamingConvention") == "structured"
 
 
 def name_grammar(subject: Subject) -> Iterator[str]:
     """Names follow the variableNamingConvention that the FMU declares."""
-    for v, name in _named(subject):
+    for v, name in ((v, name) for v in subject.model.variables for name in v.names):
         if re.search(r"[\r\n\t]", name):
             yield f"{v}: the name {name!r} has a line break or tab"
         elif _structured(subject) and name and not STRUCTURED.fullmatch(name):
