@@ -174,7 +174,8 @@ def _structured(subject: Subject) -> bool:
 
 def name_grammar(subject: Subject) -> Iterator[str]:
     """Names follow the variableNamingConvention that the FMU declares."""
-    for v, name in ((v, name) for v in subject.model.variables for name in v.names):
+    named = [(v, name) for v in subject.model.variables for name in v.names]
+    for v, name in named:
         if re.search(r"[\r\n\t]", name):
             yield f"{v}: the name {name!r} has a line break or tab"
         elif _structured(subject) and name and not STRUCTURED.fullmatch(name):
