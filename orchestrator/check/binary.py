@@ -112,13 +112,13 @@ def _parse(path: Path) -> Iterator[dict[str, Any]]:
 
     lief.logging.disable()
     if lief.is_elf(str(path)):
-        yield _elf(_checked(lief.ELF.parse(str(path))))
+        yield _elf(lief, _checked(lief.ELF.parse(str(path))))
     elif lief.is_pe(str(path)):
-        yield _pe(_checked(lief.PE.parse(str(path))))
+        yield _pe(lief, _checked(lief.PE.parse(str(path))))
     elif lief.is_macho(str(path)):
         universal = _checked(lief.MachO.parse(str(path)))  # must exist as long as its parts are used
         for part in range(universal.size):
-            yield _macho(universal.at(part))
+            yield _macho(lief, universal.at(part))
 
 
 def _decoded(fields: dict[str, Any]) -> dict[str, Any]:
@@ -141,9 +141,7 @@ def _machine(value: Any) -> str:
     return MACHINES.get(value.name, str(value.name).lower())
 
 
-def _elf(b: Any) -> dict[str, Any]:
-    import lief
-
+def _elf(lief: Any, b: Any) -> dict[str, Any]:
     tags, types, flags = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment.TYPE, lief.ELF.Segment.FLAGS
     executable = [s for s in b.segments if s.has(flags.X)]
     undefined = [s for s in b.dynamic_symbols if not s.shndx and s.name]
@@ -168,7 +166,7 @@ def _elf(b: Any) -> dict[str, Any]:
         "exports": [s.name for s in b.dynamic_symbols if s.shndx and s.name],
         "libraries": libraries,
         "imports": [s.name for s in undefined],
-        "unresolved": _unresolved(undefined, libraries, families),
+        "unresolved": _unresolved(lief, undefined, libraries, families),
         "versions": versions,
         "rpaths": [p for e in b.dynamic_entries if e.tag in (tags.RPATH, tags.RUNPATH) for p in e.paths],
         "traits": tuple(trait for trait, found in traits.items() if found),
@@ -176,7 +174,9 @@ def _elf(b: Any) -> dict[str, Any]:
     }
 
 
-def _unresolved(symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]) -> tuple[str, ...]:
+def _unresolved(
+    lief: Any, symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]
+) -> tuple[str, ...]:
     """Undefined symbols without a version, if all needed libraries have versioned symbols.
 
     All symbols of glibc and of the compiler's libraries have versions. A symbol without version must come
@@ -184,17 +184,13 @@ def _unresolved(symbols: list[Any], libraries: Iterable[str], versioned: Iterabl
     """
     if not set(versioned) or set(libraries) - set(versioned):
         return ()
-    import lief
-
     weak = lief.ELF.Symbol.BINDING.WEAK
     strong = (s for s in symbols if s.binding != weak)
     unversioned = [s for s in strong if not (s.has_version and s.symbol_version.has_auxiliary_version)]
     return tuple(sorted(s.name for s in unversioned))
 
 
-def _pe(b: Any) -> dict[str, Any]:
-    import lief
-
+def _pe(lief: Any, b: Any) -> dict[str, Any]:
     flags = lief.PE.Section.CHARACTERISTICS
     executable = [s for s in b.sections if s.has_characteristic(flags.MEM_EXECUTE)]
     writable_code = any(s.has_characteristic(flags.MEM_WRITE) for s in executable)
@@ -210,9 +206,7 @@ def _pe(b: Any) -> dict[str, Any]:
     }
 
 
-def _macho(b: Any) -> dict[str, Any]:
-    import lief
-
+def _macho(lief: Any, b: Any) -> dict[str, Any]:
     arm, files = b.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64, lief.MachO.Header.FILE_TYPE
     macos = (
         b.build_version.minos if b.has_build_version else b.version_min.version if b.has_version_min else ()
