@@ -161,10 +161,10 @@ def sources() -> str:
 @cache
 def rules() -> str:
     """The rules of `harvester check`, by topic."""
-    from orchestrator.check import all_rules
+    from orchestrator.check.checking import RULES
     from orchestrator.check.report import table as rule_table
 
-    return rule_table(all_rules())
+    return rule_table(RULES)
 
 
 @cache

@@ -21,7 +21,6 @@ open in motion.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from fmus.boom_stick import drive
@@ -42,7 +41,6 @@ from fmus.components.chamber import AeratedOil
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
-from fmus.components.oil import at_temperature
 from fmus.components.orifice import AntiCavitationParameters, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar
@@ -289,18 +287,6 @@ def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[Compensated
         )
 
 
-def dynamics(x: State, u: BoomStickInputs, p: Parameters) -> State:
-    """Time derivative of the state."""
-    boom, stick = (vars(d.rates()) for d in _drives(x, u, p))
-    return State(**drive.prefixed(boom, stick))
-
-
-def observe(x: State, u: BoomStickInputs, p: Parameters) -> Outputs:
-    """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
-    boom, stick = (d.observe() for d in _drives(x, u, p))
-    return Outputs(**drive.joint_outputs(boom, stick))
-
-
 def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: chambers in balance with the holding forces, hoses drained by the neutral position."""
     state = drive.holding_pressures(u, p)
@@ -313,22 +299,19 @@ def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     """Requirements of cylinders, valves, compensators and counterbalance valves."""
     return {
         **compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator")),
-        **drive.require_cylinders(x, u, p),
+        **drive.require_cylinders(u, p),
     }
 
 
-BOOM_STICK = at_temperature(
-    drive.variant(
-        text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
-        parameters=Parameters,
-        states=State,
-        outputs=Outputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=require,
-        derive=partial(drive.derive, VolumeHose),
-        validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
-        " no spool dynamics",
-    )
+BOOM_STICK = drive.variant(
+    _drives,
+    VolumeHose,
+    text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
+    parameters=Parameters,
+    states=State,
+    outputs=Outputs,
+    initial=initial,
+    require=require,
+    validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
+    " no spool dynamics",
 )

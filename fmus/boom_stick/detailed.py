@@ -16,7 +16,6 @@ and frequency-dependent friction. Signs as in `fmus.boom_stick.variables`.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from fmus.boom_stick import compensated, drive, lumped
@@ -26,58 +25,37 @@ from fmus.boom_stick.variables import (
     SIDES,
     AxisInputs,
     BoomStickInputs,
-    BoomStickState,
     DetailedBoomStickOutputs,
     DetailedBoomStickParameters,
+    OilState,
 )
-from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, orifice, spool_valve
+from fmus.components import chamber, cylinder, hose, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
-from fmus.components.hose import Hose, HydraulicLine, LineState
-from fmus.components.load_sensing import LoadPressure
-from fmus.components.oil import at_temperature
-from fmus.components.opening_curve import OpeningCurves
+from fmus.components.detailed_drive import DetailedState, ValveAndLines
+from fmus.components.hose import Hose, HydraulicLine
 from fmus.components.orifice import PressureValve
-from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
-from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
+from fmus.components.spool_valve import SpoolState
+from fmus.contract import Group, Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
-
-PARAMETERS = Path(__file__).with_name("parameters.toml")
-
-
-@dataclass(frozen=True)
-class DriveState:
-    """State of spool, both hoses and both chambers (pressures [Pa]); also for their rates and names."""
-
-    spool: SpoolState
-    lines: tuple[LineState, LineState]
-    pressures: tuple[Any, Any]
-
-    def all(self) -> tuple[Any, ...]:
-        """All entries in order."""
-        head, rod = self.lines
-        return (*self.pressures, *head.all(), *rod.all(), self.spool.position, self.spool.speed)
 
 
 @dataclass(frozen=True)
 class DetailedDrive:
     """One drive at one instant.
 
-    x                 state
+    state, names      group of its states without prefix, and their names
+    valve             with its lines: port A at the head side, B at the rod side
     u                 inputs
-    ports             ports of the valve: A at the head side, B at the rod side
     relief            flows of the relief valves of both chambers [m3/s]
     anti_cavitation   flows of the anti-cavitation valves of both chambers [m3/s]
     """
 
+    state: type[Any]
+    names: DetailedState
     cylinder: Cylinder
-    line: HydraulicLine
-    spool: Spool
-    curves: OpeningCurves
-    full_command: Scalar
-    x: DriveState
+    valve: ValveAndLines
     u: AxisInputs
-    ports: tuple[EdgeFlows, EdgeFlows]
     relief: Pair
     anti_cavitation: Pair
 
@@ -92,68 +70,53 @@ class DetailedDrive:
         displaced = (-a_head * self.u.velocity, a_rod * self.u.velocity)
         head, rod = (
             chamber.pressure_rate(
-                p, line.flows[-1] + swept - relief + anti, v * chamber.compliance(self.line.fluid, p)
+                p, line.flows[-1] + swept - relief + anti, v * chamber.compliance(self.valve.line.fluid, p)
             )
             for p, line, swept, relief, anti, v in zip(
-                *(self.x.pressures, self.x.lines, displaced),
+                *(self.valve.x.pressures, self.valve.x.lines, displaced),
                 *(self.relief, self.anti_cavitation, self.volumes),
                 strict=True,
             )
         )
         return head, rod
 
-    def rates(self) -> DriveState:
+    def rates(self) -> Any:
         """Time derivative of the state."""
-        commanded = spool_valve.commanded_position(self.u.command, self.full_command)
-        head, rod = (
-            hose.rates(self.line, state, port.pressure, p)
-            for state, port, p in zip(self.x.lines, self.ports, self.x.pressures, strict=True)
-        )
-        spool = spool_valve.spool_rates(self.spool, self.x.spool, commanded)
-        return DriveState(spool, (head, rod), self.pressure_rates())
-
-    def load_pressure(self) -> LoadPressure:
-        """Load pressure of the section."""
-        bands = opening_curve.meter_in_dead_bands(
-            self.curves, self.spool.overlap_pa, self.spool.overlap_pb, self.full_command
-        )
-        return load_sensing.load_pressure(
-            *(self.x.spool.position, self.x.spool.speed, bands, 1),
-            *(self.x.pressures, self.pressure_rates(), self.u),
-        )
+        rates = self.valve.rates(self.u.command, self.pressure_rates())
+        return self.state(**dict(zip(self.names.all(), rates.all(), strict=True)))
 
     def observe(self) -> dict[str, Any]:
         """Outputs by name without prefix, for `drive.joint_outputs`."""
-        (head, rod), (p_head, p_rod) = self.cylinder.areas, self.x.pressures
-        fluid, tank = self.line.fluid, self.u.tank_pressure
+        (head, rod), x, line, ports = self.cylinder.areas, self.valve.x, self.valve.line, self.valve.ports
+        (p_head, p_rod), fluid, tank = x.pressures, line.fluid, self.u.tank_pressure
         relieved = tuple(out - back for out, back in zip(self.relief, self.anti_cavitation, strict=True))
-        densities = tuple(chamber.energy_density(fluid, p) for p in self.x.pressures)
+        densities = tuple(chamber.energy_density(fluid, p) for p in x.pressures)
         compression = sum(
             v * e + chamber.stored_energy(p, 0.0)
-            for v, e, p in zip(self.volumes, densities, self.x.pressures, strict=True)
+            for v, e, p in zip(self.volumes, densities, x.pressures, strict=True)
         )
-        edges = sum(spool_valve.throttling_loss(n, self.u.supply_pressure, tank) for n in self.ports)
+        edges = sum(spool_valve.throttling_loss(n, self.u.supply_pressure, tank) for n in ports)
         relief_heat = (p_head - tank) * relieved[0] + (p_rod - tank) * relieved[1]
         outputs = {
             "force": cylinder.force(head, rod, p_head, p_rod),
             "force_rate": cylinder.force(head, rod, *self.pressure_rates()),
-            "void_volume": sum(map(chamber.cavity_volume, self.x.pressures))
-            + sum(map(hose.cavity_volume, self.x.lines)),
-            "spool_position": self.x.spool.position,
+            "void_volume": sum(map(chamber.cavity_volume, x.pressures))
+            + sum(map(hose.cavity_volume, x.lines)),
+            "spool_position": x.spool.position,
             "relief_flow": sum(self.relief),
             "anti_cavitation_flow": sum(self.anti_cavitation),
-            "supply_flow": sum(n.supply for n in self.ports),
-            "return_flow": sum(n.tank for n in self.ports) + sum(relieved),
-            "stored_energy": compression + sum(hose.stored_energy(self.line, x) for x in self.x.lines),
-            "dissipated_power": edges + relief_heat + sum(hose.heat(self.line, x) for x in self.x.lines),
+            "supply_flow": sum(n.supply for n in ports),
+            "return_flow": sum(n.tank for n in ports) + sum(relieved),
+            "stored_energy": compression + sum(hose.stored_energy(line, state) for state in x.lines),
+            "dissipated_power": edges + relief_heat + sum(hose.heat(line, state) for state in x.lines),
             "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
-            drive.LOAD: self.load_pressure(),
+            drive.LOAD: self.valve.load_pressure(self.pressure_rates(), self.u),
         }
-        for side, p, port, line in zip(SIDES, self.x.pressures, self.ports, self.x.lines, strict=True):
+        for side, p, port, state in zip(SIDES, x.pressures, ports, x.lines, strict=True):
             outputs |= {
                 f"{side}_pressure": p,
-                f"{side}_flow": line.flows[-1],
-                f"{side}_valve_flow": line.flows[0],
+                f"{side}_flow": state.flows[-1],
+                f"{side}_valve_flow": state.flows[0],
                 f"{side}_valve_pressure": port.pressure,
                 f"{side}_bulk_modulus": chamber.bulk_modulus(fluid, p),
             }
@@ -168,25 +131,20 @@ def line(p: DetailedBoomStickParameters, axis: str) -> HydraulicLine:
 
 
 def _drives(
-    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
+    states: Mapping[str, type[Any]],
+    names: Mapping[str, DetailedState],
+    x: Any,
+    u: BoomStickInputs,
+    p: DetailedBoomStickParameters,
 ) -> Iterator[DetailedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
-    edges, spool, curves = Edges.of(p, "valve"), Spool.of(p, "spool"), OpeningCurves.of(p, "valve")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
-    for (axis, n), inputs in zip(names.items(), drive.inputs(u), strict=True):
-        head, rod = (line_names.apply(partial(getattr, x)) for line_names in n.lines)
-        state = DriveState(
-            SpoolState(getattr(x, n.spool.position), getattr(x, n.spool.speed)),
-            (head, rod),
-            (getattr(x, n.pressures[0]), getattr(x, n.pressures[1])),
-        )
+    for (axis, group), inputs in zip(states.items(), drive.inputs(u), strict=True):
+        state = names[axis].apply(partial(getattr, group.of(x, axis)))
         excess = tuple(pressure - inputs.tank_pressure for pressure in state.pressures)
         yield DetailedDrive(
-            *(Cylinder.of(p, axis), line(p, axis), spool, curves, edges.full_command, state, inputs),
-            ports=spool_valve.spool_ports(
-                *(edges, spool, state.spool.position, head.flows[0], rod.flows[0]),
-                *(inputs.supply_pressure, inputs.tank_pressure, p.density, curves),
-            ),
+            *(group, names[axis], Cylinder.of(p, axis)),
+            *(ValveAndLines.of(p, inputs, line(p, axis), state), inputs),
             relief=(orifice.relief_flow(relief, excess[0]), orifice.relief_flow(relief, excess[1])),
             anti_cavitation=(
                 orifice.relief_flow(anti, -excess[0]),
@@ -195,49 +153,47 @@ def _drives(
         )
 
 
-def _names(axis: str, lumps: int, unsteady_friction: bool) -> DriveState:
-    """Names of the states of one drive."""
+def _names(lumps: int, unsteady_friction: bool) -> DetailedState:
+    """Names of the states of one drive, without prefix."""
     head, rod = (
-        hose.state_names(
-            *(f"{axis}_{side}_valve_flow", f"{axis}_{side}_flow", f"{axis}_{side}_hose", ""),
-            *(lumps, unsteady_friction),
-        )
+        hose.state_names(f"{side}_valve_flow", f"{side}_flow", f"{side}_hose", "", lumps, unsteady_friction)
         for side in SIDES
     )
-    spool = SpoolState(f"{axis}_spool_position", f"{axis}_spool_speed")
-    return DriveState(spool, (head, rod), (f"{axis}_head_pressure", f"{axis}_rod_pressure"))
+    spool = SpoolState("spool_position", "spool_speed")
+    return DetailedState(spool, (head, rod), ("head_pressure", "rod_pressure"))
 
 
-def _states(axis: str, names: DriveState) -> Iterator[tuple[str, Quantity]]:
-    """(name, declaration) of the states of one drive."""
-    lumped_states = quantities(BoomStickState)
-    yield names.spool.position, Quantity("1", f"Spool position of the {axis} valve, relative to its stroke")
-    yield names.spool.speed, Quantity("1/s", f"Spool speed of the {axis} valve", 10.0)
-    for side, line_names, pressure in zip(SIDES, names.lines, names.pressures, strict=True):
-        hose_text = f"the {side} hose of the {axis}"
-        first = Quantity("m3/s", f"Flow from the valve into {hose_text}", 1e-3)
-        last = lumped_states[line_names.flows[-1]]
-        yield pressure, lumped_states[pressure]
-        yield from hose.state_quantities(line_names, hose_text, first, last)
+def _state(names: DetailedState) -> type[Any]:
+    """The group of the states of one drive."""
+    lines = [
+        (
+            f"the {side} hose of the {{}}",
+            Quantity("m3/s", f"Flow from the valve into the {side} hose of the {{}}", 1e-3),
+            quantities(OilState)[f"{side}_flow"],
+        )
+        for side in SIDES
+    ]
+    return make_group("DetailedDriveState", dict(names.declarations("{}", lines, quantities(OilState))))
 
 
 def _initial(
-    names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
+    names: Mapping[str, DetailedState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> dict[str, Scalar]:
     """Initial state: pressures in balance with the holding forces, no flow, spools at their commands."""
     chambers = drive.holding_pressures(u, p)
-    state: dict[str, Scalar] = {}
-    for n, command in zip(names.values(), (u.boom_command, u.stick_command), strict=True):
-        state |= dict.fromkeys(n.all(), 0.0)
-        state[n.spool.position] = spool_valve.commanded_position(command, p.valve_full_command)
-        for pressure, line_names in zip(n.pressures, n.lines, strict=True):
-            state |= dict.fromkeys((pressure, *line_names.pressures), chambers[pressure])
-    return state
+    boom, stick = (
+        n.start(
+            spool_valve.commanded_position(getattr(u, f"{axis}_command"), p.valve_full_command),
+            (chambers[f"{axis}_head_pressure"], chambers[f"{axis}_rod_pressure"]),
+        )
+        for axis, n in names.items()
+    )
+    return drive.prefixed(boom, stick)
 
 
 def default_lumps() -> dict[str, int]:
     """Lumps per hose by axis for the values of parameters.toml."""
-    p = group_of(PARAMETERS, DetailedBoomStickParameters)
+    p = group_of(drive.PARAMETERS, DetailedBoomStickParameters)
     return {axis: hose.default_lumps(line(p, axis)) for axis in AXES}
 
 
@@ -249,35 +205,25 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
     """
     count = default_lumps() if lumps is None else lumps
     by_axis = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
-    names = {axis: _names(axis, n, unsteady_friction) for axis, n in by_axis.items()}
-    state = make_group(
-        "DetailedBoomStickState", dict(q for axis, n in names.items() for q in _states(axis, n))
-    )
+    names = {axis: _names(n, unsteady_friction) for axis, n in by_axis.items()}
+    states = {axis: _state(n) for axis, n in names.items()}
 
-    def dynamics(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> Any:
-        """Time derivative of the state."""
-        drives = zip(names.values(), _drives(names, x, u, p), strict=True)
-        return state(**{n: r for own, d in drives for n, r in zip(own.all(), d.rates().all(), strict=True)})
-
-    def observe(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> DetailedBoomStickOutputs:
-        """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
-        boom, stick = (d.observe() for d in _drives(names, x, u, p))
-        return DetailedBoomStickOutputs(**drive.joint_outputs(boom, stick))
+    class State(Group, **states):
+        """State of both drives."""
 
     sub = drive.variant(
+        partial(_drives, states, names),
+        Hose,
         text="Detailed hydraulic drives of boom and stick: spool dynamics, lines, air, relief valves",
         parameters=DetailedBoomStickParameters,
-        states=state,
+        states=State,
         outputs=DetailedBoomStickOutputs,
-        dynamics=dynamics,
-        observe=observe,
         initial=partial(_initial, names),
-        require=drive.require_tables_and_cylinders,
-        derive=partial(drive.derive, Hose),
+        require=drive.require,
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     )
     others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}
-    return family("boom_stick", **others, detailed=at_temperature(sub))["detailed"]
+    return family("boom_stick", **others, detailed=sub)["detailed"]
 
 
 BOOM_STICK = detailed()

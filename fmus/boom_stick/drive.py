@@ -15,22 +15,24 @@ Signs: line flows are positive into the cylinder; x from the closed end; x' and 
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fmus import ports
-from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveInputs, OilState
+from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveInputs, OilState, Pressures
 from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Subsystem, Terminal
 from fmus.ports import LineInputs
 
+PARAMETERS = Path(__file__).with_name("parameters.toml")
 Pair = tuple[Scalar, Scalar]  # (head side, rod side)
 
 
@@ -70,7 +72,7 @@ class CylinderDrive:
             chamber.pressure_rate(x.rod_pressure, x.rod_flow + rod * self.u.velocity, c_rod),
         )
 
-    def rates(self) -> OilState:
+    def rates(self) -> Pressures:
         """Time derivative of the state."""
         (port_a, port_b), x = self.ports, self.x
         head, rod = self.pressure_rates()
@@ -89,7 +91,7 @@ class CylinderDrive:
             for q in (self.x.head_flow, self.x.rod_flow)
         )
 
-    def observe(self, hose_heat: Scalar) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         """Outputs by name without prefix, for `joint_outputs`.
 
         The convected power is P^2 / (2 beta) times the volume rate of the growing chamber, minus that of the
@@ -108,7 +110,7 @@ class CylinderDrive:
             "supply_flow": sum(node.supply for node in self.ports),
             "return_flow": sum(node.tank for node in self.ports),
             "stored_energy": compression + self.hose.inertance * (x.head_flow**2 + x.rod_flow**2) / 2,
-            "dissipated_power": edges + hose_heat,
+            "dissipated_power": edges + self.hose_heat(),
             "convected_power": (head * x.head_pressure**2 - rod * x.rod_pressure**2)
             * u.velocity
             / (2 * self.bulk_modulus),
@@ -173,7 +175,7 @@ def holding_pressures(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     return state
 
 
-def require_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
+def require_cylinders(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     """Requirements of the cylinders: rods thinner than bores, chambers with positive volume."""
     conditions: dict[str, Scalar] = {}
     for axis in AXES:
@@ -185,15 +187,9 @@ def require_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]
     return conditions
 
 
-def require_tables_and_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
-    """Requirements of cylinders and tables of the valve."""
-    tables = opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
-    return tables | require_cylinders(x, u, p)
-
-
 def require(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     """Requirements of cylinders and valve."""
-    return spool_valve.opens(Valve.of(p, "valve")) | require_tables_and_cylinders(x, u, p)
+    return spool_valve.requirements(p) | require_cylinders(u, p)
 
 
 TERMINALS: tuple[Terminal, ...] = (
@@ -204,11 +200,40 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.load_sensing_line("boom_stick"),
 )
 
-# what all variants declare alike; `at_temperature` of the result has the parameters of warm oil
-variant = partial(
-    Subsystem,
-    name="boom_stick",
-    inputs=BoomStickInputs,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
-)
+
+def variant(
+    drives: Callable[[Any, BoomStickInputs, Any], Iterable[Any]],
+    hoses: type[Hose],
+    states: type[Any],
+    outputs: type[Any],
+    **declared: Any,
+) -> Subsystem:
+    """A variant with the parameters of warm oil; declared: what else it declares as a `Subsystem`.
+
+    drives   (x, u, p) -> boom and stick drive, with the methods `rates` and `observe` of `CylinderDrive`
+    """
+
+    def dynamics(x: Any, u: BoomStickInputs, p: Any) -> Any:
+        """Time derivative of the state."""
+        boom, stick = (vars(d.rates()) for d in drives(x, u, p))
+        return states(**prefixed(boom, stick))
+
+    def observe(x: Any, u: BoomStickInputs, p: Any) -> Any:
+        """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
+        boom, stick = (d.observe() for d in drives(x, u, p))
+        return outputs(**joint_outputs(boom, stick))
+
+    return at_temperature(
+        Subsystem(
+            name="boom_stick",
+            states=states,
+            inputs=BoomStickInputs,
+            outputs=outputs,
+            dynamics=dynamics,
+            observe=observe,
+            derive=partial(derive, hoses),
+            values=PARAMETERS,
+            terminals=TERMINALS,
+            **declared,
+        )
+    )

@@ -6,7 +6,6 @@ states but follow from the pressures.
 """
 
 from collections.abc import Iterator
-from functools import partial
 
 from fmus.boom_stick import drive
 from fmus.boom_stick.drive import CylinderDrive
@@ -23,7 +22,6 @@ from fmus.components import spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import CurvedValve, Valve
 from fmus.contract import Group, Scalar
@@ -44,7 +42,20 @@ class State(Group, boom=Pressures, stick=Pressures):
     """State of the quasistatic drives: pressures."""
 
 
-def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CylinderDrive]:
+class VolumeDrive(CylinderDrive):
+    """A drive whose line flows follow from the pressures."""
+
+    def rates(self) -> Pressures:
+        """Time derivative of the state."""
+        head, rod = self.pressure_rates()
+        return Pressures(head_pressure=head, rod_pressure=rod)
+
+    def hose_heat(self) -> Scalar:
+        """None: the ports have the pressures of the chambers, so that of the edges includes it."""
+        return 0
+
+
+def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[VolumeDrive]:
     """Boom and stick drive from the variables of the subsystem; line flows follow from the pressures."""
     valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
     for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
@@ -55,24 +66,7 @@ def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CylinderDri
             *(inputs.supply_pressure, inputs.tank_pressure, p.density, hose.resistance, curves),
         )
         oil = OilState(**vars(pressures), head_flow=ports[0].line, rod_flow=ports[1].line)
-        yield CylinderDrive(Cylinder.of(p, axis), hose, valve, curves, p.bulk_modulus, oil, inputs, ports)
-
-
-def dynamics(x: State, u: BoomStickInputs, p: Parameters) -> State:
-    """Time derivative of the state."""
-    rates = (d.pressure_rates() for d in _drives(x, u, p))
-    boom, stick = ({"head_pressure": head, "rod_pressure": rod} for head, rod in rates)
-    return State(**drive.prefixed(boom, stick))
-
-
-def observe(x: State, u: BoomStickInputs, p: Parameters) -> BoomStickOutputs:
-    """Outputs; forces depend only on the state, their rates and the flows also on the inputs.
-
-    The heat of the edges includes that of the hoses, because the pressures of the ports are those of the
-    chambers.
-    """
-    boom, stick = (d.observe(hose_heat=0) for d in _drives(x, u, p))
-    return BoomStickOutputs(**drive.joint_outputs(boom, stick))
+        yield VolumeDrive(Cylinder.of(p, axis), hose, valve, curves, p.bulk_modulus, oil, inputs, ports)
 
 
 def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
@@ -80,19 +74,16 @@ def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
     return drive.holding_pressures(u, p)
 
 
-BOOM_STICK = at_temperature(
-    drive.variant(
-        text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
-        parameters=Parameters,
-        states=State,
-        outputs=BoomStickOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=partial(drive.derive, VolumeHose),
-        validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
-        " spool faster than the motion",
-        stiff=False,
-    )
+BOOM_STICK = drive.variant(
+    _drives,
+    VolumeHose,
+    text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
+    parameters=Parameters,
+    states=State,
+    outputs=BoomStickOutputs,
+    initial=initial,
+    require=drive.require,
+    validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
+    " spool faster than the motion",
+    stiff=False,
 )

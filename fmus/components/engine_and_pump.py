@@ -166,11 +166,6 @@ def loss(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
     return d.leakage * rise**2 + pump_friction(d, speed, rise) * speed
 
 
-def compensated_stroke(d: Pump, pressure: Scalar) -> Scalar:
-    """Stroke s_target that the compensator demands."""
-    return unit_limited((d.setting - pressure) / d.band, d.rounding)
-
-
 def limited_stroke(
     d: Pump, cut_off: Scalar, band: Scalar, torque: Scalar, pressure: Scalar, rise: Scalar
 ) -> Scalar:
@@ -188,7 +183,7 @@ def limited_stroke(
 
 def stroke_rate(d: Pump, stroke: Scalar, pressure: Scalar) -> Scalar:
     """ds/dt [1/s] of a pump with a compensator alone."""
-    return servo_rate(d, stroke, compensated_stroke(d, pressure))
+    return servo_rate(d, stroke, unit_limited((d.setting - pressure) / d.band, d.rounding))
 
 
 def servo_rate(d: Pump, stroke: Scalar, target: Scalar) -> Scalar:

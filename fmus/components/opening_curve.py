@@ -63,13 +63,8 @@ def _point(number: int) -> dict[str, Quantity]:
     return {f"command_{number}": command, f"opening_{number}": opening}
 
 
-def _table() -> dict[str, Quantity]:
-    """Commands of the points, then openings, as they are listed."""
-    points = [list(_point(number).items()) for number in range(1, POINTS + 1)]
-    return dict([command for command, _ in points] + [opening for _, opening in points])
-
-
-OpeningTable: Any = make_group("OpeningTable", _table())
+_COMMANDS, _OPENINGS = zip(*(_point(number).items() for number in range(1, POINTS + 1)), strict=True)
+OpeningTable: Any = make_group("OpeningTable", dict(_COMMANDS + _OPENINGS))  # as they are listed
 
 
 class OpeningCurves(

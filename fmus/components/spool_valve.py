@@ -32,6 +32,7 @@ Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 202
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
@@ -103,6 +104,12 @@ class Spool(Group):
 def opens(valve: Valve) -> dict[str, Scalar]:
     """Requirement: the valve opens before full command."""
     return {"valve_full_command exceeds valve_dead_band": valve.full_command - valve.dead_band}
+
+
+def requirements(p: Any) -> dict[str, Scalar]:
+    """Requirements of the valve in the parameters of a drive; one with a spool has no common dead band."""
+    opening = opens(Valve.of(p, "valve")) if hasattr(p, "valve_dead_band") else {}
+    return opening | opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
 
 
 @dataclass(frozen=True)

@@ -13,17 +13,16 @@ no oil columns. C has elastic walls and the air of `chamber`. The torque depends
 
 from dataclasses import dataclass
 
-from fmus.components import chamber, hose, motor, orifice
+from fmus.components import chamber, hose, motor
 from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil
 from fmus.components.hose import HoseWall
 from fmus.components.motor import Brake, BrakeTorque, MotorNodes
-from fmus.components.oil import at_temperature
-from fmus.components.orifice import PressureValve, ReliefParameters
+from fmus.components.orifice import ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar, quantities
 from fmus.swing import drive
-from fmus.swing.drive import Pair
+from fmus.swing.drive import MotorValves
 from fmus.swing.variables import (
     DriveParameters,
     LinePressures,
@@ -80,14 +79,13 @@ class Outputs(BrakeState, SwingOutputs):
 
 @dataclass(frozen=True)
 class _Evaluated:
-    """The drive at one instant: ports, motor, brake, flows [m3/s] of the valves at the motor."""
+    """The drive at one instant: ports, motor, brake, valves at the motor."""
 
     ports: tuple[SectionPort, SectionPort]
     nodes: MotorNodes
     brake: BrakeTorque
     release: Scalar
-    cross: Scalar
-    anti: Pair
+    valves: MotorValves
 
 
 def section(p: Parameters) -> Section:
@@ -110,19 +108,17 @@ def _release(u: SwingInputs, p: Parameters) -> Scalar:
 
 
 def _evaluate(x: State, u: SwingInputs, p: Parameters) -> _Evaluated:
-    a, b, tank = x.swing_pressure_a, x.swing_pressure_b, u.tank_pressure
-    anti = PressureValve.of(p, "anti_cavitation")
+    pressures, tank = drive.pressures(x), u.tank_pressure
     displaced = drive.displacement(p) * u.swing_speed
     return _Evaluated(
         compensator.section_ports(
-            *(section(p), u.swing_command, (a, b)),
+            *(section(p), u.swing_command, pressures),
             *(u.supply_pressure, u.load_sensing_pressure, tank),
         ),
-        motor.nodes_at_port_pressures(a, b, tank, displaced, *drive.leakage(p)),
+        motor.nodes_at_port_pressures(*pressures, tank, displaced, *drive.leakage(p)),
         Brake.of(p, "brake").hold(x.swing_brake_torque, x.swing_brake_applied, u.swing_speed),
         _release(u, p),
-        orifice.cross_flow(PressureValve.of(p, "relief"), a - b),
-        (orifice.relief_flow(anti, tank - a), orifice.relief_flow(anti, tank - b)),
+        drive.motor_valves(p, u, x),
     )
 
 
@@ -134,11 +130,10 @@ def _volume(p: Parameters) -> Scalar:
 def _rates(n: _Evaluated, x: State, p: Parameters) -> State:
     (a, b), volume = n.ports, _volume(p)
     c_a, c_b = (
-        p.line_capacitance + volume * chamber.air_compliance(p, pressure)
-        for pressure in (x.swing_pressure_a, x.swing_pressure_b)
+        p.line_capacitance + volume * chamber.air_compliance(p, pressure) for pressure in drive.pressures(x)
     )
-    net_a = a.edges.line - n.nodes.flow_1 - n.cross + n.anti[0]
-    net_b = b.edges.line - n.nodes.flow_2 + n.cross + n.anti[1]
+    net_a = a.edges.line - n.nodes.flow_1 - n.valves.cross + n.valves.anti[0]
+    net_b = b.edges.line - n.nodes.flow_2 + n.valves.cross + n.valves.anti[1]
     return State(
         swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c_a),
         swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c_b),
@@ -155,22 +150,18 @@ def dynamics(x: State, u: SwingInputs, p: Parameters) -> State:
 def observe(x: State, u: SwingInputs, p: Parameters) -> Outputs:
     """Outputs; the torque depends only on states."""
     n = _evaluate(x, u, p)
-    dx, pressures = _rates(n, x, p), (x.swing_pressure_a, x.swing_pressure_b)
-    rates, tank = (dx.swing_pressure_a, dx.swing_pressure_b), u.tank_pressure
     edges = (n.ports[0].edges, n.ports[1].edges)
     meter_in, metering_drop, compensator_drop = compensator.shown(section(p), n.ports, u.swing_command)
-    load = drive.load_pressure(p, u, pressures, rates)
-    flows = (edges[0].line, edges[1].line)
-    outputs = drive.observe(p, u, pressures, flows, edges, n.nodes, rates, load)
+    rates, flows = drive.pressures(_rates(n, x, p)), (edges[0].line, edges[1].line)
+    outputs = drive.observe(p, u, x, rates, flows, edges, n.nodes)
     outputs["swing_torque"] -= x.swing_brake_torque
     outputs["swing_torque_rate"] -= n.brake.rate
-    outputs["return_flow"] -= sum(n.anti)
-    make_up = sum(q * (tank - pressure) for q, pressure in zip(n.anti, pressures, strict=True))
-    outputs["dissipated_power"] += n.cross * (pressures[0] - pressures[1]) + make_up + n.brake.heat
+    outputs["return_flow"] -= sum(n.valves.anti)
+    outputs["dissipated_power"] += n.valves.heat + n.brake.heat
     compression = sum(
         chamber.stored_energy(pressure, p.line_capacitance)
         + _volume(p) * chamber.air_energy_density(p, pressure)
-        for pressure in pressures
+        for pressure in drive.pressures(x)
     )
     return Outputs(
         **outputs,
@@ -180,15 +171,15 @@ def observe(x: State, u: SwingInputs, p: Parameters) -> Outputs:
         swing_meter_in_flow=meter_in,
         swing_metering_drop=metering_drop,
         swing_compensator_drop=compensator_drop,
-        swing_relief_flow=n.cross,
-        swing_anti_cavitation_flow=sum(n.anti),
+        swing_relief_flow=n.valves.cross,
+        swing_anti_cavitation_flow=sum(n.valves.anti),
     )
 
 
 def initial(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, the brake as the command has it, without torque."""
     brake = {"swing_brake_torque": 0.0, "swing_brake_applied": 1 - _release(u, p)}
-    return drive.initial_pressures(u, p) | brake
+    return drive.initial_pressures(x, u, p) | brake
 
 
 def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
@@ -196,18 +187,16 @@ def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
-        parameters=Parameters,
-        states=State,
-        outputs=Outputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=require,
-        derive=drive.derive_capacitance,
-        validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
-        " no spool dynamics",
-    )
+SWING = drive.variant(
+    text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
+    parameters=Parameters,
+    states=State,
+    outputs=Outputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=require,
+    derive=drive.derive_capacitance,
+    validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
+    " no spool dynamics",
 )

@@ -12,29 +12,21 @@ states. `swing_flow_a` is the flow at the valve, `swing_motor_flow_a` that at th
 `detailed` change the number of states.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from fmus.components import chamber, hose, load_sensing, motor, opening_curve, orifice, spool_valve
+from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
-from fmus.components.hose import HydraulicLine, LineState
+from fmus.components.detailed_drive import DetailedState, ValveAndLines
+from fmus.components.hose import HydraulicLine
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
-from fmus.components.opening_curve import OpeningCurves
-from fmus.components.orifice import PressureValve
-from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
+from fmus.components.spool_valve import SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
 from fmus.swing import compensated, drive, lumped
-from fmus.swing.drive import Pair
+from fmus.swing.drive import MotorValves, Pair
 from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs, SwingState
-
-PARAMETERS = Path(__file__).with_name("parameters.toml")
-
-Names = tuple[LineState, LineState]  # names of the states of both lines
 
 
 def line(p: DetailedSwingParameters) -> HydraulicLine:
@@ -45,80 +37,52 @@ def line(p: DetailedSwingParameters) -> HydraulicLine:
 
 @dataclass(frozen=True)
 class _Evaluated:
-    """The drive at one instant: states, ports of valve and motor, flows [m3/s] of the valves at the motor."""
+    """The drive at one instant: valve with its lines, ports of the motor, valves at the motor."""
 
-    spool: SpoolState
-    lines: tuple[LineState, LineState]
-    pressures: tuple[Scalar, Scalar]
-    ports: tuple[EdgeFlows, EdgeFlows]
+    valve: ValveAndLines
     nodes: MotorNodes
-    cross: Scalar
-    anti: tuple[Scalar, Scalar]
+    valves: MotorValves
 
 
-def _evaluate(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _Evaluated:
-    a, b = (n.apply(partial(getattr, x)) for n in names)
-    state, tank = SpoolState(x.swing_spool_position, x.swing_spool_speed), u.tank_pressure
-    pressures = (x.swing_pressure_a, x.swing_pressure_b)
-    anti = PressureValve.of(p, "anti_cavitation")
-    line_ends = (a.flows[0], b.flows[0], u.supply_pressure, tank, p.density)
+def _evaluate(names: DetailedState, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _Evaluated:
+    state = names.apply(partial(getattr, x))
+    displaced = drive.displacement(p) * u.swing_speed
     return _Evaluated(
-        state,
-        (a, b),
-        pressures,
-        spool_valve.spool_ports(
-            *(Edges.of(p, "valve"), Spool.of(p, "spool"), state.position, *line_ends),
-            curves=OpeningCurves.of(p, "valve"),
-        ),
-        motor.nodes_at_port_pressures(
-            *pressures, tank, drive.displacement(p) * u.swing_speed, *drive.leakage(p)
-        ),
-        orifice.cross_flow(PressureValve.of(p, "relief"), pressures[0] - pressures[1]),
-        (orifice.relief_flow(anti, tank - pressures[0]), orifice.relief_flow(anti, tank - pressures[1])),
+        ValveAndLines.of(p, u, line(p), state),
+        motor.nodes_at_port_pressures(*state.pressures, u.tank_pressure, displaced, *drive.leakage(p)),
+        drive.motor_valves(p, u, x),
     )
 
 
 def _pressure_rates(n: _Evaluated, p: DetailedSwingParameters) -> Pair:
+    line_a, line_b = n.valve.x.lines
     nets = (
-        n.lines[0].flows[-1] - n.nodes.flow_1 - n.cross + n.anti[0],
-        n.lines[1].flows[-1] - n.nodes.flow_2 + n.cross + n.anti[1],
+        line_a.flows[-1] - n.nodes.flow_1 - n.valves.cross + n.valves.anti[0],
+        line_b.flows[-1] - n.nodes.flow_2 + n.valves.cross + n.valves.anti[1],
     )
     a, b = (
         chamber.pressure_rate(pressure, net, p.motor_volume * chamber.compliance(Fluid.of(p), pressure))
-        for pressure, net in zip(n.pressures, nets, strict=True)
+        for pressure, net in zip(n.valve.x.pressures, nets, strict=True)
     )
     return a, b
 
 
-def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
+def _dynamics(
+    names: DetailedState, group: type[Any], x: Any, u: SwingInputs, p: DetailedSwingParameters
+) -> Any:
+    """Time derivative of the state."""
     n = _evaluate(names, x, u, p)
-    commanded = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
-    spool = spool_valve.spool_rates(Spool.of(p, "spool"), n.spool, commanded)
-    rates = {"swing_spool_position": spool.position, "swing_spool_speed": spool.speed}
-    sides = zip(SIDES, names, n.lines, n.ports, n.pressures, _pressure_rates(n, p), strict=True)
-    for side, line_names, state, port, pressure, rate in sides:
-        line_rates = hose.rates(line(p), state, port.pressure, pressure)
-        rates |= {
-            f"swing_pressure_{side}": rate,
-            **dict(zip(line_names.all(), line_rates.all(), strict=True)),
-        }
-    return rates
+    rates = n.valve.rates(u.swing_command, _pressure_rates(n, p))
+    return group(**dict(zip(names.all(), rates.all(), strict=True)))
 
 
-def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> DetailedSwingOutputs:
+def _observe(names: DetailedState, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> Any:
     """Outputs; the torque depends only on states."""
-    n, swing_line, tank = _evaluate(names, x, u, p), line(p), u.tank_pressure
-    (p_a, p_b), flows = n.pressures, (n.lines[0].flows[0], n.lines[1].flows[0])
-    rates = _pressure_rates(n, p)
-    bands = opening_curve.meter_in_dead_bands(
-        OpeningCurves.of(p, "valve"), p.spool_overlap_pa, p.spool_overlap_pb, p.valve_full_command
-    )
-    load = load_sensing.load_pressure(
-        *(n.spool.position, n.spool.speed, bands, 1),
-        *(n.pressures, rates, u),
-    )
-    outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, rates, load)
-    for side, state, port, pressure in zip(SIDES, n.lines, n.ports, n.pressures, strict=True):
+    n = _evaluate(names, x, u, p)
+    swing_line, ports, lines, pressures = n.valve.line, n.valve.ports, n.valve.x.lines, n.valve.x.pressures
+    rates, flows = _pressure_rates(n, p), (lines[0].flows[0], lines[1].flows[0])
+    outputs = drive.observe(p, u, x, rates, flows, ports, n.nodes, load=n.valve.load_pressure(rates, u))
+    for side, state, port, pressure in zip(SIDES, lines, ports, pressures, strict=True):
         outputs |= {
             f"swing_valve_pressure_{side}": port.pressure,
             f"swing_motor_flow_{side}": state.flows[-1],
@@ -126,50 +90,54 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
         }
     chambers = sum(
         p.motor_volume * chamber.energy_density(swing_line.fluid, q) + chamber.stored_energy(q, 0.0)
-        for q in n.pressures
+        for q in pressures
     )
-    valves = n.cross * (p_a - p_b) + sum(
-        q * (tank - pressure) for q, pressure in zip(n.anti, n.pressures, strict=True)
-    )
-    outputs["return_flow"] -= sum(n.anti)
-    outputs["swing_void_volume"] += sum(map(hose.cavity_volume, n.lines))
-    outputs["dissipated_power"] += valves + sum(hose.heat(swing_line, state) for state in n.lines)
+    outputs["return_flow"] -= sum(n.valves.anti)
+    outputs["swing_void_volume"] += sum(map(hose.cavity_volume, lines))
+    outputs["dissipated_power"] += n.valves.heat + sum(hose.heat(swing_line, state) for state in lines)
     return DetailedSwingOutputs(
         **outputs,
-        stored_energy=chambers + sum(hose.stored_energy(swing_line, state) for state in n.lines),
-        swing_spool_position=n.spool.position,
-        swing_relief_flow=n.cross,
-        swing_anti_cavitation_flow=sum(n.anti),
+        stored_energy=chambers + sum(hose.stored_energy(swing_line, state) for state in lines),
+        swing_spool_position=n.valve.x.spool.position,
+        swing_relief_flow=n.valves.cross,
+        swing_anti_cavitation_flow=sum(n.valves.anti),
     )
 
 
-def _initial(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
+def _initial(names: DetailedState, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, oil at rest, no torque, spool at its command."""
     position = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
-    state: dict[str, Scalar] = {"swing_spool_position": position, "swing_spool_speed": 0.0}
-    for side, line_names in zip(SIDES, names, strict=True):
-        state |= dict.fromkeys(line_names.all(), 0.0)
-        pressures = (f"swing_pressure_{side}", *line_names.pressures)
-        state |= dict.fromkeys(pressures, u.tank_pressure + p.initial_preload)
-    return state
+    a, b = (u.tank_pressure + p.initial_preload for _ in SIDES)
+    return names.start(position, (a, b))
 
 
-def _states(names: Names) -> Iterator[tuple[str, Quantity]]:
-    """(name, declaration) of the states."""
-    lumped_states = quantities(SwingState)
-    yield "swing_spool_position", Quantity("1", "Spool position of the swing valve, relative to its stroke")
-    yield "swing_spool_speed", Quantity("1/s", "Spool speed of the swing valve", 10.0)
-    for side, line_names in zip(SIDES, names, strict=True):
-        line_text = f"swing line {side.upper()}"
-        first = lumped_states[f"swing_flow_{side}"]
-        last = Quantity("m3/s", f"Flow from {line_text} to the motor", 1e-3)
-        yield f"swing_pressure_{side}", lumped_states[f"swing_pressure_{side}"]
-        yield from hose.state_quantities(line_names, line_text, first, last)
+def _names(lumps: int, unsteady_friction: bool) -> DetailedState:
+    """Names of the states."""
+    a, b = (
+        hose.state_names(
+            *(f"swing_flow_{side}", f"swing_motor_flow_{side}", "swing_line", f"_{side}"),
+            *(lumps, unsteady_friction),
+        )
+        for side in SIDES
+    )
+    spool = SpoolState("swing_spool_position", "swing_spool_speed")
+    return DetailedState(spool, (a, b), ("swing_pressure_a", "swing_pressure_b"))
+
+
+def _state(names: DetailedState) -> type[Any]:
+    """The group of the states."""
+    declared = quantities(SwingState)
+    lines = []
+    for side in SIDES:
+        text = f"swing line {side.upper()}"
+        last = Quantity("m3/s", f"Flow from {text} to the motor", 1e-3)
+        lines.append((text, declared[f"swing_flow_{side}"], last))
+    return make_group("DetailedSwingState", dict(names.declarations("swing", lines, declared)))
 
 
 def default_lumps() -> int:
     """Lumps per line for the values of parameters.toml."""
-    return hose.default_lumps(line(group_of(PARAMETERS, DetailedSwingParameters)))
+    return hose.default_lumps(line(group_of(drive.PARAMETERS, DetailedSwingParameters)))
 
 
 def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
@@ -179,28 +147,21 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
     unsteady_friction   whether lines have frequency-dependent friction: three more states for each flow
     """
     count = default_lumps() if lumps is None else lumps
-    a, b = (
-        hose.state_names(
-            *(f"swing_flow_{side}", f"swing_motor_flow_{side}", "swing_line", f"_{side}"),
-            *(count, unsteady_friction),
-        )
-        for side in SIDES
-    )
-    names = (a, b)
-    state = make_group("DetailedSwingState", dict(_states(names)))
+    names = _names(count, unsteady_friction)
+    state = _state(names)
     sub = drive.variant(
         text="Detailed hydraulic swing drive: spool dynamics, lines, motor and gear, air, relief valves",
         parameters=DetailedSwingParameters,
         states=state,
         outputs=DetailedSwingOutputs,
-        dynamics=lambda x, u, p: state(**_rates(names, x, u, p)),
-        observe=lambda x, u, p: _observe(names, x, u, p),
-        initial=lambda x, u, p: _initial(names, x, u, p),
-        require=drive.require_tables,
+        dynamics=partial(_dynamics, names, state),
+        observe=partial(_observe, names),
+        initial=partial(_initial, names),
+        require=drive.require,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}
-    return family("swing", **others, detailed=at_temperature(sub))["detailed"]
+    return family("swing", **others, detailed=sub)["detailed"]
 
 
 SWING = detailed()

@@ -4,19 +4,22 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 """
 
 import math
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fmus import ports
-from fmus.components import chamber, hose, load_sensing, motor, opening_curve, spool_valve
+from fmus.components import chamber, hose, load_sensing, motor, opening_curve, orifice, spool_valve
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
-from fmus.components.spool_valve import EdgeFlows, Valve
+from fmus.components.orifice import PressureValve
+from fmus.components.spool_valve import EdgeFlows
 from fmus.contract import Scalar, Subsystem, Terminal, quantities
 from fmus.swing.variables import LinePressures, SwingInputs
 
+PARAMETERS = Path(__file__).with_name("parameters.toml")
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
 
@@ -28,6 +31,27 @@ def displacement(p: Any) -> Scalar:
 def leakage(p: Any) -> Pair:
     """Leakage resistances R_in and R_ex [Pa.s/m3]."""
     return p.internal_leakage_resistance, p.external_leakage_resistance
+
+
+@dataclass(frozen=True)
+class MotorValves:
+    """Flows [m3/s] of the valves at the motor: relief from line A to line B, anti-cavitation into each line.
+
+    heat   that they dissipate [W]
+    """
+
+    cross: Scalar
+    anti: Pair
+    heat: Scalar
+
+
+def motor_valves(p: Any, u: SwingInputs, x: Any) -> MotorValves:
+    """Crossover relief valves, and make-up from the return line."""
+    (a, b), tank, anti = pressures(x), u.tank_pressure, PressureValve.of(p, "anti_cavitation")
+    cross = orifice.cross_flow(PressureValve.of(p, "relief"), a - b)
+    into_a, into_b = orifice.relief_flow(anti, tank - a), orifice.relief_flow(anti, tank - b)
+    make_up = into_a * (tank - a) + into_b * (tank - b)
+    return MotorValves(cross, (into_a, into_b), cross * (a - b) + make_up)
 
 
 def derive_capacitance(p: Any) -> dict[str, Scalar]:
@@ -46,29 +70,37 @@ def derive(p: Any) -> dict[str, Scalar]:
     }
 
 
+def pressures(x: Any) -> Pair:
+    """Pressures [Pa] of the lines in a state, or their rates [Pa/s] in its rates."""
+    return x.swing_pressure_a, x.swing_pressure_b
+
+
 def observe(
     p: Any,
     u: SwingInputs,
-    pressures: Pair,
+    x: Any,
+    rates: Pair,
     flows: Pair,
     valve: tuple[EdgeFlows, EdgeFlows],
     nodes: MotorNodes,
-    node_rates: Pair,
-    load: LoadPressure,
+    node_rates: Pair | None = None,
+    load: LoadPressure | None = None,
 ) -> dict[str, Scalar]:
     """Outputs except `stored_energy`.
 
-    pressures, flows    of the lines
+    x                   state, with the pressures of the lines
+    rates, flows        rates of the pressures of the lines, and their flows
     valve, nodes        ports of valve and motor
-    node_rates          rates of the motor's port pressures
-    load                load pressure
+    node_rates          rates of the motor's port pressures; default: those of the lines
+    load                load pressure; default: that of a valve without dynamics
 
     The dissipated power is that of edges and leakage; lines are added by the variants.
     """
+    node_rates, load = node_rates or rates, load or _load_pressure(p, u, x, rates)
     edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in valve)
     return {
-        "swing_pressure_a": pressures[0],
-        "swing_pressure_b": pressures[1],
+        "swing_pressure_a": x.swing_pressure_a,
+        "swing_pressure_b": x.swing_pressure_b,
         "swing_flow_a": flows[0],
         "swing_flow_b": flows[1],
         "swing_torque": displacement(p) * (nodes.pressure_1 - nodes.pressure_2),
@@ -80,32 +112,27 @@ def observe(
         "swing_motor_pressure_a": nodes.pressure_1,
         "swing_motor_pressure_b": nodes.pressure_2,
         "swing_drain_flow": nodes.drain,
-        "swing_void_volume": sum(map(chamber.cavity_volume, pressures)),
+        "swing_void_volume": sum(map(chamber.cavity_volume, pressures(x))),
         "dissipated_power": edges + motor.leakage_loss(nodes, u.tank_pressure, *leakage(p)),
     }
 
 
-def load_pressure(p: Any, u: SwingInputs, pressures: Pair, rates: Pair) -> LoadPressure:
-    """Load pressure of a valve without dynamics; pressures of the lines [Pa] and their rates."""
+def _load_pressure(p: Any, u: SwingInputs, x: Any, rates: Pair) -> LoadPressure:
+    """Load pressure of a valve without dynamics."""
     curves = OpeningCurves.of(p, "valve")
     bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
     command = (u.swing_command, u.swing_command_rate)
-    return load_sensing.load_pressure(*command, bands, p.valve_full_command, pressures, rates, u)
+    return load_sensing.load_pressure(*command, bands, p.valve_full_command, pressures(x), rates, u)
 
 
-def initial_pressures(u: SwingInputs, p: Any) -> dict[str, Scalar]:
+def initial_pressures(x: object, u: SwingInputs, p: Any) -> dict[str, Scalar]:
     """Initial state of both lines: at the preload, no torque."""
     return dict.fromkeys(quantities(LinePressures), u.tank_pressure + p.initial_preload)
 
 
-def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:
-    """Requirements of the tables of the valve."""
-    return opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
-
-
 def require(x: object, u: object, p: Any) -> dict[str, Scalar]:
     """Requirements of the valve."""
-    return spool_valve.opens(Valve.of(p, "valve")) | require_tables(x, u, p)
+    return spool_valve.requirements(p)
 
 
 TERMINALS: tuple[Terminal, ...] = (
@@ -116,11 +143,9 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.load_sensing_line("swing"),
 )
 
-# what all variants declare alike; `at_temperature` of the result has the parameters of warm oil
-variant = partial(
-    Subsystem,
-    name="swing",
-    inputs=SwingInputs,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
-)
+
+def variant(**declared: Any) -> Subsystem:
+    """A variant with the parameters of warm oil; declared: what it does not declare like all others."""
+    return at_temperature(
+        Subsystem(name="swing", inputs=SwingInputs, values=PARAMETERS, terminals=TERMINALS, **declared)
+    )

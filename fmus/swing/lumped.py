@@ -12,7 +12,6 @@ The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is requi
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar
@@ -35,7 +34,7 @@ def _motor(pressures: tuple[Scalar, Scalar, Scalar], speed: Scalar, p: SwingPara
 def dynamics(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingState:
     """Time derivative of the state, field by field."""
     port_a, port_b = _ports(x, u, p)
-    nodes = _motor((x.swing_pressure_a, x.swing_pressure_b, u.tank_pressure), u.swing_speed, p)
+    nodes = _motor((*drive.pressures(x), u.tank_pressure), u.swing_speed, p)
     line = (p.line_inertance, p.line_turbulent_resistance, p.valve_transition_flow)
     c = p.line_capacitance
     return SwingState(
@@ -48,16 +47,12 @@ def dynamics(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingState:
 
 def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     """Outputs."""
-    dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
-    flows = (x.swing_flow_a, x.swing_flow_b)
-    nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
-    line_rates = (dx.swing_pressure_a, dx.swing_pressure_b)
+    line_rates, flows = drive.pressures(dynamics(x, u, p)), (x.swing_flow_a, x.swing_flow_b)
+    nodes = _motor((*drive.pressures(x), u.tank_pressure), u.swing_speed, p)
     rates = _motor((*line_rates, u.tank_pressure_rate), u.swing_acceleration, p)
-    load = drive.load_pressure(p, u, pressures, line_rates)
-    outputs = drive.observe(
-        p, u, pressures, flows, _ports(x, u, p), nodes, (rates.pressure_1, rates.pressure_2), load
-    )
-    compression = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
+    node_rates = (rates.pressure_1, rates.pressure_2)
+    outputs = drive.observe(p, u, x, line_rates, flows, _ports(x, u, p), nodes, node_rates)
+    compression = sum(chamber.stored_energy(q, p.line_capacitance) for q in drive.pressures(x))
     outputs["stored_energy"] = compression + p.line_inertance * (x.swing_flow_a**2 + x.swing_flow_b**2) / 2
     outputs["dissipated_power"] += sum(q**2 * p.line_resistance for q in (nodes.flow_1, nodes.flow_2)) + sum(
         q * spool_valve.turbulent_drop(q, p.line_turbulent_resistance, p.valve_transition_flow) for q in flows
@@ -67,20 +62,18 @@ def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
 
 def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, oil at rest, no torque."""
-    return drive.initial_pressures(u, p) | {"swing_flow_a": 0, "swing_flow_b": 0}
+    return drive.initial_pressures(x, u, p) | {"swing_flow_a": 0, "swing_flow_b": 0}
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive: spool valve, lines, motor and gear",
-        parameters=SwingParameters,
-        states=SwingState,
-        outputs=SwingOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=drive.derive,
-        validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
-    )
+SWING = drive.variant(
+    text="Hydraulic swing drive: spool valve, lines, motor and gear",
+    parameters=SwingParameters,
+    states=SwingState,
+    outputs=SwingOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=drive.require,
+    derive=drive.derive,
+    validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
 )

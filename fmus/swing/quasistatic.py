@@ -11,10 +11,8 @@ pressures are those of the motor ports. The torque depends only on states.
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Scalar
 from fmus.swing import drive
 from fmus.swing.variables import LinePressures, QuasistaticSwingParameters, SwingInputs, SwingOutputs
 
@@ -23,15 +21,10 @@ def _ports(
     x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters
 ) -> tuple[tuple[EdgeFlows, EdgeFlows], MotorNodes]:
     """Ports of the valve, and nodes of the motor."""
-    lines, valve = (x.swing_pressure_a, x.swing_pressure_b), Valve.of(p, "valve")
-    pressures = (*lines, u.supply_pressure, u.tank_pressure)
+    lines = drive.pressures(x)
     ports = spool_valve.ports_from_pressure(
-        valve,
-        u.swing_command,
-        *pressures,
-        p.density,
-        p.line_turbulent_resistance,
-        OpeningCurves.of(p, "valve"),
+        *(Valve.of(p, "valve"), u.swing_command, *lines, u.supply_pressure, u.tank_pressure),
+        *(p.density, p.line_turbulent_resistance, OpeningCurves.of(p, "valve")),
     )
     displaced = drive.displacement(p) * u.swing_speed
     return ports, motor.nodes_at_port_pressures(*lines, u.tank_pressure, displaced, *drive.leakage(p))
@@ -50,32 +43,22 @@ def dynamics(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) ->
 def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> SwingOutputs:
     """Outputs."""
     valve, nodes = _ports(x, u, p)
-    dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
-    flows = (valve[0].line, valve[1].line)
-    rates = (dx.swing_pressure_a, dx.swing_pressure_b)
-    load = drive.load_pressure(p, u, pressures, rates)
-    outputs = drive.observe(p, u, pressures, flows, valve, nodes, rates, load)
-    energy = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
+    rates, flows = drive.pressures(dynamics(x, u, p)), (valve[0].line, valve[1].line)
+    outputs = drive.observe(p, u, x, rates, flows, valve, nodes)
+    energy = sum(chamber.stored_energy(q, p.line_capacitance) for q in drive.pressures(x))
     return SwingOutputs(**outputs, stored_energy=energy)
 
 
-def initial(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> dict[str, Scalar]:
-    """Initial state: both lines at the preload, no torque."""
-    return drive.initial_pressures(u, p)
-
-
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
-        parameters=QuasistaticSwingParameters,
-        states=LinePressures,
-        outputs=SwingOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=drive.derive_capacitance,
-        validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
-        stiff=False,
-    )
+SWING = drive.variant(
+    text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
+    parameters=QuasistaticSwingParameters,
+    states=LinePressures,
+    outputs=SwingOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=drive.initial_pressures,
+    require=drive.require,
+    derive=drive.derive_capacitance,
+    validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
+    stiff=False,
 )

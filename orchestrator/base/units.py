@@ -133,7 +133,7 @@ def si_unit(text: str) -> str:
     plain = normalised(text)
     powers: dict[str, int] = {}
     for name, power in [(plain, 1)] if plain in _OTHER else _factors(plain):
-        symbol = name if _is_symbol(name) else name[1:]
+        symbol = name if name in BASES or name in _DERIVED or name in _OTHER else name[1:]
         for part, n in _factors(_OTHER[symbol][1]) if symbol in _OTHER else [(symbol, 1)]:
             powers[part] = powers.get(part, 0) + n * power
     numerator = [_powered(name, n) for name, n in powers.items() if n > 0]
@@ -278,10 +278,6 @@ def pretty(unit: str) -> str:
 def superscript(digits: str) -> str:
     """Digits as superscripts."""
     return digits.translate(_RAISED)
-
-
-def _is_symbol(name: str) -> bool:
-    return name in BASES or name in _DERIVED or name in _OTHER
 
 
 def _symbol_unit(name: str) -> Unit:

@@ -235,14 +235,6 @@ def as_text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def xml_text(root: Element) -> bytes:
-    """The content of the file with this root."""
-    from lxml import etree
-
-    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
-    return text
-
-
 def attributes(values: Mapping[str, object] | None = None, /, **more: object) -> Markup:
     """Attributes of an element as text; those that are None are left out."""
     texts = {name: as_text(value) for name, value in {**(values or {}), **more}.items() if value is not None}
@@ -259,7 +251,8 @@ def rendered_xml(template: Path, **content: object) -> bytes:
     root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))
     for element in root.iter():
         element.text = (element.text or "").strip() or None  # the parser keeps blanks in an empty element
-    return xml_text(root)
+    made: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return made
 
 
 @cache

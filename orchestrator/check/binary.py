@@ -112,13 +112,13 @@ def _parse(path: Path) -> Iterator[dict[str, Any]]:
 
     lief.logging.disable()
     if lief.is_elf(str(path)):
-        yield _elf(_checked(lief.ELF.parse(str(path))))
+        yield _elf(lief, _checked(lief.ELF.parse(str(path))))
     elif lief.is_pe(str(path)):
-        yield _pe(_checked(lief.PE.parse(str(path))))
+        yield _pe(lief, _checked(lief.PE.parse(str(path))))
     elif lief.is_macho(str(path)):
         universal = _checked(lief.MachO.parse(str(path)))  # must exist as long as its parts are used
         for part in range(universal.size):
-            yield _macho(universal.at(part))
+            yield _macho(lief, universal.at(part))
 
 
 def _decoded(fields: dict[str, Any]) -> dict[str, Any]:
@@ -141,10 +141,9 @@ def _machine(value: Any) -> str:
     return MACHINES.get(value.name, str(value.name).lower())
 
 
-def _elf(b: Any) -> dict[str, Any]:
-    import lief
-
-    tags, flag = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment
+def _elf(lief: Any, b: Any) -> dict[str, Any]:
+    tags, types, flags = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment.TYPE, lief.ELF.Segment.FLAGS
+    executable = [s for s in b.segments if s.has(flags.X)]
     undefined = [s for s in b.dynamic_symbols if not s.shndx and s.name]
     versions: dict[str, tuple[int, ...]] = {}
     families = {}
@@ -155,8 +154,8 @@ def _elf(b: Any) -> dict[str, Any]:
             numbers = tuple(int(n) for n in version.split(".") if n.isdigit())
             versions[family] = max(versions.get(family, ()), numbers)
     traits = {
-        "executable stack": any(s.type == flag.TYPE.GNU_STACK and s.has(flag.FLAGS.X) for s in b.segments),
-        "writable code": any(_is_writable_code(s, flag) for s in b.segments),
+        "executable stack": any(s.type == types.GNU_STACK for s in executable),
+        "writable code": any(s.type == types.LOAD and s.has(flags.W) for s in executable),
         "text relocations": b.has(tags.TEXTREL),
     }
     libraries = [str(n) for n in b.libraries]
@@ -167,7 +166,7 @@ def _elf(b: Any) -> dict[str, Any]:
         "exports": [s.name for s in b.dynamic_symbols if s.shndx and s.name],
         "libraries": libraries,
         "imports": [s.name for s in undefined],
-        "unresolved": _unresolved(undefined, libraries, families),
+        "unresolved": _unresolved(lief, undefined, libraries, families),
         "versions": versions,
         "rpaths": [p for e in b.dynamic_entries if e.tag in (tags.RPATH, tags.RUNPATH) for p in e.paths],
         "traits": tuple(trait for trait, found in traits.items() if found),
@@ -175,12 +174,9 @@ def _elf(b: Any) -> dict[str, Any]:
     }
 
 
-def _is_writable_code(segment: Any, flag: Any) -> bool:
-    load = segment.type == flag.TYPE.LOAD
-    return bool(load and segment.has(flag.FLAGS.W) and segment.has(flag.FLAGS.X))
-
-
-def _unresolved(symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]) -> tuple[str, ...]:
+def _unresolved(
+    lief: Any, symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]
+) -> tuple[str, ...]:
     """Undefined symbols without a version, if all needed libraries have versioned symbols.
 
     All symbols of glibc and of the compiler's libraries have versions. A symbol without version must come
@@ -188,17 +184,13 @@ def _unresolved(symbols: list[Any], libraries: Iterable[str], versioned: Iterabl
     """
     if not set(versioned) or set(libraries) - set(versioned):
         return ()
-    import lief
-
     weak = lief.ELF.Symbol.BINDING.WEAK
     strong = (s for s in symbols if s.binding != weak)
     unversioned = [s for s in strong if not (s.has_version and s.symbol_version.has_auxiliary_version)]
     return tuple(sorted(s.name for s in unversioned))
 
 
-def _pe(b: Any) -> dict[str, Any]:
-    import lief
-
+def _pe(lief: Any, b: Any) -> dict[str, Any]:
     flags = lief.PE.Section.CHARACTERISTICS
     executable = [s for s in b.sections if s.has_characteristic(flags.MEM_EXECUTE)]
     writable_code = any(s.has_characteristic(flags.MEM_WRITE) for s in executable)
@@ -214,15 +206,14 @@ def _pe(b: Any) -> dict[str, Any]:
     }
 
 
-def _macho(b: Any) -> dict[str, Any]:
-    import lief
-
+def _macho(lief: Any, b: Any) -> dict[str, Any]:
     arm, files = b.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64, lief.MachO.Header.FILE_TYPE
     macos = (
         b.build_version.minos if b.has_build_version else b.version_min.version if b.has_version_min else ()
     )
-    # libraries for old versions of macOS list their exports in the symbol table only
-    exports = list(b.exported_functions) or [s for s in b.symbols if _is_defined(s)]
+    # libraries for old versions of macOS list their exports in the symbol table only, as external symbols of
+    # a section: N_EXT is set, N_TYPE is N_SECT, N_STAB is zero
+    exports = list(b.exported_functions) or [s for s in b.symbols if s.raw_type & 0xEF == 0x0F]
     return {
         "format": "Mach-O",
         "machine": _machine(b.header.cpu_type),
@@ -235,11 +226,6 @@ def _macho(b: Any) -> dict[str, Any]:
         "debug": sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
         "macos": tuple(macos),
     }
-
-
-def _is_defined(symbol: Any) -> bool:
-    """An external symbol of a section: N_EXT is set, N_TYPE is N_SECT, N_STAB is zero."""
-    return bool(symbol.raw_type & 0xEF == 0x0F)
 
 
 def required(major: int, kinds: Collection[str]) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.probe_process import run
 from orchestrator.check.probes import first_run
 from orchestrator.check.read_ls_ref import (
@@ -28,7 +29,7 @@ from orchestrator.check.read_ls_ref import (
     relative,
     table,
 )
-from orchestrator.check.rule import CheckRule, Finding, error, note, warning
+from orchestrator.check.rule import CheckRule
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
 from orchestrator.data.trace import rms, span
@@ -87,8 +88,7 @@ def _numeric_columns(
 ) -> list[str]:
     """Columns of numeric variables; columns that are not variables are reported."""
     variables = model.by_name
-    unknown = [n for n in content.columns if n not in variables]
-    if unknown:
+    if unknown := [n for n in content.columns if n not in variables]:
         text = f"the model has no variables {', '.join(unknown[:5])}, which {file} contains"
         result.problems.append(text)
     return [n for n in content.columns if n in variables and variables[n].is_number]
@@ -159,16 +159,12 @@ def _errors(
     errors: dict[str, float] = {}
     results = [np.array(run[key]) for key in ("before", "after") if run[key]]
     for i, v in enumerate(flat(variables)):
-        scale = _scale(expected[:, i], v)
-        values = [rms(rows[:, i] - expected[:, i]) / scale for rows in results]
+        column = expected[:, i]
+        scale = span(column) or max(float(np.max(np.abs(column))), v.nominal)  # of a constant its magnitude
+        values = [rms(rows[:, i] - column) / scale for rows in results]
         smallest = min((x for x in values if not math.isnan(x)), default=math.inf)
         errors[v.name] = max(smallest, errors.get(v.name, 0.0))
     return errors
-
-
-def _scale(column: NDArray[np.float64], v: DeclaredVariable) -> float:
-    """The range of a signal; for a constant signal its magnitude."""
-    return span(column) or max(float(np.max(np.abs(column))), v.nominal)
 
 
 ERROR_LEVEL, WARNING_LEVEL = 1e-2, 1e-3  # NRMSE above which a finding is an error, a warning

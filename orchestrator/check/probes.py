@@ -10,8 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from orchestrator.check.finding import MAKE, Finding, note
 from orchestrator.check.probe_process import Outcome, run
-from orchestrator.check.rule import MAKE, Finding, note, rules_in
+from orchestrator.check.rule import rules_in
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
 from orchestrator.fmi.raw_description import INTERFACES, ModelDescription

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from orchestrator.check.rule import SEVERITIES, CheckRule, Finding, Severity
+from orchestrator.check.finding import SEVERITIES, Finding, Severity
+from orchestrator.check.rule import CheckRule
 
 
 @dataclass(frozen=True)

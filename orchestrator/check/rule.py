@@ -1,6 +1,4 @@
-"""Findings of a check, and its rules: functions with the names of the rules in rules.toml and probes.toml."""
-
-from __future__ import annotations
+"""Rules of a check: functions with the names of the rules in rules.toml and probes.toml."""
 
 import re
 import tomllib
@@ -11,70 +9,15 @@ from inspect import getdoc
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any
 
 from orchestrator.base.errors import one_line
-
-if TYPE_CHECKING:
-    from orchestrator.check.subject import Subject
-    from orchestrator.fmi.raw_description import DeclaredVariable
-
-Severity = Literal["error", "warning", "note"]
-MAX_NAME = 60  # characters of a name in a message
-SEVERITIES: tuple[Severity, ...] = get_args(Severity)  # worst first
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A fault of the FMU, or a remark.
-
-    rule      id of the rule, such as "unit.undefined"; if empty, the rule sets it
-    text      file or variable, line, expected and actual value
-    tools     ids of the tools that are affected; empty: any tool
-    thread    issue threads that report the problem, such as "FMPy#511"; the rule sets them
-    places    texts of the findings that differ in their places only, if there are several
-    """
-
-    rule: str
-    severity: Severity
-    text: str
-    tools: tuple[str, ...] = ()
-    thread: str = ""
-    places: tuple[str, ...] = ()
-
-
-def error(text: str, *tools: str) -> Finding:
-    """A finding about a violation of the standard, or a fault that stops a tool."""
-    return Finding("", "error", text, tools)
-
-
-def warning(text: str, *tools: str) -> Finding:
-    """A finding about wrong or poor results, or a fault that stops some tools on some machines."""
-    return Finding("", "warning", text, tools)
-
-
-def note(text: str, *tools: str) -> Finding:
-    """A finding for information; nothing fails."""
-    return Finding("", "note", text, tools)
-
-
-MAKE = {"error": error, "warning": warning, "note": note}
-
-
-def join_names(names: Sequence[str], limit: int = 5) -> str:
-    """The first names, shortened if they are too long, and the number of the others."""
-    first = [n if len(n) <= MAX_NAME else n[: MAX_NAME - 3] + "..." for n in names[:limit]]
-    return ", ".join(first) + (f" and {len(names) - limit} more" if len(names) > limit else "")
-
-
-def join_variables(variables: Sequence[DeclaredVariable]) -> str:
-    """Line of the first variable, and the names of all."""
-    return f"modelDescription.xml line {variables[0].line}: {join_names([v.name for v in variables])}"
-
+from orchestrator.check.finding import Finding, Severity, join_names
+from orchestrator.check.subject import Subject
 
 MAX_FINDINGS = 10_000  # of one rule; a report shows five
 VERSIONS = ("2.0.5", "3.0.2")  # of the standard, whose clauses rules name
-Check = Callable[["Subject"], Iterable[Finding | str]]
+Check = Callable[[Subject], Iterable[Finding | str]]
 
 
 @dataclass(frozen=True)

@@ -8,25 +8,15 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from orchestrator.base import files
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import (
-    FULL,
-    ZIP_ERRORS,
-    extract_member,
-    name_fault,
-    open_archive,
-    overlap,
-    size_fault,
-    temporary_folder,
-    why_unreadable,
-)
 from orchestrator.base.xml import MAX_BYTES, Element, excess, too_large
 from orchestrator.check.binary import Binary, read_all
-from orchestrator.check.rule import Finding
+from orchestrator.check.finding import Finding
 from orchestrator.fmi.raw_description import ModelDescription, read_description
 
 DESCRIPTION = "modelDescription.xml"
@@ -36,11 +26,18 @@ SYMBOLIC_LINK = 0o120000
 def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
     """Unpack members with safe names into `folder`; returns the names of all members, and findings."""
     try:
-        with path.open("rb") as file, open_archive(file) as archive:
+        with path.open("rb") as file, files.open_archive(file) as archive:
             members = archive.infolist()
-            refusals = list(_refusals(members, path.stat().st_size))
-            faults = refusals or [*_faults(members), *_extract(archive, folder)]
-    except ZIP_ERRORS as problem:
+            refused = {
+                "archive.size": files.size_fault(members, path.stat().st_size),
+                "archive.zip": files.overlap(members),
+            }
+            told = [
+                (rule, f"{fault}; its members are not checked") for rule, fault in refused.items() if fault
+            ]
+            faults = [Finding(rule, "error", text) for rule, text in told]
+            faults = faults or [*_faults(members), *_extract(archive, folder)]
+    except files.ZIP_ERRORS as problem:
         text = f"{path.name}: expected a zip archive, got {_content(path)}: {problem}"
         return (), (Finding("archive.zip", "error", text),)
     return tuple(m.orig_filename for m in members), tuple(faults)
@@ -58,25 +55,18 @@ def _content(path: Path) -> str:
     return next((name for start, name in formats.items() if head.startswith(start)), "an unknown format")
 
 
-def _refusals(members: list[zipfile.ZipInfo], packed: int) -> Iterator[Finding]:
-    """Findings for which an archive of `packed` bytes is not unpacked."""
-    for rule, fault in (("archive.size", size_fault(members, packed)), ("archive.zip", overlap(members))):
-        if fault:
-            yield Finding(rule, "error", f"{fault}; its members are not checked")
-
-
 def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
     """Findings about the members listed in the central directory of the archive."""
     names: dict[str, str] = {}
     for member in members:
         name = f"member {member.orig_filename!r}"
-        if fault := name_fault(member):
+        if fault := files.name_fault(member):
             yield Finding("archive.name", "error", f"{name} {fault}")
         elif "\\" in member.orig_filename:
             yield Finding("archive.name", "error", f"{name} has a backslash, expected forward slashes")
         if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
             yield Finding("archive.link", "error", f"{name} is a symbolic link, expected a file")
-        if fault := why_unreadable(member):
+        if fault := files.why_unreadable(member):
             yield Finding("archive.method", "error", f"{name} {fault}")
         elif member.compress_type == zipfile.ZIP_STORED and member.flag_bits & 8 and member.file_size:
             text = f"{name} is stored with a data descriptor, expected none"
@@ -91,12 +81,12 @@ def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
 def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
     """Unpack the members that can be unpacked; yields findings on the others."""
     for member in archive.infolist():
-        if name_fault(member) or why_unreadable(member) or member.is_dir():
+        if files.name_fault(member) or files.why_unreadable(member) or member.is_dir():
             continue
         try:
-            extract_member(archive, member, folder)
-        except ZIP_ERRORS as problem:
-            if isinstance(problem, OSError) and problem.errno in FULL:
+            files.extract_member(archive, member, folder)
+        except files.ZIP_ERRORS as problem:
+            if isinstance(problem, OSError) and problem.errno in files.FULL:
                 raise Problem(
                     f"{archive.filename}: cannot be unpacked into {folder}: {problem.strerror}"
                 ) from None
@@ -122,7 +112,7 @@ class Subject:
     version: str = ""
     root: Element = None
     names: tuple[str, ...] = ()
-    faults: tuple[Finding, ...] = field(default=())
+    faults: tuple[Finding, ...] = ()
 
     @property
     def major(self) -> int:
@@ -150,7 +140,7 @@ class Subject:
 @contextmanager
 def open_subject(path: Path) -> Iterator[Subject]:
     """Unpack an FMU into a temporary folder and parse it; faults become findings of the subject."""
-    with temporary_folder("harvester-check-", str(path)) as folder:
+    with files.temporary_folder("harvester-check-", str(path)) as folder:
         yield parse_unpacked(path, folder, *unpack(path, folder))
 
 
@@ -158,17 +148,21 @@ def parse_unpacked(
     path: Path, folder: Path, names: tuple[str, ...] = (), faults: tuple[Finding, ...] = ()
 ) -> Subject:
     """Parse an FMU that is already unpacked in `folder`; `names` and `faults` are those of the archive."""
-    root, fault = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
+    root, fault = read_xml(folder, DESCRIPTION)
     xml_faults = (Finding("xml.syntax", "error", fault),) if fault else ()
     version = "" if root is None else root.get("fmiVersion", "")
     return Subject(path, folder, version, root, names, (*faults, *xml_faults))
 
 
 def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
-    """The root of an XML file, or None and the fault. Entities are not expanded, and nothing is fetched."""
+    """The root of an XML file, or None and the fault, which is empty if there is no such file.
+
+    Entities are not expanded, and nothing is fetched.
+    """
     from lxml import etree
 
-    path = folder / file
+    if not (path := folder / file).is_file():
+        return None, ""
     if (size := path.stat().st_size) > MAX_BYTES:
         return None, f"{file}: expected at most {MAX_BYTES / 1e6:.0f} MB, got {size / 1e6:.0f} MB"
     text = path.read_bytes()

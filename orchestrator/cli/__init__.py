@@ -11,9 +11,13 @@ COMMANDS = (  # in the order of the help
     *("build", "modelica", "variants", "parameters", "signals", "check", "run", "validate", "compare"),
     *("plot", "reference", "convergence", "rig", "identify", "track", "linearize", "sweep", "view", "page"),
 )
-# commands in files of another name
-FILES = {**dict.fromkeys(("variants", "parameters", "signals"), "lists"), "reference": "run"}
-FILES |= {"plot": "compare", "rig": "identify"}
+FILES = {  # of commands in files of another name
+    **dict.fromkeys(("variants", "parameters", "signals"), "lists"),
+    **dict.fromkeys(("validate", "compare", "plot"), "results"),
+    **dict.fromkeys(("reference", "linearize"), "run"),
+    **dict.fromkeys(("convergence", "track", "sweep"), "studies"),
+    **{"rig": "identify", "page": "view"},
+}
 
 
 def application(command: str = "") -> Any:

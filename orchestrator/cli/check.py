@@ -31,13 +31,13 @@ def check(
     timeout   Time [s], above 0; a call to the FMU that takes longer counts as a hang.
     rules     Print the table of rules and check nothing.
     """
-    from orchestrator.check import all_rules
-    from orchestrator.check import check as run_check
+    from orchestrator.check.checking import RULES
+    from orchestrator.check.checking import check as run_check
     from orchestrator.check.probe_process import ProbeLimits, use_probe_limits
     from orchestrator.check.report import table
 
     if rules:
-        print(table(all_rules()))
+        print(table(RULES))
         return True
     if fmu is None:
         raise Problem("check: expected an FMU or --rules")

@@ -1,4 +1,4 @@
-"""`harvester view`: watch and drive the machine in a browser."""
+"""`harvester view` and `page`: watch and drive the machine in a browser, with or without a server."""
 
 from __future__ import annotations
 
@@ -79,3 +79,23 @@ def _default_system(swapped: Mapping[str, str]) -> Path:
                 problem = Problem(f"{problem}; {advice} {' '.join(words)}")
             raise problem from None
     return control
+
+
+@command
+def page(
+    system: System = None,
+    out: File = BUILD / "machine.html",
+    title: Annotated[str, Kind("TEXT")] = "Drive the harvester",
+) -> None:
+    """Write an HTML page on which you can drive the machine, without a server.
+
+    The page contains the whole machine (build/fmi3/harvester.fmu) as WebAssembly. Open the file in a browser.
+
+    out     HTML file to write.
+    title   Title of the page.
+    """
+    from orchestrator.base.files import require_system
+    from orchestrator.drive.page import write_page
+
+    path = write_page(out, require_system(system_file(system)), title)
+    print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

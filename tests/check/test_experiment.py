@@ -9,9 +9,9 @@ from kit.mistakes import table
 
 from check.oscillator import Oscillators
 from check.test_probes import opened
+from orchestrator.check.finding import Finding
 from orchestrator.check.ls_ref_comparison import EXPERIMENT
 from orchestrator.check.read_ls_ref import FOLDER
-from orchestrator.check.rule import Finding
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"
 HEAD = f'<fmiReferences xmlns:l="{LS}" l:fmi-ls-name="org.fmi-standard.fmi-ls-ref">'

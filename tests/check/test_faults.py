@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from check.good import DESCRIPTION, Archive
-from orchestrator.check import check
+from orchestrator.check.checking import check
 
 Fault = Mapping[str, Any]
 FAULTS: list[Fault] = [  # the comment in the file explains the keys

@@ -15,7 +15,7 @@ from kit.properties import examples
 
 from check.good import DESCRIPTION, Archive
 from orchestrator.base.errors import Problem
-from orchestrator.check import DEFECT, _without_repeats, check
+from orchestrator.check.checking import DEFECT, _without_repeats, check
 
 LFS_POINTER = "version https://git-lfs.github.com/spec/v1\n"
 
@@ -159,7 +159,9 @@ def test_fmpy_speaks_where_no_rule_does(
     lacking = good[2].swap('<Unknown index="5" dependencies="2 3 4"/>', "")
     path = lacking.write(tmp_path / "lag.fmu")
     assert rules(path) == {"structure.initial"}
-    monkeypatch.setattr("orchestrator.check._without_repeats", lambda found, _: _without_repeats(found, ()))
+    monkeypatch.setattr(
+        "orchestrator.check.checking._without_repeats", lambda found, _: _without_repeats(found, ())
+    )
     assert rules(path) == {"structure.initial", "fmpy.validate"}
     for tool, severity in (("any", "warning"), ("fmpy", "error")):
         findings = check(path, tool, run=False).findings

@@ -8,7 +8,7 @@ from kit import shards
 from kit.any_fmu.models import MODELS, Workshop
 
 from check.good import Archive
-from orchestrator.check import check
+from orchestrator.check.checking import check
 from orchestrator.check.report import ANY, TOOLS
 
 

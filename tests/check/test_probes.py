@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from kit import shards
 
+from orchestrator.check.finding import Finding
 from orchestrator.check.probe_process import ProbeLimits, probe_limits, use_probe_limits
 from orchestrator.check.probes import PROBES
-from orchestrator.check.rule import Finding
 from orchestrator.check.subject import Subject, parse_unpacked
 from orchestrator.check.tasks import importing_solver, leaks
 from orchestrator.check.tasks.runner import Trial

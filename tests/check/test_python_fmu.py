@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.check import check
+from orchestrator.check.checking import check
 
 PUMP = '''"""A pump in Python."""
 import {package}

@@ -13,9 +13,9 @@ from check.test_binaries import FAULTS as BINARY_FAULTS
 from check.test_faults import FAULTS
 from check.test_probes import PLANTED
 from orchestrator.__main__ import main
-from orchestrator.check import all_rules, check
+from orchestrator.check.checking import RULES, check
+from orchestrator.check.finding import SEVERITIES, Finding, error
 from orchestrator.check.report import MAX_PRINTED, TOOLS, CheckReport, table
-from orchestrator.check.rule import SEVERITIES, Finding, error
 from orchestrator.check.rules import STATIC
 from orchestrator.check.subject import open_subject
 
@@ -42,7 +42,7 @@ def test_every_rule_has_a_planted_fault_and_an_id_of_its_own() -> None:
     planted = {f["rule"] for f in FAULTS} | {rule for rule, _, _ in BINARY_FAULTS.values()}
     assert {r.id for r in STATIC} - planted - ELSEWHERE == set()
     assert ELSEWHERE & planted == set()
-    everything = all_rules()
+    everything = RULES
     known = {r.id for r in everything}
     assert len(known) == len(everything)
     assert all(r.text and "." in r.id for r in everything)
@@ -51,7 +51,7 @@ def test_every_rule_has_a_planted_fault_and_an_id_of_its_own() -> None:
 
 def test_an_error_has_a_clause(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """Planted faults that are errors break a clause; without one, an error becomes a warning."""
-    rules = {rule.id: rule for rule in all_rules()}
+    rules = {rule.id: rule for rule in RULES}
     errors = {f["rule"] for f in FAULTS if f.get("severity", "error") == "error"}
     errors |= {f"run.{probe}" for probe, _, more in PLANTED if more.get("severity", "error") == "error"}
     assert [rule for rule in errors if not rules[rule].clause] == []
@@ -132,11 +132,11 @@ def test_the_docs_count_the_rules_and_verdicts(capsys: pytest.CaptureFixture[str
     """docs/check.md states how many rules `--rules` prints, and each tool with its verdicts."""
     assert main(["check", "--rules"]) == 0
     printed = capsys.readouterr().out.strip()
-    assert printed == table(all_rules())
-    running = sum(rule.id.startswith(("run.", "reference.")) for rule in all_rules())
-    text, total = DOCS.read_text("utf-8"), len(all_rules())
+    assert printed == table(RULES)
+    running = sum(rule.id.startswith(("run.", "reference.")) for rule in RULES)
+    text, total = DOCS.read_text("utf-8"), len(RULES)
     assert f"[{total} rules](reference/check-rules.md) {total - running} only read the FMU" in text
-    assert f"{sum(bool(rule.threads) for rule in all_rules())} rules name such threads" in text
+    assert f"{sum(bool(rule.threads) for rule in RULES)} rules name such threads" in text
     for tool in TOOLS.values():
         assert f"|`{tool.id}`|{tool.name}|{tool.basis}|{len(tool.verdicts)}|" in text
     for name in re.findall(r"`(run\.\w+)`", text):

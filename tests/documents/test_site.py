@@ -90,7 +90,7 @@ def test_the_reference_is_complete(pages):
     import orchestrator.studies
     from fmus.contract import quantities
     from fmus.machine.parts import FAMILIES
-    from orchestrator.check import all_rules
+    from orchestrator.check.checking import RULES
     from orchestrator.cli import app
 
     def text(name: str) -> str:
@@ -105,7 +105,7 @@ def test_the_reference_is_complete(pages):
             rows = (f"{n.rpartition('_')[0]}s" if q.listed else n for n, q in declared.items())
             assert all(name in text("parameters") for name in rows)
             assert all(name in text("ports") for name in quantities(sub.outputs))
-    assert all(rule.id in text("check-rules") for rule in all_rules())
+    assert all(rule.id in text("check-rules") for rule in RULES)
     anchors = [a for name, page in pages.items() if "/api/" in name for a in page.xpath("//article//@id")]
     for package in (fmus, orchestrator, orchestrator.studies):
         names = [f"{package.__name__}.{name}" for name in package.__all__]

@@ -18,7 +18,7 @@ from fmus.export.compile import HEADERS, PLATFORMS, host, select, universal
 from fmus.machine.one_block import HARVESTER
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
-from orchestrator.check import check
+from orchestrator.check.checking import check
 
 lief.logging.disable()
 

@@ -23,7 +23,7 @@ from kit.any_fmu.models import Workshop
 from fmus.machine.ssp import VIEW
 from orchestrator import load
 from orchestrator.base.errors import Problem
-from orchestrator.check import DEFECT, check
+from orchestrator.check.checking import DEFECT, check
 from orchestrator.check.ls_ref_comparison import cases
 from orchestrator.check.read_ls_ref import FOLDER, manifest, parameter_set, table
 from orchestrator.check.subject import open_subject

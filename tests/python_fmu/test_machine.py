@@ -10,7 +10,7 @@ from kit.any_fmu.edit import edited
 from fmus.export.python.build import build_python, build_user
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator import load, run
-from orchestrator.check import check
+from orchestrator.check.checking import check
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.write import write_ssp
 from python_fmu.test_states import ACTUATOR

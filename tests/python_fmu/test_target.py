@@ -22,7 +22,7 @@ from fmus.export.compile import PLATFORMS, host
 from fmus.export.python.build import build_python, library
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.base.files import write_zip
-from orchestrator.check import check
+from orchestrator.check.checking import check
 from python_fmu.lag import built
 
 BOOM_STICK = SUBSYSTEMS["boom_stick"]

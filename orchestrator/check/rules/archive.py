@@ -8,7 +8,7 @@ from pathlib import PurePosixPath
 
 from orchestrator.base.files import why_unsafe
 from orchestrator.base.xml import child, children, local_name
-from orchestrator.check.rule import Finding, error, join_names, note, warning
+from orchestrator.check.finding import Finding, error, join_names, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
 from orchestrator.check.subject import DESCRIPTION, Subject, read_xml
@@ -44,19 +44,16 @@ def archive_description(subject: Subject) -> Iterator[str]:
 
 def archive_path(subject: Subject) -> Iterator[str]:
     """Paths in the archive are ASCII, have no spaces and are short enough for Windows."""
-    unusual = [n for n in subject.names if " " in n or not n.isascii()]
-    if unusual:
+    if unusual := [n for n in subject.names if " " in n or not n.isascii()]:
         yield f"{join_names(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
-    long = [n for n in subject.names if len(n) > MAX_PATH]
-    if long:
+    if long := [n for n in subject.names if len(n) > MAX_PATH]:
         yield f"member {long[0]!r} has {len(long[0])} characters, expected at most {MAX_PATH} for Windows"
 
 
 def archive_stray(subject: Subject) -> Iterator[str]:
     """The archive contains only files and folders of the standard."""
     top = {n.split("/")[0] for n in subject.names if not why_unsafe(n)}
-    unknown = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
-    if unknown:
+    if unknown := sorted(top - {DESCRIPTION, "model.png", *FOLDERS}):
         yield f"{', '.join(unknown[:5])}: not a file or folder of the standard; other data belong into extra/"
 
 
@@ -123,8 +120,7 @@ def contents_licence(subject: Subject) -> Iterator[str]:
 
 def contents_texts(subject: Subject) -> Iterator[str]:
     """The FMU has a description, author, version and generation tool."""
-    missing = [n for n in METADATA if not (subject.root.get(n) or "").strip()]
-    if missing:
+    if missing := [n for n in METADATA if not (subject.root.get(n) or "").strip()]:
         yield f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(missing)}"
 
 
@@ -172,14 +168,10 @@ def contents_size(subject: Subject) -> Iterator[str]:
         yield f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model"
 
 
-BUILD = "sources/buildDescription.xml"
+BUILD, SOURCE_FILES = "sources/buildDescription.xml", ("BuildConfiguration", "SourceFileSet", "SourceFile")
 CODE = (".c", ".cc", ".cpp", ".cxx")
 HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 HEADERS_3 = ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h")
-
-
-def _code(subject: Subject) -> list[str]:
-    return sorted(f for f in subject.files if f.startswith("sources/") and f.endswith(CODE))
 
 
 def _severity(subject: Subject) -> Callable[..., Finding]:
@@ -190,21 +182,18 @@ def _severity(subject: Subject) -> Callable[..., Finding]:
 def source_listed(subject: Subject) -> Iterator[Finding]:
     """Listed source files exist."""
     lists = [(DESCRIPTION, subject.root, (k, "SourceFiles", "File")) for k in subject.model.interfaces]
-    if BUILD in subject.files:
-        root, _ = read_xml(subject.folder, BUILD)
-        lists.append((BUILD, root, ("BuildConfiguration", "SourceFileSet", "SourceFile")))
+    lists.append((BUILD, read_xml(subject.folder, BUILD)[0], SOURCE_FILES))
     for where, root, path in lists:
         files = list(children(root, *path))
         names = dict.fromkeys(posixpath.normpath(f.get("name", "")) for f in files)
-        missing = [n for n in names if f"sources/{n}" not in subject.files]
-        if missing:
+        if missing := [n for n in names if f"sources/{n}" not in subject.files]:
             text = f"{len(missing)} of {len(names)} listed files are missing in sources/"
             yield _severity(subject)(f"{where} line {files[0].sourceline}: {text}: {join_names(missing)}")
 
 
 def source_build(subject: Subject) -> Iterator[Finding]:
     """Sources come with a list of the files to compile."""
-    code = _code(subject)
+    code = sorted(f for f in subject.files if f.startswith("sources/") and f.endswith(CODE))
     if not code or not subject.model.interfaces:
         return
     kinds = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
@@ -219,12 +208,10 @@ def source_build(subject: Subject) -> Iterator[Finding]:
 
 def source_description(subject: Subject) -> Iterator[Finding]:
     """buildDescription.xml is valid against its schema and consistent with modelDescription.xml."""
-    if BUILD not in subject.files:
-        return
-    finding = _severity(subject)
-    root, wrong = read_xml(subject.folder, BUILD)
-    if root is None:
+    finding, (root, wrong) = _severity(subject), read_xml(subject.folder, BUILD)
+    if wrong:
         yield finding(wrong)
+    if root is None:
         return
     for line, message in violations(root, "fmi3/fmi3BuildDescription.xsd"):
         yield finding(f"{BUILD} line {line}: {message}")
@@ -245,8 +232,7 @@ def source_description(subject: Subject) -> Iterator[Finding]:
 
 def source_name(subject: Subject) -> Iterator[str]:
     """A single source file has the name of the model (FMI 3)."""
-    root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files else (None, "")
-    names = {f.get("name") for f in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile")}
+    names = {f.get("name") for f in children(read_xml(subject.folder, BUILD)[0], *SOURCE_FILES)}
     for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
         expected = f"{(*subject.model.identifiers, 'model')[0]}.c"
         yield f"sources/{name}: expected a name such as {expected}; object files of several FMUs get mixed up"

@@ -8,7 +8,7 @@ from typing import Any
 
 from orchestrator.base.text import MODELICA
 from orchestrator.base.xml import local_name
-from orchestrator.check.rule import Finding, error, note, warning
+from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.rules.variables import CPP, C
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import parse_float
@@ -150,8 +150,7 @@ def identity_identifier(subject: Subject) -> Iterator[str]:
 def identity_keyword(subject: Subject) -> Iterator[str]:
     """The model identifier is not a keyword of Modelica or C++."""
     for name in subject.model.identifiers:
-        languages = [n for n, words in (("Modelica", MODELICA), ("C++", CPP)) if name in words]
-        if languages:
+        if languages := [n for n, words in (("Modelica", MODELICA), ("C++", CPP)) if name in words]:
             yield f"{DESCRIPTION}: modelIdentifier {name} is a keyword of {' and '.join(languages)}"
 
 

@@ -7,9 +7,11 @@ import ast
 import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 
+from orchestrator.base.text import grouped
 from orchestrator.check.binary import SUFFIXES, Binary, required
-from orchestrator.check.rule import Finding, error, join_names, note, warning
+from orchestrator.check.finding import Finding, error, join_names, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.fmi.library import platform_folders
 
@@ -121,15 +123,9 @@ def _next_to(b: Binary, library: str, subject: Subject) -> bool:
 def binary_libraries(subject: Subject) -> Iterator[Finding]:
     """The libraries that a library needs are on every machine of the platform, or in the same folder."""
     for b in subject.binaries:
-        needs: dict[tuple[str, bool], list[str]] = {}
-        for library in b.libraries:
-            if not (
-                re.fullmatch(SYSTEM[b.format], library)
-                or PYTHON_LIBRARY.fullmatch(library)
-                or _next_to(b, library, subject)
-            ):
-                needs.setdefault(_describe(b, library), []).append(library)
-        for (description, common), names in needs.items():
+        needed = [n for n in b.libraries if not re.fullmatch(SYSTEM[b.format], n)]
+        needed = [n for n in needed if not (PYTHON_LIBRARY.fullmatch(n) or _next_to(b, n, subject))]
+        for (description, common), names in grouped(needed, partial(_describe, b)).items():
             make = note if common else warning
             yield make(f"{b}: needs {', '.join(names)} on the target machine: {description}")
 
@@ -268,8 +264,7 @@ def platform_folder(subject: Subject) -> Iterator[Finding]:
     for name in folders(subject):
         if _legal(name, subject.major) or WASM.fullmatch(name):
             continue
-        other = TUPLES.get(name) if subject.major == 3 else NAMES.get(name)
-        if other:
+        if other := TUPLES.get(name) if subject.major == 3 else NAMES.get(name):
             got = f"the name of the other FMI version, binaries/{name}"
             yield warning(f"expected binaries/{other}, got {got}")
         else:
@@ -359,8 +354,7 @@ def _evidence(subject: Subject) -> Iterator[str]:
 
 def python_needed(subject: Subject) -> Iterator[str]:
     """The FMU runs without Python on the target machine."""
-    evidence = list(_evidence(subject))
-    if evidence:
+    if evidence := list(_evidence(subject)):
         yield (
             f"needs Python on the target: {'; '.join(evidence[:2])}; the target machine needs the same Python"
             " on its path, with all packages"
@@ -407,6 +401,5 @@ def python_syntax(subject: Subject) -> Iterator[Finding]:
 
 def runtime_java(subject: Subject) -> Iterator[str]:
     """The FMU runs without a Java machine on the target."""
-    jars = sorted(f for f in subject.files if f.endswith(".jar"))
-    if jars:
+    if jars := sorted(f for f in subject.files if f.endswith(".jar")):
         yield f"{join_names(jars)}: Java; the target machine may need a Java machine"

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from orchestrator.check.rule import MAKE, Finding, error, join_names, note, warning
+from orchestrator.check.finding import MAKE, Finding, error, join_names, note, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, Unknown
 
@@ -96,8 +96,7 @@ def structure_rates(subject: Subject) -> Iterator[str]:
         return
     listed = {u.variable for u in model.structure.get("derivatives", ())}
     unlisted = [v for v in model.variables if v.get("derivative") and v not in listed]
-    unlisted = [v for v in unlisted if v.is_float and v.variability == "continuous"]
-    if unlisted:
+    if unlisted := [v for v in unlisted if v.is_float and v.variability == "continuous"]:
         yield (
             f"{unlisted[0]}: has the attribute derivative, but no entry in ModelStructure/Derivatives;"
             f" some tools count a state for each: {join_names([v.name for v in unlisted])}"
@@ -125,8 +124,7 @@ def structure_dependencies(subject: Subject) -> Iterator[str]:
     inputs = model.of("input")
     for section in ("outputs", "derivatives") if inputs else ():
         undeclared = [u for u in model.structure.get(section, ()) if u.dependencies is None and u.variable]
-        undeclared = [u for u in undeclared if u.variable and u.variable.variability != "constant"]
-        if undeclared:
+        if undeclared := [u for u in undeclared if u.variable and u.variable.variability != "constant"]:
             names = join_names([u.variable.name for u in undeclared if u.variable])
             count = f"{len(undeclared)} of {len(model.structure.get(section, ()))} {section}"
             yield (
@@ -187,8 +185,7 @@ def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
             f" got {len(unknown.dependency_kinds)}"
         )
     allowed = INITIAL_KINDS if section == "initial" else KINDS
-    wrong = [k for k in unknown.dependency_kinds if k in KINDS and k not in allowed]
-    if wrong:
+    if wrong := [k for k in unknown.dependency_kinds if k in KINDS and k not in allowed]:
         yield error(f"{unknown}: dependenciesKind: expected {' or '.join(allowed)}, got {wrong[0]}")
     special = [k for k in unknown.dependency_kinds if k != "dependent"]
     if special and unknown.variable and not unknown.variable.is_float:

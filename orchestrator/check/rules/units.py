@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from orchestrator.base.text import words
 from orchestrator.base.units import BASES, parse_unit
 from orchestrator.base.xml import Element, children
-from orchestrator.check.rule import Finding, error, join_variables, note, warning
+from orchestrator.check.finding import Finding, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.subject import Subject, read_xml
 from orchestrator.fmi.raw_description import UnitDefinition, parse_float, parse_int
@@ -91,8 +91,7 @@ def unit_factor(subject: Subject) -> Iterator[str]:
     """Inputs and outputs are in SI units: factor 1, offset 0."""
     conversions = {u.name: u.conversion for u in subject.model.units if u.base_unit}
     scaled = {name for name, conversion in conversions.items() if conversion != (1, 0)}
-    ports = [v for v in subject.model.of("input", "output") if v.unit in scaled]
-    if ports:
+    if ports := [v for v in subject.model.of("input", "output") if v.unit in scaled]:
         names = ", ".join(sorted({str(v.unit) for v in ports}))
         yield f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values"
 
@@ -115,17 +114,16 @@ CONNECTABLE = ("input", "output", "parameter", "calculatedParameter")
 
 def _elements(subject: Subject, *names: str) -> Iterator[Element]:
     """The elements of terminalsAndIcons.xml with these names; none without that file or without variables."""
-    root = read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
+    root = read_xml(subject.folder, FILE)[0] if subject.model.variables else None
     return iter(()) if root is None else root.iter(*names)
 
 
 def terminal_schema(subject: Subject) -> Iterator[str]:
     """terminalsAndIcons.xml is valid against its schema."""
-    if FILE not in subject.files:
-        return
     root, fault = read_xml(subject.folder, FILE)
-    if root is None:
+    if fault:
         yield fault
+    if root is None:
         return
     for line, message in violations(root, "fmi3/fmi3TerminalsAndIcons.xsd"):
         yield f"{FILE} line {line}: {message}"

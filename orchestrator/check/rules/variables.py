@@ -2,11 +2,10 @@
 
 import math
 import re
-from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.base.text import MODELICA, words
-from orchestrator.check.rule import Finding, error, join_variables, warning
+from orchestrator.base.text import MODELICA, grouped, words
+from orchestrator.check.finding import Finding, error, join_variables, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
 from orchestrator.fmi.raw_description import DeclaredVariable as Variable
@@ -75,16 +74,15 @@ def variable_reference(subject: Subject) -> Iterator[str]:
 
 def variable_alias(subject: Subject) -> Iterator[Finding]:
     """Variables with the same value reference are consistent (FMI 2)."""
-    sets: dict[tuple[str, int], list[Variable]] = defaultdict(list)
-    for v in subject.model.variables:
-        if v.reference is not None:
-            sets[_base(v.type), v.reference].append(v)
-    for aliases in (s for s in sets.values() if len(s) > 1):
-        yield from _alias(aliases)
+    referenced = (v for v in subject.model.variables if v.reference is not None)
+    for aliases in grouped(referenced, _storage).values():
+        if len(aliases) > 1:
+            yield from _alias(aliases)
 
 
-def _base(type_: str) -> str:
-    return "Integer" if type_ == "Enumeration" else type_
+def _storage(v: Variable) -> tuple[str, int | None]:
+    """Type and reference of a value; an enumeration is an integer."""
+    return "Integer" if v.type == "Enumeration" else v.type, v.reference
 
 
 def _alias(aliases: list[Variable]) -> Iterator[Finding]:
@@ -140,16 +138,14 @@ def variable_string(subject: Subject) -> Iterator[str]:
 
 def variable_array(subject: Subject) -> Iterator[str]:
     """Variables are scalars."""
-    arrays = [v for v in subject.model.variables if v.shape]
-    if arrays:
+    if arrays := [v for v in subject.model.variables if v.shape]:
         yield f"{arrays[0]} is an array; tools that were made for FMI 2 may not support arrays"
 
 
 def variable_text(subject: Subject) -> Iterator[str]:
     """Inputs, outputs and parameters have a description."""
     ports = subject.model.of("input", "output", "parameter")
-    undescribed = [v for v in ports if not v.get("description").strip()]
-    if undescribed:
+    if undescribed := [v for v in ports if not v.get("description").strip()]:
         yield f"{join_variables(undescribed)}: no description"
 
 
@@ -172,19 +168,14 @@ CPP = words(
 )
 
 
-def _named(subject: Subject) -> Iterator[tuple[Variable, str]]:
-    for v in subject.model.variables:
-        for name in v.names:
-            yield v, name
-
-
 def _structured(subject: Subject) -> bool:
     return subject.root is not None and subject.root.get("variableNamingConvention") == "structured"
 
 
 def name_grammar(subject: Subject) -> Iterator[str]:
     """Names follow the variableNamingConvention that the FMU declares."""
-    for v, name in _named(subject):
+    named = [(v, name) for v in subject.model.variables for name in v.names]
+    for v, name in named:
         if re.search(r"[\r\n\t]", name):
             yield f"{v}: the name {name!r} has a line break or tab"
         elif _structured(subject) and name and not STRUCTURED.fullmatch(name):
@@ -202,17 +193,13 @@ def name_characters(subject: Subject) -> Iterator[str]:
     """Names are identifiers: letters, digits and underscores."""
     if _structured(subject):
         return  # checked by the rule name.grammar
-    unusual = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
-    if unusual:
+    if unusual := [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]:
         yield f"{join_variables(unusual)}: not identifiers; tools rename or quote them"
 
 
 def name_mangled(subject: Subject) -> Iterator[str]:
     """Names remain different if a tool replaces all characters except letters and digits."""
-    groups: dict[str, list[Variable]] = defaultdict(list)
-    for v in subject.model.variables:
-        groups[re.sub(r"\W", "_", v.name)].append(v)
-    for name, same in groups.items():
+    for name, same in grouped(subject.model.variables, lambda v: re.sub(r"\W", "_", v.name)).items():
         if len({v.name for v in same}) > 1:
             yield f"{same[1]}: becomes {name} in some tools, as {same[0].name} does"
 
@@ -231,15 +218,13 @@ def name_keyword(subject: Subject) -> Iterator[str]:
     for v in subject.model.variables:
         if v.causality == "independent":
             continue
-        languages = [n for n, words in (("Modelica", MODELICA), ("C", C)) if v.name in words]
-        if languages:
+        if languages := [n for n, words in (("Modelica", MODELICA), ("C", C)) if v.name in words]:
             yield f"{v}: is a keyword of {' and '.join(languages)}"
 
 
 def name_length(subject: Subject) -> Iterator[str]:
     """Names have at most 63 characters."""
-    long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]
-    if long:
+    if long := [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]:
         yield f"{join_variables(long)}: {len(long[0].name)} characters, expected at most {MAX_LENGTH}"
 
 
@@ -278,18 +263,13 @@ def value_range(subject: Subject) -> Iterator[str]:
     """Start values are between min and max, and min is below max."""
     for v in subject.model.variables:
         low, high = number(v, v.attributes.get("min")), number(v, v.attributes.get("max"))
-        if low is not None and high is not None and low > high:
+        low, high = -math.inf if low is None else low, math.inf if high is None else high
+        if low > high:
             yield f"{v}: min {low:g} is above max {high:g}"
             continue
         for value in (number(v, s) for s in v.starts or ()):
-            if value is not None and not (value if low is None else low) <= value <= (
-                value if high is None else high
-            ):
-                yield f"{v}: start value {value:g} is outside of {_interval(low, high)}"
-
-
-def _interval(low: float | None, high: float | None) -> str:
-    return f"{'-inf' if low is None else f'{low:g}'} ... {'inf' if high is None else f'{high:g}'}"
+            if value is not None and not low <= value <= high:
+                yield f"{v}: start value {value:g} is outside of {low:g} ... {high:g}"
 
 
 def value_nominal(subject: Subject) -> Iterator[str]:
@@ -312,6 +292,5 @@ def value_enumeration(subject: Subject) -> Iterator[str]:
         name = v.get("declaredType")
         if v.type != "Enumeration" or name not in model.types:
             continue
-        wrong = [s for s in v.starts or () if s not in allowed[name]]
-        if wrong:
+        if wrong := [s for s in v.starts or () if s not in allowed[name]]:
             yield f"{v}: start value: expected one of {', '.join(items[name][:8])}, got {wrong[0]}"

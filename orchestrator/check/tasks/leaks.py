@@ -81,12 +81,15 @@ def _create_and_free(trial: Trial) -> None:
 def memory() -> float:
     """Bytes in use: exact if the C library counts them, else the pages of the process."""
     gc.collect()
-    function = _memory_counter()
-    if function is None:
-        return _process_memory()
-    function.restype = _Mallinfo
-    info = function()
-    return float(info.uordblks + info.hblkhd)
+    if function := _memory_counter():
+        function.restype = _Mallinfo
+        info = function()
+        return float(info.uordblks + info.hblkhd)
+    if sys.platform in ("linux", "win32"):
+        return resident_memory(os.getpid())
+    import resource
+
+    return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def _memory_counter() -> Any:
@@ -102,14 +105,6 @@ class _Mallinfo(ctypes.Structure):
 
     _names = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"
     _fields_ = [(name, ctypes.c_size_t) for name in _names.split()]
-
-
-def _process_memory() -> float:
-    if sys.platform in ("linux", "win32"):
-        return resident_memory(os.getpid())
-    import resource
-
-    return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def handles() -> float:

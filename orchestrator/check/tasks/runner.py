@@ -4,12 +4,12 @@ import os
 import shutil
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources_location
@@ -24,18 +24,6 @@ FORKS = hasattr(os, "fork") and sys.platform != "darwin"  # there, libraries of 
 FINISHED = 93  # exit status of a fork whose task is complete
 Remark = tuple[str, str]  # severity, text
 Task = Callable[["Trial"], Iterator[Remark]]
-
-
-class InstanceOptions(TypedDict, total=False):
-    """How an instance differs from the usual one, see `FmuInstance.instantiate`."""
-
-    token: str
-    resources: str | None
-    name: str
-    verbose: bool
-    update: Any
-    early: bool
-    required: Sequence[int]
 
 
 class OnlyOnce(Exception):
@@ -88,10 +76,11 @@ class Trial:
         self.activity.call(f"loading {path.name}")
         return Library(path, self.description.major)
 
-    def instance(
-        self, kind: str = "", library: Library | None = None, **options: Unpack[InstanceOptions]
-    ) -> FmuInstance:
-        """A new instance; raises OnlyOnce if a second one is not allowed, CallFailed if the FMU fails."""
+    def instance(self, kind: str = "", library: Library | None = None, **options: Any) -> FmuInstance:
+        """A new instance; raises OnlyOnce if a second one is not allowed, CallFailed if the FMU fails.
+
+        options   how it differs from the usual one, see `FmuInstance.instantiate`
+        """
         kind, library = kind or self.kind, library or self.library
         if self._instances and self.description.interfaces[kind].declares(
             "canBeInstantiatedOnlyOncePerProcess"
@@ -99,10 +88,9 @@ class Trial:
             raise OnlyOnce
         log = Log(limit=MAX_MESSAGES)
         instance = FmuInstance(library, log, kind == "ModelExchange", self.activity.call)
-        options.setdefault("token", self.description.token)
-        options.setdefault("name", "probe")
-        options.setdefault("resources", resources_location(self.folder, self.description.major))
-        if not instance.instantiate(**options):
+        resources = resources_location(self.folder, self.description.major)
+        usual = {"token": self.description.token, "name": "probe", "resources": resources}
+        if not instance.instantiate(**(usual | options)):
             call = instance.describe_call("Instantiate")
             raise CallFailed(f"{call} returns no instance{log.quoted_messages()}", ERROR)
         self._instances += 1

@@ -268,10 +268,9 @@ def _time_invariant(trial: Trial) -> bool:
     if integrator.next_event < math.inf:
         return False
     x = integrator.states()
-    rows = []
-    for time in (simulation.start, simulation.start + LATE_START / 3, simulation.start + LATE_START):
-        rows.append([*integrator.derivatives_at(time, x), *simulation.row()])
-    return len({np.array(row).tobytes() for row in rows}) == 1
+    times = (simulation.start, simulation.start + LATE_START / 3, simulation.start + LATE_START)
+    rows = (np.array([*integrator.derivatives_at(t, x), *simulation.row()]) for t in times)
+    return len({row.tobytes() for row in rows}) == 1
 
 
 def _different_run(late: Simulation, rows: Rows, late_rows: Rows) -> Iterator[Remark]:

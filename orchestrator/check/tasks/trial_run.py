@@ -11,12 +11,12 @@ import math
 import time
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orchestrator.check.tasks.runner import InstanceOptions, Trial
+from orchestrator.check.tasks.runner import Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.instance import CallFailed, FmuInstance
 from orchestrator.fmi.library import Library
@@ -319,7 +319,7 @@ class Simulation:
         inputs: Sequence[DeclaredVariable] | None = None,
         kind: str = "",
         library: Library | None = None,
-        **options: Unpack[InstanceOptions],
+        **options: Any,
     ) -> None:
         """`library`: of another copy of the FMU; `options`: of the instance."""
         self.trial, description = trial, trial.description

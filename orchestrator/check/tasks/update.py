@@ -67,8 +67,7 @@ def intermediate(trial: Trial) -> Iterator[Remark]:
         rows += simulation.run(1, trial.perturbable)
         begin, end = simulation.start + n * simulation.step, simulation.time
         rounding = 1e-9 * max(simulation.step, abs(end))
-        outside = [t for t in callback.times if not begin - rounding <= t <= end + rounding]
-        if outside:
+        if outside := [t for t in callback.times if not begin - rounding <= t <= end + rounding]:
             yield "error", f"an update at {outside[0]:.9g} s in the step from {begin:.9g} to {end:.9g} s"
             return
         if callback.times != sorted(callback.times):

@@ -1,0 +1,149 @@
+"""`harvester convergence`, `track` and `sweep`: many runs of a system, and what they tell."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Unpack
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
+from orchestrator.base.options import Kind, Patterns, Swaps, Values
+from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, command, system_file, tell_built
+from orchestrator.engine.arguments import CaseArguments
+
+
+@command
+def convergence(
+    system: System = None,
+    scenario: Scenario = None,
+    reference: File | None = None,
+    steps: Annotated[str, Kind("S,S,...")] = "0.0005,0.001,0.002,0.005,0.01,0.02",
+    masters: Annotated[str, Kind("NAME,...")] = "",
+    signals: Patterns = None,
+    repeats: Annotated[int, Kind("N")] = 3,
+    out: Folder = BUILD / "convergence",
+    **options: Unpack[CaseArguments],
+) -> None:
+    """Compute the error of each master over the communication step, and its cost.
+
+    Prints tables, and writes them as CSV with figures.
+
+    reference   Reference (.csv with .toml); default: the monolithic solution for the work cycle, the hermite
+                run with the smallest step for any other run.
+    steps       Communication steps [s], separated by commas.
+    masters     Names of masters (jacobi, gauss-seidel, hermite, interface-jacobian), labels of settings such
+                as 'hermite 2 passes', or patterns of labels such as '*order 1', separated by commas; default:
+                all.
+    signals     Signals whose error is computed, such as '*_pressure*', one table for each; default: speeds
+                and pressures.
+    repeats     Number of times that each run is timed, at least 1; the median is reported.
+    out         Folder of the tables and figures.
+    """
+    from fmus.package_files import data
+    from orchestrator.studies.convergence.convergence_study import convergence as study
+
+    file, work_cycle = system_file(system), data("reference/work_cycle.csv")
+    tell_built(file, {})
+    study(file, reference, out, steps, masters, signals or (), repeats, work_cycle, scenario, **options)
+
+
+PATHS = ("line", "square")
+
+
+@command
+def track(
+    system: System = None,
+    path: Annotated[list[str] | None, Kind("NAME")] = None,
+    through: Annotated[list[str] | None, Kind("X,Y,Z")] = None,
+    speed: Annotated[float, Kind("V")] = 0.5,
+    swap: Swaps = None,
+    set_: Values = None,
+    compare: bool = True,
+    limit: Annotated[float | None, Kind("MM")] = None,
+    out: Folder = BUILD,
+) -> bool:
+    """Move the tip along paths and measure the tracking error, with and without the controller's feedback.
+
+    Runs the machine as built and the detailed one; with --swap only the machine with these variants. A
+    variable of --set must exist in each machine, so --set supply.pressure_setting=15e6 needs
+    --swap supply=ideal.
+
+    system    The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one in
+              the installed package.
+    path      line, square, or a table (.csv) of time, path_radius, path_height, path_angle; default: line and
+              square.
+    through   Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; replaces `path`;
+              two points or more.
+    speed     With `through`: speed along the path [m/s], if the path is long enough to reach it.
+    compare   Also run without the controller's feedback.
+    limit     Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.
+    out       Folder of tracking.png and tracking.json.
+    """
+    from fmus.controller.paths import route_start_angles, start_angles, write_route
+    from fmus.machine.parts import MACHINES
+    from fmus.package_files import PACKAGE
+    from orchestrator.studies.path_following import first_point, read_machine
+    from orchestrator.studies.path_following import track as run_study
+
+    names = read_machine(PACKAGE / "controller/tracking.toml")
+    if path and through:
+        raise Problem("--path and --through: expected one of them")
+    if through:
+        file, highest = write_route(through, speed, out)
+        paths = [(file, partial(route_start_angles, through))]
+        if highest < speed:
+            print(f"note: --speed {speed:g}: the path is too short for more than {highest:.2g} m/s")
+    else:
+        files = [_file(p) for p in path or PATHS]
+        paths = [(file, partial(start_angles, str(file), first_point(file, names.path))) for file in files]
+    swapped = {component: str(file) for component, file in (swap or {}).items()}
+    machines = {", ".join(map("=".join, swapped.items())): swapped} if swapped else MACHINES
+    modes = (True, False) if compare else (True,)
+    machine = system_file(system, "harvester_control.ssp")
+    tell_built(machine, {})
+    allowed = None if limit is None else limit / 1e3
+    return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {})
+
+
+def _file(name: str) -> Path:
+    """The scenario of a path."""
+    from fmus.package_files import data
+
+    if name in PATHS:
+        return data(f"scenarios/{name}.csv")
+    if not Path(name).suffix:
+        raise Problem(f"--path {name}: expected {', '.join(PATHS)} or a file (.csv, .parquet)")
+    return Path(name)
+
+
+@command
+def sweep(
+    study: Annotated[Path, Kind("STUDY.toml", positional=True)],
+    out: Folder | None = None,
+    workers: Annotated[int | None, Kind("N", least=1)] = None,
+    scheduler: Annotated[str | None, Kind("URL")] = None,
+    fresh: bool = False,
+    no_report: bool = False,
+) -> bool:
+    """Run a parameter study on all cores.
+
+    An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
+
+    study       Description of the study: what is varied, what is run, and which results are kept.
+    out         Folder of the results; default: build/sweeps/STUDY.
+    workers     Number of runs at the same time on this computer; default: one per core.
+    scheduler   Run on this Dask cluster instead, such as tcp://host:8786; default: this computer.
+    fresh       Delete earlier results in DIR and start again.
+    no_report   Leave out the page report.html.
+    """
+    require("sweep", "harvester sweep")
+    from orchestrator.studies import read_study
+    from orchestrator.studies.parameter_study import run
+
+    chosen = read_study(study)
+    tell_built(chosen.system_file, {})
+    if workers and scheduler:
+        cluster = "whose cluster determines the number of workers"
+        raise Problem(f"--workers: expected none with --scheduler, {cluster}")
+    return run(chosen, out, report=not no_report, workers=workers, scheduler=scheduler, fresh=fresh)
