@@ -33,8 +33,8 @@ Experimental Study of Motion Control Using Pressure Feedback, SICFP 2013 (stabil
 from dataclasses import dataclass
 
 from fmus.components import spool_valve
-from fmus.components.smooth import ramp, s_curve
 from fmus.contract import Group, Quantity, Scalar
+from fmus.smooth import ramp, s_curve
 
 ROUNDING = 0.1  # w
 

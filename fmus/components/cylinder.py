@@ -7,8 +7,8 @@ Rigid walls, no piston leakage (paper section 3(d)).
 import math
 from dataclasses import dataclass
 
-from fmus.components.smooth import positive, ramp, ramp_integral
 from fmus.contract import Group, Quantity, Scalar
+from fmus.smooth import positive, ramp, ramp_integral
 
 STOP_WIDTH = 0.01  # width over which 1 + c d' of an end stop is rounded at zero
 

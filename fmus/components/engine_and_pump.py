@@ -53,8 +53,8 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from fmus.components.smooth import direction, lowest, positive, ramp, unit_limited, unit_limited_inverse
 from fmus.contract import Group, Quantity, Scalar
+from fmus.smooth import direction, lowest, positive, ramp, unit_limited, unit_limited_inverse
 
 _ROUNDING = 0.02  # fraction of full fuel over which both limits of the fuel are rounded
 _SPEED_ROUNDING = 1.0  # rad/s, far below idle speed; below, the dry friction falls to zero

@@ -30,8 +30,8 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components.smooth import lowest, ramp, s_curve
 from fmus.contract import Scalar
+from fmus.smooth import lowest, ramp, s_curve
 
 SHUTTLE_ROUNDING = 5e4  # W [Pa]: at most 0.05 bar above the higher pressure
 LEAST_DEAD_BAND = 1e-3  # of full command; keeps w defined for a valve without dead band

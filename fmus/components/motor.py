@@ -30,8 +30,8 @@ body is that of viscoplasticity, P. Perzyna, Advances in Applied Mechanics 9 (19
 
 from dataclasses import dataclass
 
-from fmus.components.smooth import ramp, s_curve
 from fmus.contract import Group, Quantity, Scalar
+from fmus.smooth import ramp, s_curve
 
 BRAKE_ROUNDING = 1e-3  # b relative to T_b
 

@@ -34,8 +34,8 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components.smooth import ramp
 from fmus.contract import Group, Quantity, Scalar, make_group
+from fmus.smooth import ramp
 
 POINTS = 10
 EDGES = ("pa", "at", "pb", "bt")

@@ -8,7 +8,7 @@ the square root by the fraction (dp_t / dp)^2 / 4 at most: 1 % at 5 dp_t, 3e-8 a
 
 Relief and anti-cavitation valves have a smooth static characteristic:
 
-    Q = g r(dP - P_set, w)        r the ramp of `fmus.components.smooth`: exactly 0 for dP <= P_set
+    Q = g r(dP - P_set, w)        r the ramp of `fmus.smooth`: exactly 0 for dP <= P_set
 
 Above P_set + w this is a straight line of slope g from P_set + w/2. dP of a relief valve is the pressure of
 its line minus that of the return line; an anti-cavitation valve has the opposite sign. Poppet dynamics
@@ -17,8 +17,8 @@ its line minus that of the return line; an anti-cavitation valve has the opposit
 
 import casadi as ca
 
-from fmus.components.smooth import ramp
 from fmus.contract import Group, Quantity, Scalar
+from fmus.smooth import ramp
 
 
 def regular_root(dp: Scalar, transition: Scalar) -> Scalar:

@@ -39,9 +39,9 @@ import casadi as ca
 
 from fmus.components import opening_curve, spool_valve
 from fmus.components.opening_curve import OpeningCurves
-from fmus.components.smooth import lower, positive, ramp, s_curve
 from fmus.components.spool_valve import CurvedValve, EdgeFlows
 from fmus.contract import Group, Quantity, Scalar, make_group, quantities
+from fmus.smooth import lower, positive, ramp, s_curve
 
 CHECK_ROUNDING = 1e4  # Pa: pressure difference over which the check valve opens
 MARGIN_ROUNDING = 2e4  # Pa: 50 Pa at a margin of 20 bar

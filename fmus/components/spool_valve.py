@@ -38,8 +38,8 @@ import casadi as ca
 
 from fmus.components import opening_curve
 from fmus.components.opening_curve import EDGES, OpeningCurves, OpeningTable, StraightOpening
-from fmus.components.smooth import ramp
 from fmus.contract import Group, Quantity, Scalar
+from fmus.smooth import ramp
 
 FORWARD = ("pa", "bt")  # the edges that a positive command opens
 

@@ -22,10 +22,10 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components.smooth import ramp
 from fmus.contract import Scalar
 from fmus.controller import valve
 from fmus.controller.valve import Actuator
+from fmus.smooth import ramp
 
 LARGEST_RATE = 2.0  # 1/s: bound of h', far above any rate that a wrong parameter value causes
 

@@ -24,10 +24,10 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components.smooth import direction, ramp, s_curve
 from fmus.contract import Scalar
 from fmus.controller import geometry
 from fmus.controller.geometry import Cylindrical, Joints
+from fmus.smooth import direction, ramp, s_curve
 
 NORM_EXPONENT = 8  # 8-norm of the actuators: 1.15 at most if all three are at a limit
 CREEP = 1e-6  # m/s, allowed speed at an end of the stroke: keeps the quotient finite

@@ -32,9 +32,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fmus.components import cylinder
-from fmus.components.smooth import capped, direction, positive, ramp, s_curve
 from fmus.components.spool_valve import Valve, flow_gain
 from fmus.contract import Scalar
+from fmus.smooth import capped, direction, positive, ramp, s_curve
 
 ROUNDING = 2e5  # Pa: keeps the root real if the pressure drop over an edge is negative
 MARGIN = 5e5  # Pa: excess of supply pressure over what the load needs from which the valve may open fully

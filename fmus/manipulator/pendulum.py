@@ -17,7 +17,7 @@ angle of the joint about its pin is a - f, f = boom + stick angle. Its damping
     d (a' - f')  on the pin, opposite on boom and stick;       d b'  in the yoke
 
 couples the head to the stick. The yoke has stops at b = +-B, elastic with contact damping (Hunt and Crossley,
-J. Appl. Mech. 42 (1975) 440), r the `ramp` of `fmus.components.smooth`:
+J. Appl. Mech. 42 (1975) 440), r the `ramp` of `fmus.smooth`:
 
     -k r(b - B) (1 + c b') + k r(-b - B) (1 - c b')       on b; stored k (R(b - B) + R(-b - B)), R' = r
 
@@ -33,13 +33,13 @@ from typing import Any
 import casadi as ca
 
 from fmus.components import friction
-from fmus.components.smooth import ramp, ramp_integral
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator import arm
 from fmus.manipulator.design import Head, Joint, TipMotion
 from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, FrictionState, resist
 from fmus.manipulator.model import Design, manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
+from fmus.smooth import ramp, ramp_integral
 
 SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
 STOP_ROUNDING = 0.01  # rad, smoothing angle of the stop torque

@@ -7,7 +7,7 @@
     V'       = Q_b + leakage + relief - x_1 - x_2        oil in the tank, at constant pressure
 
 with x, T, T_i and the strokes from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r
-the `ramp` of `fmus.components.smooth`; return line (P_b, Q_b) and temperature of the oil from `rail`.
+the `ramp` of `fmus.smooth`; return line (P_b, Q_b) and temperature of the oil from `rail`.
 Cavities in the lines as in `fmus.components.chamber`.
 
     engine_power + P_b return_flow = P supply_flow + dE/dt + heat

@@ -38,8 +38,8 @@ from dataclasses import dataclass, replace
 from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.load_sensing import LoadPressure
-from fmus.components.smooth import ramp_inverse
 from fmus.contract import Group, Quantity, Scalar
+from fmus.smooth import ramp_inverse
 from fmus.supply import rail
 from fmus.supply.rail import Outlet, RailParameters, ShaftState, TankParameters
 from fmus.supply.variables import (

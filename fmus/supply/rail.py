@@ -9,7 +9,7 @@
     C th'  = heat - (G + G_c lim((th - th_c)/band)) (th - th_a)        temperature of the oil, with a cooler
 
 with x, T, T_i from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r the `ramp` of
-`fmus.components.smooth`. Cavities in the lines as in `fmus.components.chamber`. Leakage and drag of the pumps
+`fmus.smooth`. Cavities in the lines as in `fmus.components.chamber`. Leakage and drag of the pumps
 follow from the temperature of the oil (`fmus.components.oil`).
 
 The heat is that of all losses but those of the engine, and the power that the drives take: over a cycle it
@@ -24,8 +24,8 @@ from typing import Any
 from fmus.components import chamber, engine_and_pump, oil, orifice
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.orifice import PressureValve
-from fmus.components.smooth import unit_limited
 from fmus.contract import Group, Quantity, Scalar, quantities
+from fmus.smooth import unit_limited
 from fmus.supply.variables import CommonParameters, SupplyInputs, SupplyOutputs, return_flow, supply_flow
 
 _FAN_ROUNDING = 0.02  # share of the cooler's band over which its ends are rounded

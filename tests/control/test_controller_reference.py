@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from kit.properties import examples
 from kit.steering import PART, STATES, V, at, measured, rates
 
-from fmus.components.smooth import s_curve
 from fmus.controller import geometry, reference
 from fmus.controller.geometry import Cylindrical, Joints, strokes_and_moment_arms
+from fmus.smooth import s_curve
 from orchestrator.base.errors import Problem
 
 P = SimpleNamespace(**V.p)

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import VALVE, number
 
-from fmus.components import chamber, hose, smooth, spool_valve
+from fmus import smooth
+from fmus.components import chamber, hose, spool_valve
 
 PS = 20.684e6  # Pa
 RHO = 970.0  # kg/m3

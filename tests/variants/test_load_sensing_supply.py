@@ -10,7 +10,7 @@ from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
 
-from fmus.components import smooth
+from fmus import smooth
 
 BENCH = Bench("load_sensing")
 P = BENCH.p

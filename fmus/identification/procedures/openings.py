@@ -382,7 +382,7 @@ class Line(Regression):
 
 
 def straight(z: Array, width: Array | float) -> Array:
-    """`fmus.components.smooth.ramp` of arrays."""
+    """`fmus.smooth.ramp` of arrays."""
     s = np.clip(z / width, 0.0, 1.0)
     return np.asarray(width * (s**3 - s**4 / 2) + np.maximum(z - width, 0.0))
 
