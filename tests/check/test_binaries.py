@@ -212,8 +212,8 @@ def test_an_old_library_of_macos_exports_by_its_symbol_table() -> None:
     """Its exports are those that the tables of the dynamic loader list in a new library."""
     library = lief.parse(compiled(INTEL_MAC, "-DFMI=2"))
     assert isinstance(library, lief.MachO.Binary)
-    exports = {*_macho(_Old(library))["exports"]}
-    assert exports == {*_macho(library)["exports"]} >= set(required(2, ["CoSimulation"]))
+    exports = {*_macho(lief, _Old(library))["exports"]}
+    assert exports == {*_macho(lief, library)["exports"]} >= set(required(2, ["CoSimulation"]))
 
 
 def named(archive: Archive, identifier: str) -> Archive:
