@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,21 +56,27 @@ class Trace(Mapping[str, Array]):
     @overload
     def __getitem__(self, key: str) -> Array: ...
     @overload
-    def __getitem__(self, key: list[str] | tuple[str, ...]) -> Trace: ...
-    def __getitem__(self, key: str | list[str] | tuple[str, ...]) -> Array | Trace:
+    def __getitem__(self, key: list[str] | tuple[str, ...]) -> Self: ...
+    def __getitem__(self, key: str | list[str] | tuple[str, ...]) -> Array | Self:
         """The values of a signal, shape (n,); the trace with some signals, for a list of names and patterns.
 
         A name may lack the component if only one signal has it.
         """
         if not isinstance(key, str):
-            signals = {name: self.signals[name] for name in (self.chosen(key) if key else ())}
-            return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
-        if key in self.signals:
-            return self.signals[key]
-        same = [name for name in self.signals if name.rpartition(".")[2] == key]
+            return self._with({name: self.signals[name] for name in (self.chosen(key) if key else ())})
+        return self.signals[key if key in self.signals else self._only(key)]
+
+    def _only(self, variable: str) -> str:
+        """The one signal of this variable; raises UnknownSignal."""
+        same = [name for name in self.signals if name.rpartition(".")[2] == variable]
         if len(same) != 1:
-            raise UnknownSignal(key, same or self.signals)
-        return self.signals[same[0]]
+            raise UnknownSignal(variable, same or self.signals)
+        return same[0]
+
+    def _with(self, signals: Mapping[str, Array], time: Array | None = None) -> Self:
+        """Some of these signals with other samples, at these times."""
+        units = {name: unit for name, unit in self.units.items() if name in signals}
+        return replace(self, time=self.time if time is None else time, signals=signals, units=units)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.signals)
@@ -79,7 +85,7 @@ class Trace(Mapping[str, Array]):
         return len(self.signals)
 
     def __repr__(self) -> str:
-        return f"Trace: {self.extent}"
+        return f"{type(self).__name__}: {self.extent}"
 
     @property
     def extent(self) -> str:
@@ -111,10 +117,10 @@ class Trace(Mapping[str, Array]):
         values = {name: (TIME, values, {"units": self.units.get(name, "")}) for name, values in self.items()}
         return xr.Dataset(values, {TIME: (TIME, self.time, {"units": "s"})})
 
-    def at(self, time: ArrayLike) -> Trace:
+    def at(self, time: ArrayLike) -> Self:
         """The signals at other times [s]: linear interpolation, constant before and after the samples."""
         times = np.asarray(time, dtype=np.float64)
-        return Trace(times, {n: np.interp(times, self.time, v) for n, v in self.signals.items()}, self.units)
+        return self._with({n: np.interp(times, self.time, v) for n, v in self.signals.items()}, times)
 
     def plot(
         self,
@@ -171,7 +177,7 @@ class Trace(Mapping[str, Array]):
             names |= dict.fromkeys(matches)
         return list(names)
 
-    def window(self, start: Seconds = None, stop: Seconds = None) -> Trace:
+    def window(self, start: Seconds = None, stop: Seconds = None) -> Self:
         """The samples from `start` to `stop`, [s] or such as "2 s", at least two; default: all."""
         start, stop = seconds(start, "start"), seconds(stop, "stop")
         first, last = (-np.inf if start is None else start), (np.inf if stop is None else stop)
@@ -181,9 +187,9 @@ class Trace(Mapping[str, Array]):
             raise Problem(f"time window {first:g} to {last:g} s: expected two or more samples, {got}")
         if inside.all():
             return self
-        return Trace(self.time[inside], {n: v[inside] for n, v in self.signals.items()}, self.units)
+        return self._with({n: v[inside] for n, v in self.signals.items()}, self.time[inside])
 
-    def select(self, names: Iterable[str]) -> Trace:
+    def select(self, names: Iterable[str]) -> Self:
         """The trace with only these signals, in this order."""
         return self[list(names)]
 

@@ -235,6 +235,9 @@ class TraceOnDisk(Trace):
         """As in `Trace`."""
         return self._samples.signals
 
+    def _with(self, signals: Mapping[str, Array], time: Array | None = None) -> Any:
+        return self._samples._with(signals, time)
+
 
 class TraceFile(TraceSink):
     """A trace in a .csv, .parquet or .mat file, under a partial name until `publish`.

@@ -68,7 +68,7 @@ def _run(label: str, source: Source) -> Run:
         return Run(label, source)
     path = Path(source)
     if path.suffix.lower() != ".parquet" and path.with_suffix(".toml").is_file():
-        return Run(label, read_recording(path).trace(), None, str(path))
+        return Run(label, read_recording(path).without_gaps(), None, str(path))
     trace, run_metadata = read_run(path)
     return Run(label, trace, run_metadata, str(path))
 
