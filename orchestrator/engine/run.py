@@ -95,6 +95,19 @@ def run(
     return co_simulate(request, lambda *_: TraceInMemory())[0]
 
 
+def attempt(
+    system: System | str | Path,
+    scenario: ScenarioSource = None,
+    record: Record | str | Sequence[str] | None = None,
+    **options: Unpack[RunArguments],
+) -> tuple[Result, str]:
+    """The result of `run`, also if it ended early, and why it did; raises Problem if it did not begin."""
+    try:
+        return run(system, scenario, record=record, **options), ""
+    except RunFailed as failed:
+        return failed.result, str(failed)
+
+
 @dataclass(frozen=True)
 class Request:
     """A system with the connections and FMUs that a user chose, and all other choices for its run.
