@@ -31,10 +31,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
-TINY = 1e-150  # magnitudes whose squares leave the range of a float count as zero
-
-
 TIME = "time"
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 JUMP = 1e-6  # s, in which a scenario goes from one row to the next one with the same time
@@ -302,19 +298,3 @@ def _gap(steps: NDArray[np.float64]) -> int | None:
     if np.abs(ratio - multiple).max() > 1e-3 or np.mean(multiple == 1) < 0.98:
         return None
     return int(np.argmax(multiple > 1)) if multiple.max() > 1 else None
-
-
-def moves(signal: Array, recording: Array | None = None) -> bool:
-    """Whether a signal, possibly a part of a recording, varies beyond the rounding of a text file."""
-    magnitude = float(np.max(np.abs(signal if recording is None else recording)))
-    return not np.ptp(signal) <= max(TINY, CONSTANT * magnitude)
-
-
-def span(signal: Array) -> float:
-    """The range of a signal; 0 if it does not move."""
-    return float(np.ptp(signal)) if moves(signal) else 0.0
-
-
-def rms(values: Array) -> float:
-    """Root mean square; 0 without values."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0

@@ -226,12 +226,6 @@ class JoinedSystem(LinearSystem):
         self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
         self.forcing, self.stages = np.zeros((3, wide)), np.zeros((PREDICTION_ROWS, wide))
 
-    def struct(self, binding: Binding, **members: Any) -> Any:
-        """`LinearPrediction` of engine.h with these arrays and further members."""
-        arrays = "f x w f0 x0 w0 q course response forcing v stages factors"
-        system = self.system_struct(binding)
-        return binding.h.LinearPrediction(system=system, **binding.all_at(self, arrays), **members)
-
 
 NO_DERIVATIVES = "provides no directional derivatives, so its outputs are extrapolated"
 
@@ -324,8 +318,9 @@ class LinearPrediction:
         at, lag = binding.at, self._plan.lag
         coupling_inputs = [-1 if u.coupling_input is None else u.coupling_input for u in self.inputs]
         linearised = self.joined.linearised
-        struct = self.joined.struct(
-            binding,
+        struct = binding.h.LinearPrediction(
+            system=self.joined.system_struct(binding),
+            **binding.all_at(self.joined, "f x w f0 x0 w0 q course response forcing v stages factors"),
             rate_reads=binding.program([call for linear in linearised for call in linear.rate_reads]),
             state_reads=binding.program([call for linear in linearised for call in linear.state_reads]),
             kinds=at(self.kinds),

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar, Unpack
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import chosen, declarations, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.data.table import SUFFIXES
@@ -47,7 +47,7 @@ from orchestrator.engine.time_grid import (
     with_events,
 )
 from orchestrator.fmi.description import Value
-from orchestrator.ssp.coupling import FIELDS, Coupling, CouplingArguments
+from orchestrator.ssp.coupling import Coupling, take_coupling
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets
@@ -249,14 +249,6 @@ def co_simulate(
         if result:
             estimate = request.execution.error_estimate and not search
             return with_error_estimate(job, times, result) if estimate else result, sink
-
-
-def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
-    """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run."""
-    names = [name for name in declarations(CouplingArguments) if name in given]
-    choices = {FIELDS.get(name, name): given.pop(name) for name in names}
-    whole = choices.get("master")
-    return {**vars(whole), **choices, "master": whole.master} if isinstance(whole, Coupling) else choices
 
 
 def opened(system: System | str | Path, given: dict[str, Any], exchange: bool = False) -> System:

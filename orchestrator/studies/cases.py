@@ -19,7 +19,7 @@ from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
 from orchestrator.engine.arguments import RunArguments
-from orchestrator.engine.run import chooses_freely, run, take_coupling
+from orchestrator.engine.run import chooses_freely, run
 from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
@@ -98,7 +98,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
 def opened(study: Study) -> dict[Options, StudyCase]:
     """A case for every combination of options, with the master of the study, but without its fixed values."""
     system = open_system(study.system_file, {"cut": study.options.get("cut", ())})
-    system = system.coupled(take_coupling(study.coupling)) if study.coupling else system
+    system = system.coupled(study.coupling) if study.coupling else system
     return {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
 
 

@@ -27,9 +27,10 @@ from matplotlib.lines import Line2D
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
+from orchestrator.base.signals import rms
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, read_trace, rms
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.run import attempt
 from orchestrator.fmi.description import Value
 from orchestrator.pages.figures import PALETTE

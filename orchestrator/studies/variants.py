@@ -21,7 +21,8 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
-from orchestrator.data.trace import Trace, rms, span
+from orchestrator.base.signals import rms, span
+from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.run import attempt, run
 from orchestrator.ssp.load import load

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
+from orchestrator.base.signals import rms, span
 from orchestrator.base.text import grouped
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, rms, span
+from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import CaseArguments
 from orchestrator.engine.result import widest_of_unit
 from orchestrator.engine.run import ScenarioSource, run
