@@ -226,6 +226,11 @@ class JoinedSystem(LinearSystem):
         self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
         self.forcing, self.stages = np.zeros((3, wide)), np.zeros((PREDICTION_ROWS, wide))
 
+    def struct(self, binding: Binding) -> Any:
+        """`LinearPrediction` of engine.h with these arrays."""
+        arrays = binding.all_at(self, "f x w f0 x0 w0 q course response forcing v stages factors")
+        return binding.h.LinearPrediction(system=self.system_struct(binding), **arrays)
+
 
 NO_DERIVATIVES = "provides no directional derivatives, so its outputs are extrapolated"
 
@@ -318,17 +323,11 @@ class LinearPrediction:
         at, lag = binding.at, self._plan.lag
         coupling_inputs = [-1 if u.coupling_input is None else u.coupling_input for u in self.inputs]
         linearised = self.joined.linearised
-        struct = binding.h.LinearPrediction(
-            system=self.joined.system_struct(binding),
-            **binding.all_at(self.joined, "f x w f0 x0 w0 q course response forcing v stages factors"),
-            rate_reads=binding.program([call for linear in linearised for call in linear.rate_reads]),
-            state_reads=binding.program([call for linear in linearised for call in linear.state_reads]),
-            kinds=at(self.kinds),
-            inputs=at(np.array(coupling_inputs, np.int32)),
-            leading_count=self._plan.leading_count,
-            lag=lag,
-            age=lag,
-        )
+        struct = self.joined.struct(binding)
+        struct.rate_reads = binding.program([call for linear in linearised for call in linear.rate_reads])
+        struct.state_reads = binding.program([call for linear in linearised for call in linear.state_reads])
+        struct.kinds, struct.inputs = at(self.kinds), at(np.array(coupling_inputs, np.int32))
+        struct.leading_count, struct.lag, struct.age = self._plan.leading_count, lag, lag
         binding.simulation.prediction = binding.pointer(struct)
 
 

@@ -40,11 +40,9 @@ from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import (
     RECORD_STEP,
     Grid,
-    free_grid,
     grid,
     record_interval,
     step_length,
-    with_events,
 )
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, take_coupling
@@ -181,13 +179,10 @@ class Request:
             system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
-        span, corners = (self.step, self.start, self.stop), driving.table.corners() if driving else ()
-        if coupling.adaptive is None:
-            times = grid(system, trace, *span, record.step, self.execution.accuracy is not None)
-            if driving and guarded(system, coupling):
-                times = with_events(times, corners)
-        else:
-            times = free_grid(system, trace, *span, record.step, corners)
+        divides = coupling.adaptive is not None or guarded(system, coupling)
+        corners = driving.table.corners() if driving and divides else ()
+        span, fitted = (self.step, self.start, self.stop), self.execution.accuracy is not None
+        times = grid(system, trace, *span, record.step, fitted, corners)
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
         return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times

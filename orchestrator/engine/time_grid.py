@@ -68,39 +68,31 @@ def grid(
     stop: float | None,
     record_step: float | None = None,
     fitted: bool = False,
+    events: Iterable[float] = (),
 ) -> Grid:
-    """The communication points of equal steps; default values are suggestions of the system and its FMUs.
+    """The communication points; default values are suggestions of the system and its FMUs.
 
-    fitted   shorten the step so that it divides the record step, else the time span
+    Of an adaptive run they are the points that it has to hit, and `step` [s] is the first one to try.
+
+    fitted   shorten equal steps so that they divide the record step, else the time span
     """
     begin, end = _span(system, scenario, start, stop)
-    with _naming_suggestion(system, step):
-        step = step_length(system, step)
-        if fitted:
-            whole = record_step or end - begin
-            step = whole / ceil(whole / step * (1.0 - 1e-9))
-        points = _whole_steps(begin, end, step)
-    return _noted(replace(points, every=_steps_per_record(record_step, step)), scenario)
-
-
-def free_grid(
-    system: System,
-    scenario: Trace | None,
-    first: float | None,
-    start: float | None,
-    stop: float | None,
-    record_step: float | None,
-    events: Iterable[float],
-) -> Grid:
-    """The points that an adaptive run has to hit; `first` [s]: the step to try first."""
-    begin, end = _span(system, scenario, start, stop)
-    distance, name = (end - begin, "step") if record_step is None else (record_step, "record step")
-    points = with_events(_whole_steps(begin, end, distance, name), events)
-    first = step_length(system, first)
-    _positive("step", first)
-    if system.coupling is not None:
+    if system.coupling is None or system.coupling.adaptive is None:
+        with _naming_suggestion(system, step):
+            step = step_length(system, step)
+            if fitted:
+                whole = record_step or end - begin
+                step = whole / ceil(whole / step * (1.0 - 1e-9))
+            points = _whole_steps(begin, end, step)
+        points = replace(points, every=_steps_per_record(record_step, step))
+    else:
+        distance, name = (end - begin, "step") if record_step is None else (record_step, "record step")
+        points = _whole_steps(begin, end, distance, name)
+        first = step_length(system, step)
+        _positive("step", first)
         _check_steps("largest step", begin, end, system.coupling.step_limits[1])
-    return _noted(replace(points, first=first, free=record_step is None), scenario)
+        points = replace(points, first=first, free=record_step is None)
+    return _noted(with_events(points, events), scenario)
 
 
 def with_events(points: Grid, events: Iterable[float]) -> Grid:

@@ -22,7 +22,7 @@ from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.run import chooses_freely, run
 from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
-from orchestrator.engine.time_grid import Grid, free_grid, grid
+from orchestrator.engine.time_grid import Grid, grid
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import with_sets
@@ -323,8 +323,7 @@ def _check_windows(study: Study, cases: Iterable[StudyCase]) -> None:
     for case in cases:
         coupling = case.system.coupling or Coupling()
         coupling.check(case.system.components)
-        given = case.system, case.scenario, study.step, None, study.stop, study.record_step
-        times.append(grid(*given) if coupling.adaptive is None else free_grid(*given, ()))
+        times.append(grid(case.system, case.scenario, study.step, None, study.stop, study.record_step))
     begin, end = min(t.start for t in times), max(t.stop for t in times)
     # A run ends at the communication point next to its stop time.
     last = max(end + TIME_ROUNDING * abs(end), study.stop or end)
