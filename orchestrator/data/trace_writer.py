@@ -157,23 +157,17 @@ class TraceInMemory(TraceSink):
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Allocate the arrays; raises Problem if they do not fit into memory."""
         super().begin(layout)
-        self._times, self._values = np.zeros(0), np.zeros((layout.width, 0))
+        self._times, self._values = np.zeros(0), np.zeros((len(layout.names), 0))
         self._outputs, self._errors = list[str](), list[tuple[Array, Array]]()
         self._allocate(rows)
 
     def append(self, times: Array, values: Array) -> None:
         """Store rows; the arrays grow if necessary."""
-        self.append_points(times, values, np.zeros((len(times), 0), np.int32))
-
-    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
-        """Store points; the arrays grow if necessary."""
-        first, count = self.rows, reals.shape[1]
-        super().append(times, reals)
+        first = self.rows
+        super().append(times, values)
         if self.rows > len(self._times):
             self._allocate(2 * self.rows)
-        self._times[first : self.rows] = times
-        self._values[:count, first : self.rows] = reals.T
-        self._values[count:, first : self.rows] = integers.T
+        self._times[first : self.rows], self._values[:, first : self.rows] = times, values.T
 
     def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
         """Store estimated errors of recorded signals, without times at which one is not finite."""
@@ -199,11 +193,8 @@ class TraceInMemory(TraceSink):
     @property
     def trace(self) -> Trace:
         """All rows until now."""
-        layout, values = self.layout, self._values[:, : self.rows]
-        signals = {name: values[k] for name, k in zip(layout.names, layout.order, strict=True)}
-        for k, factor, offset in zip(layout.scaled, layout.factors, layout.offsets, strict=True):
-            signals[layout.names[k]] = factor * signals[layout.names[k]] + offset
-        return Trace(self._times[: self.rows], signals, layout.units)
+        signals = dict(zip(self.layout.names, self._values[:, : self.rows], strict=True))
+        return Trace(self._times[: self.rows], signals, self.layout.units)
 
     @property
     def errors(self) -> Trace | None:
@@ -272,7 +263,7 @@ class TraceFile(TraceSink):
         self.accept(layout)
         super().begin(layout, rows)
         self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))
-        self._kept.begin(RowLayout(layout.names, layout.units))  # of rows, not of points
+        self._kept.begin(layout)
         with _naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)

@@ -219,9 +219,8 @@ class Binding:
             return self.h.Instruction(self.h.ACCESS, 0, self._access(call))
         if isinstance(call, ExchangeCall):
             return self.h.Instruction(self.h.EXCHANGE, 0, self._exchange_call(call))
-        instruction = getattr(call, "instruction", None)  # a `ConnectionCopy` or an `AlgebraicLoop`
-        if instruction is not None:
-            return instruction(self)
+        if isinstance(call, self.h.Instruction):
+            return call
         return self.h.Instruction(self.h.PYTHON, self._register(call), None)
 
     def _register(self, call: Call) -> int:

@@ -79,7 +79,7 @@ def run_job(
             wall=time.perf_counter() - began,
             bonds=tuple(loop.energy.energies()),
             errors=loop.errors.errors() if loop.errors else {},
-            inside={name: component.busy_seconds for name, component in network.components.items()},
+            inside={name: component.struct.busy for name, component in network.components.items()},
             logs=tuple(copy(s.log) for s in network.slaves.values()),
             notes=network.notes + times.notes + loop.notes,
             problem=problem,
@@ -319,8 +319,8 @@ class SimulationLoop:
     def _decide_about_threads(self) -> None:
         """Use threads for the components if they save more time than they cost."""
         self._threads_undecided = False
-        times = [c.busy_seconds / self.state.steps for c in self._components]
-        if sum(times) - max(times) > MIN_SAVING and all(c.stepped_in_c for c in self._components):
+        times = [c.struct.busy / self.state.steps for c in self._components]
+        if sum(times) - max(times) > MIN_SAVING and all(c.stepping for c in self._components):
             self.state.threads = min(CORES, len(times))
 
     def close(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, ulp
 
@@ -78,13 +77,18 @@ def grid(
     """
     begin, end = _span(system, scenario, start, stop)
     if system.coupling is None or system.coupling.adaptive is None:
-        with _naming_suggestion(system, step):
-            step = step_length(system, step)
-            if fitted:
-                whole = record_step or end - begin
-                step = whole / ceil(whole / step * (1.0 - 1e-9))
-            points = _whole_steps(begin, end, step)
-        points = replace(points, every=_steps_per_record(record_step, step))
+        length = step_length(system, step)
+        if fitted:
+            whole = record_step or end - begin
+            length = whole / ceil(whole / length * (1.0 - 1e-9))
+        try:
+            points = _whole_steps(begin, end, length)
+        except Problem as problem:
+            location = system.suggestion.location
+            if step is not None or system.step is None or not location:
+                raise
+            raise Problem(f"{location}: {problem}; {OVERRIDE_HINT}") from None
+        points = replace(points, every=_steps_per_record(record_step, length))
     else:
         distance, name = (end - begin, "step") if record_step is None else (record_step, "record step")
         points = _whole_steps(begin, end, distance, name)
@@ -144,18 +148,6 @@ def step_length(system: System, step: float | None) -> float:
         return system.step
     steps = (component.interface.step for component in system.components.values())
     return min(filter(None, steps), default=DEFAULT_STEP)
-
-
-@contextmanager
-def _naming_suggestion(system: System, step: float | None) -> Iterator[None]:
-    """Add to a Problem with a suggested step the file and line that suggest it."""
-    try:
-        yield
-    except Problem as problem:
-        location = system.suggestion.location
-        if step is not None or system.step is None or not location:
-            raise
-        raise Problem(f"{location}: {problem}; {OVERRIDE_HINT}") from None
 
 
 def _shortest_step(start: float, stop: float) -> float:

@@ -136,8 +136,8 @@ def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, StudyCase]) 
 
 def starts(
     study: Study, cases: Mapping[Options, StudyCase], samples: Sequence[Sample]
-) -> tuple[pa.Table, dict[str, str]]:
-    """Start values and parameter values of each run, and the units of the columns.
+) -> tuple[dict[str, pa.Array], dict[str, str]]:
+    """Start values and parameter values of each run as columns, and their units.
 
     One row per sample; a column `start:component.variable` for each variable that can be set in some case.
     Inputs with a connection or a column of a scenario are left out; null: the variant lacks the variable.
@@ -164,7 +164,7 @@ def starts(
                 value = None if isinstance(constant, float) and np.isnan(constant) else constant
                 for i in rows[options]:
                     column[i] = value
-    return pa.table({name: pa.array(columns[name], types[name]) for name in columns}), units
+    return {name: pa.array(columns[name], types[name]) for name in columns}, units
 
 
 def _settable(case: StudyCase) -> list[Port]:

@@ -6,14 +6,12 @@ runs one sample after the other. It starts fast, because it imports neither pand
 
 from __future__ import annotations
 
-import io
 import pickle
 import re
 import shutil
 import tempfile
 import threading
 import time
-import zipfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
@@ -24,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, zip_bytes
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
@@ -96,11 +94,7 @@ def _archive(source: Location) -> bytes:
     """The bytes of an FMU; an unpacked FMU is packed, with bytes that do not depend on the time."""
     if not source.is_folder:
         return source.read()
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in source.names():
-            archive.writestr(zipfile.ZipInfo(name), source.member(name).read())
-    return buffer.getvalue()
+    return zip_bytes({name: source.member(name).read() for name in source.names()})
 
 
 # ---- limits of a run
