@@ -374,6 +374,6 @@ class SimulationLoop:
         sim.inputs = self._binding.pointer(inputs.array(self._binding))
         sim.input_count = len(inputs.inputs)
         sim.order, sim.has_stepped = at(np.array(order, np.int32)), at(np.zeros(len(order), np.uint8))
-        sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.corrected
+        sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.coupling.correct
         sim.sequential, sim.tolerance = plan.sequential, plan.tolerance
         sim.bonds, sim.bond_count = at(np.array(inputs.bonds, np.int32).reshape(-1)), len(inputs.bonds)
