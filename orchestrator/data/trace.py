@@ -263,9 +263,8 @@ def _checked(columns: Columns, jumps: bool) -> Trace:
             location = columns.location(int(missing.argmax()))
             raise Problem(f"{location}: column {name!r}: expected a number, got none")
     equal = jumps & (np.diff(time) == 0)
-    for k in np.flatnonzero(
-        equal & ~np.append(equal[1:], False)
-    ):  # more than two equal times stay, and are refused
+    # more than two equal times stay, and are refused
+    for k in np.flatnonzero(equal & ~np.append(equal[1:], False)):
         time[k] -= min(JUMP, (time[k] - time[k - 1]) / 2) if k else JUMP
     kept = slice(int(equal[:1].any()), None)
     steps = np.diff(time)

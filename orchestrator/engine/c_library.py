@@ -142,9 +142,8 @@ Allocate = Callable[[str, int], Any]  # (name, bytes) -> writable buffer
 PYTHON = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int32, ctypes.c_int32, ctypes.c_double, ctypes.c_double)
 
 
-def bytearray_of(name: str, size: int) -> bytearray:
+def in_process(_: str, size: int) -> bytearray:
     """Memory of this process only."""
-    del name
     return bytearray(size)
 
 
@@ -161,7 +160,7 @@ class Binding:
     All Python objects whose addresses C has are kept alive.
     """
 
-    def __init__(self, allocate: Allocate = bytearray_of) -> None:
+    def __init__(self, allocate: Allocate = in_process) -> None:
         """allocate: makes the memory of the structure and of the recorded block, see `isolated`."""
         self.h, self.allocate = engine_h(), allocate
         size = ctypes.sizeof(self.h.Simulation)

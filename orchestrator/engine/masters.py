@@ -35,14 +35,12 @@ class Prediction:
     linearised      names of the components that declare directional derivatives of states and outputs
     complete        all components are leading, linearised, or feed no other
     relevant        inputs that influence a state, directly or through other components
-    lag             number of steps for which a linearisation is kept
     """
 
     leading_count: int
     linearised: frozenset[str]
     complete: bool
     relevant: frozenset[Port]
-    lag: int
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,7 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
         system.connections,
         degree=3,
         sequential=True,
-        prediction=Prediction(len(leading), linearised, linearised == needed, relevant, coupling.lag),
+        prediction=Prediction(len(leading), linearised, linearised == needed, relevant),
     )
 
 

@@ -327,9 +327,8 @@ class Network:
         numeric = {p for p in requested if self.system.variable(p).kind != "String"}
         outputs = {p: stages for p, stages in self.order.stages.items() if p in numeric}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
-        for i, (cycle, _) in enumerate(
-            self.order.cycles
-        ):  # blocks of a loop take part in no stage of the exchange
+        # blocks of a loop take part in no stage of the exchange
+        for i, (cycle, _) in enumerate(self.order.cycles):
             outputs |= {c.source: (LOOP_STAGE - i,) for c in cycle.connections}
             inputs |= {c.target: (LOOP_STAGE - i,) for c in cycle.connections}
         inputs |= {p: (SCENARIO_STAGE,) for p in driven}

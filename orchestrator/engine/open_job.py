@@ -23,7 +23,7 @@ from orchestrator.base.files import archive_kept_open
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
-from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
+from orchestrator.engine.c_library import Allocate, Binding, in_process, library
 from orchestrator.engine.job import ENDS_EARLY, Job, RunEnd, guarded
 from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
 from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
@@ -45,7 +45,7 @@ def run_job(
     sink: TraceSink,
     between: Callable[[float], None] = lambda _: None,
     at_end: Callable[[RunEnd], None] = lambda _: None,
-    allocate: Allocate = bytearray_of,
+    allocate: Allocate = in_process,
 ) -> RunEnd:
     """Open all FMUs, run in this process, and close them in any case.
 
@@ -118,7 +118,7 @@ def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
 
 @contextmanager
 def opened(
-    job: Job, times: Grid, sink: TraceSink, allocate: Allocate = bytearray_of
+    job: Job, times: Grid, sink: TraceSink, allocate: Allocate = in_process
 ) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.record.signals
@@ -141,7 +141,7 @@ def opened(
             plan = plan.with_estimate(fast=job.execution.error_estimate == "fast")
         inputs, prediction = CouplingInputs(network, plan), None
         if plan.prediction:
-            prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
+            prediction = LinearPrediction(network, inputs, plan, plan.prediction)
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
         span, restore = (times.start, times.stop), partial(_restore_environment, binding)
         tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}

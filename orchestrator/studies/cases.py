@@ -128,9 +128,14 @@ def signal(system: System, name: str) -> Port:
     return port
 
 
+def ports(system: System, name: str) -> list[Port]:
+    """The variables that a name sets; none if the system lacks it."""
+    return [port for port, _ in system.targets(name)] if system.has(name) else []
+
+
 def is_real(system: System, name: str) -> bool:
     """Are all variables that a name sets Real?"""
-    return all(system.variable(port).is_real for port, _ in system.targets(name))
+    return all(system.variable(port).is_real for port in ports(system, name))
 
 
 def nominals(study: Study, system: System) -> dict[str, float]:
@@ -237,23 +242,22 @@ def _check_not_driven(study: Study, options: Options, case: StudyCase) -> None:
         return
     driven = drive(case.system, case.scenario).columns
     for name in (*study.fixed, *(f.name for f in study.factors)):
-        if case.system.has(name) and any(port in driven for port, _ in case.system.targets(name)):
+        if any(port in driven for port in ports(case.system, name)):
             where = f"{', '.join(options)}: the scenario drives {name}"
             raise Problem(f"choices: {where}, so this input cannot be fixed or a factor")
 
 
 def _check_set_once(study: Study, case: StudyCase) -> None:
     """Refuse a variable that is set twice; only a relative factor may refer to a fixed value."""
-    factors = [f for f in study.factors if case.system.has(f.name)]
-    absolute = {port for f in factors if not f.relative for port, _ in case.system.targets(f.name)}
+    absolute = {port for f in study.factors if not f.relative for port in ports(case.system, f.name)}
     seen: dict[Port, str] = {}
-    for name in (f.name for f in factors):
-        for port, _ in case.system.targets(name):
+    for name in (f.name for f in study.factors):
+        for port in ports(case.system, name):
             if port in seen:
                 raise Problem(f"factors: expected one that sets {port}, got {seen[port]} and {name}")
             seen[port] = name
     for name in study.fixed:
-        for port, _ in case.system.targets(name) if case.system.has(name) else ():
+        for port in ports(case.system, name):
             if port in absolute:
                 same = "" if seen[port] == name else f", which sets {port} as factors.{seen[port]} does"
                 raise Problem(f"fixed: {name}: expected another variable than the factors{same}")

@@ -24,7 +24,7 @@ from scipy.stats import qmc
 
 from orchestrator.data.table import Array
 from orchestrator.ssp.system import Port, coerce
-from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals
+from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals, ports
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
 
 LEVELS = 4  # Morris levels, as in the paper: steps of two thirds of the range
@@ -172,6 +172,6 @@ def _settable(case: StudyCase) -> list[Port]:
     system = case.system
     names = () if case.scenario is None else case.scenario.signals
     driven = {c.target for c in system.connections}
-    driven |= {port for name in names if system.has(name) for port, _ in system.targets(name)}
-    ports = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
-    return [port for port in ports if system.variable(port).settable and port not in driven]
+    driven |= {port for name in names for port in ports(system, name)}
+    every = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
+    return [port for port in every if system.variable(port).settable and port not in driven]

@@ -84,9 +84,7 @@ def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
     components = (c for case in cases.values() for c in case.system.components.values())
     sources = dict.fromkeys(c.source for c in components if c.source)
     archives = {source: _archive(source) for source in sources}
-    once = {
-        content: content for content in archives.values()
-    }  # pickle sends an object once, however often it is named
+    once = {content: content for content in archives.values()}  # pickle sends an object only once
     return Payload(study, cases, {source: once[content] for source, content in archives.items()})
 
 
