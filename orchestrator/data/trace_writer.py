@@ -19,7 +19,7 @@ import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -49,8 +49,7 @@ class RowLayout:
     """The signals of a trace, and where their values are in a recorded point of a run.
 
     names, units      of the signals
-    columns           index of each signal among the Real and then the Integer values of a point; None: the
-                      values of a point are those of the signals
+    columns           index of each signal among the Real and then the Integer values of a point
     scaled            indices of the signals that are outputs of the system: factors * value + offsets
     reals, integers   number of values of a point
     every             every `every`-th communication point is recorded
@@ -58,7 +57,7 @@ class RowLayout:
 
     names: tuple[str, ...]
     units: Mapping[str, str]
-    columns: NDArray[np.intp] | None = None
+    columns: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     scaled: Sequence[int] = ()
     factors: Sequence[float] = ()
     offsets: Sequence[float] = ()
@@ -67,30 +66,20 @@ class RowLayout:
     every: int = 1
 
     @property
-    def order(self) -> NDArray[np.intp]:
-        """Index of each signal among the values of a point."""
-        return np.arange(len(self.names)) if self.columns is None else self.columns
-
-    @property
-    def width(self) -> int:
-        """Number of values of a point."""
-        return len(self.names) if self.columns is None else self.reals + self.integers
-
-    @property
     def consistent(self) -> bool:
         """Do all parts refer to values that a point has?"""
         scales = {len(self.scaled), len(self.factors), len(self.offsets)}
         scaled = all(0 <= k < len(self.names) for k in self.scaled)
         once = len(set(self.names)) == len(self.names)
         valid = min(self.reals, self.integers, self.every - 1) >= 0 and once
-        order = self.order
-        inside = order.shape == (len(self.names),) and bool(((order >= 0) & (order < self.width)).all())
-        return len(scales) == 1 and scaled and valid and inside
+        inside = (self.columns >= 0) & (self.columns < self.reals + self.integers)
+        each = inside.shape == (len(self.names),) and bool(inside.all())
+        return len(scales) == 1 and scaled and valid and each
 
     def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
         """The signals at some points, shape (points, signals)."""
         points = np.hstack([reals, integers]) if self.integers else reals
-        values = np.take(points, self.order, axis=1)
+        values = np.take(points, self.columns, axis=1)
         for k, factor, offset in zip(self.scaled, self.factors, self.offsets, strict=True):
             values[:, k] = factor * values[:, k] + offset
         return values
