@@ -229,15 +229,12 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
 
 def _leading_components(system: System, relevant: frozenset[Port]) -> set[int]:
     """Indices of the components that depend on no other components than these, in an order without cycles."""
-    names, leading = list(system.components), set[int]()
-    edges = [(c.source.component, c.target.component) for c in system.connections if c.target in relevant]
-    while True:
-        leading_names = {names[k] for k in leading}
-        dependent = {target for source, target in edges if source == target or source not in leading_names}
-        independent = {k for k, name in enumerate(names) if name not in dependent}
-        if independent == leading:
-            return leading
-        leading = independent
+    names, leading = list(system.components), set[str]()
+    feeding = grouped((c for c in system.connections if c.target in relevant), lambda c: c.target.component)
+    sources = {name: {c.source.component for c in feeding.get(name, ())} for name in names}
+    while (ready := {name for name in names if sources[name] <= leading}) != leading:
+        leading = ready
+    return {names.index(name) for name in leading}
 
 
 def _components_to_predict(system: System, leading: set[int], relevant: frozenset[Port]) -> frozenset[str]:

@@ -418,11 +418,8 @@ def ranges(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, floa
 
 def widest_of_unit(spans: Mapping[str, float], units: Mapping[str, str]) -> dict[str, float]:
     """Signal -> the largest of the ranges of all signals in its unit."""
-    widest: dict[str, float] = {}
-    for name, span in spans.items():
-        unit = units.get(name, "")
-        widest[unit] = max(widest.get(unit, span), span)
-    return {name: widest[units.get(name, "")] for name in spans}
+    groups = grouped(spans, lambda name: units.get(name, "")).values()
+    return {name: max(spans[n] for n in names) for names in groups for name in names}
 
 
 def _changes(fine: Trace, trace: Trace) -> dict[str, NDArray[np.float64]]:

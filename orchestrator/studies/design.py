@@ -72,12 +72,9 @@ def table(study: Study) -> pd.DataFrame:
     """
     cube = samples(study)
     sampled = {d.column: _values(study, d, cube[:, i]) for i, d in enumerate(study.dimensions)}
-    constant = {c.column: c.options[0] for c in study.fixed_choices}
-    parts = []
-    for options in product(*(c.options for c in study.crossed)):
-        crossed = {c.column: o for c, o in zip(study.crossed, options, strict=True)}
-        parts.append(pd.DataFrame({**constant, **crossed, **sampled}, index=range(len(cube))))
-    runs = pd.concat(parts, ignore_index=True)
+    each = [c for c in study.choices if c not in study.dimensions]
+    options = pd.DataFrame([*product(*(c.options for c in each))], columns=[c.column for c in each])
+    runs = options.merge(pd.DataFrame(sampled, index=range(len(cube))), how="cross")
     columns = [*(f.column for f in study.factors), *(c.column for c in study.choices)]
     return runs[columns].rename_axis("run")
 

@@ -246,11 +246,6 @@ class Study:
         return tuple(c for c in self.compared if not c.sampled)
 
     @property
-    def fixed_choices(self) -> tuple[Choice, ...]:
-        """The choices with one option, which holds for all runs."""
-        return tuple(c for c in self.choices if len(c.options) == 1)
-
-    @property
     def bands(self) -> tuple[str, ...]:
         """The signals that are stored, without repetitions."""
         return tuple(dict.fromkeys(o.signal for o in self.outputs if o.band))
