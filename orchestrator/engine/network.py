@@ -165,12 +165,10 @@ LOOP_STAGE = -2  # ports of algebraic loop i have the stage LOOP_STAGE - i
 class Block:
     """A slice of an array: variables of one component and one FMI type with the same stages of the exchange.
 
-    access   name of the type in the FMI function
-    first    index of the first variable
+    first   index of the first variable
     """
 
     component: str
-    access: str
     stages: tuple[int, ...]
     ports: tuple[Port, ...]
     first: int
@@ -191,8 +189,8 @@ class SignalArray:
             return port.component, function_type(system.variable(port)), stages[port]
 
         blocks = []
-        for group, ports in grouped(stages, group_of).items():
-            blocks.append(Block(*group, tuple(ports), len(self.index)))
+        for (component, _, same), ports in grouped(stages, group_of).items():
+            blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
         self.values = np.zeros(len(self.index), self.values.dtype)
