@@ -30,9 +30,10 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator import Problem, RunFailed, load, run
+from orchestrator import Problem, load
 from orchestrator.base.text import TextTable
 from orchestrator.data.trace import Trace
+from orchestrator.engine.run import attempt
 from orchestrator.engine.time_grid import step_length
 from orchestrator.ssp.system import Component
 
@@ -95,11 +96,9 @@ def by_run(
     """The result of `run`, and why it ended early; raises Problem if it did not begin."""
     fmu = component.source
     assert fmu is not None
-    try:
-        done = run(fmu.path, start=start, stop=stop, step=step, tolerance=tolerance, time_limit=TIME)
-        return done.trace, ""
-    except RunFailed as failed:
-        return failed.result.trace, str(failed)
+    times = {"start": start, "stop": stop, "step": step}
+    result, failure = attempt(fmu.path, tolerance=tolerance, time_limit=TIME, **times)
+    return result.trace, failure
 
 
 def compared(ours: Trace, other: Trace, component: str, early: str) -> tuple[str, str, str]:

@@ -145,7 +145,7 @@ def compare(band: Band, recordings: Sequence[Recording], noise: Mapping[str, flo
 
 def _as_recording(band: Band, like: Recording) -> Recording:
     signals = {"command": like["command"], "position": band.curve["position"]}
-    return Recording(like.source, like.time, signals, {"command": "V", "position": "m"})
+    return Recording(like.time, signals, {"command": "V", "position": "m"}, like.source)
 
 
 def _deviation(values: Array) -> float:

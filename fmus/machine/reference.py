@@ -62,6 +62,7 @@ from fmus.operator_input.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
 from fmus.supply import SUPPLY
 from orchestrator.base.files import write_columns
+from orchestrator.base.signals import CONSTANT_OF_NOMINAL
 
 Array = NDArray[np.float64]
 STOP = 8.0  # s, with strokes of each lever
@@ -69,7 +70,6 @@ STEM = Stem(3.0, 200.0, 3.0)  # of the parts that carry it: taken up and dropped
 EXPERIMENT_EVERY = 4  # communication steps between two rows of the result
 EXPERIMENT_TOLERANCE = 1e-11  # relative, and absolute times the nominal value
 INPUT_DIGITS, RESULT_DIGITS = 10, 9
-CONSTANT = 1e-6  # range over nominal value below which a signal counts as constant
 
 
 def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
@@ -194,7 +194,7 @@ def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mappin
         name
         for i, (name, q) in enumerate(outputs.items())
         if (q.warn_above is None or q.warn_above > q.nominal)
-        and np.ptp(result[name]) > CONSTANT * q.nominal
+        and np.ptp(result[name]) > CONSTANT_OF_NOMINAL * q.nominal
         and not ca.depends_on(model.y[i], column(*jumping))
     ]
 

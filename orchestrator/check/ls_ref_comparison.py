@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import rms, span
 from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.probe_process import run
 from orchestrator.check.probes import first_run
@@ -32,7 +33,6 @@ from orchestrator.check.read_ls_ref import (
 from orchestrator.check.rule import CheckRule
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
-from orchestrator.data.trace import rms, span
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, parse_numbers
 
 SETTABLE = ("parameter", "structuralParameter", "input")

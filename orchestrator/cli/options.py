@@ -90,7 +90,7 @@ def command(function: F) -> F:
         parameters.append(Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation))
 
     @wraps(function)
-    def flat_command(**values: Any) -> None:
+    def flat_command(**values: object) -> None:
         given = {name: _value(name, option, values[name]) for name, option in options.items()}
         chosen = {n: v for n, v in given.items() if n in defaults or v or (v == 0 and v is not False)}
         status = function(**chosen)

@@ -8,15 +8,15 @@ are both recordings. `write_recording` writes a computed recording.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import require, write_columns
 from orchestrator.base.units import convert, parse_unit, si_unit
 from orchestrator.data.description import (
@@ -76,14 +76,19 @@ class Criterion:
     floor: float = 0.0
 
 
-@dataclass(frozen=True)
-class Recording:
-    """Signals over one time axis; signals that were read from a file are in SI units.
+class MissingSignal(UnknownSignal):
+    """A signal that a recording lacks."""
 
-    source       the file
-    time         shape (n,) [s], increasing
+    def __init__(self, message: str) -> None:
+        Problem.__init__(self, message)
+
+
+@dataclass(frozen=True, repr=False)
+class Recording(Trace):
+    """A trace with gaps, instruments and conditions of the experiment; read from a file it is in SI units.
+
     signals      each of shape (n,); NaN for a missing sample
-    units        unit of each signal
+    source       the file
     procedure    the experiment: "valve", "hose_resistance", ..., "machine"; "": none
     use          "train" for the fit, "test" for the validation of the fit
     conditions   constants of the experiment: values in SI units, or texts
@@ -95,10 +100,7 @@ class Recording:
     metadata     the table [reference] of the description: title, kind, origin, solver, date, change ...
     """
 
-    source: Path
-    time: Array
-    signals: Mapping[str, Array]
-    units: Mapping[str, str]
+    source: Path = Path("recording")
     title: str = ""
     procedure: str = ""
     use: str = "train"
@@ -111,16 +113,14 @@ class Recording:
     stop: float = math.inf
     metadata: Mapping[str, str | float] = field(default_factory=dict)
 
-    def __getitem__(self, name: str) -> Array:
-        """One signal, shape (n,)."""
-        if name not in self.signals:
-            purpose = f" for {self.procedure}" if self.procedure else ""
-            got = ", ".join(self.signals)
-            raise Problem(f"{self.source}: expected the signal {name}{purpose}, got {got}")
-        return self.signals[name]
+    def _only(self, variable: str) -> NoReturn:
+        """A recording has no short names."""
+        purpose = f" for {self.procedure}" if self.procedure else ""
+        got = ", ".join(self.signals)
+        raise MissingSignal(f"{self.source}: expected the signal {variable}{purpose}, got {got}")
 
     def __repr__(self) -> str:
-        return f"Recording {self.source.name}: {Trace(self.time, self.signals, self.units).extent}"
+        return f"Recording {self.source.name}: {self.extent}"
 
     @property
     def heading(self) -> str:
@@ -161,10 +161,6 @@ class Recording:
         got = "nothing" if (value := self.conditions.get(name)) is None else repr(value)
         raise Problem(f"{self.source}: experiment: {name}: expected {expected}, got {got}")
 
-    def select(self, names: Sequence[str]) -> Recording:
-        """The recording with only these signals."""
-        return replace(self, signals={name: self[name] for name in names})
-
     def interpolated(self, name: str) -> Array:
         """A signal, linear over gaps and constant before its first and after its last sample; else zeros."""
         values, valid = self[name], np.isfinite(self[name])
@@ -172,10 +168,9 @@ class Recording:
             return values
         return np.interp(self.time, self.time[valid], values[valid]) if valid.any() else np.zeros_like(values)
 
-    def trace(self) -> Trace:
-        """The signals without gaps; those without any sample are left out."""
-        signals = {n: self.interpolated(n) for n, values in self.signals.items() if np.isfinite(values).any()}
-        return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
+    def without_gaps(self) -> Recording:
+        """The recording with all signals interpolated; those without any sample are left out."""
+        return self._with({n: self.interpolated(n) for n, v in self.signals.items() if np.isfinite(v).any()})
 
 
 def read_recording(path: Path | str, data: Path | str | None = None) -> Recording:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,10 +30,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
-
-CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
-TINY = 1e-150  # magnitudes whose squares leave the range of a float count as zero
-
 
 TIME = "time"
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
@@ -56,21 +52,27 @@ class Trace(Mapping[str, Array]):
     @overload
     def __getitem__(self, key: str) -> Array: ...
     @overload
-    def __getitem__(self, key: list[str] | tuple[str, ...]) -> Trace: ...
-    def __getitem__(self, key: str | list[str] | tuple[str, ...]) -> Array | Trace:
+    def __getitem__(self, key: list[str] | tuple[str, ...]) -> Self: ...
+    def __getitem__(self, key: str | list[str] | tuple[str, ...]) -> Array | Self:
         """The values of a signal, shape (n,); the trace with some signals, for a list of names and patterns.
 
         A name may lack the component if only one signal has it.
         """
         if not isinstance(key, str):
-            signals = {name: self.signals[name] for name in (self.chosen(key) if key else ())}
-            return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
-        if key in self.signals:
-            return self.signals[key]
-        same = [name for name in self.signals if name.rpartition(".")[2] == key]
+            return self._with({name: self.signals[name] for name in (self.chosen(key) if key else ())})
+        return self.signals[key if key in self.signals else self._only(key)]
+
+    def _only(self, variable: str) -> str:
+        """The one signal of this variable; raises UnknownSignal."""
+        same = [name for name in self.signals if name.rpartition(".")[2] == variable]
         if len(same) != 1:
-            raise UnknownSignal(key, same or self.signals)
-        return self.signals[same[0]]
+            raise UnknownSignal(variable, same or self.signals)
+        return same[0]
+
+    def _with(self, signals: Mapping[str, Array], time: Array | None = None) -> Self:
+        """Some of these signals with other samples, at these times."""
+        units = {name: unit for name, unit in self.units.items() if name in signals}
+        return replace(self, time=self.time if time is None else time, signals=signals, units=units)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.signals)
@@ -79,7 +81,7 @@ class Trace(Mapping[str, Array]):
         return len(self.signals)
 
     def __repr__(self) -> str:
-        return f"Trace: {self.extent}"
+        return f"{type(self).__name__}: {self.extent}"
 
     @property
     def extent(self) -> str:
@@ -111,10 +113,10 @@ class Trace(Mapping[str, Array]):
         values = {name: (TIME, values, {"units": self.units.get(name, "")}) for name, values in self.items()}
         return xr.Dataset(values, {TIME: (TIME, self.time, {"units": "s"})})
 
-    def at(self, time: ArrayLike) -> Trace:
+    def at(self, time: ArrayLike) -> Self:
         """The signals at other times [s]: linear interpolation, constant before and after the samples."""
         times = np.asarray(time, dtype=np.float64)
-        return Trace(times, {n: np.interp(times, self.time, v) for n, v in self.signals.items()}, self.units)
+        return self._with({n: np.interp(times, self.time, v) for n, v in self.signals.items()}, times)
 
     def plot(
         self,
@@ -171,7 +173,7 @@ class Trace(Mapping[str, Array]):
             names |= dict.fromkeys(matches)
         return list(names)
 
-    def window(self, start: Seconds = None, stop: Seconds = None) -> Trace:
+    def window(self, start: Seconds = None, stop: Seconds = None) -> Self:
         """The samples from `start` to `stop`, [s] or such as "2 s", at least two; default: all."""
         start, stop = seconds(start, "start"), seconds(stop, "stop")
         first, last = (-np.inf if start is None else start), (np.inf if stop is None else stop)
@@ -181,9 +183,9 @@ class Trace(Mapping[str, Array]):
             raise Problem(f"time window {first:g} to {last:g} s: expected two or more samples, {got}")
         if inside.all():
             return self
-        return Trace(self.time[inside], {n: v[inside] for n, v in self.signals.items()}, self.units)
+        return self._with({n: v[inside] for n, v in self.signals.items()}, self.time[inside])
 
-    def select(self, names: Iterable[str]) -> Trace:
+    def select(self, names: Iterable[str]) -> Self:
         """The trace with only these signals, in this order."""
         return self[list(names)]
 
@@ -261,9 +263,8 @@ def _checked(columns: Columns, jumps: bool) -> Trace:
             location = columns.location(int(missing.argmax()))
             raise Problem(f"{location}: column {name!r}: expected a number, got none")
     equal = jumps & (np.diff(time) == 0)
-    for k in np.flatnonzero(
-        equal & ~np.append(equal[1:], False)
-    ):  # more than two equal times stay, and are refused
+    # more than two equal times stay, and are refused
+    for k in np.flatnonzero(equal & ~np.append(equal[1:], False)):
         time[k] -= min(JUMP, (time[k] - time[k - 1]) / 2) if k else JUMP
     kept = slice(int(equal[:1].any()), None)
     steps = np.diff(time)
@@ -296,19 +297,3 @@ def _gap(steps: NDArray[np.float64]) -> int | None:
     if np.abs(ratio - multiple).max() > 1e-3 or np.mean(multiple == 1) < 0.98:
         return None
     return int(np.argmax(multiple > 1)) if multiple.max() > 1 else None
-
-
-def moves(signal: Array, recording: Array | None = None) -> bool:
-    """Whether a signal, possibly a part of a recording, varies beyond the rounding of a text file."""
-    magnitude = float(np.max(np.abs(signal if recording is None else recording)))
-    return not np.ptp(signal) <= max(TINY, CONSTANT * magnitude)
-
-
-def span(signal: Array) -> float:
-    """The range of a signal; 0 if it does not move."""
-    return float(np.ptp(signal)) if moves(signal) else 0.0
-
-
-def rms(values: Array) -> float:
-    """Root mean square; 0 without values."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0

@@ -19,7 +19,7 @@ import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -49,8 +49,7 @@ class RowLayout:
     """The signals of a trace, and where their values are in a recorded point of a run.
 
     names, units      of the signals
-    columns           index of each signal among the Real and then the Integer values of a point; None: the
-                      values of a point are those of the signals
+    columns           index of each signal among the Real and then the Integer values of a point
     scaled            indices of the signals that are outputs of the system: factors * value + offsets
     reals, integers   number of values of a point
     every             every `every`-th communication point is recorded
@@ -58,7 +57,7 @@ class RowLayout:
 
     names: tuple[str, ...]
     units: Mapping[str, str]
-    columns: NDArray[np.intp] | None = None
+    columns: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     scaled: Sequence[int] = ()
     factors: Sequence[float] = ()
     offsets: Sequence[float] = ()
@@ -67,30 +66,20 @@ class RowLayout:
     every: int = 1
 
     @property
-    def order(self) -> NDArray[np.intp]:
-        """Index of each signal among the values of a point."""
-        return np.arange(len(self.names)) if self.columns is None else self.columns
-
-    @property
-    def width(self) -> int:
-        """Number of values of a point."""
-        return len(self.names) if self.columns is None else self.reals + self.integers
-
-    @property
     def consistent(self) -> bool:
         """Do all parts refer to values that a point has?"""
         scales = {len(self.scaled), len(self.factors), len(self.offsets)}
         scaled = all(0 <= k < len(self.names) for k in self.scaled)
         once = len(set(self.names)) == len(self.names)
         valid = min(self.reals, self.integers, self.every - 1) >= 0 and once
-        order = self.order
-        inside = order.shape == (len(self.names),) and bool(((order >= 0) & (order < self.width)).all())
-        return len(scales) == 1 and scaled and valid and inside
+        inside = (self.columns >= 0) & (self.columns < self.reals + self.integers)
+        each = inside.shape == (len(self.names),) and bool(inside.all())
+        return len(scales) == 1 and scaled and valid and each
 
     def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
         """The signals at some points, shape (points, signals)."""
         points = np.hstack([reals, integers]) if self.integers else reals
-        values = np.take(points, self.order, axis=1)
+        values = np.take(points, self.columns, axis=1)
         for k, factor, offset in zip(self.scaled, self.factors, self.offsets, strict=True):
             values[:, k] = factor * values[:, k] + offset
         return values
@@ -157,23 +146,17 @@ class TraceInMemory(TraceSink):
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Allocate the arrays; raises Problem if they do not fit into memory."""
         super().begin(layout)
-        self._times, self._values = np.zeros(0), np.zeros((layout.width, 0))
+        self._times, self._values = np.zeros(0), np.zeros((len(layout.names), 0))
         self._outputs, self._errors = list[str](), list[tuple[Array, Array]]()
         self._allocate(rows)
 
     def append(self, times: Array, values: Array) -> None:
         """Store rows; the arrays grow if necessary."""
-        self.append_points(times, values, np.zeros((len(times), 0), np.int32))
-
-    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
-        """Store points; the arrays grow if necessary."""
-        first, count = self.rows, reals.shape[1]
-        super().append(times, reals)
+        first = self.rows
+        super().append(times, values)
         if self.rows > len(self._times):
             self._allocate(2 * self.rows)
-        self._times[first : self.rows] = times
-        self._values[:count, first : self.rows] = reals.T
-        self._values[count:, first : self.rows] = integers.T
+        self._times[first : self.rows], self._values[:, first : self.rows] = times, values.T
 
     def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
         """Store estimated errors of recorded signals, without times at which one is not finite."""
@@ -199,11 +182,8 @@ class TraceInMemory(TraceSink):
     @property
     def trace(self) -> Trace:
         """All rows until now."""
-        layout, values = self.layout, self._values[:, : self.rows]
-        signals = {name: values[k] for name, k in zip(layout.names, layout.order, strict=True)}
-        for k, factor, offset in zip(layout.scaled, layout.factors, layout.offsets, strict=True):
-            signals[layout.names[k]] = factor * signals[layout.names[k]] + offset
-        return Trace(self._times[: self.rows], signals, layout.units)
+        signals = dict(zip(self.layout.names, self._values[:, : self.rows], strict=True))
+        return Trace(self._times[: self.rows], signals, self.layout.units)
 
     @property
     def errors(self) -> Trace | None:
@@ -234,6 +214,9 @@ class TraceOnDisk(Trace):
     def signals(self) -> Mapping[str, Array]:
         """As in `Trace`."""
         return self._samples.signals
+
+    def _with(self, signals: Mapping[str, Array], time: Array | None = None) -> Any:
+        return self._samples._with(signals, time)
 
 
 class TraceFile(TraceSink):
@@ -269,7 +252,7 @@ class TraceFile(TraceSink):
         self.accept(layout)
         super().begin(layout, rows)
         self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))
-        self._kept.begin(RowLayout(layout.names, layout.units))  # of rows, not of points
+        self._kept.begin(layout)
         with _naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)

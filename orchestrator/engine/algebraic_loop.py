@@ -27,7 +27,7 @@ class AlgebraicLoop:
 
     inputs, outputs   its ports, ordered by component
     struct            `AlgebraicLoop` of engine.h
-    address           of `struct`
+    address           of `struct`; instruction: solves the loop
     """
 
     def __init__(self, binding: Binding, slaves: Mapping[str, Slave], cycle: DependencyCycle) -> None:
@@ -58,6 +58,7 @@ class AlgebraicLoop:
         )
         self._members = list(self._fill_members())
         self.address = binding.checked(self.struct, self)
+        self.instruction = binding.h.Instruction(binding.h.LOOP, 0, self.address)
 
     def _sort_key(self, port: Port) -> tuple[int, str, str]:
         variable = self._slaves[port.component].interface.variables[port.variable]
@@ -97,10 +98,6 @@ class AlgebraicLoop:
         """Set the indices of its ports in the array of Real values."""
         at = self._binding.at
         self.struct.input_indices, self.struct.output_indices = at(inputs), at(outputs)
-
-    def instruction(self, binding: Binding) -> Any:
-        """The instruction that solves the loop."""
-        return binding.h.Instruction(binding.h.LOOP, 0, self.address)
 
     @property
     def circular(self) -> bool:

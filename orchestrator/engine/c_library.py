@@ -142,9 +142,8 @@ Allocate = Callable[[str, int], Any]  # (name, bytes) -> writable buffer
 PYTHON = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int32, ctypes.c_int32, ctypes.c_double, ctypes.c_double)
 
 
-def bytearray_of(name: str, size: int) -> bytearray:
+def in_process(_: str, size: int) -> bytearray:
     """Memory of this process only."""
-    del name
     return bytearray(size)
 
 
@@ -161,7 +160,7 @@ class Binding:
     All Python objects whose addresses C has are kept alive.
     """
 
-    def __init__(self, allocate: Allocate = bytearray_of) -> None:
+    def __init__(self, allocate: Allocate = in_process) -> None:
         """allocate: makes the memory of the structure and of the recorded block, see `isolated`."""
         self.h, self.allocate = engine_h(), allocate
         size = ctypes.sizeof(self.h.Simulation)
@@ -219,9 +218,8 @@ class Binding:
             return self.h.Instruction(self.h.ACCESS, 0, self._access(call))
         if isinstance(call, ExchangeCall):
             return self.h.Instruction(self.h.EXCHANGE, 0, self._exchange_call(call))
-        instruction = getattr(call, "instruction", None)  # a `ConnectionCopy` or an `AlgebraicLoop`
-        if instruction is not None:
-            return instruction(self)
+        if isinstance(call, self.h.Instruction):
+            return call
         return self.h.Instruction(self.h.PYTHON, self._register(call), None)
 
     def _register(self, call: Call) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Binding, engine_h
-from orchestrator.engine.masters import CouplingInputs, Prediction
+from orchestrator.engine.masters import CouplingInputs, Plan, Prediction
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import EstimatedError
 from orchestrator.fmi.calls import Buffer, Call, Slave, calls_by_type
@@ -226,11 +226,10 @@ class JoinedSystem(LinearSystem):
         self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
         self.forcing, self.stages = np.zeros((3, wide)), np.zeros((PREDICTION_ROWS, wide))
 
-    def struct(self, binding: Binding, **members: Any) -> Any:
-        """`LinearPrediction` of engine.h with these arrays and further members."""
-        arrays = "f x w f0 x0 w0 q course response forcing v stages factors"
-        system = self.system_struct(binding)
-        return binding.h.LinearPrediction(system=system, **binding.all_at(self, arrays), **members)
+    def struct(self, binding: Binding) -> Any:
+        """`LinearPrediction` of engine.h with these arrays."""
+        arrays = binding.all_at(self, "f x w f0 x0 w0 q course response forcing v stages factors")
+        return binding.h.LinearPrediction(system=self.system_struct(binding), **arrays)
 
 
 NO_DERIVATIVES = "provides no directional derivatives, so its outputs are extrapolated"
@@ -243,13 +242,12 @@ class LinearPrediction:
     kinds    PREDICTED, BY_SCENARIO, LEADING or EXTRAPOLATED for each of them
     """
 
-    def __init__(
-        self, network: Network, inputs: CouplingInputs, plan: Prediction, order: Sequence[int]
-    ) -> None:
-        self._network, self._coupling, self._plan, self._h = network, inputs, plan, engine_h()
-        self._leading, self._others = list(order[: plan.leading_count]), list(order[plan.leading_count :])
+    def __init__(self, network: Network, inputs: CouplingInputs, plan: Plan, prediction: Prediction) -> None:
+        self._network, self._coupling, self._plan, self._h = network, inputs, prediction, engine_h()
+        leading, self._lag = prediction.leading_count, plan.coupling.lag
+        self._leading, self._others = list(plan.order[:leading]), list(plan.order[leading:])
         self._names, self._components = list(network.slaves), [*network.components.values()]
-        self.inputs = [u for u in self._candidates() if u.target in plan.relevant]
+        self.inputs = [u for u in self._candidates() if u.target in prediction.relevant]
         self.kinds = np.zeros(len(self.inputs), np.int32)
         self.joined = JoinedSystem(0, len(self.inputs))
         self.notes: tuple[str, ...] = ()
@@ -321,19 +319,14 @@ class LinearPrediction:
 
     def fill(self, binding: Binding) -> None:
         """Fill the C structures of the linear system."""
-        at, lag = binding.at, self._plan.lag
+        at = binding.at
         coupling_inputs = [-1 if u.coupling_input is None else u.coupling_input for u in self.inputs]
         linearised = self.joined.linearised
-        struct = self.joined.struct(
-            binding,
-            rate_reads=binding.program([call for linear in linearised for call in linear.rate_reads]),
-            state_reads=binding.program([call for linear in linearised for call in linear.state_reads]),
-            kinds=at(self.kinds),
-            inputs=at(np.array(coupling_inputs, np.int32)),
-            leading_count=self._plan.leading_count,
-            lag=lag,
-            age=lag,
-        )
+        struct = self.joined.struct(binding)
+        struct.rate_reads = binding.program([call for linear in linearised for call in linear.rate_reads])
+        struct.state_reads = binding.program([call for linear in linearised for call in linear.state_reads])
+        struct.kinds, struct.inputs = at(self.kinds), at(np.array(coupling_inputs, np.int32))
+        struct.leading_count, struct.lag, struct.age = self._plan.leading_count, self._lag, self._lag
         binding.simulation.prediction = binding.pointer(struct)
 
 

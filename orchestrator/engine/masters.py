@@ -35,45 +35,37 @@ class Prediction:
     linearised      names of the components that declare directional derivatives of states and outputs
     complete        all components are leading, linearised, or feed no other
     relevant        inputs that influence a state, directly or through other components
-    lag             number of steps for which a linearisation is kept
     """
 
     leading_count: int
     linearised: frozenset[str]
     complete: bool
     relevant: frozenset[Port]
-    lag: int
 
 
 @dataclass(frozen=True)
 class Plan:
     """How all components take a communication step.
 
-    order           indices of the components in the order in which they step
-    varying         connections whose inputs vary inside the step; the others are held
-    extrapolation   degree of extrapolation for a source that has not stepped yet
-    degree          degree of interpolation for a source that has stepped
-    sequential      components step one after the other, with the new outputs of those before
-    passes          how often the step is computed at most; more than once requires rollback
-    tolerance       passes end when the last one changed no signal by more, relative to its magnitude
-    corrected       extrapolated inputs are corrected by input_correct of native/coupling_input.c
-    watches         held inputs are watched too, to estimate the error of a step
-    estimates       the error of the run is estimated, which needs all slopes
-    halves          components step in two halves, with which the errors of inputs are measured
-    repeated        indices of the components that further passes compute again
-    notes           remarks for the accuracy card
-    prediction      inputs are predicted from linearisations
+    coupling     extrapolation of a source that has not stepped yet, and its correction
+    order        indices of the components in the order in which they step
+    varying      connections whose inputs vary inside the step; the others are held
+    degree       degree of interpolation for a source that has stepped
+    sequential   components step one after the other, with the new outputs of those before
+    passes       how often the step is computed at most; more than once requires rollback
+    estimates    the error of the run is estimated, which needs all slopes
+    halves       components step in two halves, with which the errors of inputs are measured
+    repeated     indices of the components that further passes compute again
+    notes        remarks for the accuracy card
+    prediction   inputs are predicted from linearisations
     """
 
+    coupling: Coupling
     order: Sequence[int]
     varying: Sequence[Connection]
-    extrapolation: int
     degree: int
     sequential: bool = False
     passes: int = 1
-    tolerance: float = 0.0
-    corrected: bool = False
-    watches: bool = False
     estimates: bool = False
     halves: bool = False
     repeated: frozenset[int] = frozenset()
@@ -83,12 +75,22 @@ class Plan:
     def with_estimate(self, fast: bool) -> Plan:
         """The plan of a run that estimates its error; fast: without measurements for masters of order 4."""
         of_order_four = self.passes > 1 or self.prediction is not None
-        return replace(self, watches=True, estimates=True, halves=of_order_four and not fast)
+        return replace(self, estimates=True, halves=of_order_four and not fast)
+
+    @property
+    def tolerance(self) -> float:
+        """Passes end when the last one changed no signal by more, relative to its magnitude."""
+        return self.coupling.pass_tolerance
+
+    @property
+    def watches(self) -> bool:
+        """Are held inputs watched too, to estimate the error of a step?"""
+        return self.estimates or self.coupling.estimates_error
 
     @property
     def needs_slopes(self) -> bool:
         """Does the master use slopes of outputs?"""
-        return self.extrapolation > 0 or self.degree > 1 or self.corrected or self.watches
+        return self.coupling.extrapolation > 0 or self.degree > 1 or self.coupling.correct or self.watches
 
     def needs_slopes_of(self, component: str) -> bool:
         """Does the master use slopes of the outputs of this component?"""
@@ -156,14 +158,8 @@ def jacobi_plan(system: System, coupling: Coupling) -> Plan:
     At order 0 inputs are held, unless an FMU varies them itself by a rate input.
     """
     order = coupling.extrapolation
-    return Plan(
-        range(len(system.components)),
-        system.connections if order or coupling.correct else (),
-        order,
-        degree=order,
-        corrected=coupling.correct,
-        watches=coupling.estimates_error,
-    )
+    varying = system.connections if order or coupling.correct else ()
+    return Plan(coupling, range(len(system.components)), varying, degree=order)
 
 
 def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
@@ -176,18 +172,12 @@ def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
     order, names = coupling.extrapolation, list(system.components)
     components = _gauss_seidel_indices(system)
     position = {names[k]: i for i, k in enumerate(components)}
-    from_earlier = [
-        c for c in system.connections if position[c.source.component] < position[c.target.component]
+    varying = [
+        c
+        for c in system.connections
+        if order or coupling.correct or position[c.source.component] < position[c.target.component]
     ]
-    return Plan(
-        components,
-        system.connections if order or coupling.correct else from_earlier,
-        order,
-        degree=min(order + 1, 3),
-        sequential=True,
-        corrected=coupling.correct,
-        watches=coupling.estimates_error,
-    )
+    return Plan(coupling, components, varying, degree=min(order + 1, 3), sequential=True)
 
 
 def hermite_plan(system: System, coupling: Coupling) -> Plan:
@@ -206,15 +196,12 @@ def hermite_plan(system: System, coupling: Coupling) -> Plan:
     cannot = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
     note = f"hermite makes one pass per step, because {', '.join(cannot)} cannot restore a saved state"
     return Plan(
+        coupling,
         order,
         system.connections,
-        coupling.extrapolation,
         degree=3,
         sequential=True,
         passes=1 if cannot else coupling.max_passes,
-        tolerance=coupling.pass_tolerance,
-        corrected=coupling.correct,
-        watches=coupling.estimates_error,
         repeated=repeated,
         notes=(note,) if cannot and coupling.max_passes > 1 else (),
     )
@@ -231,27 +218,23 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
     needed = _components_to_predict(system, leading, relevant)
     linearised = frozenset(name for name in needed if system.components[name].interface.linearisable)
     return Plan(
+        coupling,
         sorted(_gauss_seidel_indices(system), key=lambda k: k not in leading),
         system.connections,
-        coupling.extrapolation,
         degree=3,
         sequential=True,
-        watches=coupling.estimates_error,
-        prediction=Prediction(len(leading), linearised, linearised == needed, relevant, coupling.lag),
+        prediction=Prediction(len(leading), linearised, linearised == needed, relevant),
     )
 
 
 def _leading_components(system: System, relevant: frozenset[Port]) -> set[int]:
     """Indices of the components that depend on no other components than these, in an order without cycles."""
-    names, leading = list(system.components), set[int]()
-    edges = [(c.source.component, c.target.component) for c in system.connections if c.target in relevant]
-    while True:
-        leading_names = {names[k] for k in leading}
-        dependent = {target for source, target in edges if source == target or source not in leading_names}
-        independent = {k for k, name in enumerate(names) if name not in dependent}
-        if independent == leading:
-            return leading
-        leading = independent
+    names, leading = list(system.components), set[str]()
+    feeding = grouped((c for c in system.connections if c.target in relevant), lambda c: c.target.component)
+    sources = {name: {c.source.component for c in feeding.get(name, ())} for name in names}
+    while (ready := {name for name in names if sources[name] <= leading}) != leading:
+        leading = ready
+    return {names.index(name) for name in leading}
 
 
 def _components_to_predict(system: System, leading: set[int], relevant: frozenset[Port]) -> frozenset[str]:
@@ -314,7 +297,7 @@ class CouplingInputs:
         if self._plan.passes > 1:
             return self._plan.degree + 1
         order = max((s.order for s in self.inputs), default=0)
-        return order + (2 if self._plan.corrected else 1)
+        return order + (2 if self._plan.coupling.correct else 1)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -414,7 +397,8 @@ class CouplingInputs:
     def _from_output(self, port: Port, connection: Connection) -> dict[str, Any]:
         network, plan, varied = self._network, self._plan, port in self._varied
         slave, source = network.slaves[port.component], connection.source
-        degree = max(plan.extrapolation, plan.degree, int(plan.corrected)) if varied else 0
+        coupling = plan.coupling
+        degree = max(coupling.extrapolation, plan.degree, int(coupling.correct)) if varied else 0
         return {
             "source": network.reals.index[source],
             "factor": connection.map.factor,
@@ -423,7 +407,7 @@ class CouplingInputs:
             **self._slope(port, connection),
             "fmu_degree": slave.input_degree(port.variable, degree),
             "requested_degree": degree,
-            "order": plan.extrapolation if varied else self._rate_wire_count(port),
+            "order": coupling.extrapolation if varied else self._rate_wire_count(port),
             "autonomous": not network.system.components[source.component].interface.of("input"),
         }
 
@@ -454,7 +438,7 @@ class CouplingInputs:
         for name, component in self._network.components.items():
             names = [p.variable for p in self.ports if p.component == name]
             inputs = self.inputs[first : first + len(names)]
-            jumps = self._plan.corrected or self._plan.halves
+            jumps = self._plan.coupling.correct or self._plan.halves
             component.make_input_writes(first, names, inputs, jumps)
             first += len(names)
             outputs = {p.variable: i for p, i in self.slope_outputs.items() if p.component == name}

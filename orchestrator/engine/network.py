@@ -41,7 +41,9 @@ class RunningComponent:
     """A component as a master uses it: the Python side of `Component` in engine.h.
 
     slave          the FMU
-    struct         `Component` of engine.h: its steps, what it saves, its wall time
+    struct         `Component` of engine.h: its steps, what it saves; `busy`: wall time in its steps, with the
+                   calls that set its coupling inputs [s]
+    stepping       the calls by which C steps the FMU; None if Python does
     inputs         indices of its coupling inputs, which are contiguous
     values         of the coupling inputs that are set as values; empty if only derivatives are set
     derivatives    of the coupling inputs, those of one input by ascending order
@@ -61,7 +63,7 @@ class RunningComponent:
         self.values, self.derivatives = np.zeros(0), np.zeros(0)
         self.input_writes: list[Call] = []
         self._saved_state: Any = None
-        self._stepping: StepCalls | None = None
+        self.stepping: StepCalls | None = None
 
     def make_input_writes(self, first: int, names: Sequence[str], inputs: Sequence[Any], jumps: bool) -> None:
         """Make the calls that set its coupling inputs.
@@ -112,7 +114,7 @@ class RunningComponent:
         struct = self.struct
         make: Callable[[bool], StepCalls] | None = getattr(self.slave, "stepping", None)
         if make:
-            self._stepping = step = make(bool(struct.rollback))
+            self.stepping = step = make(bool(struct.rollback))
             struct.call = binding.pointer(step.slot)
             for name, value in step.members.items():
                 setattr(struct, name, value)
@@ -128,23 +130,13 @@ class RunningComponent:
         for name in ("input_writes", "output_reads", "held_inputs", "slope_reads"):
             setattr(struct, name, binding.program(getattr(self, name)))
 
-    @property
-    def stepped_in_c(self) -> bool:
-        """Does C step the FMU, not Python?"""
-        return self._stepping is not None
-
-    @property
-    def busy_ticks(self) -> float:
-        """Time in its steps, with the calls that set its coupling inputs, in ticks of the engine."""
-        return float(self.struct.busy)
-
     def check_status(self, function: int | None, status: int) -> None:
         """Raise the Problem for a status that is not OK.
 
         function   address of the FMI function that returned it: get state or set state; None: a step
         """
-        assert self._stepping is not None
-        self._stepping.checks[function or 0](status)
+        assert self.stepping is not None
+        self.stepping.checks[function or 0](status)
 
     # ---- saved state; C saves and restores that of a component that it steps
 
@@ -173,12 +165,10 @@ LOOP_STAGE = -2  # ports of algebraic loop i have the stage LOOP_STAGE - i
 class Block:
     """A slice of an array: variables of one component and one FMI type with the same stages of the exchange.
 
-    access   name of the type in the FMI function
-    first    index of the first variable
+    first   index of the first variable
     """
 
     component: str
-    access: str
     stages: tuple[int, ...]
     ports: tuple[Port, ...]
     first: int
@@ -199,8 +189,8 @@ class SignalArray:
             return port.component, function_type(system.variable(port)), stages[port]
 
         blocks = []
-        for group, ports in grouped(stages, group_of).items():
-            blocks.append(Block(*group, tuple(ports), len(self.index)))
+        for (component, _, same), ports in grouped(stages, group_of).items():
+            blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
         self.values = np.zeros(len(self.index), self.values.dtype)
@@ -216,28 +206,6 @@ class SignalArray:
 
 
 Blocks = list[tuple[SignalArray, Block]]
-
-
-class ConnectionCopy:
-    """Copies values along connections, from outputs to inputs within one array."""
-
-    def __init__(self, array: SignalArray, connections: Sequence[Connection]) -> None:
-        self.source = array.indices(c.source for c in connections)
-        self.target = array.indices(c.target for c in connections)
-        self.values = array.values
-        self.factor = np.array([c.map.factor for c in connections]).astype(array.values.dtype)
-        self.offset = np.array([c.map.offset for c in connections]).astype(array.values.dtype)
-
-    def __call__(self) -> None:
-        self.values[self.target] = self.values[self.source] * self.factor + self.offset
-
-    def instruction(self, binding: Binding) -> Any:
-        """The instruction for C; it has no factors and offsets if all are 1 and 0."""
-        identity = np.all(self.factor == 1) and np.all(self.offset == 0)
-        arrays = binding.all_at(self, "source target" if identity else "source target factor offset")
-        array = binding.array_of(self.values)
-        struct = binding.h.ConnectionCopy(**arrays, count=len(self.source), array=array)
-        return binding.h.Instruction(binding.h.COPY, 0, binding.pointer(struct))
 
 
 class Network:
@@ -306,9 +274,9 @@ class Network:
         sources = {c.source for c in self.connections if c.source.component == component}
         return [self._get_call(*block) for block in self._blocks_of(sources)]
 
-    def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Call]:
+    def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Any]:
         """Calls that copy values along connections and set the inputs."""
-        return self._copies(connections) + self.set_calls({c.target for c in connections})
+        return [*self._copies(connections), *self.set_calls({c.target for c in connections})]
 
     def set_calls(self, ports: set[Port]) -> list[Call]:
         """Calls that set the blocks with these ports."""
@@ -327,10 +295,27 @@ class Network:
     def _set_call(self, array: SignalArray, block: Block) -> Call:
         return self.slaves[block.component].writer([p.variable for p in block.ports], array.slice(block))
 
-    def _copies(self, connections: Iterable[Connection]) -> list[Call]:
+    def _copies(self, connections: Iterable[Connection]) -> list[Any]:
         by_type = grouped(connections, lambda c: not self.system.variable(c.source).is_real)
         arrays = {False: self.reals, True: self.integers}
-        return [ConnectionCopy(arrays[whole], by_type[whole]) for whole in sorted(by_type)]
+        return [self._copy(arrays[whole], by_type[whole]) for whole in sorted(by_type)]
+
+    def _copy(self, array: SignalArray, connections: Sequence[Connection]) -> Any:
+        """The instruction that copies values along connections, without factors and offsets of identities."""
+        binding, at, dtype = self.binding, self.binding.at, array.values.dtype
+        maps = {
+            "factor": np.array([c.map.factor for c in connections]).astype(dtype),
+            "offset": np.array([c.map.offset for c in connections]).astype(dtype),
+        }
+        identity = np.all(maps["factor"] == 1) and np.all(maps["offset"] == 0)
+        struct = binding.h.ConnectionCopy(
+            source=at(array.indices(c.source for c in connections)),
+            target=at(array.indices(c.target for c in connections)),
+            **({} if identity else {name: at(values) for name, values in maps.items()}),
+            count=len(connections),
+            array=binding.array_of(array.values),
+        )
+        return binding.h.Instruction(binding.h.COPY, 0, binding.pointer(struct))
 
     def _allocate(self, recorded: Iterable[Port] | None, driven: Iterable[Port]) -> tuple[Blocks, Blocks]:
         """Assign indices to outputs, recorded ports and fed inputs; returns the blocks to read and to set."""
@@ -340,9 +325,8 @@ class Network:
         numeric = {p for p in requested if self.system.variable(p).kind != "String"}
         outputs = {p: stages for p, stages in self.order.stages.items() if p in numeric}
         inputs = {c.target: self.order.stages[c.source] for c in self.connections}
-        for i, (cycle, _) in enumerate(
-            self.order.cycles
-        ):  # blocks of a loop take part in no stage of the exchange
+        # blocks of a loop take part in no stage of the exchange
+        for i, (cycle, _) in enumerate(self.order.cycles):
             outputs |= {c.source: (LOOP_STAGE - i,) for c in cycle.connections}
             inputs |= {c.target: (LOOP_STAGE - i,) for c in cycle.connections}
         inputs |= {p: (SCENARIO_STAGE,) for p in driven}
@@ -355,7 +339,7 @@ class Network:
                 blocks += [(array, b) for b in array.add(self.system, of_array)]
         return output_blocks, input_blocks
 
-    def _exchange(self, output_blocks: Blocks, input_blocks: Blocks) -> list[Call]:
+    def _exchange(self, output_blocks: Blocks, input_blocks: Blocks) -> list[Any]:
         """All calls of one exchange, in order."""
         calls: list[Any] = []
         loop_inputs = {c.target for loop in self.loops for c in loop.cycle.connections}
@@ -365,7 +349,7 @@ class Network:
         for stage in range(max(self.order.count, 1)):
             calls += [self._get_call(array, b) for array, b in output_blocks if stage in b.stages]
             loops_with_stages = zip(self.loops, self.order.cycles, strict=True)
-            calls += [loop for loop, (_, stages) in loops_with_stages if stage in stages]
+            calls += [loop.instruction for loop, (_, stages) in loops_with_stages if stage in stages]
             calls += self._copies([c for c in connections if stage in self.order.stages[c.source]])
             calls += [self._set_call(array, b) for array, b in input_blocks if stage in b.stages]
         return calls

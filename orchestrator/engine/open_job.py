@@ -23,17 +23,17 @@ from orchestrator.base.files import archive_kept_open
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
-from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
+from orchestrator.engine.c_library import Allocate, Binding, in_process, library
 from orchestrator.engine.job import ENDS_EARLY, Job, RunEnd, guarded
 from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
-from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
+from orchestrator.engine.masters import MASTERS, CouplingInputs
 from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.messages import WARNING
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
-from orchestrator.ssp.system import System
+from orchestrator.ssp.system import Port, System
 
 FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
 FEWEST_STEPS = 2  # between two evaluations of the estimated errors
@@ -45,7 +45,7 @@ def run_job(
     sink: TraceSink,
     between: Callable[[float], None] = lambda _: None,
     at_end: Callable[[RunEnd], None] = lambda _: None,
-    allocate: Allocate = bytearray_of,
+    allocate: Allocate = in_process,
 ) -> RunEnd:
     """Open all FMUs, run in this process, and close them in any case.
 
@@ -79,7 +79,7 @@ def run_job(
             wall=time.perf_counter() - began,
             bonds=tuple(loop.energy.energies()),
             errors=loop.errors.errors() if loop.errors else {},
-            inside={name: c.busy_ticks * state.tick for name, c in network.components.items()},
+            inside={name: c.struct.busy * state.tick for name, c in network.components.items()},
             logs=tuple(copy(s.log) for s in network.slaves.values()),
             notes=network.notes + times.notes + loop.notes,
             problem=problem,
@@ -118,7 +118,7 @@ def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
 
 @contextmanager
 def opened(
-    job: Job, times: Grid, sink: TraceSink, allocate: Allocate = bytearray_of
+    job: Job, times: Grid, sink: TraceSink, allocate: Allocate = in_process
 ) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.record.signals
@@ -136,30 +136,9 @@ def opened(
                 stack.callback(slaves[name].close)
                 _restore_environment(binding, slaves[name])
         network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
-        plan = MASTERS[job.coupling.master](job.system, job.coupling)
-        if job.execution.error_estimate:
-            plan = plan.with_estimate(fast=job.execution.error_estimate == "fast")
-        inputs, prediction = CouplingInputs(network, plan), None
-        if plan.prediction:
-            prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
-        driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
-        span, restore = (times.start, times.stop), partial(_restore_environment, binding)
-        tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
-        initialise(job.system, slaves, driven, span, tolerances, restore)
-        binding.changed = partial(_warn_of_change, [*slaves.values()])
-        energy = EnergyMonitor(network, inputs.varying, _bonds(job, network))
-        recorder = Recorder(network, times, sink, selected)
-        control = step_control(job, inputs, times)
         stack.callback(network.free_saved_states)
-        loop = SimulationLoop(network, plan, inputs, prediction, times, recorder, energy, control)
-        if job.execution.error_estimate:
-            errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
-            if not errors.missing:
-                errors.fill(binding)
-                loop.errors = errors
+        loop = SimulationLoop(job, times, network, sink, selected)
         stack.callback(loop.close)
-        of_prediction = prediction.notes if prediction else ()
-        loop.notes = (*plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
         yield loop
 
 
@@ -259,7 +238,7 @@ class StepControl:
 
 
 class SimulationLoop:
-    """A run whose FMUs are initialised, from its start to its end, in blocks of recorded points.
+    """A run whose FMUs it initialises, from its start to its end, in blocks of recorded points.
 
     state    `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may increase
              `total`
@@ -268,39 +247,39 @@ class SimulationLoop:
     """
 
     errors: ErrorPropagation | None = None
-    notes: tuple[str, ...] = ()
 
     def __init__(
-        self,
-        network: Network,
-        plan: Plan,
-        inputs: CouplingInputs,
-        prediction: LinearPrediction | None,
-        times: Grid,
-        recorder: Recorder,
-        energy: EnergyMonitor,
-        control: StepControl | None = None,
+        self, job: Job, times: Grid, network: Network, sink: TraceSink, selected: Sequence[Port] | None
     ) -> None:
-        """control: None if all steps are equal."""
-        self.network, self.times, self.recorder, self.energy = network, times, recorder, energy
-        self._plan, self._inputs, self._control = plan, inputs, control
+        """selected: the recorded signals; None: all."""
+        self.network, self.times = network, times
         self._binding, self.state = network.binding, network.binding.simulation
+        estimate, plan = job.execution.error_estimate, MASTERS[job.coupling.master](job.system, job.coupling)
+        self._plan = plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
+        self._inputs = inputs = CouplingInputs(network, plan)
+        prediction = LinearPrediction(network, inputs, plan, plan.prediction) if plan.prediction else None
+        self._initialise(job)
+        self.energy = EnergyMonitor(network, inputs.varying, _bonds(job, network))
+        self.recorder = Recorder(network, times, sink, selected)
+        self._control = step_control(job, inputs, times)
         self._components = [*network.components.values()]
         self._threads_undecided = not plan.sequential and len(self._components) > 1
-        self._fill_times(times)
-        self._plan_rollback(times)
-        network.fill()
-        if driven := network.driven:
-            driven.fill(self._binding, [inputs.ports.index(p) for p in driven.continuous])
-        order = plan.order
-        if prediction:
-            self._binding.call("simulation_exchange", c_double(times.start))
-            order = prediction.begin()
-            prediction.fill(self._binding)
-        self._fill_plan(order, prediction)
-        recorder.fill(self._binding)
-        energy.fill(self._binding)
-        self._binding.withdraw = self._withdraw_messages
+        self._fill(prediction)
+        if estimate:
+            errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
+            if not errors.missing:
+                errors.fill(self._binding)
+                self.errors = errors
+        of_prediction = prediction.notes if prediction else ()
+        self.notes = (*plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
+
+    def _initialise(self, job: Job) -> None:
+        """Initialise all FMUs."""
+        slaves, times, restore = self.network.slaves, self.times, partial(_restore_environment, self._binding)
+        driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
+        tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
+        initialise(job.system, slaves, driven, (times.start, times.stop), tolerances, restore)
+        self._binding.changed = partial(_warn_of_change, [*slaves.values()])
 
     # ---- the run
 
@@ -319,8 +298,8 @@ class SimulationLoop:
     def _decide_about_threads(self) -> None:
         """Use threads for the components if they save more time than they cost."""
         self._threads_undecided = False
-        times = [c.busy_ticks * self.state.tick / self.state.steps for c in self._components]
-        if sum(times) - max(times) > MIN_SAVING and all(c.stepped_in_c for c in self._components):
+        times = [c.struct.busy * self.state.tick / self.state.steps for c in self._components]
+        if sum(times) - max(times) > MIN_SAVING and all(c.stepping for c in self._components):
             self.state.threads = min(CORES, len(times))
 
     def close(self) -> None:
@@ -335,6 +314,23 @@ class SimulationLoop:
             slave.after_rollback()
 
     # ---- structures for C
+
+    def _fill(self, prediction: LinearPrediction | None) -> None:
+        """Fill all structures but that of the errors."""
+        binding, network, order = self._binding, self.network, self._plan.order
+        self._fill_times(self.times)
+        self._plan_rollback(self.times)
+        network.fill()
+        if driven := network.driven:
+            driven.fill(binding, [self._inputs.ports.index(p) for p in driven.continuous])
+        if prediction:
+            binding.call("simulation_exchange", c_double(self.times.start))
+            order = prediction.begin()
+            prediction.fill(binding)
+        self._fill_plan(order, prediction)
+        self.recorder.fill(binding)
+        self.energy.fill(binding)
+        binding.withdraw = self._withdraw_messages
 
     def _fill_times(self, times: Grid) -> None:
         sim = self.state
@@ -374,6 +370,6 @@ class SimulationLoop:
         sim.inputs = self._binding.pointer(inputs.array(self._binding))
         sim.input_count = len(inputs.inputs)
         sim.order, sim.has_stepped = at(np.array(order, np.int32)), at(np.zeros(len(order), np.uint8))
-        sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.corrected
+        sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.coupling.correct
         sim.sequential, sim.tolerance = plan.sequential, plan.tolerance
         sim.bonds, sim.bond_count = at(np.array(inputs.bonds, np.int32).reshape(-1)), len(inputs.bonds)

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.options import Seconds
+from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, rms
 from orchestrator.base.text import TextTable, grouped
 from orchestrator.data.table import SUFFIXES
-from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace, rms
+from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.coupling import Coupling
@@ -173,10 +174,7 @@ ADAPTIVE_STEPS = (
     "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change"
 )
 BY_INPUTS = "estimated error of the coupling, from the errors of the inputs in each step"
-# A signal is constant if its range is below
-CONSTANT = 1e-6  # of its nominal value,
-CONSTANT_IN_UNIT = 1e-9  # or, without a nominal value, of the largest range of a signal in the same unit,
-FLOOR = 1e-12  # or, without a nominal value, in any unit
+FLOOR = 1e-12  # range, in any unit, below which a signal without a nominal value is constant
 # Half width of the band of a signal: this number times the largest of an estimated error and its neighbours
 BAND, NEARBY = 2.0, 5
 # A bond exchanges no energy if its exchange is below
@@ -376,8 +374,8 @@ def compare(
 ) -> tuple[SignalError, ...]:
     """Error estimates for `trace` from a run at half its step and, for the order, one at twice its step.
 
-    Runs are compared at the points that both recorded. Constant signals (see `nominals` and CONSTANT) are
-    left out. A signal whose change is at the level of rounding has no order.
+    Runs are compared at the points that both recorded. Constant signals (see `ranges`) are left out. A signal
+    whose change is at the level of rounding has no order.
     """
     errors = []
     changes = _changes(fine, trace)
@@ -411,21 +409,17 @@ def relative_errors(
 
 
 def ranges(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:
-    """The range of each signal that is not constant."""
+    """The range of each signal that moves, relative to its nominal value, else to the signals of its unit."""
     spans = {name: float(np.ptp(values)) for name, values in trace.signals.items()}
     widest = widest_of_unit(spans, trace.units)
-    least = {name: CONSTANT * (nominals.get(name) or 0.0) for name in spans}
-    least = {n: size or max(CONSTANT_IN_UNIT * widest[n], FLOOR) for n, size in least.items()}
-    return {name: span for name, span in spans.items() if span > abs(least[name])}
+    least = {name: CONSTANT_OF_NOMINAL * abs(nominals.get(name) or 0.0) for name in spans}
+    return {n: span for n, span in spans.items() if span > (least[n] or max(CONSTANT * widest[n], FLOOR))}
 
 
 def widest_of_unit(spans: Mapping[str, float], units: Mapping[str, str]) -> dict[str, float]:
     """Signal -> the largest of the ranges of all signals in its unit."""
-    widest: dict[str, float] = {}
-    for name, span in spans.items():
-        unit = units.get(name, "")
-        widest[unit] = max(widest.get(unit, span), span)
-    return {name: widest[units.get(name, "")] for name in spans}
+    groups = grouped(spans, lambda name: units.get(name, "")).values()
+    return {name: max(spans[n] for n in names) for names in groups for name in names}
 
 
 def _changes(fine: Trace, trace: Trace) -> dict[str, NDArray[np.float64]]:

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar, Unpack
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import chosen, declarations, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.data.table import SUFFIXES
@@ -40,14 +40,12 @@ from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import (
     RECORD_STEP,
     Grid,
-    free_grid,
     grid,
     record_interval,
     step_length,
-    with_events,
 )
 from orchestrator.fmi.description import Value
-from orchestrator.ssp.coupling import FIELDS, Coupling, CouplingArguments
+from orchestrator.ssp.coupling import Coupling, take_coupling
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets
@@ -93,6 +91,19 @@ def run(
     """
     request = requested(system, scenario, record, execution, options)
     return co_simulate(request, lambda *_: TraceInMemory())[0]
+
+
+def attempt(
+    system: System | str | Path,
+    scenario: ScenarioSource = None,
+    record: Record | str | Sequence[str] | None = None,
+    **options: Unpack[RunArguments],
+) -> tuple[Result, str]:
+    """The result of `run`, also if it ended early, and why it did; raises Problem if it did not begin."""
+    try:
+        return run(system, scenario, record=record, **options), ""
+    except RunFailed as failed:
+        return failed.result, str(failed)
 
 
 @dataclass(frozen=True)
@@ -168,13 +179,10 @@ class Request:
             system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
-        span, corners = (self.step, self.start, self.stop), driving.table.corners() if driving else ()
-        if coupling.adaptive is None:
-            times = grid(system, trace, *span, record.step, self.execution.accuracy is not None)
-            if driving and guarded(system, coupling):
-                times = with_events(times, corners)
-        else:
-            times = free_grid(system, trace, *span, record.step, corners)
+        divides = coupling.adaptive is not None or guarded(system, coupling)
+        corners = driving.table.corners() if driving and divides else ()
+        span, fitted = (self.step, self.start, self.stop), self.execution.accuracy is not None
+        times = grid(system, trace, *span, record.step, fitted, corners)
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
         return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
@@ -236,14 +244,6 @@ def co_simulate(
         if result:
             estimate = request.execution.error_estimate and not search
             return with_error_estimate(job, times, result) if estimate else result, sink
-
-
-def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
-    """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run."""
-    names = [name for name in declarations(CouplingArguments) if name in given]
-    choices = {FIELDS.get(name, name): given.pop(name) for name in names}
-    whole = choices.get("master")
-    return {**vars(whole), **choices, "master": whole.master} if isinstance(whole, Coupling) else choices
 
 
 def opened(system: System | str | Path, given: dict[str, Any], exchange: bool = False) -> System:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, ulp
 
@@ -68,39 +67,36 @@ def grid(
     stop: float | None,
     record_step: float | None = None,
     fitted: bool = False,
+    events: Iterable[float] = (),
 ) -> Grid:
-    """The communication points of equal steps; default values are suggestions of the system and its FMUs.
+    """The communication points; default values are suggestions of the system and its FMUs.
 
-    fitted   shorten the step so that it divides the record step, else the time span
+    Of an adaptive run they are the points that it has to hit, and `step` [s] is the first one to try.
+
+    fitted   shorten equal steps so that they divide the record step, else the time span
     """
     begin, end = _span(system, scenario, start, stop)
-    with _naming_suggestion(system, step):
-        step = step_length(system, step)
+    if system.coupling is None or system.coupling.adaptive is None:
+        length = step_length(system, step)
         if fitted:
             whole = record_step or end - begin
-            step = whole / ceil(whole / step * (1.0 - 1e-9))
-        points = _whole_steps(begin, end, step)
-    return _noted(replace(points, every=_steps_per_record(record_step, step)), scenario)
-
-
-def free_grid(
-    system: System,
-    scenario: Trace | None,
-    first: float | None,
-    start: float | None,
-    stop: float | None,
-    record_step: float | None,
-    events: Iterable[float],
-) -> Grid:
-    """The points that an adaptive run has to hit; `first` [s]: the step to try first."""
-    begin, end = _span(system, scenario, start, stop)
-    distance, name = (end - begin, "step") if record_step is None else (record_step, "record step")
-    points = with_events(_whole_steps(begin, end, distance, name), events)
-    first = step_length(system, first)
-    _positive("step", first)
-    if system.coupling is not None:
+            length = whole / ceil(whole / length * (1.0 - 1e-9))
+        try:
+            points = _whole_steps(begin, end, length)
+        except Problem as problem:
+            location = system.suggestion.location
+            if step is not None or system.step is None or not location:
+                raise
+            raise Problem(f"{location}: {problem}; {OVERRIDE_HINT}") from None
+        points = replace(points, every=_steps_per_record(record_step, length))
+    else:
+        distance, name = (end - begin, "step") if record_step is None else (record_step, "record step")
+        points = _whole_steps(begin, end, distance, name)
+        first = step_length(system, step)
+        _positive("step", first)
         _check_steps("largest step", begin, end, system.coupling.step_limits[1])
-    return _noted(replace(points, first=first, free=record_step is None), scenario)
+        points = replace(points, first=first, free=record_step is None)
+    return _noted(with_events(points, events), scenario)
 
 
 def with_events(points: Grid, events: Iterable[float]) -> Grid:
@@ -152,18 +148,6 @@ def step_length(system: System, step: float | None) -> float:
         return system.step
     steps = (component.interface.step for component in system.components.values())
     return min(filter(None, steps), default=DEFAULT_STEP)
-
-
-@contextmanager
-def _naming_suggestion(system: System, step: float | None) -> Iterator[None]:
-    """Add to a Problem with a suggested step the file and line that suggest it."""
-    try:
-        yield
-    except Problem as problem:
-        location = system.suggestion.location
-        if step is not None or system.step is None or not location:
-            raise
-        raise Problem(f"{location}: {problem}; {OVERRIDE_HINT}") from None
 
 
 def _shortest_step(start: float, stop: float) -> float:

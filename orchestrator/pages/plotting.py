@@ -26,6 +26,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from orchestrator.base.signals import span
 from orchestrator.base.text import MINUS, grouped, short_names, typeset
 from orchestrator.base.units import in_reader_unit, pretty, quantity, reader_unit, superscript
 from orchestrator.pages.figures import (
@@ -191,7 +192,6 @@ MAX_PANELS, MAX_LINES = 4, 6  # of a figure without chosen signals: one page, on
 MAX_DASHES = 3  # line styles that can be told apart in curves that change fast
 FIRST_QUANTITIES = ("voltage", "angle", "speed", "pressure", "position", "velocity", "flow", "force", "power")
 SAME = 1e-3  # of its range: a curve that is closer to an earlier one cannot be seen beside it
-CONSTANT = 1e-9  # range relative to the largest value: a line without information
 SMALL = "font: 11px sans-serif; fill: currentColor; --fig-grid: #8885"  # style of a figure in a notebook
 LEGEND_ROW = 0.16  # [in] of an entry
 
@@ -216,9 +216,8 @@ def default_signals(signals: Mapping[str, Array], units: Mapping[str, str]) -> l
 def _informative(values: Array, others: Sequence[Array]) -> bool:
     """Does a curve change, and differ from the others?"""
     finite = values[np.isfinite(values)]
-    if not finite.size or (span := float(np.ptp(finite))) <= CONSTANT * float(np.abs(finite).max()):
-        return False
-    return not any(np.nanmax(np.abs(values - other)) < SAME * span for other in others)
+    least = SAME * span(finite) if finite.size else 0.0
+    return least > 0 and not any(np.nanmax(np.abs(values - other)) < least for other in others)
 
 
 def signal_figure(

@@ -11,11 +11,12 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.signals import span
 from orchestrator.base.text import brief, first_names, percentage
 from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, span
+from orchestrator.data.trace import Trace
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
 from orchestrator.fmi.description import Value
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
@@ -68,7 +69,7 @@ def _run(label: str, source: Source) -> Run:
         return Run(label, source)
     path = Path(source)
     if path.suffix.lower() != ".parquet" and path.with_suffix(".toml").is_file():
-        return Run(label, read_recording(path).trace(), None, str(path))
+        return Run(label, read_recording(path).without_gaps(), None, str(path))
     trace, run_metadata = read_run(path)
     return Run(label, trace, run_metadata, str(path))
 

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import TINY, moves, rms
 from orchestrator.data.table import Array
-from orchestrator.data.trace import TINY, moves, rms
 from orchestrator.results import iso18571
 
 # Samples of the rating at equal steps. The 10 kHz of the standard are meant for crash pulses of 0.1 s, which

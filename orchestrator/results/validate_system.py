@@ -59,7 +59,7 @@ def start_note(run: Trace, reference: Recording) -> str:
 
     Commands do not determine the start position of a machine, and its response depends on that position.
     """
-    recorded = reference.trace()
+    recorded = reference.without_gaps()
     names = [n for n, unit in recorded.units.items() if unit in POSITIONS and run.units.get(n, "") == unit]
     names = [name for name in names if name in run.signals]
     least = START_TOLERANCE * max((float(np.ptp(recorded[name])) for name in names), default=0.0)
@@ -131,7 +131,7 @@ def judge(
         parameters=list(parameters(result.system)),
         card=card(result),
         motion=layout.motion(result.trace),
-        ghost=layout.motion(reference.trace()),
+        ghost=layout.motion(reference.without_gaps()),
         machine=machine,
         warnings=result.card.warnings,
         notes=result.card.notes,
@@ -383,7 +383,7 @@ def _times_ahead(times: Grid, reference: Recording) -> Array:
 def _machine(system: Path, result: Result, reference: Recording) -> tuple[Markup, str]:
     """The machine that replays a run, empty for a system without a scene; or the reason why there is none."""
     try:
-        return fragment(system, Replayed(result.trace, reference.trace()), shown=result.system), ""
+        return fragment(system, Replayed(result.trace, reference.without_gaps()), shown=result.system), ""
     except Problem as problem:
         return Markup(), f"no machine in the report: {problem}"
 
@@ -448,10 +448,10 @@ def monolithic_recording(
         criteria = {name: every for name in trace.signals if own[name] in outputs}
     monolithic = solved.card.master == SOLVER
     return Recording(
-        Path("monolithic solution"),
         trace.time,
         {name: trace[name] for name in criteria},
         {name: trace.units.get(name, "") for name in criteria},
+        Path("monolithic solution"),
         criteria={name: _adapted(c, limit, spans.get(own[name])) for name, c in criteria.items()},
         metadata={
             "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small step",

@@ -169,7 +169,7 @@ def validate(
             reference = reference.trace.select(n for n in reference.trace.signals if n in trace.signals)
         own = as_trace(reference, "reference")
         units = {name: own.units.get(name, trace.units.get(name, "")) for name in own.signals}
-        reference = Recording(Path("reference"), own.time, own.signals, units, title="reference")
+        reference = Recording(own.time, own.signals, units, Path("reference"), title="reference")
     nominals = meta.nominals if meta else {}
     floors = {n: replace(reference.criterion(n), floor=AT_REST * abs(nominals[n])) for n in nominals}
     reference = replace(reference, criteria={**reference.criteria, **floors})

@@ -46,7 +46,7 @@ from typing import Any, NamedTuple
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import declarations
 from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
-from orchestrator.ssp.coupling import FIELDS, Coupling, CouplingArguments, Suggestion
+from orchestrator.ssp.coupling import Coupling, Suggestion
 
 OWN, COUPLING, SHARED = "harvester-cosim", "Coupling", "SharedParameter"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root
@@ -114,15 +114,13 @@ class Attribute(NamedTuple):
 
 
 _TEXT, _WHOLE = Attribute("a text", str), Attribute("a whole number", integer)
-_NUMBER = Attribute("a number", finite)
+_NUMBER, _TRUTH = Attribute("a number", finite), Attribute("true or false", boolean)
 ATTRIBUTES: Mapping[str, Attribute] = {
     "master": _TEXT,
     "step": _NUMBER,
     **{
-        FIELDS.get(name, name): Attribute("true or false", boolean)
-        if bool in option.types
-        else {int: _WHOLE, float: _NUMBER}.get(option.numeric, _TEXT)
-        for name, option in declarations(CouplingArguments).items()
+        name: {bool: _TRUTH, int: _WHOLE, float: _NUMBER}.get(option.types[0], _TEXT)
+        for name, option in declarations(Coupling).items()
         if option.mapping is None
     },
 }

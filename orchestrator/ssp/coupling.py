@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, TypedDict, get_args
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole
+from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole, declarations
 
 Master = Literal["jacobi", "gauss-seidel", "hermite", "interface-jacobian"]
 Control = Literal["error", "energy"]
@@ -227,6 +227,14 @@ class CouplingArguments(TypedDict, total=False):
 
 FIELDS = {"coupling_tolerance": "tolerance"}  # option -> field of `Coupling`, where they differ
 GROUPS.append(CouplingArguments)
+
+
+def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
+    """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run."""
+    names = [name for name in declarations(CouplingArguments) if name in given]
+    choices = {FIELDS.get(name, name): given.pop(name) for name in names}
+    whole = choices.get("master")
+    return {**vars(whole), **choices, "master": whole.master} if isinstance(whole, Coupling) else choices
 
 
 def merge_choices(choices: Mapping[str, Any], defaults: Coupling | None = None) -> Coupling:

@@ -92,7 +92,7 @@ def doubtful_signals(system: System, recording: Recording, label: str) -> Iterat
             sizes = [factor * size + offset for size in usual(system, port)]
             peaks.append((f"{label}: {name}", peak, of_file, sizes))
     yield from doubts(peaks)
-    yield doubtful_end(system, recording.trace(), label)
+    yield doubtful_end(system, recording, label)
 
 
 def with_doubts(system: System, doubts: Iterable[str]) -> System:

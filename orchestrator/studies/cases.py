@@ -19,10 +19,10 @@ from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
 from orchestrator.engine.arguments import RunArguments
-from orchestrator.engine.run import chooses_freely, run, take_coupling
+from orchestrator.engine.run import chooses_freely, run
 from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
-from orchestrator.engine.time_grid import Grid, free_grid, grid
+from orchestrator.engine.time_grid import Grid, grid
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import with_sets
@@ -98,7 +98,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
 def opened(study: Study) -> dict[Options, StudyCase]:
     """A case for every combination of options, with the master of the study, but without its fixed values."""
     system = open_system(study.system_file, {"cut": study.options.get("cut", ())})
-    system = system.coupled(take_coupling(study.coupling)) if study.coupling else system
+    system = system.coupled(study.coupling) if study.coupling else system
     return {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
 
 
@@ -128,9 +128,14 @@ def signal(system: System, name: str) -> Port:
     return port
 
 
+def ports(system: System, name: str) -> list[Port]:
+    """The variables that a name sets; none if the system lacks it."""
+    return [port for port, _ in system.targets(name)] if system.has(name) else []
+
+
 def is_real(system: System, name: str) -> bool:
     """Are all variables that a name sets Real?"""
-    return all(system.variable(port).is_real for port, _ in system.targets(name))
+    return all(system.variable(port).is_real for port in ports(system, name))
 
 
 def nominals(study: Study, system: System) -> dict[str, float]:
@@ -237,23 +242,22 @@ def _check_not_driven(study: Study, options: Options, case: StudyCase) -> None:
         return
     driven = drive(case.system, case.scenario).columns
     for name in (*study.fixed, *(f.name for f in study.factors)):
-        if case.system.has(name) and any(port in driven for port, _ in case.system.targets(name)):
+        if any(port in driven for port in ports(case.system, name)):
             where = f"{', '.join(options)}: the scenario drives {name}"
             raise Problem(f"choices: {where}, so this input cannot be fixed or a factor")
 
 
 def _check_set_once(study: Study, case: StudyCase) -> None:
     """Refuse a variable that is set twice; only a relative factor may refer to a fixed value."""
-    factors = [f for f in study.factors if case.system.has(f.name)]
-    absolute = {port for f in factors if not f.relative for port, _ in case.system.targets(f.name)}
+    absolute = {port for f in study.factors if not f.relative for port in ports(case.system, f.name)}
     seen: dict[Port, str] = {}
-    for name in (f.name for f in factors):
-        for port, _ in case.system.targets(name):
+    for name in (f.name for f in study.factors):
+        for port in ports(case.system, name):
             if port in seen:
                 raise Problem(f"factors: expected one that sets {port}, got {seen[port]} and {name}")
             seen[port] = name
     for name in study.fixed:
-        for port, _ in case.system.targets(name) if case.system.has(name) else ():
+        for port in ports(case.system, name):
             if port in absolute:
                 same = "" if seen[port] == name else f", which sets {port} as factors.{seen[port]} does"
                 raise Problem(f"fixed: {name}: expected another variable than the factors{same}")
@@ -323,8 +327,7 @@ def _check_windows(study: Study, cases: Iterable[StudyCase]) -> None:
     for case in cases:
         coupling = case.system.coupling or Coupling()
         coupling.check(case.system.components)
-        given = case.system, case.scenario, study.step, None, study.stop, study.record_step
-        times.append(grid(*given) if coupling.adaptive is None else free_grid(*given, ()))
+        times.append(grid(case.system, case.scenario, study.step, None, study.stop, study.record_step))
     begin, end = min(t.start for t in times), max(t.stop for t in times)
     # A run ends at the communication point next to its stop time.
     last = max(end + TIME_ROUNDING * abs(end), study.stop or end)

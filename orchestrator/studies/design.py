@@ -24,7 +24,7 @@ from scipy.stats import qmc
 
 from orchestrator.data.table import Array
 from orchestrator.ssp.system import Port, coerce
-from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals
+from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals, ports
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
 
 LEVELS = 4  # Morris levels, as in the paper: steps of two thirds of the range
@@ -72,12 +72,9 @@ def table(study: Study) -> pd.DataFrame:
     """
     cube = samples(study)
     sampled = {d.column: _values(study, d, cube[:, i]) for i, d in enumerate(study.dimensions)}
-    constant = {c.column: c.options[0] for c in study.fixed_choices}
-    parts = []
-    for options in product(*(c.options for c in study.crossed)):
-        crossed = {c.column: o for c, o in zip(study.crossed, options, strict=True)}
-        parts.append(pd.DataFrame({**constant, **crossed, **sampled}, index=range(len(cube))))
-    runs = pd.concat(parts, ignore_index=True)
+    each = [c for c in study.choices if c not in study.dimensions]
+    options = pd.DataFrame([*product(*(c.options for c in each))], columns=[c.column for c in each])
+    runs = options.merge(pd.DataFrame(sampled, index=range(len(cube))), how="cross")
     columns = [*(f.column for f in study.factors), *(c.column for c in study.choices)]
     return runs[columns].rename_axis("run")
 
@@ -136,8 +133,8 @@ def runs(study: Study, table: pd.DataFrame, cases: Mapping[Options, StudyCase]) 
 
 def starts(
     study: Study, cases: Mapping[Options, StudyCase], samples: Sequence[Sample]
-) -> tuple[pa.Table, dict[str, str]]:
-    """Start values and parameter values of each run, and the units of the columns.
+) -> tuple[dict[str, pa.Array], dict[str, str]]:
+    """Start values and parameter values of each run as columns, and their units.
 
     One row per sample; a column `start:component.variable` for each variable that can be set in some case.
     Inputs with a connection or a column of a scenario are left out; null: the variant lacks the variable.
@@ -164,7 +161,7 @@ def starts(
                 value = None if isinstance(constant, float) and np.isnan(constant) else constant
                 for i in rows[options]:
                     column[i] = value
-    return pa.table({name: pa.array(columns[name], types[name]) for name in columns}), units
+    return {name: pa.array(columns[name], types[name]) for name in columns}, units
 
 
 def _settable(case: StudyCase) -> list[Port]:
@@ -172,6 +169,6 @@ def _settable(case: StudyCase) -> list[Port]:
     system = case.system
     names = () if case.scenario is None else case.scenario.signals
     driven = {c.target for c in system.connections}
-    driven |= {port for name in names if system.has(name) for port, _ in system.targets(name)}
-    ports = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
-    return [port for port in ports if system.variable(port).settable and port not in driven]
+    driven |= {port for name in names for port in ports(system, name)}
+    every = (Port(c.name, v.name) for c in system.components.values() for v in c.interface.variables.values())
+    return [port for port in every if system.variable(port).settable and port not in driven]

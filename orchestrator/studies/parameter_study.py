@@ -56,14 +56,12 @@ class PreparedStudy:
     samples: Sequence[Sample]
     warnings: tuple[str, ...] = ()
 
-    def inputs(self) -> tuple[pa.Table, dict[str, str]]:
+    def inputs(self) -> tuple[dict[str, pa.Array], dict[str, str]]:
         """Samples and start values of all runs as columns, and their units."""
         study = self.payload.study
         starts, units = design.starts(study, self.payload.cases, self.samples)
-        columns = pa.Table.from_pandas(self.table, preserve_index=False)
-        for name in starts.column_names:
-            columns = columns.append_column(name, starts[name])
-        return columns, {f.column: f.unit for f in study.factors if not f.relative} | units
+        samples = {name: pa.array(column, from_pandas=True) for name, column in self.table.items()}
+        return samples | starts, {f.column: f.unit for f in study.factors if not f.relative} | units
 
 
 def prepare(study: Study) -> PreparedStudy:

@@ -27,11 +27,11 @@ from matplotlib.lines import Line2D
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
+from orchestrator.base.signals import rms
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, read_trace, rms
-from orchestrator.engine.result import RunFailed
-from orchestrator.engine.run import run
+from orchestrator.data.trace import Trace, read_trace
+from orchestrator.engine.run import attempt
 from orchestrator.fmi.description import Value
 from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.html_page import write_json
@@ -188,13 +188,12 @@ def follow(
     scenario = read_trace(path)
     points(scenario, names.path, str(path))  # a file without a path is reported before anything runs
     driven, values = completed(scenario, names), {**start, names.feedback: float(feedback)}
-    failure, limits = "", {name: limit for name, limit in names.limits.items() if system.has(name)}
+    limits = {name: limit for name, limit in names.limits.items() if system.has(name)}
     try:
-        trace = run(system, driven, record=[*names.tip, *limits], record_step=RECORD_STEP, set=values).trace
-    except RunFailed as failed:
-        trace, failure = failed.result.trace, str(failed)
+        result, failure = attempt(system, driven, [*names.tip, *limits], record_step=RECORD_STEP, set=values)
     except Problem as problem:
         raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
+    trace = result.trace
     commanded = points(scenario.at(trace.time), names.path, str(path))
     tip = points(trace, names.tip, names.follower)
     uses = {name: _lasting(trace[name], round(limit.lasting / RECORD_STEP)) for name, limit in limits.items()}

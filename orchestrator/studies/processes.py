@@ -6,14 +6,12 @@ runs one sample after the other. It starts fast, because it imports neither pand
 
 from __future__ import annotations
 
-import io
 import pickle
 import re
 import shutil
 import tempfile
 import threading
 import time
-import zipfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
@@ -24,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, zip_bytes
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
@@ -86,9 +84,7 @@ def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
     components = (c for case in cases.values() for c in case.system.components.values())
     sources = dict.fromkeys(c.source for c in components if c.source)
     archives = {source: _archive(source) for source in sources}
-    once = {
-        content: content for content in archives.values()
-    }  # pickle sends an object once, however often it is named
+    once = {content: content for content in archives.values()}  # pickle sends an object only once
     return Payload(study, cases, {source: once[content] for source, content in archives.items()})
 
 
@@ -96,11 +92,7 @@ def _archive(source: Location) -> bytes:
     """The bytes of an FMU; an unpacked FMU is packed, with bytes that do not depend on the time."""
     if not source.is_folder:
         return source.read()
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in source.names():
-            archive.writestr(zipfile.ZipInfo(name), source.member(name).read())
-    return buffer.getvalue()
+    return zip_bytes({name: source.member(name).read() for name in source.names()})
 
 
 # ---- limits of a run

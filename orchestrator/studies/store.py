@@ -199,14 +199,13 @@ class Store:
             message = f"{error.strerror or error}: the times of {len(batch)} runs are left out"
             logging.getLogger(__name__).warning("%s: cannot be written: %s", log_file, message)
 
-    def finish(self, inputs: pa.Table, units: Mapping[str, str]) -> None:
+    def finish(self, inputs: Mapping[str, pa.Array], units: Mapping[str, str]) -> None:
         """Write the results; `inputs`: columns with samples and start values, in the order of the runs."""
         if self.study.bands:
             put(self.folder / "bands.parquet", self._write_bands)
         names = ["run", "status", "reason", *(o.column for o in self.study.outputs)]
         runs = pa.concat_tables([_read(file, names) for file in self._files()]).sort_by("run")
-        for column in inputs.column_names:
-            runs = runs.append_column(column, inputs[column])
+        runs = pa.table({**{name: runs[name] for name in names}, **inputs})
         units = {**units, **{o.column: o.unit for o in self.study.outputs}}
         write = partial(pq.write_table, _with_units(runs, units), write_page_checksum=True)
         put(self.folder / "runs.parquet", write)

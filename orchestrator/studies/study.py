@@ -28,7 +28,7 @@ from orchestrator.base.text import brief
 from orchestrator.base.toml import Rule, Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
 from orchestrator.engine.arguments import CoupledArguments, RunArguments
-from orchestrator.ssp.coupling import CouplingArguments, Master
+from orchestrator.ssp.coupling import CouplingArguments, Master, take_coupling
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
@@ -232,10 +232,8 @@ class Study:
 
     @property
     def coupling(self) -> dict[str, Any]:
-        """The options of the coupling."""
-        names = declarations(CouplingArguments)
-        given = {"master": self.master, **self.options}
-        return {name: value for name, value in given.items() if name in names and value is not None}
+        """The choices about the coupling, by the names of the fields of `Coupling`."""
+        return take_coupling({"master": self.master, **self.options} if self.master else {**self.options})
 
     @property
     def compared(self) -> tuple[Choice, ...]:
@@ -246,11 +244,6 @@ class Study:
     def crossed(self) -> tuple[Choice, ...]:
         """The choices whose options are run with every sample."""
         return tuple(c for c in self.compared if not c.sampled)
-
-    @property
-    def fixed_choices(self) -> tuple[Choice, ...]:
-        """The choices with one option, which holds for all runs."""
-        return tuple(c for c in self.choices if len(c.options) == 1)
 
     @property
     def bands(self) -> tuple[str, ...]:

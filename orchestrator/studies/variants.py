@@ -21,10 +21,10 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
-from orchestrator.data.trace import Trace, rms, span
+from orchestrator.base.signals import rms, span
+from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import RunArguments
-from orchestrator.engine.result import RunFailed
-from orchestrator.engine.run import run
+from orchestrator.engine.run import attempt, run
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
@@ -79,11 +79,9 @@ def combinations(
     first = None
     for names in product(*variants.values()):
         chosen = dict(zip(variants, names, strict=True))
-        swapped, failure = with_swaps(system, chosen), ""
+        swapped = with_swaps(system, chosen)
         try:
-            result = run(swapped, **options)
-        except RunFailed as failed:
-            result, failure = failed.result, str(failed)
+            result, failure = attempt(swapped, **options)
         except Problem as problem:  # before the first step; the next combination may run
             yield Combination(chosen, failure=str(problem))
             continue

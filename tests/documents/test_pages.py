@@ -53,7 +53,7 @@ def validated() -> str:
     known = run(0.0)
     criteria = {name: Criterion(tolerance=LIMIT, group=name.partition(".")[2]) for name in known.signals}
     reference = Recording(
-        Path("ref.csv"), TIME, known.signals, known.units, criteria=criteria, metadata=ABOUT
+        TIME, known.signals, known.units, Path("ref.csv"), criteria=criteria, metadata=ABOUT
     )
     tip = np.column_stack((np.cos(TIME), np.sin(TIME), 0 * TIME + 1))
     motion = MachineMotion(TIME, {"foot": 0 * tip, "tip": tip})

@@ -39,7 +39,7 @@ def file(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
         return folder / "report.html"
 
     def replay() -> Path:
-        cycle = read_recording(data("reference/work_cycle.csv")).trace()
+        cycle = read_recording(data("reference/work_cycle.csv")).without_gaps()
         late = {name: np.interp(cycle.time - 1, cycle.time, v) for name, v in cycle.signals.items()}
         section = fragment(fmu_dir / "harvester.ssp", Replayed(Trace(cycle.time, late), cycle))
         head = '<!doctype html><html lang="en" style="color-scheme: light dark"><title>replay</title>'
@@ -177,7 +177,7 @@ def test_replay_then_drive(opened: Any) -> None:
     page.page.locator(".hm-seek").fill(f"{10 / last:.3f}")
     now = page.ask("source.time")
     assert now == pytest.approx(10.0, abs=1e-3 * last)
-    cycle = read_recording(data("reference/work_cycle.csv")).trace().at([now - 1, now])
+    cycle = read_recording(data("reference/work_cycle.csv")).without_gaps().at([now - 1, now])
     # pictures between samples of 20 ms, five digits
     assert page.ask("source.values.boom_angle") == pytest.approx(cycle["manipulator.boom_angle"][0], abs=1e-3)
     ghost = page.ask("source.reference.boom_angle")
@@ -223,7 +223,7 @@ def test_which_fmu(fmu_dir: Path, fmi3_dir: Path, tmp_path: Path) -> None:
     assert fragment(lonely) == ""
     with pytest.raises(Problem, match=r"expected harvester\.fmu of FMI 3\.0 with a WebAssembly module"):
         write_page(tmp_path / "machine.html", lonely, "")
-    cycle = read_recording(data("reference/work_cycle.csv")).trace()
+    cycle = read_recording(data("reference/work_cycle.csv")).without_gaps()
     alone = fragment(lonely, Replayed(cycle))
     assert 'data-part="module"' not in alone, "without the module it only replays"
     assert '"replay":' in part(alone, "data")

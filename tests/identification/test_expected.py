@@ -15,7 +15,7 @@ from orchestrator.data.recording import Recording
 def recording(procedure, names, **conditions):
     time = np.arange(3.0)
     signals, units = dict.fromkeys(names, time), dict.fromkeys(names, "1")
-    return Recording(Path("run.csv"), time, signals, units, procedure=procedure, conditions=conditions)
+    return Recording(time, signals, units, Path("run.csv"), procedure=procedure, conditions=conditions)
 
 
 def check(*recordings):

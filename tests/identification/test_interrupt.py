@@ -16,7 +16,7 @@ from fmus.identification.results import Estimate, ProcedureResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
 
-VALVE = Recording(Path("valve.csv"), np.arange(9.0), {}, {}, procedure="valve")
+VALVE = Recording(np.arange(9.0), {}, {}, Path("valve.csv"), procedure="valve")
 MACHINE = replace(VALVE, source=Path("machine.csv"), procedure="machine")
 AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
 WITHOUT_ZEROS = SimpleNamespace(outputs=())

@@ -141,7 +141,7 @@ def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving
     reference = from_recording(read_recording(folder / "exact.csv"))
     (row,) = run_settings(moving, reference, choose(["jacobi order 0"]), (3e-3,), 1, stop=0.6)
     trace = run(moving, master="jacobi", step=3e-3, stop=0.6).trace
-    every = reference.groups["position"][0].values
+    every = reference.recording[reference.groups["position"][0]]
     apart = trace["a.x"][::20] - every[::3]
     share = np.sqrt(np.mean(apart**2)) / np.ptp(every)
     found = {e.signal: e.nrmse for e in row.errors["position"]}
@@ -153,11 +153,11 @@ def test_the_worst_signal_counts(moving, truth):
     (row,) = run_settings(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     trace = run(moving, master="jacobi", step=1e-2, stop=1.0).trace
     shares = []
-    for signal in truth.groups["position"]:
-        apart = trace[signal.name] - signal.values[::10]
-        shares.append(np.sqrt(np.mean(apart**2)) / np.ptp(signal.values))
+    for name, values in truth.recording.items():
+        apart = trace[name] - values[::10]
+        shares.append(np.sqrt(np.mean(apart**2)) / np.ptp(values))
     assert row.error("position") == pytest.approx(max(shares), rel=1e-12)  # rounding
-    signals = {s.name: 1e3 * s.values for s in truth.groups["position"]}
+    signals = {name: 1e3 * values for name, values in truth.recording.items()}
     small = from_run("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
     (same,) = run_settings(moving, small, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     assert same.error("position") == pytest.approx(row.error("position"), rel=1e-9)  # rounding

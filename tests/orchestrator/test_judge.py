@@ -29,10 +29,10 @@ def reference() -> Recording:
     """What the gain should do, in mm: y = 2 u."""
     t = np.linspace(0, 1, 11)
     return Recording(
-        Path("ref.csv"),
         t,
         {"gain.y": 8e3 * t},
         {"gain.y": "mm"},
+        Path("ref.csv"),
         title="Gain",
         criteria={"gain.y": Criterion("Out", "out", tolerance=Tolerance("nrmse", 0.01))},
         metadata={"title": "Gain", "kind": "measurement"},

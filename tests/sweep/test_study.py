@@ -144,7 +144,7 @@ def test_what_the_refusal_advises_is_accepted(fmu_dir, tmp_path):
     file = machine(tmp_path, fmu_dir, "manipulator.head_mass")
     (tmp_path / "rest.csv").write_text("time,boom_stick.boom_command\n0,0\n", encoding="utf-8")
     found = resolved(file, file.read_text("utf-8") + '[choices]\nscenario = "rest.csv"\n')
-    assert found.fixed_choices[0].options == ("rest.csv",)
+    assert found.choices[0].options == ("rest.csv",)
 
 
 # ---- in Python

@@ -23,7 +23,7 @@ def made(
 ) -> Recording:
     """A reference of the one signal `a.x`."""
     criteria = {"a.x": Criterion(tolerance=limit)}
-    return Recording(Path("ref.csv"), time, {"a.x": values}, {"a.x": unit}, criteria=criteria, **more)
+    return Recording(time, {"a.x": values}, {"a.x": unit}, Path("ref.csv"), criteria=criteria, **more)
 
 
 def metres(time: np.ndarray, values: np.ndarray) -> Trace:
@@ -133,7 +133,7 @@ def test_what_cannot_be_compared_is_refused(trace: Trace) -> None:
     with pytest.raises(Problem, match=expected):
         validate(run, made(run.time, np.zeros(2), "bar"))
     # a signal that the run does not have is named, with those that it could be
-    reference = Recording(Path("ref.csv"), trace.time, {"shaft.angel": trace.time}, {"shaft.angel": "rad"})
+    reference = Recording(trace.time, {"shaft.angel": trace.time}, {"shaft.angel": "rad"}, Path("ref.csv"))
     with pytest.raises(Problem, match=r"ref.csv: no signal shaft.angel in .*; did you mean shaft.angle\?"):
         validate(trace, reference)
 

@@ -17,10 +17,10 @@ from orchestrator.ssp.system import Component, System
 
 TIME = np.linspace(0.0, 1.0, 11)
 SHIPPED = Recording(
-    Path("shipped.csv"),
     TIME,
     {"arm.angle": TIME, "arm.command": TIME},
     {"arm.angle": "rad", "arm.command": "V"},
+    Path("shipped.csv"),
     criteria={"arm.angle": Criterion("Angle", "angle", tolerance=Tolerance("nrmse", 0.001))},
 )
 

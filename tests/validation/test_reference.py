@@ -170,10 +170,10 @@ def test_short_gaps_of_a_command_are_bridged() -> None:
     """What drives a run has a value at every time; a signal without any sample is left out of a trace."""
     time = np.arange(0.0, 2.0, 0.01)
     short = np.where((time > 0.495) & (time < 0.555), np.nan, time)
-    made = Recording(Path("ref.csv"), time, {"short": short, "none": np.full(200, np.nan)}, {})
+    made = Recording(time, {"short": short, "none": np.full(200, np.nan)}, {}, Path("ref.csv"))
     np.testing.assert_allclose(fill_gaps(made, "short"), time, atol=1e-15)  # a straight line, rounding
-    np.testing.assert_allclose(made.trace()["short"], time, atol=1e-15)
-    assert "none" not in made.trace().signals
+    np.testing.assert_allclose(made.without_gaps()["short"], time, atol=1e-15)
+    assert "none" not in made.without_gaps().signals
 
 
 def test_written_trace_is_read_back(tmp_path: Path, trace: Trace) -> None:

@@ -37,7 +37,7 @@ def made(**signals: Tolerance | None) -> Validation:
     run = Trace(t, {name: np.sin(t) + 0.1 for name in names}, dict.fromkeys(names, "m"))
     known = dict.fromkeys(names, np.sin(t))
     criteria = {name: Criterion(tolerance=limit) for name, limit in names.items()}
-    reference = Recording(Path("ref.csv"), t, known, dict.fromkeys(names, "m"), criteria=criteria)
+    reference = Recording(t, known, dict.fromkeys(names, "m"), Path("ref.csv"), criteria=criteria)
     return validate(run, reference, rate=False)
 
 

@@ -34,8 +34,8 @@ from fmus.identification.report.prediction import (
 from fmus.identification.report.report_texts import percent
 from fmus.identification.results import CONFIDENCE
 from orchestrator.base.processes import mapping
+from orchestrator.base.signals import rms
 from orchestrator.data.table import Array
-from orchestrator.data.trace import rms
 
 # effect -> the variants that have it
 EFFECTS: Mapping[str, Mapping[str, str]] = {

@@ -18,8 +18,8 @@ from fmus.identification.report import figures, prediction, report_texts
 from fmus.identification.report.attribution import attribute
 from fmus.identification.results import Estimate, named
 from fmus.machine.parts import SUBSYSTEMS
+from orchestrator.base.signals import rms
 from orchestrator.data.recording import Recording
-from orchestrator.data.trace import rms
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import plot
 from orchestrator.pages.plotting import embed

@@ -19,10 +19,10 @@ from fmus.machine.parts import INPUTS, SUBSYSTEMS, parts, wiring
 from fmus.monolith import breakpoints, join, simulate
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import rms
 from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Recording, fill_gaps
 from orchestrator.data.table import Array
-from orchestrator.data.trace import rms
 
 Signals = Mapping[str, Array]
 LINES = ("supply_pressure", "tank_pressure")  # inputs of the machine that a recording may have measured

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import mannwhitneyu
 
+from orchestrator.base.signals import moves
 from orchestrator.data.table import Array
-from orchestrator.data.trace import moves
 from orchestrator.lanes.group import OK
 from orchestrator.studies.analysis import morris_sobol, sensitivity
 from orchestrator.studies.analysis.output_samples import OutputSamples, done, samples, without_numbers

@@ -157,7 +157,7 @@ def as_dict(study: ConvergenceStudy) -> Mapping[str, Any]:
     """The study for convergence.json: reference, signals by group, notes, and all runs with all errors."""
     return {
         "reference": study.reference.title,
-        "groups": {group: [s.name for s in signals] for group, signals in study.reference.groups.items()},
+        "groups": {group: list(names) for group, names in study.reference.groups.items()},
         "notes": list(study.notes),
         "runs": [_json_run(study, run) for run in study.runs],
     }
@@ -215,7 +215,8 @@ def error_table(study: ConvergenceStudy, group: str) -> TextTable:
 
 def maximum_table(study: ConvergenceStudy, group: str) -> TextTable:
     """The largest difference of a group at any instant, in a convenient unit such as bar or mm."""
-    unit = error_display_unit(study.reference.groups[group][0].unit).display
+    unit_of_group = study.reference.recording.units[study.reference.groups[group][0]]
+    unit = error_display_unit(unit_of_group).display
 
     def cell(run: SettingRun) -> str:
         error = run.maximum(group)

@@ -7,21 +7,23 @@ interpolation between samples would be less accurate than a good master.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from operator import attrgetter
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
+from orchestrator.base.signals import rms, span
 from orchestrator.base.text import grouped
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, rms, span
-from orchestrator.engine.run import run
+from orchestrator.data.trace import Trace
+from orchestrator.engine.arguments import CaseArguments
+from orchestrator.engine.result import widest_of_unit
+from orchestrator.engine.run import ScenarioSource, run
 from orchestrator.results.metrics import AT_REST
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import System
@@ -52,29 +54,33 @@ class SignalDeviation:
 
 
 @dataclass(frozen=True)
-class ReferenceSignal:
-    """One signal of the reference solution, shape (n,), in `unit`; signals of a group share a table."""
-
-    name: str
-    values: Array
-    unit: str
-    group: str
-    span: float | None = None
-
-
-@dataclass(frozen=True)
 class ReferenceSolution:
-    """The solution that runs are compared with: signals by group over a time axis of shape (n,) [s]."""
+    """The solution that runs are compared with.
 
-    title: str
-    time: Array
-    groups: Mapping[str, tuple[ReferenceSignal, ...]]
+    recording   its signals, without gaps
+    groups      group -> its signals, which share a table
+    spans       signal -> its range
+    """
+
+    recording: Recording
+    groups: Mapping[str, Sequence[str]]
+    spans: Mapping[str, float]
     notes: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """The title of the recording."""
+        return self.recording.heading
+
+    @property
+    def time(self) -> Array:
+        """The times of the samples [s], shape (n,)."""
+        return self.recording.time
 
     @property
     def names(self) -> list[str]:
         """All signals."""
-        return list(dict.fromkeys(s.name for signals in self.groups.values() for s in signals))
+        return list(dict.fromkeys(name for names in self.groups.values() for name in names))
 
     def check(self, system: System) -> None:
         """Raise UnknownSignal if the system lacks a signal."""
@@ -108,10 +114,20 @@ class ReferenceSolution:
     def errors(self, trace: Trace, step: float) -> dict[str, tuple[SignalDeviation, ...]]:
         """Group -> errors of its signals, the largest first."""
         indices = _common_instants(trace.time, self.time, step)
+        errors = {name: self._deviation(name, trace, *indices) for name in self.names}
         return {
-            group: tuple(sorted((_deviation(s, trace, *indices) for s in signals), key=lambda e: -e.nrmse))
-            for group, signals in self.groups.items()
+            group: tuple(sorted((errors[name] for name in names), key=lambda e: -e.nrmse))
+            for group, names in self.groups.items()
         }
+
+    def _deviation(self, name: str, trace: Trace, in_run: Indices, in_reference: Indices) -> SignalDeviation:
+        unit, size = self.recording.units[name], self.spans[name] or 1.0
+        of_run = trace.units.get(name, unit)
+        factor, offset = factor_and_offset(of_run, unit, name) if of_run != unit else (1.0, 0.0)
+        with np.errstate(over="ignore"):  # an unstable run may grow beyond all bounds
+            error = factor * trace[name][in_run] + offset - self.recording[name][in_reference]
+            rmse = rms(error)
+        return SignalDeviation(name, rmse / size, float(np.abs(error).max()), size, unit)
 
 
 def _common_instants(run: Array, reference: Array, step: float) -> tuple[Indices, Indices]:
@@ -121,48 +137,39 @@ def _common_instants(run: Array, reference: Array, step: float) -> tuple[Indices
     return nearest[common], common
 
 
-def _deviation(
-    signal: ReferenceSignal, trace: Trace, in_run: Indices, in_reference: Indices
-) -> SignalDeviation:
-    unit = trace.units.get(signal.name, signal.unit)
-    factor, offset = factor_and_offset(unit, signal.unit, signal.name) if unit != signal.unit else (1.0, 0.0)
-    with np.errstate(over="ignore"):  # an unstable run may grow beyond all bounds
-        error = factor * trace[signal.name][in_run] + offset - signal.values[in_reference]
-        rmse = rms(error)
-    size = signal.span or 1.0
-    return SignalDeviation(signal.name, rmse / size, float(np.abs(error).max()), size, signal.unit)
-
-
 def from_recording(recording: Recording, patterns: Sequence[str] = ()) -> ReferenceSolution:
     """The signals of a recording that match a pattern; default: its speeds and pressures, else all."""
-    signals = []
-    for name, values in recording.signals.items():
-        unit, criterion = recording.units[name], recording.criterion(name)
+    for name, values in recording.items():
         if np.isnan(values).any():
             raise Problem(f"{recording.source}: {name}: expected a value at each time, got a gap")
-        signals.append(ReferenceSignal(name, values, unit, criterion.group or quantity(unit), criterion.span))
-    by_name = {s.name: s for s in signals}
     if patterns:
-        chosen = {p: [by_name[name] for name in _matching(p, by_name)] for p in patterns}
-        return _without_rest(recording.heading, recording.time, chosen)
-    groups = grouped(signals, attrgetter("group"))
-    default = {g: groups[g] for g in DEFAULT_QUANTITIES if g in groups} or groups
-    return _without_rest(recording.heading, recording.time, default)
+        return _without_rest(recording, {p: _matching(p, recording) for p in patterns})
+    groups = _groups(recording)
+    return _without_rest(recording, {g: groups[g] for g in DEFAULT_QUANTITIES if g in groups} or groups)
 
 
 def from_run(title: str, trace: Trace) -> ReferenceSolution:
     """The signals of a run, one group for each quantity."""
-    units = {name: trace.units.get(name, "") for name in trace.signals}
-    signals = (ReferenceSignal(n, v, units[n], quantity(units[n])) for n, v in trace.signals.items())
-    return _without_rest(title, trace.time, grouped(signals, attrgetter("group")))
+    units = {name: trace.units.get(name, "") for name in trace}
+    recording = Recording(trace.time, trace.signals, units, metadata={"title": title})
+    return _without_rest(recording, _groups(recording))
+
+
+def _groups(recording: Recording) -> dict[str, list[str]]:
+    """The signals by group, else by quantity."""
+    return grouped(recording, lambda n: recording.criterion(n).group or quantity(recording.units[n]))
 
 
 def finest_run(
-    system: System, signals: Sequence[str], steps: Sequence[float], **options: Any
+    system: System,
+    signals: Sequence[str],
+    steps: Sequence[float],
+    scenario: ScenarioSource = None,
+    **options: Unpack[CaseArguments],
 ) -> ReferenceSolution:
     """The solution if there is no recording: a run of `hermite` with half the smallest step."""
     step = min(steps) / 2
-    result = run(system, master=FINEST, step=step, record=list(signals), **options)
+    result = run(system, scenario, master=FINEST, step=step, record=list(signals), **options)
     return from_run(f"hermite at {1e3 * step:g} ms", result.trace)
 
 
@@ -187,20 +194,16 @@ def _matching(pattern: str, names: Iterable[str]) -> list[str]:
     return matching
 
 
-def _without_rest(
-    title: str, time: Array, groups: Mapping[str, Sequence[ReferenceSignal]]
-) -> ReferenceSolution:
+def _without_rest(recording: Recording, groups: Mapping[str, Sequence[str]]) -> ReferenceSolution:
     """The groups without signals at rest: they have no range, alone or next to others of their unit."""
-    signals = [s for members in groups.values() for s in members]
-    ranges = {s.name: span(s.values) for s in signals}
-    widest = {s.unit: max(ranges[other.name] for other in signals if other.unit == s.unit) for s in signals}
-    at_rest = [s.name for s in signals if ranges[s.name] <= AT_REST * widest[s.unit]]
-    moving = {
-        group: tuple(replace(s, span=s.span or ranges[s.name]) for s in members if s.name not in at_rest)
-        for group, members in groups.items()
-    }
-    moving = {group: members for group, members in moving.items() if members}
+    ranges = {name: span(recording[name]) for names in groups.values() for name in names}
+    widest = widest_of_unit(ranges, recording.units)
+    at_rest = [name for name, size in ranges.items() if size <= AT_REST * widest[name]]
+    moving = {group: [name for name in names if name not in at_rest] for group, names in groups.items()}
+    moving = {group: names for group, names in moving.items() if names}
     if not moving:
-        raise Problem(f"{title}: expected signals that move, got {', '.join(at_rest) or 'none'}")
-    notes = (f"not compared, at rest: {', '.join(dict.fromkeys(at_rest))}",) if at_rest else ()
-    return ReferenceSolution(title, time, moving, notes)
+        got = ", ".join(at_rest) or "none"
+        raise Problem(f"{recording.heading}: expected signals that move, got {got}")
+    spans = {name: recording.criterion(name).span or size for name, size in ranges.items()}
+    notes = (f"not compared, at rest: {', '.join(at_rest)}",) if at_rest else ()
+    return ReferenceSolution(recording, moving, spans, notes)

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from math import log
 from statistics import median
-from typing import Any
+from typing import Any, Unpack
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.engine.result import RunFailed
-from orchestrator.engine.run import run
+from orchestrator.base.options import seconds
+from orchestrator.engine.arguments import RunArguments
+from orchestrator.engine.run import ScenarioSource, attempt, run
 from orchestrator.ssp.coupling import MASTERS, Coupling, Master
 from orchestrator.ssp.swap import used_ports
 from orchestrator.ssp.system import System
@@ -185,22 +186,22 @@ def run_settings(
     steps: Sequence[float],
     repeats: int = 3,
     rates: Sequence[str] | None = None,
-    **options: Any,
+    scenario: ScenarioSource = None,
+    **options: Unpack[RunArguments],
 ) -> Iterator[SettingRun]:
     """Run every setting at every step.
 
     repeats  how often a stable run is repeated; its wall time is the median
     rates    inputs whose connections a plain setting leaves out; default: those of rate ports
-    options  of `run`, such as scenario, start, stop
+    options  of `run`, such as start, stop
     """
     reference.check(system)
     rates = rate_inputs(system) if rates is None else tuple(rates)
-    given = options.get("start")
-    start = float((system.start or 0.0) if given is None else given)
-    sorted_steps = sorted(steps)
-    record_steps = {h: reference.record_step(start, options.get("stop"), h) for h in sorted_steps}
+    start, stop = seconds(options.get("start"), "start"), seconds(options.get("stop"), "stop")
+    start, sorted_steps = (system.start or 0.0) if start is None else start, sorted(steps)
+    record_steps = {h: reference.record_step(start, stop, h) for h in sorted_steps}
     ports = [str(system.outputs[n].source) if n in system.outputs else n for n in reference.names]
-    options = {"record": list(dict.fromkeys(ports))} | options
+    what = {"scenario": scenario, "record": list(dict.fromkeys(ports)), **options}
     any_run = False
     for setting in (s for s in settings if rates or not s.without_rates):
         coupled = system.without(*rates) if setting.without_rates else system
@@ -208,9 +209,9 @@ def run_settings(
         for plan in adaptive or [SettingRun(setting, step) for step in sorted_steps]:
             coupling = setting.cases.get(plan.case, setting.coupling)
             record_step = reference.adaptive_record_step(start) if plan.case else record_steps[plan.step]
-            run_options = {"master": coupling, "step": plan.step, "record_step": record_step} | options
+            how = {"master": coupling, "step": plan.step, "record_step": record_step}
             try:
-                done = _run(plan, reference, coupled, repeats, run_options)
+                done = _run(plan, reference, coupled, repeats, how | what)
             except Problem as problem:
                 if not any_run:  # then nothing runs at all: the user's mistake, not a limit of the FMUs
                     raise
@@ -223,10 +224,7 @@ def _run(
     plan: SettingRun, reference: ReferenceSolution, system: System, repeats: int, options: Mapping[str, Any]
 ) -> SettingRun:
     """One run, repeated for its wall time if it was stable."""
-    try:
-        result, failure = run(system, **options), ""
-    except RunFailed as failed:
-        result, failure = failed.result, str(failed)
+    result, failure = attempt(system, **options)
     card = result.card
     errors = {} if failure else reference.errors(result.trace, plan.step)
     done = replace(plan, errors=errors, steps=card.steps, simulated=card.simulated, failure=failure)

@@ -57,7 +57,7 @@ def recorded(name, time, true, units, sensors, seed, procedure, conditions=None)
     random = np.random.default_rng(seed)
     read = {n: measured(sensors[n], x, random) if n in sensors else x for n, x in true.items()}
     about = {"procedure": procedure, "conditions": conditions or {}, "sensors": sensors}
-    return Recording(Path(f"{name}.csv"), time, read, units, **about)
+    return Recording(time, read, units, Path(f"{name}.csv"), **about)
 
 
 def recording(procedure, conditions, signals, seed, flow=FLOW):

@@ -75,7 +75,7 @@ def test_a_signal_is_steady_below_four_standard_deviations_of_its_rate(rates, st
     rate = rates * derivative.gain(1) * noise
     values = rate * np.clip(time - 7.5, 0.0, 5.0) + noise * np.random.default_rng(1).standard_normal(4001)
     sensors = {"x": bench.Sensor("x", noise)}
-    record = Recording(Path("ramp.csv"), time, {"x": values}, {"x": "Pa"}, sensors=sensors)
+    record = Recording(time, {"x": values}, {"x": "Pa"}, Path("ramp.csv"), sensors=sensors)
     stretches = experiment_data.steady_stretches(record, ["x"])
     assert any(s.start < 2000 < s.stop for s in stretches) == steady
 

@@ -40,10 +40,10 @@ def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **si
     """A recording in memory; no signal has a unit."""
     n = len(next(iter(signals.values())))
     return Recording(
-        Path("memory.csv"),
         np.arange(n) / rate,
         {name: np.asarray(values, dtype=float) for name, values in signals.items()},
         dict.fromkeys(signals, "1"),
+        Path("memory.csv"),
         procedure="valve",
         conditions={"edge": "P-A"},
         sensors=sensors or {},

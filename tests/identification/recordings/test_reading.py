@@ -156,7 +156,7 @@ def test_signals_far_from_usual_are_doubted(unit, low, high):
     """Ten thousand times as large or small as usual; a time of hours may be in milliseconds."""
     time = np.linspace(0, 9e3, 3)
     for peak, usual in ((1e4 * high, high), (1e-4 * low, low)):
-        made = Recording(Path("a.csv"), time, {"x": peak * np.ones(3)}, {"x": unit})
+        made = Recording(time, {"x": peak * np.ones(3)}, {"x": unit}, Path("a.csv"))
         (told,) = reading.doubtful([made])
         assert f"usually about {usual:.3g} {unit};" in told
     usual = replace(made, signals={"x": high * np.ones(3)})

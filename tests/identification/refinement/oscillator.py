@@ -65,10 +65,10 @@ def recording(
     position = model.segment(np.zeros(2), np.zeros(0), time, push[:, None], False).y[:, 0]
     read = position + noise * rng.standard_normal(len(time))
     return Recording(
-        Path(f"oscillator_{seed}.csv"),
         time,
         {"push": push, "position": read},
         {"push": "1", "position": "m"},
+        Path(f"oscillator_{seed}.csv"),
         procedure="machine",
         sensors={"position": Sensor("ruler", noise or NOISE, dead_zone=dead_zone)},
     )

@@ -113,7 +113,7 @@ def test_a_small_residual_is_left_out(effects, why):
 def test_without_an_unexplained_residual_no_effect_is_simulated(excitation, monkeypatch):
     """The simulations of effects and parameters, most of the time of `identify`, are left out."""
     name = "manipulator.boom_angle"
-    recording = Recording(Path("a.csv"), excitation.time, {name: excitation.time}, {name: "rad"})
+    recording = Recording(excitation.time, {name: excitation.time}, {name: "rad"}, Path("a.csv"))
     monkeypatch.delattr(attribution, "effect_changes")
     assert attribution.attribute(compare(recording, dict(recording.signals)), {}).shares == ()
 

@@ -158,7 +158,7 @@ def comparison(measured, predicted):
     units = {"swing.swing_command": "V", "manipulator.swing_angle": "rad", "swing.swing_pressure_a": "Pa"}
     units |= {"swing.swing_flow_a": "m3/s", "manipulator.swing_speed": "rad/s"}
     about = {"title": "A", "procedure": "machine", "use": "test", "kind": "simulation"}
-    recording = Recording(Path("a.csv"), TIME, measured, units, **about)
+    recording = Recording(TIME, measured, units, Path("a.csv"), **about)
     return RecordingComparison(recording, measured, predicted, units)
 
 

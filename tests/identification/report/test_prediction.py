@@ -49,7 +49,7 @@ def standing(command: np.ndarray, **more: np.ndarray) -> Recording:
     """Two seconds in the usual pose with one command on all levers; `more`: signals of the swing."""
     signals = {f"manipulator.{j}_angle": np.full(T.size, a) for j, a in POSE.items()}
     signals |= dict.fromkeys(COMMANDS.values(), command) | {f"swing.{n}": x for n, x in more.items()}
-    return Recording(Path("x.csv"), T, signals, {}, procedure="machine", use="test")
+    return Recording(T, signals, {}, Path("x.csv"), procedure="machine", use="test")
 
 
 def boom_motion(stop: float = 1.5) -> Excitation:
@@ -133,7 +133,7 @@ def driven(*commands: float, ramp: int = 0, sd: float = 0.0) -> Recording:
     volts = np.interp(np.arange(corners[-1] + 1), corners, np.repeat(commands, 2))
     volts += sd * np.random.default_rng(0).standard_normal(volts.size)
     time, units, sensors = np.arange(volts.size) / 100, {"command": "V"}, {"command": Sensor(noise=sd)}
-    return Recording(Path("a.csv"), time, {"command": volts}, units, sensors=sensors)
+    return Recording(time, {"command": volts}, units, Path("a.csv"), sensors=sensors)
 
 
 @pytest.mark.parametrize(

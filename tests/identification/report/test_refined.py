@@ -95,7 +95,7 @@ def machine() -> Recording:
     units = {"manipulator.boom_angle": "rad", "boom_stick.boom_head_flow": "m3/s"}
     sensors = {"boom_stick.boom_head_flow": Sensor("turbine", 5e-6, dead_zone=1e-4)}
     about = {"procedure": "machine", "use": "test", "kind": "simulation"}
-    return Recording(Path("a/b.csv"), TIME, signals, units, sensors=sensors, **about)
+    return Recording(TIME, signals, units, Path("a/b.csv"), sensors=sensors, **about)
 
 
 def test_speeds_are_compared_through_one_filter_and_flows_outside_the_dead_zone():
