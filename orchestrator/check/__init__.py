@@ -83,7 +83,7 @@ def _without_repeats(findings: Sequence[Finding], rules: Sequence[CheckRule]) ->
 
 def _title(subject: Subject) -> str:
     """FMI version, interfaces, number of variables, tool and platforms of the FMU."""
-    from orchestrator.fmi.raw_description import INTERFACES
+    from orchestrator.fmi.description import INTERFACES
 
     model = subject.model
     if not model.interfaces:

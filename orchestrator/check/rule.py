@@ -17,7 +17,7 @@ from orchestrator.base.errors import one_line
 
 if TYPE_CHECKING:
     from orchestrator.check.subject import Subject
-    from orchestrator.fmi.raw_description import DeclaredVariable
+    from orchestrator.fmi.description import FmuVariable
 
 Severity = Literal["error", "warning", "note"]
 MAX_NAME = 60  # characters of a name in a message
@@ -67,7 +67,7 @@ def join_names(names: Sequence[str], limit: int = 5) -> str:
     return ", ".join(first) + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
-def join_variables(variables: Sequence[DeclaredVariable]) -> str:
+def join_variables(variables: Sequence[FmuVariable]) -> str:
     """Line of the first variable, and the names of all."""
     return f"modelDescription.xml line {variables[0].line}: {join_names([v.name for v in variables])}"
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.fmi.description import FmuVariable, Value
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.modelica.syntax import Scope, number, quoted
 from orchestrator.ssp.system import Component
 
@@ -183,8 +184,10 @@ def fmu_block(name: str, folder: str, component: Component, constant_inputs: Col
 
 def _check(where: str, interface: FmuInterface) -> None:
     """Raise Problem for an FMU that the functions of the package cannot run."""
-    if interface.fmi != 2:
-        raise Problem(f"{where}: expected an FMU for Model Exchange in FMI 2.0, got FMI {interface.fmi}.0")
+    if interface.model.major != 2:
+        raise Problem(
+            f"{where}: expected an FMU for Model Exchange in FMI 2.0, got FMI {interface.model.major}.0"
+        )
     if interface.event_indicators:
         raise Problem(
             f"{where}: expected an FMU without event indicators, because state events are not supported"
@@ -240,8 +243,8 @@ def attributes(v: FmuVariable) -> str:
         result["unit"] = quoted(v.unit.name)
         if v.unit.name in DISPLAY_UNITS:
             result["displayUnit"] = quoted(DISPLAY_UNITS[v.unit.name])
-    for name, bound in (("min", v.minimum), ("max", v.maximum)):
-        if bound is not None and math.isfinite(bound) and v.causality == "parameter":
+    for name, bound in zip(("min", "max"), v.bounds, strict=True):
+        if math.isfinite(bound) and v.causality == "parameter":
             result[name] = number(bound)
     return f"({', '.join(f'{name} = {value}' for name, value in result.items())})" if result else ""
 

@@ -14,7 +14,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.units import IDENTITY, LinearTransformation, conversion
-from orchestrator.fmi.description import FmuInterface, Value, read_interface
+from orchestrator.fmi.description import Value
+from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values

@@ -74,7 +74,7 @@ def provenance(system: System, files: Sequence[str | Path | Location] = ()) -> P
         fmus = {name: {"file": str(fmu), "sha256": checksum(fmu)} for name, fmu in sources.items()}
     own = [Location(system.source.path)] if system.source else []
     others = [file if isinstance(file, Location) else Location(Path(file)) for file in files]
-    built = {s.file: s.sha256 for c in system.components.values() for s in c.interface.parameter_sets}
+    built = {s.file: s.sha256 for c in system.components.values() for s in c.interface.model.parameter_sets}
     return Provenance(
         fmus, {str(f): checksum(f) for f in [*own, *others]} | built, tuple(other_values(system))
     )
@@ -105,7 +105,7 @@ def other_values(system: System) -> Iterator[OtherValue]:
 def _built(component: Component) -> dict[str, tuple[Value, str]]:
     """Parameter -> value in the shipped FMU and file of the value that replaces it."""
     result: dict[str, tuple[Value, str]] = {}
-    for parameter_set in component.interface.parameter_sets:
+    for parameter_set in component.interface.model.parameter_sets:
         for name, text in parameter_set.shipped.items():
             variable = component.interface.variables.get(name)
             if variable is None:

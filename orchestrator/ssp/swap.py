@@ -25,7 +25,8 @@ from orchestrator.base.errors import NotExchangeable, Problem, suggest
 from orchestrator.base.files import FMUS, VARIANTS, Location, require
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.fmi.description import FmuVariable, Value
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.ssp.power_bonds import find_bonds
 from orchestrator.ssp.system import (
     Component,
@@ -193,8 +194,8 @@ def _optional_input(system: System, port: Port) -> str:
     The declaration of an FMU that was replaced counts, too: it holds for the place in the system.
     """
     component = system.components[port.component]
-    before = component.replaced.optional_inputs if component.replaced else {}
-    return {**before, **component.interface.optional_inputs}.get(port.variable, "")
+    before = component.replaced.model.optional_inputs if component.replaced else {}
+    return {**before, **component.interface.model.optional_inputs}.get(port.variable, "")
 
 
 def _is_rate(system: System, port: Port) -> bool:

@@ -20,7 +20,8 @@ from orchestrator.base.units import (
     number_and_unit,
 )
 from orchestrator.base.xml import integer, real
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value, read_interface
+from orchestrator.fmi.description import FmuVariable, Value
+from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
 MAX_NAMES = 4  # in a message
@@ -435,8 +436,8 @@ def check_bounds(context: str, variable: FmuVariable, value: Value, remark: str 
     if isinstance(value, (str, bool)):
         return
     unit = f" {variable.unit.name}" if variable.unit and variable.unit.name != "1" else ""
-    for word, bound, sign in (("least", variable.minimum, 1.0), ("most", variable.maximum, -1.0)):
-        if bound is not None and sign * (value - bound) < -ROUNDING * abs(bound):
+    for word, bound, sign in zip(("least", "most"), variable.bounds, (1.0, -1.0), strict=True):
+        if math.isfinite(bound) and sign * (value - bound) < -ROUNDING * abs(bound):
             raise Problem(f"{context}: expected at {word} {bound:.13g}{unit}, got {value:.13g}{unit}{remark}")
 
 

@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.base.xml import XmlElement, read_xml
-from orchestrator.fmi.raw_description import FLOATS
+from orchestrator.fmi.description import FLOATS
 from orchestrator.ssp.common_elements import as_linear, read_transformation, read_units
 from orchestrator.ssp.system import Port, System
 

@@ -44,7 +44,7 @@ def write_ssp(
     version      version of SSP, 1.0 or 2.0; default: 2.0 for FMUs of FMI 3.0, else 1.0
     """
     if version is None:
-        version = "2.0" if any(c.interface.fmi == 3 for c in system.components.values()) else "1.0"
+        version = "2.0" if any(c.interface.model.major == 3 for c in system.components.values()) else "1.0"
     if version not in TYPES:
         raise Problem(f"{system.name}: SSP version: expected one of {', '.join(TYPES)}, got {version!r}")
     sets = sets or {}
