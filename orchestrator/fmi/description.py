@@ -150,6 +150,11 @@ class FmuVariable(Entry):
         return KINDS.get(self.type, "")
 
     @property
+    def value_type(self) -> str:
+        """The type of the values: Real, Integer, Boolean or String; those of enumerations are integers."""
+        return "Integer" if self.kind == "Enumeration" else self.kind
+
+    @property
     def function_type(self) -> str:
         """The type in the names of the FMI functions that get and set it, such as Real or Float64."""
         return self.type if self.type != "Enumeration" else "Integer" if self.fmi == 2 else "Int64"

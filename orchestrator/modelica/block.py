@@ -13,13 +13,6 @@ from orchestrator.ssp.system import Component
 
 T = TypeVar("T")
 Equation = tuple[list[str], str]  # unknowns, and the call that computes them
-TYPES = {
-    "Real": "Real",
-    "Integer": "Integer",
-    "Enumeration": "Integer",
-    "Boolean": "Boolean",
-    "String": "String",
-}
 EMPTY_FILL = {"Real": "0.0", "Integer": "0", "Boolean": "0", "String": '""'}  # elements of arrays of length 0
 DISPLAY_UNITS = {"Pa": "bar", "rad": "deg", "rad/s": "deg/s", "m3/s": "l/min"}
 # Tools use tolerance * nominal as absolute tolerance of a state, which is too large for a pressure near zero.
@@ -102,7 +95,7 @@ class FmuBlock:
     def values(self) -> Iterator[str]:
         """References and values of the parameters of each type."""
         for kind, fill in EMPTY_FILL.items():
-            parameters = [p for p in self.parameters if TYPES[p.variable.kind] == kind]
+            parameters = [p for p in self.parameters if p.variable.value_type == kind]
             values = _vector((p.argument for p in parameters), fill)
             yield f"{_references(p.variable for p in parameters)}, {values}"
 
@@ -184,24 +177,18 @@ def fmu_block(name: str, folder: str, component: Component, constant_inputs: Col
 
 def _check(where: str, interface: FmuInterface) -> None:
     """Raise Problem for an FMU that the functions of the package cannot run."""
-    if interface.model.major != 2:
-        raise Problem(
-            f"{where}: expected an FMU for Model Exchange in FMI 2.0, got FMI {interface.model.major}.0"
-        )
-    if interface.event_indicators:
-        raise Problem(
-            f"{where}: expected an FMU without event indicators, because state events are not supported"
-        )
-    if interface.one_per_process:
-        raise Problem(f"{where}: expected an FMU that can be instantiated twice per process")
-    if interface.needs_execution_tool:
-        raise Problem(
-            f"{where}: expected an FMU that runs without the tool that made it, got needsExecutionTool"
-        )
-    if not interface.states and not interface.stateless:
-        raise Problem(
-            f"{where}: expected a variable for each continuous state and derivative, some are missing"
-        )
+    version, complete = interface.model.major, interface.states or interface.stateless
+    faults = {
+        f"an FMU for Model Exchange in FMI 2.0, got FMI {version}.0": version != 2,
+        "an FMU without event indicators, because state events are not supported": interface.event_indicators,
+        "an FMU that can be instantiated twice per process": interface.one_per_process,
+        "an FMU that runs without the tool that made it, got needsExecutionTool": (
+            interface.needs_execution_tool
+        ),
+        "a variable for each continuous state and derivative, some are missing": not complete,
+    }
+    for expected in (text for text, found in faults.items() if found):
+        raise Problem(f"{where}: expected {expected}")
     for v in (v for v in interface.variables.values() if v.causality in ("input", "output")):
         if not v.is_real:
             raise Problem(f"{where}: {v.name}: expected real inputs and outputs, got {v.kind}")

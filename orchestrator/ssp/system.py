@@ -471,14 +471,9 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     if y.causality not in SOURCES or u.causality not in TARGETS:
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
-    if connectable_type(y) != connectable_type(u) or y.kind == "String":
+    if y.value_type != u.value_type or y.kind == "String":
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
     if not y.is_real and not (linear.factor.is_integer() and linear.offset.is_integer()):
         got = f"{linear.factor:g} and {linear.offset:g}"
         raise Problem(f"{connection}: expected integer factor and offset, got {got}")
     return connection
-
-
-def connectable_type(variable: FmuVariable) -> str:
-    """The type for connections: equal types may be connected; enumerations count as integers."""
-    return "Integer" if variable.kind == "Enumeration" else variable.kind
