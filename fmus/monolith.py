@@ -17,8 +17,7 @@ from fmus.contract import Subsystem, column, quantities
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import DeferredInterrupts
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 SAME_TIME = 1e-10  # s: times closer than this are equal; six times the rounding unit of 1e5 s
 

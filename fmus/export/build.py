@@ -159,8 +159,9 @@ def build_all(
             for fmi, package in packages(sub, step, stop, values, list(folders)).items():
                 folder = Path(folders[fmi]) / (subfolders or {}).get(sub.name, "")
                 module = (WASM,) if fmi == 3 and sub.name in wasm else ()
+                source = sub.name, package.code, [main_source(sub.name)]
                 libraries = {
-                    n: compilers.submit(_library, package, n) for n in dict.fromkeys((*names, *module))
+                    n: compilers.submit(shared_library, *source, n) for n in dict.fromkeys((*names, *module))
                 }
                 targets.append((folder / f"{package.name}.fmu", package, libraries))
         compiled = [library for *_, libraries in targets for library in libraries.values()]
@@ -174,7 +175,3 @@ def build_all(
         write_zip(path, {**package.files, **binaries(package.name, package.fmi, by_platform)})
     paths = [path for path, *_ in targets]
     return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}
-
-
-def _library(p: Package, platform: str) -> bytes:
-    return shared_library(p.name, p.code, [main_source(p.name)], platform)

@@ -175,13 +175,10 @@ class Dispatcher:
         except BaseException as problem:  # the library could not handle it
             status = DISCARD if isinstance(problem, NotAvailable) else ERROR
             problems = [(status, message(problem, self.slave.folder))]
-        messages = [*events, *self._queued(), *problems]
-        return status, b"".join(_record(s, function, text) for s, text in messages if s in self.logged), value
-
-    def _queued(self) -> list[tuple[int, str]]:
-        messages = [(int(m.status), m.msg) for m in self.slave.log_queue]
+        queued = [(int(m.status), m.msg) for m in self.slave.log_queue]
         self.slave.log_queue.clear()
-        return messages
+        messages = [*events, *queued, *problems]
+        return status, b"".join(_record(s, function, text) for s, text in messages if s in self.logged), value
 
 
 # ---- FMI functions
