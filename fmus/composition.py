@@ -28,6 +28,7 @@ from fmus.contract import (
     Quantity,
     Scalar,
     Subsystem,
+    Symbolic,
     Terminal,
     column,
     make_group,
@@ -46,30 +47,20 @@ _EQUALITY_DEPTH = 9  # depth to which casadi.is_equal compares the expressions o
 
 
 @dataclass(frozen=True)
-class CoupledEquations:
-    """Symbols x, u, p (columns) and expressions in them.
+class CoupledEquations(Symbolic):
+    """The equations of several components; names are `component.variable`.
 
-    states, parameters, outputs   names, `component.variable`
-    calculated                    names of the states whose initial value is calculated
-    inputs                        names of the external inputs
-    statements                    (component, text of the requirement) for each row of `require`
+    inputs   names of the external inputs
+    owners   component of each requirement
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     parameters: tuple[str, ...]
     outputs: tuple[str, ...]
-    calculated: tuple[str, ...]
-    statements: tuple[tuple[str, str], ...]
-    x: ca.SX
-    u: ca.SX
-    p: ca.SX
-    dx: ca.SX
-    y: ca.SX
-    start: ca.SX
-    require: ca.SX
+    owners: tuple[str, ...]
 
-    def function(self, name: str, value: ca.SX) -> ca.Function:
+    def of(self, name: str, value: ca.SX) -> ca.Function:
         """The CasADi function (x, u, p) -> value."""
         function: ca.Function = ca.Function(name, [self.x, self.u, self.p], [value])
         return function
@@ -121,7 +112,8 @@ def couple(
         parameters=variables_of("parameters"),
         outputs=outputs,
         calculated=calculated,
-        statements=tuple((n, text) for n, s in components.items() for text in s.statements),
+        statements=tuple(text for s in components.values() for text in s.statements),
+        owners=tuple(n for n, s in components.items() for _ in s.statements),
         x=x,
         u=column(*external.values()),
         p=stacked("p"),
@@ -129,6 +121,7 @@ def couple(
         y=ca.cse(y_all),
         start=start,
         require=require,
+        next_event=ca.SX(no_event()),
     )
 
 
@@ -333,8 +326,8 @@ def _functions(
     """The functions that a Subsystem needs, by name: dynamics, observe, initial, require."""
     rows = {n: [i for i, v in enumerate(coupled.outputs) if flat.get(v) == n] for n in quantities(outputs)}
     summed = column(*(sum(coupled.y[i] for i in indices) for indices in rows.values()))
-    f, g = coupled.function("f", coupled.dx), coupled.function("g", summed)
-    s, r = coupled.function("s", coupled.start), coupled.function("r", coupled.require)
+    f, g = coupled.of("f", coupled.dx), coupled.of("g", summed)
+    s, r = coupled.of("s", coupled.start), coupled.of("r", coupled.require)
 
     def arguments(x: Any, u: Any, p: Any) -> tuple[Any, Any, Any]:
         return stack(x), stack(u), column(*(getattr(p, flat[v]) for v in coupled.parameters))
@@ -350,7 +343,7 @@ def _functions(
         """
         margins = r(*arguments(x, u, p))
         by_text: dict[str, Scalar] = {}
-        for i, (component, statement) in enumerate(coupled.statements):
+        for i, (component, statement) in enumerate(zip(coupled.owners, coupled.statements, strict=True)):
             same = statement in by_text and ca.is_equal(by_text[statement], margins[i], _EQUALITY_DEPTH)
             key = statement if same or statement not in by_text else f"{component}: {statement}"
             by_text[key] = margins[i]
