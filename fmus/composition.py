@@ -40,6 +40,7 @@ from fmus.contract import (
 )
 from fmus.parameters import Number, Tables, numbers
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import grouped
 
 FlatNames = Mapping[str, str]  # `component.variable` -> name in the composed subsystem
 Inputs = Mapping[str, Sequence[str]]  # external input -> `component.variable` of each input that it feeds
@@ -193,9 +194,6 @@ def flat_names(
 
 def _shared(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) -> set[str]:
     """Parameters that several components have, all of them with the same declaration and value."""
-    by_name: dict[str, list[str]] = {}
-    for v in parameters:
-        by_name.setdefault(v.partition(".")[2], []).append(v)
 
     def signature(v: str) -> tuple[Quantity, float]:
         component, _, name = v.partition(".")
@@ -203,7 +201,7 @@ def _shared(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) ->
 
     return {
         v
-        for same_name in by_name.values()
+        for same_name in grouped(parameters, lambda v: v.partition(".")[2]).values()
         if len(same_name) > 1 and len({*map(signature, same_name)}) == 1
         for v in same_name
     }

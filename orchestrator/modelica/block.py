@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import grouped
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.interface import FmuInterface
 from orchestrator.modelica.syntax import Scope, number, quoted
@@ -101,13 +102,14 @@ class FmuBlock:
 
     def initial_equations(self) -> Iterator[Equation]:
         """Initial equations of the states, one for each group with the same dependencies on inputs."""
-        groups: dict[frozenset[str], list[int]] = {}
-        for k, v in enumerate(self.states):
-            exact = v.initial == "exact"
-            dependencies = frozenset() if exact else self.interface.initial_dependencies.get(v.name)
-            groups.setdefault(self._inputs_among([dependencies]), []).append(k)
-        for needed, rows in groups.items():
-            started = f", {_references(self.states[k] for k in rows)}"
+        states = self.states
+
+        def inputs_of(k: int) -> frozenset[str]:
+            declared = self.interface.initial_dependencies.get(states[k].name)
+            return self._inputs_among([frozenset() if states[k].initial == "exact" else declared])
+
+        for needed, rows in grouped(range(len(states)), inputs_of).items():
+            started = f", {_references(states[k] for k in rows)}"
             yield [f"fmu_states[{k + 1}]" for k in rows], self._call("start", "", needed, started)
 
     def equations(self) -> Iterator[Equation]:
@@ -117,9 +119,7 @@ class FmuBlock:
             needed = self._inputs_among(dependencies.get(dx) for dx in self.interface.states.values())
             names = [f"der(fmu_states[{k + 1}])" for k in range(len(self.states))]
             yield names, self._call("derivatives", "fmu_states, ", needed)
-        groups: dict[frozenset[str], list[FmuVariable]] = {}
-        for y in self.outputs:
-            groups.setdefault(self._inputs_among([dependencies.get(y.name)]), []).append(y)
+        groups = grouped(self.outputs, lambda y: self._inputs_among([dependencies.get(y.name)]))
         for needed, outputs in groups.items():
             call = self._call("outputs", f"{self._states}, ", needed, f", {_references(outputs)}")
             yield [self.names[y.name] for y in outputs], call

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.text import brief, first_names
+from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import (
     IDENTITY,
     DeclaredUnit,
@@ -299,13 +299,10 @@ class System:
     def open(self) -> Mapping[str, Inlet]:
         """Component inputs that have no source, by variable name."""
         fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
-        open_ports: dict[str, list[Port]] = {}
-        for port in self.ports("input"):
-            if port not in fed and self.variable(port).kind != "String":
-                open_ports.setdefault(port.variable, []).append(port)
+        unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).kind != "String"]
         return {
             name: Inlet(name, self.unit(ports[0]), tuple((p, self._conversion(p)) for p in ports))
-            for name, ports in open_ports.items()
+            for name, ports in grouped(unfed, lambda port: port.variable).items()
         }
 
     @property
