@@ -15,6 +15,7 @@ from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open
+from orchestrator.base.text import first_names
 from orchestrator.base.units import in_reader_unit, reader_unit
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.system import Component, Port, System, coerce
@@ -132,12 +133,10 @@ def built_notes(system: System) -> tuple[str, ...]:
     )
 
 
-def chosen_note(system: System, limit: int = 3) -> str:
+def chosen_note(system: System) -> str:
     """The first values that a user chose, in words; empty if there are none."""
     built = {f"{c.name}.{name}" for c in system.components.values() for name in _built(c)}
-    chosen = [v for v in other_values(system) if v.name not in built]
-    more = f" and {len(chosen) - limit} more" if len(chosen) > limit else ""
-    return ", ".join(map(str, chosen[:limit])) + more
+    return first_names((str(v) for v in other_values(system) if v.name not in built), limit=3)
 
 
 def checksum(file: Location) -> str:

@@ -33,13 +33,13 @@ TARGETS = ("input", "parameter")  # at its second end
 
 
 class Port(NamedTuple):
-    """One variable of one component."""
+    """One variable of one component, or a connector of a system, whose path is the component."""
 
     component: str
     variable: str
 
     def __str__(self) -> str:
-        return f"{self.component}.{self.variable}"
+        return f"{self.component}.{self.variable}" if self.component else self.variable
 
 
 class Chosen(NamedTuple):
