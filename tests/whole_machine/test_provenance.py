@@ -77,7 +77,7 @@ def test_each_fmu_knows_its_file_and_the_shipped_values(my_file, tmp_path):
     for sub, name in ((variant, "valve_area"), *((sub, "swing_valve_area") for sub in whole)):
         assert not_shipped(sub)[name].shipped == 4e-5
     for package in packages(variant, 1e-3, 1.0, versions=[2, 3]).values():
-        (tmp_path / "modelDescription.xml").write_bytes(package.files["modelDescription.xml"])
+        (tmp_path / "modelDescription.xml").write_bytes(package["modelDescription.xml"])
         (own,) = read_interface(Location(tmp_path)).model.parameter_sets
         assert (own.file, own.sha256) == ("my.toml", digest(my_file))
         assert own.shipped == {"valve_area": "4e-05", "valve_pa_command_1": "0", "valve_pa_command_2": "0"}
