@@ -28,6 +28,7 @@ from fmus.contract import (
     Quantity,
     Scalar,
     Subsystem,
+    Symbolic,
     Terminal,
     column,
     make_group,
@@ -39,6 +40,7 @@ from fmus.contract import (
 )
 from fmus.parameters import Number, Tables, numbers
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import grouped
 
 FlatNames = Mapping[str, str]  # `component.variable` -> name in the composed subsystem
 Inputs = Mapping[str, Sequence[str]]  # external input -> `component.variable` of each input that it feeds
@@ -46,30 +48,20 @@ _EQUALITY_DEPTH = 9  # depth to which casadi.is_equal compares the expressions o
 
 
 @dataclass(frozen=True)
-class CoupledEquations:
-    """Symbols x, u, p (columns) and expressions in them.
+class CoupledEquations(Symbolic):
+    """The equations of several components; names are `component.variable`.
 
-    states, parameters, outputs   names, `component.variable`
-    calculated                    names of the states whose initial value is calculated
-    inputs                        names of the external inputs
-    statements                    (component, text of the requirement) for each row of `require`
+    inputs   names of the external inputs
+    owners   component of each requirement
     """
 
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     parameters: tuple[str, ...]
     outputs: tuple[str, ...]
-    calculated: tuple[str, ...]
-    statements: tuple[tuple[str, str], ...]
-    x: ca.SX
-    u: ca.SX
-    p: ca.SX
-    dx: ca.SX
-    y: ca.SX
-    start: ca.SX
-    require: ca.SX
+    owners: tuple[str, ...]
 
-    def function(self, name: str, value: ca.SX) -> ca.Function:
+    def of(self, name: str, value: ca.SX) -> ca.Function:
         """The CasADi function (x, u, p) -> value."""
         function: ca.Function = ca.Function(name, [self.x, self.u, self.p], [value])
         return function
@@ -121,7 +113,8 @@ def couple(
         parameters=variables_of("parameters"),
         outputs=outputs,
         calculated=calculated,
-        statements=tuple((n, text) for n, s in components.items() for text in s.statements),
+        statements=tuple(text for s in components.values() for text in s.statements),
+        owners=tuple(n for n, s in components.items() for _ in s.statements),
         x=x,
         u=column(*external.values()),
         p=stacked("p"),
@@ -129,6 +122,7 @@ def couple(
         y=ca.cse(y_all),
         start=start,
         require=require,
+        next_event=ca.SX(no_event()),
     )
 
 
@@ -200,9 +194,6 @@ def flat_names(
 
 def _shared(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) -> set[str]:
     """Parameters that several components have, all of them with the same declaration and value."""
-    by_name: dict[str, list[str]] = {}
-    for v in parameters:
-        by_name.setdefault(v.partition(".")[2], []).append(v)
 
     def signature(v: str) -> tuple[Quantity, float]:
         component, _, name = v.partition(".")
@@ -210,7 +201,7 @@ def _shared(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) ->
 
     return {
         v
-        for same_name in by_name.values()
+        for same_name in grouped(parameters, lambda v: v.partition(".")[2]).values()
         if len(same_name) > 1 and len({*map(signature, same_name)}) == 1
         for v in same_name
     }
@@ -333,8 +324,8 @@ def _functions(
     """The functions that a Subsystem needs, by name: dynamics, observe, initial, require."""
     rows = {n: [i for i, v in enumerate(coupled.outputs) if flat.get(v) == n] for n in quantities(outputs)}
     summed = column(*(sum(coupled.y[i] for i in indices) for indices in rows.values()))
-    f, g = coupled.function("f", coupled.dx), coupled.function("g", summed)
-    s, r = coupled.function("s", coupled.start), coupled.function("r", coupled.require)
+    f, g = coupled.of("f", coupled.dx), coupled.of("g", summed)
+    s, r = coupled.of("s", coupled.start), coupled.of("r", coupled.require)
 
     def arguments(x: Any, u: Any, p: Any) -> tuple[Any, Any, Any]:
         return stack(x), stack(u), column(*(getattr(p, flat[v]) for v in coupled.parameters))
@@ -350,7 +341,7 @@ def _functions(
         """
         margins = r(*arguments(x, u, p))
         by_text: dict[str, Scalar] = {}
-        for i, (component, statement) in enumerate(coupled.statements):
+        for i, (component, statement) in enumerate(zip(coupled.owners, coupled.statements, strict=True)):
             same = statement in by_text and ca.is_equal(by_text[statement], margins[i], _EQUALITY_DEPTH)
             key = statement if same or statement not in by_text else f"{component}: {statement}"
             by_text[key] = margins[i]

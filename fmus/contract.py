@@ -437,6 +437,11 @@ def _place(sub: Subsystem, function: str, error: Exception | None = None) -> str
     code = getattr(getattr(sub, function), "__code__", None)
     if code is None:
         return ""
-    frames = traceback.extract_tb(error.__traceback__) if error else []
-    lines = [f.lineno for f in frames if f.filename == code.co_filename] or [code.co_firstlineno]
-    return f"{Path(code.co_filename).name}:{lines[-1]}: "
+    begin = f"{Path(code.co_filename).name}:{code.co_firstlineno}: "
+    return (place(error, lambda file: file == code.co_filename) if error else "") or begin
+
+
+def place(problem: BaseException, is_meant: Callable[[str], bool]) -> str:
+    """ "file.py:12: ", the innermost line of an exception in a file that is meant; empty without one."""
+    frames = [f for f in traceback.extract_tb(problem.__traceback__) if is_meant(f.filename)]
+    return "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in frames[-1:])

@@ -17,8 +17,7 @@ from fmus.contract import Subsystem, column, quantities
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import DeferredInterrupts
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 SAME_TIME = 1e-10  # s: times closer than this are equal; six times the rounding unit of 1e5 s
 
@@ -68,9 +67,9 @@ def join(
         inputs=coupled.inputs,
         parameters=coupled.parameters,
         output_names=coupled.outputs,
-        right_hand_side=coupled.function("F", coupled.dx),
-        outputs=coupled.function("Y", coupled.y),
-        start=coupled.function("X0", coupled.start),
+        right_hand_side=coupled.of("F", coupled.dx),
+        outputs=coupled.of("Y", coupled.y),
+        start=coupled.of("X0", coupled.start),
         x=np.concatenate([list(n.x.values()) for n in numbers.values()]),
         u=np.array([constant[next(iter(targets))] for targets in inputs.values()]),
         p=np.concatenate([list(n.p.values()) for n in numbers.values()]),

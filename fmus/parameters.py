@@ -111,11 +111,6 @@ def entry_name(listed: str, number: int) -> str:
     return f"{listed[:-1]}_{number}"
 
 
-def _list_of(name: str, quantity: Quantity) -> str:
-    """Name of the list that a parameter is an entry of, empty if it is none."""
-    return name.rpartition("_")[0] + "s" if quantity.listed else ""
-
-
 def _too_long(path: Path, listed: str, declared: Collection[str]) -> Problem:
     """The problem of a list with an entry that is not declared."""
     count = sum(n.rpartition("_")[0] == listed[:-1] and n[-1].isdigit() for n in declared)
@@ -202,7 +197,8 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
         for name, number in tables[section].items():
             if name in declared:
                 check(path, f"[{section}.{name}]", declared[name], number)
-                checked[section][name] = replace(number, listed=_list_of(name, declared[name]))
+                listed = f"{name.rpartition('_')[0]}s" if declared[name].listed else ""
+                checked[section][name] = replace(number, listed=listed)
             elif name not in sub.names_of_variants and number.listed:
                 raise _too_long(path, number.listed, declared)
             elif name not in sub.names_of_variants:

@@ -142,7 +142,7 @@ def _compile(platforms: Sequence[str]) -> None:
 
     COMPILED.mkdir()
     for platform in (name for name in select(platforms) if name != WASM):
-        for recipe in (recipe_of_engine(platform), recipe_of_fmu(**library_source(platform))):
+        for recipe in (recipe_of_engine(platform), recipe_of_fmu(*library_source(platform))):
             shutil.copyfile(shared_library(*recipe), shipped_file(*recipe))
 
 

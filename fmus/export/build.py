@@ -9,7 +9,6 @@ import os
 import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 from fmus import parameters
@@ -33,32 +32,16 @@ from orchestrator.base.options import seconds
 
 PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"  # replaced by the GUID
 VERSIONS = (2, 3)  # supported versions of FMI
+SOURCES = "sources/"  # folder of the C files in an FMU
+Files = dict[str, bytes]  # path in the archive -> content
+Libraries = dict[str, Future[bytes]]  # by platform
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "harvester-cosim")
-
-
-@dataclass(frozen=True)
-class Package:
-    """An FMU without binaries.
-
-    files      path in the archive -> content
-    """
-
-    name: str
-    fmi: int
-    files: Mapping[str, bytes]
-
-    @property
-    def code(self) -> dict[str, bytes]:
-        """The files under sources/ by name."""
-        return {
-            p.removeprefix("sources/"): data for p, data in self.files.items() if p.startswith("sources/")
-        }
 
 
 def packages(
     sub: Subsystem, step: float, stop: float, values: Values | None = None, versions: Sequence[int] = VERSIONS
-) -> dict[int, Package]:
-    """The files of an FMU by version, 2 and 3; step and stop are the default experiment [s]."""
+) -> dict[int, Files]:
+    """FMI version -> files of the FMU without binaries, by path; step, stop: default experiment [s]."""
     interface = interface_of(sub, values or parameters.values(sub, derive=False))
     compiled = [main_source(sub.name)]
     printed, structure = printed_equations(interface), unknowns(interface)
@@ -68,7 +51,7 @@ def packages(
         description = model_description(
             interface, version, PLACEHOLDER, step, stop, compiled, structure=structure
         )
-        drafts[version] = {f"sources/{name}": text for name, text in code.items()}
+        drafts[version] = {f"{SOURCES}{name}": text for name, text in code.items()}
         drafts[version]["modelDescription.xml"] = description.decode()
     guid = guid_of(drafts.values())
     result = {}
@@ -77,8 +60,7 @@ def packages(
         if fmi == 3:
             content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)  # FMI 2: since 2.0.4
-        content |= common_files(sub, interface, fmi, step, stop)
-        result[fmi] = Package(sub.name, fmi, content)
+        result[fmi] = content | common_files(sub, interface, fmi, step, stop)
     return result
 
 
@@ -151,30 +133,28 @@ def build_all(
     wasm         names of subsystems whose FMU of FMI 3.0 gets a WebAssembly module in addition
     values       parameter and start values; default: those of each subsystem's parameters.toml
     """
-    names, targets = tuple(platforms or (host(),)), list[tuple[Path, Package, dict[str, Future[bytes]]]]()
+    names, targets = tuple(platforms or (host(),)), list[tuple[Path, int, Files, Libraries]]()
     compilers = ThreadPoolExecutor(os.cpu_count())
     try:
         for number, sub in enumerate(subs, 1):
             progress(f"generating C code, {number} of {len(subs)}: {sub.name}")
-            for fmi, package in packages(sub, step, stop, values, list(folders)).items():
+            for fmi, files in packages(sub, step, stop, values, list(folders)).items():
                 folder = Path(folders[fmi]) / (subfolders or {}).get(sub.name, "")
                 module = (WASM,) if fmi == 3 and sub.name in wasm else ()
+                code = {p.removeprefix(SOURCES): text for p, text in files.items() if p.startswith(SOURCES)}
+                source = sub.name, code, [main_source(sub.name)]
                 libraries = {
-                    n: compilers.submit(_library, package, n) for n in dict.fromkeys((*names, *module))
+                    n: compilers.submit(shared_library, *source, n) for n in dict.fromkeys((*names, *module))
                 }
-                targets.append((folder / f"{package.name}.fmu", package, libraries))
+                targets.append((folder / f"{sub.name}.fmu", fmi, files, libraries))
         compiled = [library for *_, libraries in targets for library in libraries.values()]
         for number, library in enumerate(compiled, 1):
             progress(f"compiling, {number} of {len(compiled)}")
             library.result()
     finally:
         compilers.shutdown(cancel_futures=True)
-    for path, package, libraries in targets:
+    for path, fmi, files, libraries in targets:
         by_platform = {name: library.result() for name, library in libraries.items()}
-        write_zip(path, {**package.files, **binaries(package.name, package.fmi, by_platform)})
+        write_zip(path, files | binaries(path.stem, fmi, by_platform))
     paths = [path for path, *_ in targets]
     return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}
-
-
-def _library(p: Package, platform: str) -> bytes:
-    return shared_library(p.name, p.code, [main_source(p.name)], platform)

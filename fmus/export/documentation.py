@@ -28,7 +28,7 @@ from fmus.export.model_description import LOG_CATEGORIES, PAGE, ls_ref_files
 from fmus.package_files import project_file
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import rendered, typeset
+from orchestrator.base.text import grouped, rendered, typeset
 from orchestrator.base.units import display_conversion, pretty
 from orchestrator.base.xml import package_version
 
@@ -203,12 +203,9 @@ def _row(v: Variable, sources: Mapping[str, Number]) -> Row:
     }
 
 
-def _by_list(variables: Sequence[Variable]) -> list[list[Variable]]:
-    """The variables, those of a list together."""
-    groups: dict[str, list[Variable]] = {}
-    for v in variables:
-        groups.setdefault(v.name.rpartition("_")[0] + "_*" if v.quantity.listed else v.name, []).append(v)
-    return list(groups.values())
+def _row_name(v: Variable) -> str:
+    """What the variables of one row have in common: those of a list have one row."""
+    return v.name.rpartition("_")[0] + "_*" if v.quantity.listed else v.name
 
 
 def _list_row(group: Sequence[Variable], rows: Mapping[str, Row]) -> Row:
@@ -269,9 +266,8 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
     has_file = sub.numbers is not None or sub.values is None or sub.values.is_file()
     sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}
     rows = {v.name: _row(v, sources) for v in interface.variables}
-    parameters: dict[str, list[Row]] = {}
-    for group in _by_list(interface.parameters):
-        parameters.setdefault(group[0].quantity.group, []).append(_list_row(group, rows))
+    lists = grouped(interface.parameters, _row_name).values()
+    parameters = grouped(lists, lambda variables: variables[0].quantity.group)
     start = [  # states and inputs whose start value has a source or may be set
         rows[v.name]
         for v in (*interface.states, *interface.inputs)
@@ -297,7 +293,7 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         ports=_ports(sub, rows),
         directions={name: row["direction"] for name, row in rows.items()},
         not_zero=[rows[v.name] for v in interface.inputs if v.start],
-        parameters=[_group(title, group) for title, group in parameters.items()],
+        parameters=[_group(t, [_list_row(v, rows) for v in group]) for t, group in parameters.items()],
         start=[_group("", start)] if start else [],
         local_states=[rows[v.name] for v in interface.states if not v.output],
         sources={source: meaning for source, meaning in SOURCES.items() if source in used_sources},

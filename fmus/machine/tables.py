@@ -17,7 +17,7 @@ from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, complete, numbers, padded, read, row_text, row_value, rows
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS, Location
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 
 Costs = Mapping[tuple[str, str], float]  # (part, variant) -> time per step [us]
 CALL_COST = 0.1  # us: cost of the call itself; ratios to a lower cost are not printed
@@ -108,7 +108,7 @@ def _as_built(sub: Subsystem, folder: Path) -> Subsystem:
     """The subsystem with the values of its FMU in a folder, if that was built with other values."""
     files = [folder / f"{sub.name}.fmu", folder / VARIANTS / f"{sub.name}.fmu"]
     file = next((Location(f) for f in files if f.is_file()), None)
-    sets = read_interface(file).parameter_sets if file else ()
+    sets = read_interface(file).model.parameter_sets if file else ()
     if file is None or not sets:
         return sub
     content = file.member("resources/parameters.toml").read()

@@ -15,7 +15,7 @@ from orchestrator.check.rule import CheckRule
 from orchestrator.check.rules import STATIC
 from orchestrator.check.rules.identity import FMPY, FMPY_FAILS
 from orchestrator.check.subject import Subject, open_subject
-from orchestrator.fmi.raw_description import INTERFACES
+from orchestrator.fmi.description import INTERFACES
 
 DEFECT = "check.defect"
 RULES: tuple[CheckRule, ...] = (*STATIC, *PROBES, EXPERIMENT)  # in the order in which they are applied

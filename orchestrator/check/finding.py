@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from orchestrator.fmi.raw_description import DeclaredVariable
+from orchestrator.fmi.description import FmuVariable
 
 Severity = Literal["error", "warning", "note"]
 MAX_NAME = 60  # characters of a name in a message
@@ -54,6 +54,6 @@ def join_names(names: Sequence[str], limit: int = 5) -> str:
     return ", ".join(first) + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
-def join_variables(variables: Sequence[DeclaredVariable]) -> str:
+def join_variables(variables: Sequence[FmuVariable]) -> str:
     """Line of the first variable, and the names of all."""
     return f"modelDescription.xml line {variables[0].line}: {join_names([v.name for v in variables])}"

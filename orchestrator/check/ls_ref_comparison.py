@@ -32,10 +32,8 @@ from orchestrator.check.read_ls_ref import (
 )
 from orchestrator.check.rule import CheckRule
 from orchestrator.check.subject import Subject
-from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
-from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, parse_numbers
-
-SETTABLE = ("parameter", "structuralParameter", "input")
+from orchestrator.check.tasks.trial_run import flat, inner_step, usual_step
+from orchestrator.fmi.description import FmuVariable, ModelDescription, parse_numbers
 
 
 @dataclass
@@ -59,13 +57,13 @@ def compare(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
     model, kind = subject.model, first_run(subject).kinds[0]
     reference, result = table(case.reference), ExperimentComparison()
     signals = _numeric_columns(model, reference, "the result", result)
-    start = case.start if case.start is not None else experiment(model, "startTime") or 0.0
+    start = case.start if case.start is not None else model.experiment.number("startTime") or 0.0
     stop = case.stop if case.stop is not None else reference.time[-1]
     job: dict[str, Any] = {
         "start": start,
         "stop": stop,
         "step": case.step or _step(model, reference),
-        "tolerance": case.tolerance or experiment(model, "tolerance"),
+        "tolerance": case.tolerance or model.experiment.number("tolerance"),
         "signals": signals,
         "times": [t for t in reference.time if start <= t <= stop * (1 + 1e-12)],
         "parameters": _parameters(model, case.parameters, result),
@@ -97,7 +95,7 @@ def _numeric_columns(
 def _step(model: ModelDescription, reference: ResultTable) -> float:
     """The declared step size; without one, the smallest interval between rows of the result."""
     intervals = [b - a for a, b in pairwise(reference.time) if b > a]
-    declared = experiment(model, "stepSize") or inner_step(model)
+    declared = model.experiment.number("stepSize") or inner_step(model)
     return declared or min(intervals, default=usual_step(model))
 
 
@@ -107,7 +105,7 @@ def _parameters(model: ModelDescription, file: Path | None, result: ExperimentCo
     values: dict[str, Any] = {}
     for name, text in parameter_set(file).items():
         v = model.by_name.get(name)
-        if v is None or not _settable(v):
+        if v is None or not (v.settable and (v.is_number or v.type == "String")):
             reason = "which cannot be set" if v else "which is not a variable of the model"
             result.problems.append(f"{file.name} sets {name}, {reason}")
         else:
@@ -115,12 +113,7 @@ def _parameters(model: ModelDescription, file: Path | None, result: ExperimentCo
     return values
 
 
-def _settable(v: DeclaredVariable) -> bool:
-    settable = v.variability != "constant" and (v.causality in SETTABLE or v.initial in ("exact", "approx"))
-    return settable and (v.is_number or v.type == "String")
-
-
-def _numbers(text: str, v: DeclaredVariable, file: str) -> list[float]:
+def _numbers(text: str, v: FmuVariable, file: str) -> list[float]:
     try:
         values = list(parse_numbers(text))
     except ValueError:
@@ -140,7 +133,7 @@ def _stimuli(model: ModelDescription, file: Path | None, result: ExperimentCompa
     return {"inputs": names, "input_times": stimuli.time, "input_rows": rows}
 
 
-def _column(v: DeclaredVariable, cells: Sequence[str], file: str) -> NDArray[np.float64]:
+def _column(v: FmuVariable, cells: Sequence[str], file: str) -> NDArray[np.float64]:
     """Values of one variable over time, shape (n, size)."""
     return np.array([_numbers(text, v, file) for text in cells])
 
@@ -160,7 +153,7 @@ def _errors(
     results = [np.array(run[key]) for key in ("before", "after") if run[key]]
     for i, v in enumerate(flat(variables)):
         column = expected[:, i]
-        scale = span(column) or max(float(np.max(np.abs(column))), v.nominal)  # of a constant its magnitude
+        scale = span(column) or max(float(np.max(np.abs(column))), v.magnitude)  # of a constant its magnitude
         values = [rms(rows[:, i] - column) / scale for rows in results]
         smallest = min((x for x in values if not math.isnan(x)), default=math.inf)
         errors[v.name] = max(smallest, errors.get(v.name, 0.0))

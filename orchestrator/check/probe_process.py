@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.processes import machine_memory
-from orchestrator.fmi.raw_description import ModelDescription
+from orchestrator.fmi.description import ModelDescription
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 
 ELSEWHERE = "time_and_state:elsewhere"  # needs a process with other addresses

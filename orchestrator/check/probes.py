@@ -14,8 +14,8 @@ from orchestrator.check.finding import MAKE, Finding, note
 from orchestrator.check.probe_process import Outcome, run
 from orchestrator.check.rule import rules_in
 from orchestrator.check.subject import DESCRIPTION, Subject
+from orchestrator.fmi.description import INTERFACES, ModelDescription
 from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
-from orchestrator.fmi.raw_description import INTERFACES, ModelDescription
 
 MAX_VARIABLES = 20_000  # in a run; each of 50 tasks needs 1 s for 20 000 variables
 KINDS = ("CoSimulation", "ModelExchange")
@@ -101,13 +101,13 @@ def _unreadable(model: ModelDescription) -> str:
         return f"fmiVersion is {model.attributes.get('fmiVersion')!r}, expected 2.0 or 3.0"
     try:
         for v in model.variables:
-            if not v.name or v.reference is None:
+            if not v.name or v.reference < 0:
                 return f"{v}: expected a name and a value reference"
-            _ = v.size, v.start, v.minimum, v.maximum, v.nominal
+            _ = v.size, v.start_values, v.bounds, v.magnitude
         for unknown in (*model.structure.get("outputs", ()), *model.structure.get("derivatives", ())):
             if unknown.variable is None:
                 return f"{unknown}: expected a variable, got none with index or reference {unknown.key}"
-        numbers = list(model.experiment.attributes.values()) if model.experiment else []
+        numbers = list(model.experiment.attributes.values())
         numbers += [e.get("fixedInternalStepSize", "0") for e in model.interfaces.values()]
         for text in numbers:
             float(text)

@@ -17,7 +17,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.xml import MAX_BYTES, Element, excess, too_large
 from orchestrator.check.binary import Binary, read_all
 from orchestrator.check.finding import Finding
-from orchestrator.fmi.raw_description import ModelDescription, read_description
+from orchestrator.fmi.description import ModelDescription, read_description
 
 DESCRIPTION = "modelDescription.xml"
 SYMBOLIC_LINK = 0o120000

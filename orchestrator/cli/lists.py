@@ -98,8 +98,10 @@ def lines(system: FmuSystem, kind: str | None = None) -> Iterator[str]:
         outputs = [(o.name, o.unit, _description(system, o.source, f"from {o.source}")) for o in outlets]
         yield from _table(f"{system.name}: outputs of the system", outputs)
     for component in system.components.values():
-        if kind is None and component.interface.description:
-            yield from textwrap.wrap(f"{component.name}: {component.interface.description}", WIDTH)
+        if kind is None and component.interface.model.get("description"):
+            yield from textwrap.wrap(
+                f"{component.name}: {component.interface.model.get('description')}", WIDTH
+            )
             yield ""
         for causality in ("output", "input", "parameter"):
             if kind in (None, causality):

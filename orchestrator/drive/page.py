@@ -41,7 +41,7 @@ from orchestrator.data.trace import Trace
 from orchestrator.drive import drawing, score, sticks
 from orchestrator.drive.scene import Values, parameters, pose_names, start
 from orchestrator.drive.view_description import CAVITATION, ViewDescription, by_bare_name, view_description
-from orchestrator.fmi.description import FmuInterface
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import VENDOR
 from orchestrator.ssp.load import load
@@ -171,7 +171,7 @@ def served(title: str) -> dict[str, tuple[str, str]]:
 def _module(fmu: System) -> bytes | None:
     """The WebAssembly module of a system of one FMU of FMI 3.0."""
     component = next(iter(fmu.components.values()))
-    if component.interface.fmi != 3 or component.source is None:
+    if component.interface.model.major != 3 or component.source is None:
         return None
     file: Location = component.source.member(MODULE.format(component.interface.identifier))
     return file.read() if file.exists else None
@@ -236,7 +236,7 @@ def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str,
     used = dict.fromkeys((*shown, *inputs, *rates.values(), *sliders, *initial))
     return {
         "identifier": interface.identifier,
-        "token": interface.guid,
+        "token": interface.model.token,
         "step": interface.step or STEP,
         "frame": FRAME,
         "variables": {name: interface.variables[name].reference for name in used},

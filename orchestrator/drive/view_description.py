@@ -307,8 +307,10 @@ def _slider(system: System, port: Port) -> Slider:
     variable, start = system.variable(port), system.components[port.component].value(port.variable)
     start = float(start) if math.isfinite(float(start)) else 0.0
     reach = 2 * abs(start) or variable.nominal or 1.0
-    low = start - reach if variable.minimum is None else variable.minimum
-    high = start + reach if variable.maximum is None else variable.maximum
+    low, high = (
+        bound if math.isfinite(bound) else start + sign * reach
+        for sign, bound in zip((-1, 1), variable.bounds, strict=True)
+    )
     if not low < high:
         low, high = start - reach, start + reach
     unit = _shown_unit(variable)

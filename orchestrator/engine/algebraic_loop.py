@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.engine.c_library import Binding
-from orchestrator.fmi.calls import Call, Slave, calls_by_type, function_type
+from orchestrator.fmi.calls import Call, Slave, calls_by_type
 from orchestrator.ssp.dependencies import DependencyCycle
 from orchestrator.ssp.system import Port
 
@@ -62,7 +62,7 @@ class AlgebraicLoop:
 
     def _sort_key(self, port: Port) -> tuple[int, str, str]:
         variable = self._slaves[port.component].interface.variables[port.variable]
-        return list(self._slaves).index(port.component), function_type(variable), port.variable
+        return list(self._slaves).index(port.component), variable.function_type, port.variable
 
     def _nominal(self, port: Port) -> float:
         return abs(self._slaves[port.component].interface.variables[port.variable].nominal or 0.0)

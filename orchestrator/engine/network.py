@@ -24,7 +24,7 @@ from orchestrator.base.text import grouped
 from orchestrator.engine.algebraic_loop import AlgebraicLoop, solver
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.scenario import DrivenInputs, Scenario
-from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type, function_type
+from orchestrator.fmi.calls import Buffer, Call, Slave, StepCalls, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.dependencies import (
     DependencyCycle,
@@ -186,7 +186,7 @@ class SignalArray:
         """Append ports, grouped into blocks."""
 
         def group_of(port: Port) -> tuple[str, str, tuple[int, ...]]:
-            return port.component, function_type(system.variable(port)), stages[port]
+            return port.component, system.variable(port).function_type, stages[port]
 
         blocks = []
         for (component, _, same), ports in grouped(stages, group_of).items():

@@ -201,7 +201,7 @@ def _check_instances(system: System) -> None:
     for name, component in system.components.items():
         interface = component.interface
         if interface.one_per_process:
-            other = single.setdefault((interface.guid, interface.identifier), name)
+            other = single.setdefault((interface.model.token, interface.identifier), name)
             if other != name:
                 raise Problem(f"{other} and {name}: expected one instance of their FMU at most, got two")
 

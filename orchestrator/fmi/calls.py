@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.instance import BoundCall
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.fmi.messages import Log
 from orchestrator.worker.calls import CallSlot
 
@@ -70,11 +71,6 @@ class Slave(Protocol):
     def close(self) -> None: ...
 
 
-def function_type(variable: FmuVariable) -> str:
-    """The type in the name of the FMI functions that get and set a variable, such as Real or Float64."""
-    return variable.fmi_type or ("Integer" if variable.kind == "Enumeration" else variable.kind)
-
-
 MakeCall = Callable[[Sequence[str], Buffer], Call]
 
 
@@ -84,7 +80,7 @@ def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: Make
     values   shape (n,), in the order of the names
     """
     calls, first = list[Call](), 0
-    for _, group in groupby(names, key=lambda name: function_type(slave.interface.variables[name])):
+    for _, group in groupby(names, key=lambda name: slave.interface.variables[name].function_type):
         of_type = list(group)
         calls.append(make(of_type, values[first : first + len(of_type)]))
         first += len(of_type)
@@ -104,8 +100,7 @@ def to_ctypes(variable: FmuVariable, ctype: Any, value: Value) -> Any:
         return ctype(float(value))
     cell = ctype(int(value))
     if cell.value != int(value) and variable.kind != "Boolean":
-        type_ = variable.fmi_type or variable.kind
-        raise Problem(f"{variable.name}: expected a value in the range of {type_}, got {value}")
+        raise Problem(f"{variable.name}: expected a value in the range of {variable.type}, got {value}")
     return cell
 
 

@@ -21,11 +21,11 @@ from orchestrator.fmi.calls import (
     address,
     compatible_buffer,
     from_ctypes,
-    function_type,
     to_ctypes,
 )
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.instance import FmuInstance, resources_location
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
@@ -39,7 +39,9 @@ class RunningFmu:
     exchange = False
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location) -> None:
-        names = {v.reference: v.name for v in interface.variables.values()} if interface.fmi == 3 else {}
+        names = (
+            {v.reference: v.name for v in interface.variables.values()} if interface.model.major == 3 else {}
+        )
         self.name, self.interface, self.log = name, interface, Log(name, names)
         self._label, self._stepping = f"{name} ({fmu})", False
         self._cleanup = ExitStack()
@@ -52,15 +54,17 @@ class RunningFmu:
     def _open(self, fmu: Location) -> None:
         face = self.interface
         folder = self._cleanup.enter_context(fmu.unpacked(UNUSED))
-        library = load_library(folder, face.identifier, face.fmi, self._label)
+        library = load_library(folder, face.identifier, face.model.major, self._label)
         self.fmu = FmuInstance(library, self.log, self.exchange, label=self._label)
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
-        resources = resources_location(folder, face.fmi)
-        if not any(self.fmu.instantiate(face.guid, resources, verbose=verbose) for verbose in (False, True)):
+        resources = resources_location(folder, face.model.major)
+        if not any(
+            self.fmu.instantiate(face.model.token, resources, verbose=verbose) for verbose in (False, True)
+        ):
             # the FMU has logged the reason in the second attempt, with debug logging
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
-        categories = [c.encode() for c in LOG_CATEGORIES if c in face.categories]
+        categories = [c.encode() for c in LOG_CATEGORIES if c in face.model.categories]
         if categories:
             count, array = len(categories), (ctypes.c_char_p * len(categories))(*categories)
             with suppress(Problem):  # an FMU that cannot select log categories can still run
@@ -118,12 +122,12 @@ class RunningFmu:
 
     def reader(self, variables: Sequence[str], into: Buffer) -> Access:
         """A call that gets the variables and stores them in `into`, shape (n,)."""
-        type_ = function_type(self.interface.variables[variables[0]])
+        type_ = self.interface.variables[variables[0]].function_type
         return self._access(f"Get{type_}", variables, into, type_)
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Access:
         """A call that sets the variables to `values`, shape (n,)."""
-        type_ = function_type(self.interface.variables[variables[0]])
+        type_ = self.interface.variables[variables[0]].function_type
         return self._access(f"Set{type_}", variables, values, type_)
 
     def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Access:
@@ -151,7 +155,7 @@ class RunningFmu:
 
     @property
     def _real(self) -> str:
-        return "Real" if self.interface.fmi == 2 else "Float64"
+        return "Real" if self.interface.model.major == 2 else "Float64"
 
     def directional_derivative(
         self, unknowns: Sequence[str], knowns: Sequence[str], seed: Buffer, into: Buffer
@@ -176,14 +180,14 @@ class RunningFmu:
     def get(self, variable: str) -> Value:
         """Get one variable of any type."""
         declared = self.interface.variables[variable]
-        cell = self.fmu.types[function_type(declared)]()
+        cell = self.fmu.types[declared.function_type]()
         self._call_single("Get", declared, cell)
         return from_ctypes(declared, cell)
 
     def set(self, variable: str, value: Value) -> None:
         """Set one variable of any type."""
         declared = self.interface.variables[variable]
-        cell = to_ctypes(declared, self.fmu.types[function_type(declared)], value)
+        cell = to_ctypes(declared, self.fmu.types[declared.function_type], value)
         structural = declared.causality == "structuralParameter"
         if structural:
             self.fmu.call("EnterConfigurationMode")
@@ -193,7 +197,7 @@ class RunningFmu:
 
     def _call_single(self, verb: str, variable: FmuVariable, cell: Any) -> None:
         arguments = *self.fmu.references([variable.reference]), *self.fmu.values(ctypes.byref(cell), 1)
-        self.fmu.call(verb + function_type(variable), *arguments, variables=[variable.name])
+        self.fmu.call(verb + variable.function_type, *arguments, variables=[variable.name])
 
 
 class CoSimulationFmu(RunningFmu):
@@ -244,7 +248,7 @@ class CoSimulationFmu(RunningFmu):
 
     def outputs_with_derivatives(self, outputs: Sequence[str]) -> Sequence[str]:
         """Those of the outputs whose first time derivatives the FMU provides; some FMUs omit a few."""
-        if self.interface.max_output_derivative_order < 1:
+        if not self.interface.output_derivatives:
             return []
 
         def fails(names: Sequence[str]) -> bool:

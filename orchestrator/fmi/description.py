@@ -1,88 +1,176 @@
-"""Interface of an FMU for an importer: variables, dependencies and capabilities.
+"""Content of modelDescription.xml as data classes, common to FMI 2.0 and 3.0, without validation.
 
-`read_interface` reads it from modelDescription.xml and refuses FMUs that cannot be run.
+Attributes are stored as text, because any of them can be invalid; properties that read a number from one
+raise ValueError then. The rules of `orchestrator.check` validate the attributes. `orchestrator.fmi.interface`
+refuses descriptions that cannot be run.
 """
 
-import re
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from __future__ import annotations
 
-from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
-from orchestrator.base.files import Location, is_file_name
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
 from orchestrator.base.units import BASES, DeclaredUnit
-from orchestrator.base.xml import MAX_BYTES, Element, parse_text
-from orchestrator.fmi.raw_description import (
-    FLOATS,
-    INITIAL,
-    INTERFACES,
-    SIGNED,
-    UNSIGNED,
-    DeclaredVariable,
-    Entry,
-    ModelDescription,
-    ParameterSetFile,
-    UnitDefinition,
-    Unknown,
-    parse_int,
-    read_description,
-)
+from orchestrator.base.xml import Element, child, children, local_name
 
 Value = float | int | bool | str
 
-KINDS = {
+FLOATS = ("Real", "Float64", "Float32")
+SIGNED = {"Integer": 32, "Int8": 8, "Int16": 16, "Int32": 32, "Int64": 64}  # type -> bits
+UNSIGNED = {"UInt8": 8, "UInt16": 16, "UInt32": 32, "UInt64": 64}
+NUMERIC = (*FLOATS, *SIGNED, *UNSIGNED, "Enumeration", "Boolean")
+TYPES = (*NUMERIC, "String", "Binary", "Clock")
+KINDS = {  # type -> type in FMI 2.0, for those that can be run
     **dict.fromkeys(FLOATS, "Real"),
     **dict.fromkeys((*SIGNED, *UNSIGNED), "Integer"),
     **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
 }
-MAX_LISTED = 5  # unsupported variables in a note
-# field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
-CAPABILITIES = {
-    "rollback": ("canGetAndSetFMUstate", "canGetAndSetFMUState"),
-    "one_per_process": ("canBeInstantiatedOnlyOncePerProcess",),
-    "needs_execution_tool": ("needsExecutionTool",),
-    "variable_step": ("canHandleVariableCommunicationStepSize",),
-    "directional_derivatives": ("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+MAX_LOCALS = 100  # local variables that are observed if the FMU has no outputs
+BOOLEANS = {"true": 1.0, "false": 0.0}
+INTERFACES = {  # element -> name of the interface type
+    "ModelExchange": "model exchange",
+    "CoSimulation": "co-simulation",
+    "ScheduledExecution": "scheduled execution",
 }
-TEXTS = {"version": "version", "tool": "generationTool", "description": "description"}
+INITIAL: dict[tuple[str, str], tuple[str, ...]] = {
+    **{(c, v): ("exact",) for c in ("parameter", "structuralParameter") for v in ("fixed", "tunable")},
+    **{
+        (c, v): ("calculated", "approx")
+        for c in ("calculatedParameter", "local")
+        for v in ("fixed", "tunable")
+    },
+    **{
+        (c, v): ("calculated", "exact", "approx")
+        for c in ("output", "local")
+        for v in ("discrete", "continuous")
+    },
+    **{(c, "constant"): ("exact",) for c in ("output", "local")},
+    **{("input", v): () for v in ("discrete", "continuous")},
+    ("independent", "continuous"): (),
+}  # (causality, variability), all that are allowed -> allowed values of `initial`, the default first
+INITIAL_3 = INITIAL | {("input", v): ("exact",) for v in ("discrete", "continuous")}  # in FMI 3.0
 
 
-@dataclass(frozen=True)
-class FmuVariable:
-    """A scalar variable of an FMU.
+def parse_int(text: str | None) -> int | None:
+    """An integer; None for any other text."""
+    try:
+        return None if text is None else int(text)
+    except ValueError:
+        return None
 
-    kind        type in FMI 2.0: Real, Integer, Boolean, String or Enumeration
-    fmi_type    type in FMI 3.0: Float64, Int32, ...; empty in FMI 2.0
-    reference   value reference
-    start       text of the start value
-    items       names and values of an enumeration
-    nominal     None if the FMU declares none
-    minimum, maximum   declared limits, in the unit of the variable
+
+def parse_float(text: str | None) -> float | None:
+    """A number; None for any other text."""
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
+
+
+def parse_numbers(text: str) -> tuple[float, ...]:
+    """Numbers and booleans, separated by white space; ValueError for any other text."""
+    return tuple(BOOLEANS[w] if w in BOOLEANS else float(w) for w in text.split())
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Entry:
+    """An XML element: its line and its attributes."""
+
+    line: int = 0
+    attributes: Mapping[str, str] = field(default_factory=dict)
+
+    def get(self, name: str, default: str = "") -> str:
+        """The text of an attribute."""
+        return self.attributes.get(name, default)
+
+    def number(self, name: str) -> float | None:
+        """The value of an attribute; None if it is missing."""
+        text = self.attributes.get(name)
+        return None if text is None else float(text)
+
+    def declares(self, *names: str) -> bool:
+        """True if one of these attributes is true or above 0; FMI 2.0 and 3.0 spell some differently."""
+        return any(self.get(name) == "true" or (parse_int(self.get(name)) or 0) > 0 for name in names)
+
+
+@dataclass(frozen=True, eq=False)
+class TypeDefinition(Entry):
+    """A declared type; `type`: Real, Enumeration, ...; `items`: names and values of an enumeration."""
+
+    type: str
+    items: tuple[tuple[str, str], ...] = ()
+
+    @cached_property
+    def values(self) -> Mapping[str, int]:
+        """The values of an enumeration by name."""
+        return {name: int(value) for name, value in self.items}
+
+
+@dataclass(frozen=True, eq=False)
+class FmuVariable(Entry):
+    """A variable; missing attributes are those of its declared type.
+
+    type         Real, Float64, ...
+    initial      the attribute or its default; "" if there is none
+    reference    value reference; -1 for a text that is not a number
+    unit         of a floating-point variable; None if there is none
+    starts       texts of the start values; None if there are none
+    definition   the declared type, if it exists
+    fmi          FMI version
+    shape        of an array (FMI 3.0); None for a dimension that is not a number; () for a scalar
+    aliases      further names (FMI 3.0)
     """
 
     name: str
-    kind: str = "Real"
+    type: str = "Real"
     causality: str = "local"
     variability: str = "continuous"
-    initial: str | None = None
+    initial: str = ""
     reference: int = 0
     unit: DeclaredUnit | None = None
-    start: str | None = None
-    items: Mapping[str, int] = field(default_factory=dict)
-    nominal: float | None = None
-    description: str = ""
-    fmi_type: str = ""
-    minimum: float | None = None
-    maximum: float | None = None
+    starts: tuple[str, ...] | None = None
+    definition: TypeDefinition | None = None
+    fmi: int = 2
+    shape: tuple[int | None, ...] = ()
+    aliases: tuple[Entry, ...] = ()
+
+    def __str__(self) -> str:
+        return f"modelDescription.xml line {self.line}: {self.name}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The name and the aliases."""
+        return self.name, *(a.get("name") for a in self.aliases)
+
+    @property
+    def kind(self) -> str:
+        """The type in FMI 2.0: Real, Integer, Boolean, String or Enumeration; empty for other types."""
+        return KINDS.get(self.type, "")
+
+    @property
+    def value_type(self) -> str:
+        """The type of the values: Real, Integer, Boolean or String; those of enumerations are integers."""
+        return "Integer" if self.kind == "Enumeration" else self.kind
+
+    @property
+    def function_type(self) -> str:
+        """The type in the names of the FMI functions that get and set it, such as Real or Float64."""
+        return self.type if self.type != "Enumeration" else "Integer" if self.fmi == 2 else "Int64"
 
     @property
     def is_real(self) -> bool:
-        return self.kind == "Real"
+        return self.type in FLOATS
 
     @property
     def is_continuous(self) -> bool:
-        """True for a Real variable that can change inside a step, which is neither discrete nor tunable."""
+        """True for a real variable that can change inside a step, which is neither discrete nor tunable."""
         return self.is_real and self.variability == "continuous"
+
+    @property
+    def is_number(self) -> bool:
+        return self.type in NUMERIC
 
     @property
     def settable(self) -> bool:
@@ -91,358 +179,346 @@ class FmuVariable:
             self.causality in ("input", "parameter") or self.initial in ("exact", "approx")
         )
 
+    @property
+    def clocked(self) -> bool:
+        return bool(self.get("clocks")) or self.type == "Clock"
+
+    @property
+    def description(self) -> str:
+        return self.get("description")
+
+    @property
+    def unit_name(self) -> str | None:
+        return self.attributes.get("unit") if self.is_real else None
+
+    @property
+    def items(self) -> Mapping[str, int]:
+        """Names and values of an enumeration."""
+        return self.definition.values if self.definition and self.type == "Enumeration" else {}
+
+    @cached_property
+    def size(self) -> int:
+        """Number of scalar elements."""
+        lengths = [n for n in self.shape if n is not None]
+        if len(lengths) < len(self.shape):
+            raise ValueError(f"{self.name} has a dimension that is not a number")
+        return math.prod(lengths)
+
+    @property
+    def start(self) -> str | None:
+        """Text of the start value."""
+        return " ".join(self.starts) if self.starts else None
+
+    @cached_property
+    def start_values(self) -> tuple[float, ...]:
+        """Start values of a numeric variable."""
+        return parse_numbers(self.start or "") if self.is_number else ()
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Minimum and maximum of a numeric variable, infinite if not declared."""
+        if not self.is_number:
+            return -math.inf, math.inf
+        return float(self.get("min", "-inf")), float(self.get("max", "inf"))
+
+    @property
+    def nominal(self) -> float | None:
+        """The nominal value of a floating-point variable."""
+        return self.number("nominal") if self.is_real else None
+
+    @cached_property
+    def magnitude(self) -> float:
+        """Magnitude of the nominal value; default: 1."""
+        return abs(self.number("nominal") or 1.0)
+
+    @cached_property
+    def scale(self) -> float:
+        """Typical magnitude: the largest of that of the nominal value and the finite start values."""
+        return max([abs(s) for s in self.start_values if math.isfinite(s)] + [self.magnitude])
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """An entry of ModelStructure; `key` is an index (FMI 2.0) or a value reference (FMI 3.0)."""
+
+    section: str
+    line: int
+    key: int | None
+    dependencies: tuple[int | None, ...] | None
+    dependency_kinds: tuple[str, ...] | None
+    variable: FmuVariable | None = None
+
+    def __str__(self) -> str:
+        name = f" {self.variable.name}" if self.variable else ""
+        return f"modelDescription.xml line {self.line}: {self.section}{name}"
+
 
 @dataclass(frozen=True)
-class FmuInterface:
-    """The declared interface of an FMU.
+class UnitDefinition:
+    """A declared unit.
 
-    variables              supported scalar variables, by name
-    feedthrough            output -> inputs with direct feedthrough; None if not declared
-    initial_dependencies   output -> variables it depends on in initialisation mode; None if not declared
-    identifier             model identifier
-    guid                   GUID (FMI 2.0) or instantiation token (FMI 3.0)
-    fmi                    2 or 3
-    unsupported            unsupported variables -> their type
-    can_interpolate_inputs the FMU has a function for time derivatives of inputs, which FMI 3.0 lacks
-    rate_inputs            input -> input that the FMU declares as its time derivative
-    optional_inputs        input that a system may leave without source -> what that means
-    max_output_derivative_order   0 if the FMU does not provide derivatives of outputs
-    rollback               the FMU can save and restore its state
-    one_per_process        only one instance can exist in a process
-    needs_execution_tool   the FMU needs the installed tool that exported it
-    event_indicators       number of event indicators, in Model Exchange
-    completed_step         in Model Exchange, the FMU needs to know when the solver has accepted a step
-    variable_step          the communication step size may vary
-    stateless              the FMU declares, for Model Exchange, that it has no continuous states
-    unused_inputs          inputs on which no state and no output depends after the initialisation
-    directional_derivatives   the FMU provides directional derivatives
-    states                 continuous state -> time derivative; empty unless the FMU lists all of them
-    dependencies           output or state derivative -> inputs and states; None if not declared
-    categories             log categories
-    start, step, stop, tolerance   default experiment; times in [s]
-    version, tool, description     attributes of the FMU
-    parameter_sets         files with other parameter values than the shipped FMU has, which it was built with
+    base_unit       attributes of BaseUnit; None if there is none
+    display_units   name -> attributes of DisplayUnit
     """
 
-    variables: Mapping[str, FmuVariable]
-    feedthrough: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
-    initial_dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
-    identifier: str = ""
-    guid: str = ""
-    fmi: int = 2
-    unsupported: Mapping[str, str] = field(default_factory=dict)
-    can_interpolate_inputs: bool = False
-    rate_inputs: Mapping[str, str] = field(default_factory=dict)
-    optional_inputs: Mapping[str, str] = field(default_factory=dict)
-    max_output_derivative_order: int = 0
-    rollback: bool = False
-    one_per_process: bool = False
-    needs_execution_tool: bool = False
-    event_indicators: int = 0
-    completed_step: bool = True
-    variable_step: bool = True
-    stateless: bool = False
-    unused_inputs: frozenset[str] = frozenset()
-    directional_derivatives: bool = False
-    states: Mapping[str, str] = field(default_factory=dict)
-    dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
+    name: str
+    line: int
+    base_unit: Mapping[str, str] | None
+    display_units: Mapping[str, Mapping[str, str]]
+
+    @cached_property
+    def declared(self) -> DeclaredUnit:
+        """The unit for conversions; one with a fault, and factor NaN, if a text is not a number."""
+        if self.base_unit is None:
+            return DeclaredUnit(self.name)
+        try:
+            exponents = tuple(int(self.base_unit.get(b, "0")) for b in BASES)
+            factor, offset = (float(self.base_unit.get(n, d)) for n, d in (("factor", "1"), ("offset", "0")))
+        except ValueError as error:
+            return DeclaredUnit(self.name, None, math.nan, math.nan, str(error))
+        return DeclaredUnit(self.name, exponents, factor, offset)
+
+
+@dataclass(frozen=True)
+class ParameterSetFile:
+    """A file of parameter values that an FMU was built with: its name, and its SHA-256.
+
+    shipped   parameter -> text of the value in the shipped FMU, for those that differ from it
+    """
+
+    file: str
+    sha256: str
+    shipped: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class ModelDescription(Entry):
+    """The content of modelDescription.xml, in the order of the file.
+
+    major           FMI version, 2 or 3; 0 if unknown, then all other fields are empty
+    attributes      of the root element
+    by_key          variables by the keys of ModelStructure: index (FMI 2.0) or value reference (FMI 3.0)
+    structure       outputs, derivatives, initial, clocked, indicators -> entries of ModelStructure
+    interfaces      ModelExchange, CoSimulation, ScheduledExecution -> element
+    categories      log categories
+    input_rates     input -> input that is its time derivative, from this project's annotation in FMI 2.0
+    optional_inputs input -> what it means if nothing feeds it, from this project's annotation
+    parameter_sets  files of parameters that the FMU was built with, from this project's annotation
+    """
+
+    major: int = 0
+    variables: tuple[FmuVariable, ...] = ()
+    by_key: Mapping[int, FmuVariable] = field(default_factory=dict)
+    structure: Mapping[str, tuple[Unknown, ...]] = field(default_factory=dict)
+    units: tuple[UnitDefinition, ...] = ()
+    types: Mapping[str, TypeDefinition] = field(default_factory=dict)
+    interfaces: Mapping[str, Entry] = field(default_factory=dict)
+    experiment: Entry = field(default_factory=Entry)
     categories: tuple[str, ...] = ()
-    start: float | None = None
-    step: float | None = None
-    stop: float | None = None
-    tolerance: float | None = None
-    version: str = ""
-    tool: str = ""
-    description: str = ""
+    input_rates: Mapping[str, str] = field(default_factory=dict)
+    optional_inputs: Mapping[str, str] = field(default_factory=dict)
     parameter_sets: tuple[ParameterSetFile, ...] = ()
 
-    def nominal(self, name: str) -> float:
-        """The nominal value of a variable; if it declares none, that of FMI, 1, or 0 if no variable does."""
-        declared = self.variables[name].nominal
-        return declared or float(any(v.nominal for v in self.variables.values()))
+    @cached_property
+    def by_name(self) -> Mapping[str, FmuVariable]:
+        """The variables by name, without aliases."""
+        return {v.name: v for v in self.variables}
 
-    def of(self, causality: str) -> list[FmuVariable]:
-        """All variables of one causality, in declaration order."""
-        return [v for v in self.variables.values() if v.causality == causality]
+    def for_run(self, *names: str) -> ModelDescription:
+        """The description without most local variables, of which FMUs can have 100 000, for a child process.
 
-    def direct_inputs(self, output: str) -> frozenset[str]:
-        """Inputs with direct feedthrough to `output`; all inputs if the FMU declares no dependencies."""
-        declared = self.feedthrough.get(output)
-        return frozenset(v.name for v in self.of("input")) if declared is None else declared
+        Kept are those with these names, derivatives, states, dependencies, and the first `MAX_LOCALS`.
+        """
+        entries = [u for unknowns in self.structure.values() for u in unknowns]
+        keys = {key for u in entries for key in u.dependencies or ()}
+        kept = {u.variable for u in entries} | {self.by_key.get(-1 if k is None else k) for k in keys}
+        kept |= {*self.states}
+        kept |= {*self.of("local")[:MAX_LOCALS], *(v for name in names if (v := self.by_name.get(name)))}
+        variables = tuple(v for v in self.variables if v.causality != "local" or v in kept)
+        kept.update(variables)
+        by_key = {key: v for key, v in self.by_key.items() if v in kept}
+        return replace(self, variables=variables, by_key=by_key)
 
-    def initial_knowns(self, output: str) -> frozenset[str]:
-        """Variables on which `output` depends in initialisation mode; all settable ones if not declared."""
-        declared = self.initial_dependencies.get(output)
-        if declared is None:
-            return frozenset(v.name for v in self.variables.values() if v.settable)
-        return declared
-
-    @property
-    def linearisable(self) -> bool:
-        """Does the FMU declare directional derivatives and all its states?"""
-        return self.directional_derivatives and bool(self.states or self.stateless)
-
-    def may_affect_states(self, variable: str) -> bool:
-        """May a state depend on an input? True if states or dependencies of the FMU are not declared."""
-        if not self.states:
-            return not self.stateless or None in self.feedthrough.values()
-        dependencies = [self.dependencies.get(rate) for rate in self.states.values()]
-        return any(names is None or variable in names for names in dependencies)
+    def of(self, *causalities: str) -> tuple[FmuVariable, ...]:
+        """The variables of some causalities."""
+        return tuple(v for v in self.variables if v.causality in causalities)
 
     @property
-    def ramp_inputs(self) -> frozenset[str]:
-        """Inputs whose time derivative can be set, so that they are ramps inside a step."""
-        if self.can_interpolate_inputs:
-            return frozenset(v.name for v in self.of("input") if v.is_real)
-        return frozenset(u for u, rate in self.rate_inputs.items() if rate not in self.rate_inputs)
-
-    def check_supported(self, variable: str, where: str) -> None:
-        """Refuse an unsupported variable; `where` is the beginning of the message."""
-        if variable in self.unsupported:
-            type_ = self.unsupported[variable]
-            raise Unsupported(f"{where}: expected a scalar number or text, got {type_}, not supported")
+    def token(self) -> str:
+        """GUID or instantiation token."""
+        return self.get("guid" if self.major == 2 else "instantiationToken")
 
     @property
-    def unsupported_note(self) -> str:
-        """A note on the unsupported variables; empty if there are none."""
-        entries = [f"{name}, {type_}" for name, type_ in self.unsupported.items()]
-        more = f"; and {len(entries) - MAX_LISTED} more" if len(entries) > MAX_LISTED else ""
-        return f"left out: {'; '.join(entries[:MAX_LISTED])}{more}" if entries else ""
+    def identifiers(self) -> tuple[str, ...]:
+        """The model identifiers, without duplicates."""
+        return tuple(dict.fromkeys(e.get("modelIdentifier") for e in self.interfaces.values()))
+
+    @cached_property
+    def derivatives(self) -> tuple[FmuVariable, ...]:
+        """The declared time derivatives of the continuous states, in the order of the state vector."""
+        return tuple(u.variable for u in self.structure.get("derivatives", ()) if u.variable)
+
+    @cached_property
+    def states(self) -> tuple[FmuVariable, ...]:
+        """The continuous states that belong to the declared derivatives, without duplicates."""
+        return tuple(dict.fromkeys(s for v in self.derivatives if (s := self.state_of(v))))
+
+    def state_of(self, derivative: FmuVariable) -> FmuVariable | None:
+        """The variable whose time derivative `derivative` is, or None."""
+        key = parse_int(derivative.attributes.get("derivative"))
+        return None if key is None else self.by_key.get(key)
 
 
-SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
+# ---- reading
+
+SECTIONS = {  # section of ModelStructure -> its path in FMI 2.0 and in FMI 3.0
+    "outputs": (("Outputs", "Unknown"), ("Output",)),
+    "derivatives": (("Derivatives", "Unknown"), ("ContinuousStateDerivative",)),
+    "initial": (("InitialUnknowns", "Unknown"), ("InitialUnknown",)),
+    "clocked": ((), ("ClockedState",)),
+    "indicators": ((), ("EventIndicator",)),
+}
+# annotations of this project, in FMI 2.0 and in FMI 3.0
+OWN_ANNOTATION = (
+    "VendorAnnotations/Tool[@name='harvester-cosim']",
+    "Annotations/Annotation[@type='harvester-cosim']",
+)
+PARAMETERS = (
+    "VendorAnnotations/Tool[@name='harvester-cosim.parameters']//ParameterSet",
+    "Annotations/Annotation[@type='harvester-cosim.parameters']//ParameterSet",
+)
 
 
-def read_interface(
-    fmu: Location, exchange: bool = False, known: dict[bytes, FmuInterface] | None = None
-) -> FmuInterface:
-    """Read the interface of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
-
-    exchange   for Model Exchange; else for Co-Simulation
-    known      interfaces by the content of modelDescription.xml, to which this one is added
-    """
-    file, known = fmu.member("modelDescription.xml"), {} if known is None else known
-    text = file.read(MAX_BYTES)
-    if text not in known:
-        known[text] = _read_interface(fmu, parse_text(text, file, "fmiModelDescription"), exchange)
-    return known[text]
-
-
-def _read_interface(fmu: Location, root: Element, exchange: bool) -> FmuInterface:
-    version = root.get("fmiVersion")
-    if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
-        raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
-    description = read_description(root, int(version[0]))
-    element = "ModelExchange" if exchange else "CoSimulation"
-    if element not in description.interfaces:
-        got = " and ".join(INTERFACES[e] for e in INTERFACES if e in description.interfaces) or "nothing"
-        kind = NotExchangeable if exchange else Problem
-        raise kind(f"{fmu}: expected an FMU for {INTERFACES[element]}, got one for {got} only")
-    try:
-        return _interface(description, element)
-    except Problem as problem:
-        raise Problem(f"{fmu}: {problem}") from None
-
-
-def _interface(description: ModelDescription, element: str) -> FmuInterface:
-    fmi, capabilities = description.major, description.interfaces[element]
-    units = {u.name: _unit(u) for u in description.units}
-    declared = list(_with_aliases(description))
-    unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
-    variables = {v.name: _variable(v, description, units) for v in declared if v.name not in unsupported}
-    _check_identity(description, capabilities)
-    _check(variables, unsupported, declared)
-    inputs = {name for name, v in variables.items() if v.causality == "input"}
-    feedthrough = {v.name: None for v in variables.values() if v.causality == "output"}
-    outputs, derivatives, initial = (
-        _dependencies(description, description.structure[section])
-        for section in ("outputs", "derivatives", "initial")
+def read_description(root: Element | None, major: int) -> ModelDescription:
+    """The description with this root element; empty without a root or with an unknown version."""
+    if root is None or not major or local_name(root) != "fmiModelDescription":
+        return ModelDescription(major)
+    types = dict(_types(root, major))
+    model_variables = child(root, "ModelVariables")
+    elements = [e for e in (() if model_variables is None else model_variables) if local_name(e)]
+    lengths = {e.get("valueReference"): parse_int(e.get("start")) for e in elements if e.get("start")}
+    units = tuple(map(_unit, children(root, "UnitDefinitions", "Unit")))
+    known = {u.name: u.declared for u in units}
+    variables = tuple(_variable(e, major, types, known, lengths) for e in elements)
+    keys = range(1, len(variables) + 1) if major == 2 else [v.reference for v in variables]
+    by_key = {key: v for key, v in reversed([*zip(keys, variables, strict=True)]) if key != -1}
+    structure = {}
+    for section, paths in SECTIONS.items():
+        path = paths[major - 2]
+        entries = children(root, "ModelStructure", *path) if path else ()
+        structure[section] = tuple(_unknown(e, "/".join(path), by_key, major) for e in entries)
+    annotation = root.find(OWN_ANNOTATION[major - 2])
+    rates, optional = (
+        () if annotation is None else annotation.iterfind(f".//{name}")
+        for name in ("InputDerivative", "OptionalInput")
     )
-    exchange = "ModelExchange" in description.interfaces
-    used = [*outputs.values(), *derivatives.values()]
-    known = [names for names in used if names is not None]
-    experiment = description.experiment.attributes if description.experiment else {}
-    attributes: dict[str, Any] = {n: capabilities.declares(*names) for n, names in CAPABILITIES.items()}
-    attributes |= {n: description.attributes.get(attribute, "") for n, attribute in TEXTS.items()}
-    indicators = parse_int(description.attributes.get("numberOfEventIndicators")) or 0
-    return FmuInterface(
+    return ModelDescription(
+        major=major,
+        line=root.sourceline,
+        attributes=dict(root.attrib),
         variables=variables,
-        feedthrough=feedthrough | {o: d if d is None else d & inputs for o, d in outputs.items()},
-        initial_dependencies=outputs | initial,
-        identifier=capabilities.get("modelIdentifier"),
-        guid=description.token,
-        fmi=fmi,
-        unsupported=unsupported,
-        can_interpolate_inputs=capabilities.declares("canInterpolateInputs") and fmi == 2,
-        rate_inputs=_rate_inputs(declared, description, variables),
-        optional_inputs={n: t for n, t in description.optional_inputs.items() if n in inputs and t},
-        max_output_derivative_order=parse_int(capabilities.get("maxOutputDerivativeOrder")) or 0,
-        event_indicators=indicators if fmi == 2 else len(description.structure["indicators"]),
-        completed_step=capabilities.declares("needsCompletedIntegratorStep")
-        if fmi == 3
-        else not capabilities.declares("completedIntegratorStepNotNeeded"),
-        stateless=exchange and not derivatives,
-        unused_inputs=frozenset(inputs.difference(*known) if exchange and None not in used else ()),
-        states=_states(description, variables),
-        dependencies=outputs | derivatives,
-        categories=description.categories,
-        start=_number(experiment, "startTime"),
-        step=_number(experiment, "stepSize") or _number(capabilities.attributes, "fixedInternalStepSize"),
-        stop=_number(experiment, "stopTime"),
-        tolerance=max(_number(experiment, "tolerance") or 0.0, 0.0) or None,
-        parameter_sets=description.parameter_sets,
-        **attributes,
+        by_key=by_key,
+        structure=structure,
+        units=units,
+        types=types,
+        interfaces={name: _entry(e) for name in INTERFACES if (e := child(root, name)) is not None},
+        experiment=_entry(child(root, "DefaultExperiment")),
+        categories=tuple(c.get("name", "") for c in children(root, "LogCategories", "Category")),
+        input_rates={e.get("input"): e.get("derivative") for e in rates},
+        optional_inputs={e.get("input"): text for e in optional if (text := e.get("without"))},
+        parameter_sets=tuple(map(_parameter_set, root.iterfind(PARAMETERS[major - 2]))),
     )
 
 
-def _with_aliases(description: ModelDescription) -> Iterator[DeclaredVariable]:
-    """The variables, followed by their aliases as further variables."""
-    yield from (v for v in description.variables if v.name)
-    for v in description.variables:
-        for alias in v.aliases:
-            yield replace(v, name=alias.get("name"), attributes={**v.attributes, **alias.attributes})
+def _parameter_set(element: Element) -> ParameterSetFile:
+    shipped = {e.get("name", ""): e.get("shipped", "") for e in element.iterfind("Parameter")}
+    return ParameterSetFile(element.get("file", ""), element.get("sha256", ""), shipped)
 
 
-def _unsupported_type(v: DeclaredVariable) -> str:
-    """The type of an unsupported variable, for messages; empty for supported variables."""
-    if v.clocked:
-        return "a clock" if v.type == "Clock" else f"a clocked {v.type}"
-    if v.type not in KINDS:
-        return f"a variable of type {v.type}"
-    return f"an array of shape ({', '.join(map(str, v.shape))})" if v.shape else ""
+def _entry(element: Element | None) -> Entry:
+    return Entry() if element is None else Entry(line=element.sourceline, attributes=dict(element.attrib))
 
 
-def _check(
-    variables: Mapping[str, FmuVariable], unsupported: Mapping[str, str], declared: Iterable[DeclaredVariable]
-) -> None:
-    """Refuse an FMU that cannot be run: with clocks, with arrays only, or with a time not in seconds."""
-    for name, type_ in unsupported.items():
-        if "clock" in type_:  # such an FMU needs event mode
-            raise Problem(f"{name} is {type_}: expected an FMU without clocks, they are not supported")
-    ports = [v.name for v in declared if v.causality in ("input", "output")]
-    if ports and not any(name in variables for name in ports):
-        first = f"{ports[0]} is {unsupported[ports[0]]}"
-        raise Problem(f"{first}: expected an FMU with scalar inputs or outputs, arrays are not supported")
-    for v in variables.values():
-        unit = v.unit if v.causality == "independent" else None
-        if unit and unit.exponents and (unit.exponents, unit.factor, unit.offset) != (SECOND_EXPONENTS, 1, 0):
-            raise Problem(f"{v.name}: expected time in seconds, got {unit}")
-
-
-def _check_identity(description: ModelDescription, capabilities: Entry) -> None:
-    """Refuse an FMU without the attributes that loading it needs."""
-    token = "guid" if description.major == 2 else "instantiationToken"
-    if token not in description.attributes:
-        raise Problem(f"expected an attribute {token}, got none")
-    identifier = capabilities.get("modelIdentifier")
-    if not is_file_name(identifier):  # a path could lead to a library outside of the FMU
-        raise Problem(f"modelIdentifier: expected a C identifier, got {identifier!r}")
+def _types(root: Element, major: int) -> Iterator[tuple[str, TypeDefinition]]:
+    """Type definitions by name. FMI 2.0: a child of SimpleType. FMI 3.0: an element such as Float64Type."""
+    definitions = child(root, "TypeDefinitions")
+    for outer in () if definitions is None else definitions:
+        inner = next((e for e in outer if local_name(e) in TYPES), None) if major == 2 else outer
+        type_ = "" if inner is None else local_name(inner).removesuffix("Type")
+        if inner is not None and type_ in TYPES:
+            attributes = {k: v for k, v in inner.attrib.items() if k not in ("name", "description")}
+            items = tuple((i.get("name", ""), i.get("value", "")) for i in children(inner, "Item"))
+            yield (
+                outer.get("name", ""),
+                TypeDefinition(type_, items, line=inner.sourceline, attributes=attributes),
+            )
 
 
 def _variable(
-    v: DeclaredVariable, description: ModelDescription, units: Mapping[str, DeclaredUnit]
+    e: Element,
+    major: int,
+    types: Mapping[str, TypeDefinition],
+    units: Mapping[str, DeclaredUnit],
+    lengths: Mapping[str, int | None],
 ) -> FmuVariable:
-    """A scalar variable; raises Problem for an invalid declaration."""
-    type_ = v.attributes.get("declaredType")
-    if type_ is not None and type_ not in description.types:
-        raise Problem(f"{v}: declaredType {type_!r} is not defined")
-    if v.reference is None or not 0 <= v.reference < 2**32:
-        got = v.attributes.get("valueReference")
-        raise Problem(f"{v}: valueReference: expected a whole number below 2^32, got {got!r}")
-    if (v.causality, v.variability) not in INITIAL and not v.get("initial"):
-        raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
-    fmi_type = "Int64" if v.type == "Enumeration" else v.type
-    try:
-        items = description.types[type_].values if type_ and v.type == "Enumeration" else {}
-        nominal, minimum, maximum = (_number(v.attributes, name) for name in ("nominal", "min", "max"))
-    except (Problem, ValueError) as problem:
-        raise Problem(f"{v}: {problem}") from None
+    """A variable. FMI 2.0: a child of the element is the type. FMI 3.0: the element itself is the type."""
+    inner = next((i for i in e if local_name(i) in TYPES), e) if major == 2 else e
+    attributes = dict(e.items())  # faster than attrib
+    if inner is not e:
+        attributes.update(inner.items())
+    type_, causality = local_name(inner), attributes.get("causality", "local")
+    variability = attributes.get("variability") or _variability(type_, causality, major)
+    allowed = (INITIAL_3 if major == 3 else INITIAL).get((causality, variability))
+    definition = types.get(attributes.get("declaredType", ""))
+    complete = {**definition.attributes, **attributes} if definition else attributes
+    unit = complete.get("unit") if type_ in FLOATS else None
+    reference = parse_int(attributes.get("valueReference"))
+    starts = tuple(s.get("value", "") for s in children(inner, "Start"))
+    if not starts and "start" in attributes:
+        many = major == 3 and type_ not in ("String", "Binary")
+        starts = tuple(attributes["start"].split()) if many else (attributes["start"],)
+    dimensions = children(e, "Dimension") if major == 3 else ()
     return FmuVariable(
-        name=v.name,
-        kind=KINDS[v.type],
-        causality=v.causality,
-        variability=v.variability,
-        initial=v.initial or ("exact" if v.causality == "input" else None),
-        reference=v.reference,
-        unit=units.get(v.unit, DeclaredUnit(v.unit)) if v.unit else None,
-        start=" ".join(v.starts) if v.starts else None,
-        items=items,
-        nominal=nominal if v.is_float else None,
-        description=v.get("description"),
-        fmi_type=fmi_type if description.major == 3 else "",
-        minimum=minimum,
-        maximum=maximum,
+        line=e.sourceline,
+        attributes=complete,
+        name=attributes.get("name", ""),
+        fmi=major,
+        type=type_,
+        definition=definition,
+        reference=-1 if reference is None else reference,
+        causality=causality,
+        variability=variability,
+        initial=attributes.get("initial", allowed[0] if allowed else ""),
+        unit=units.get(unit, DeclaredUnit(unit)) if unit else None,
+        starts=starts if starts or "start" in attributes else None,
+        shape=tuple(parse_int(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
+        aliases=tuple(map(_entry, children(e, "Alias"))),
     )
 
 
-def _unit(unit: UnitDefinition) -> DeclaredUnit:
-    if unit.base_unit is None:
-        return DeclaredUnit(unit.name)
-    try:
-        exponents = tuple(int(unit.base_unit.get(b, "0")) for b in BASES)
-        factor, offset = float(unit.base_unit.get("factor", "1")), float(unit.base_unit.get("offset", "0"))
-    except ValueError as error:
-        raise Problem(f"modelDescription.xml line {unit.line}: unit {unit.name}: {error}") from None
-    return DeclaredUnit(unit.name, exponents, factor, offset)
+def _variability(type_: str, causality: str, major: int) -> str:
+    """Default variability. FMI 2.0 defines continuous for all types; tools use discrete except for Real."""
+    if causality in ("parameter", "calculatedParameter", "structuralParameter") and major == 3:
+        return "fixed"
+    return "continuous" if type_ in FLOATS else "discrete"
 
 
-def _dependencies(
-    description: ModelDescription, unknowns: Iterable[Unknown]
-) -> dict[str, frozenset[str] | None]:
-    """Unknown -> variables it depends on, aliases included; None if not declared."""
-    result: dict[str, frozenset[str] | None] = {}
-    for u in unknowns:
-        if u.variable is None:
-            raise Problem(f"{u}: expected a variable, got none with the index or value reference {u.key}")
-        names = None
-        if u.dependencies is not None:
-            variables = [description.by_key.get(-1 if key is None else key) for key in u.dependencies]
-            if None in variables:
-                raise Problem(f"{u}: dependency {u.dependencies[variables.index(None)]} is not a variable")
-            names = frozenset(name for v in variables if v for name in v.names)
-        result |= dict.fromkeys(u.variable.names, names)
-    return result
+def _unknown(e: Element, section: str, by_key: Mapping[int, FmuVariable], major: int) -> Unknown:
+    key = parse_int(e.get("index" if major == 2 else "valueReference"))
+    dependencies, kinds = e.get("dependencies"), e.get("dependenciesKind")
+    return Unknown(
+        section=section,
+        line=e.sourceline,
+        key=key,
+        dependencies=None if dependencies is None else tuple(parse_int(n) for n in dependencies.split()),
+        dependency_kinds=None if kinds is None else tuple(kinds.split()),
+        variable=None if key is None else by_key.get(key),
+    )
 
 
-def _states(description: ModelDescription, variables: Mapping[str, FmuVariable]) -> dict[str, str]:
-    """Continuous states and their time derivatives; empty if one of them is missing or unsupported."""
-    pairs = [(description.state_of(v), v) for v in description.derivatives]
-    states = {state.name: v.name for state, v in pairs if state}
-    complete = len(states) == len(pairs)
-    return states if complete and all(name in variables for pair in states.items() for name in pair) else {}
-
-
-def _rate_inputs(
-    declared: Iterable[DeclaredVariable], description: ModelDescription, variables: Mapping[str, FmuVariable]
-) -> dict[str, str]:
-    """Inputs and the inputs that are their time derivatives, if the units agree.
-
-    They are declared by the attribute `derivative`, or in FMI 2.0 by this project's annotation, because
-    OMSimulator treats a variable with that attribute as the derivative of a state.
-    """
-    pairs = {state.name: v.name for v in declared if (state := description.state_of(v))}
-    pairs.update(description.input_rates)
-    inputs = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
-    return {
-        u.name: rate.name
-        for u, rate in inputs
-        if u and rate and u.causality == rate.causality == "input" and _per_second(u.unit, rate.unit)
-    }
-
-
-def _per_second(unit: DeclaredUnit | None, rate: DeclaredUnit | None) -> bool:
-    """True if `rate` is `unit` per second."""
-    if unit is None or rate is None:
-        return unit is rate
-    if unit.exponents is None or rate.exponents is None or unit.offset or rate.offset:
-        return False
-    expected = tuple(a - b for a, b in zip(unit.exponents, SECOND_EXPONENTS, strict=True))
-    return rate.exponents == expected and rate.factor == unit.factor
-
-
-def _number(attributes: Mapping[str, str], name: str) -> float | None:
-    text = attributes.get(name)
-    try:
-        return None if text is None else float(text)
-    except ValueError:
-        raise Problem(f"{name}: expected a number, got {text!r}") from None
+def _unit(unit: Element) -> UnitDefinition:
+    base = child(unit, "BaseUnit")
+    displays = {d.get("name", ""): dict(d.attrib) for d in children(unit, "DisplayUnit")}
+    return UnitDefinition(
+        unit.get("name", ""), unit.sourceline, None if base is None else dict(base.attrib), displays
+    )

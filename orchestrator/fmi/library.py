@@ -156,11 +156,10 @@ def _text(raw: bytes | None) -> str:
 def _receive2(
     environment: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None
 ) -> None:
-    log = _logs.get(environment or 0)
-    if log is None:  # some FMUs do not pass their environment
-        log = next((x for x in reversed(_logs.values()) if x.component == _text(name)), None)
-    if log is not None:
-        log.add(status, _text(text or category), None if category is None else _text(category))
+    if environment not in _logs:  # some FMUs do not pass their environment
+        environment = next((n for n in reversed(_logs) if _logs[n].component == _text(name)), None)
+    if environment is not None:
+        _receive3(environment, status, category, text)
     elif "fmpy.fmi1" in sys.modules and 0 <= status <= 5:  # an FMU of FMPy, which uses the same proxy
         sys.modules["fmpy.fmi1"].printLogMessage(None, name, status, category, text or b"")
     else:

@@ -8,7 +8,7 @@ from orchestrator.base.errors import NotExchangeable
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 
 
 class ExchangeFmu(RunningFmu):

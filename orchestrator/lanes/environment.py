@@ -92,10 +92,9 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         """The limits that the FMU declares; infinite if it declares none."""
         system = self._machines.system
         variable = system.variable(system.targets(name)[0][0] if needed else system.port(name))
-        if needed and (variable.minimum is None or variable.maximum is None):
+        if needed and np.isinf(variable.bounds).any():
             raise Problem(f"actions: {name}: expected limits, because the FMU declares none")
-        low, high = variable.minimum, variable.maximum
-        return -np.inf if low is None else low, np.inf if high is None else high
+        return variable.bounds
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None

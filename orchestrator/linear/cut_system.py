@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.fmi.description import FmuInterface
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic.plant import Plant
 from orchestrator.ssp.system import Inlet, Port, System
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import chosen, documented
+from orchestrator.data.table import Array
 from orchestrator.engine.arguments import LinearArguments
 from orchestrator.engine.run import ScenarioSource, opened, run
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
 from orchestrator.linear.steady_state import find_steady_state
-from orchestrator.monolithic.plant import Array
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_starts, with_doubts
 from orchestrator.ssp.provenance import built_notes

@@ -6,19 +6,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from orchestrator.base.errors import Problem
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.base.text import grouped
+from orchestrator.fmi.description import FmuVariable, Value
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.modelica.syntax import Scope, number, quoted
 from orchestrator.ssp.system import Component
 
 T = TypeVar("T")
 Equation = tuple[list[str], str]  # unknowns, and the call that computes them
-TYPES = {
-    "Real": "Real",
-    "Integer": "Integer",
-    "Enumeration": "Integer",
-    "Boolean": "Boolean",
-    "String": "String",
-}
 EMPTY_FILL = {"Real": "0.0", "Integer": "0", "Boolean": "0", "String": '""'}  # elements of arrays of length 0
 DISPLAY_UNITS = {"Pa": "bar", "rad": "deg", "rad/s": "deg/s", "m3/s": "l/min"}
 # Tools use tolerance * nominal as absolute tolerance of a state, which is too large for a pressure near zero.
@@ -101,19 +96,20 @@ class FmuBlock:
     def values(self) -> Iterator[str]:
         """References and values of the parameters of each type."""
         for kind, fill in EMPTY_FILL.items():
-            parameters = [p for p in self.parameters if TYPES[p.variable.kind] == kind]
+            parameters = [p for p in self.parameters if p.variable.value_type == kind]
             values = _vector((p.argument for p in parameters), fill)
             yield f"{_references(p.variable for p in parameters)}, {values}"
 
     def initial_equations(self) -> Iterator[Equation]:
         """Initial equations of the states, one for each group with the same dependencies on inputs."""
-        groups: dict[frozenset[str], list[int]] = {}
-        for k, v in enumerate(self.states):
-            exact = v.initial == "exact"
-            dependencies = frozenset() if exact else self.interface.initial_dependencies.get(v.name)
-            groups.setdefault(self._inputs_among([dependencies]), []).append(k)
-        for needed, rows in groups.items():
-            started = f", {_references(self.states[k] for k in rows)}"
+        states = self.states
+
+        def inputs_of(k: int) -> frozenset[str]:
+            declared = self.interface.initial_dependencies.get(states[k].name)
+            return self._inputs_among([frozenset() if states[k].initial == "exact" else declared])
+
+        for needed, rows in grouped(range(len(states)), inputs_of).items():
+            started = f", {_references(states[k] for k in rows)}"
             yield [f"fmu_states[{k + 1}]" for k in rows], self._call("start", "", needed, started)
 
     def equations(self) -> Iterator[Equation]:
@@ -123,9 +119,7 @@ class FmuBlock:
             needed = self._inputs_among(dependencies.get(dx) for dx in self.interface.states.values())
             names = [f"der(fmu_states[{k + 1}])" for k in range(len(self.states))]
             yield names, self._call("derivatives", "fmu_states, ", needed)
-        groups: dict[frozenset[str], list[FmuVariable]] = {}
-        for y in self.outputs:
-            groups.setdefault(self._inputs_among([dependencies.get(y.name)]), []).append(y)
+        groups = grouped(self.outputs, lambda y: self._inputs_among([dependencies.get(y.name)]))
         for needed, outputs in groups.items():
             call = self._call("outputs", f"{self._states}, ", needed, f", {_references(outputs)}")
             yield [self.names[y.name] for y in outputs], call
@@ -183,22 +177,18 @@ def fmu_block(name: str, folder: str, component: Component, constant_inputs: Col
 
 def _check(where: str, interface: FmuInterface) -> None:
     """Raise Problem for an FMU that the functions of the package cannot run."""
-    if interface.fmi != 2:
-        raise Problem(f"{where}: expected an FMU for Model Exchange in FMI 2.0, got FMI {interface.fmi}.0")
-    if interface.event_indicators:
-        raise Problem(
-            f"{where}: expected an FMU without event indicators, because state events are not supported"
-        )
-    if interface.one_per_process:
-        raise Problem(f"{where}: expected an FMU that can be instantiated twice per process")
-    if interface.needs_execution_tool:
-        raise Problem(
-            f"{where}: expected an FMU that runs without the tool that made it, got needsExecutionTool"
-        )
-    if not interface.states and not interface.stateless:
-        raise Problem(
-            f"{where}: expected a variable for each continuous state and derivative, some are missing"
-        )
+    version, complete = interface.model.major, interface.states or interface.stateless
+    faults = {
+        f"an FMU for Model Exchange in FMI 2.0, got FMI {version}.0": version != 2,
+        "an FMU without event indicators, because state events are not supported": interface.event_indicators,
+        "an FMU that can be instantiated twice per process": interface.one_per_process,
+        "an FMU that runs without the tool that made it, got needsExecutionTool": (
+            interface.needs_execution_tool
+        ),
+        "a variable for each continuous state and derivative, some are missing": not complete,
+    }
+    for expected in (text for text, found in faults.items() if found):
+        raise Problem(f"{where}: expected {expected}")
     for v in (v for v in interface.variables.values() if v.causality in ("input", "output")):
         if not v.is_real:
             raise Problem(f"{where}: {v.name}: expected real inputs and outputs, got {v.kind}")
@@ -240,8 +230,8 @@ def attributes(v: FmuVariable) -> str:
         result["unit"] = quoted(v.unit.name)
         if v.unit.name in DISPLAY_UNITS:
             result["displayUnit"] = quoted(DISPLAY_UNITS[v.unit.name])
-    for name, bound in (("min", v.minimum), ("max", v.maximum)):
-        if bound is not None and math.isfinite(bound) and v.causality == "parameter":
+    for name, bound in zip(("min", "max"), v.bounds, strict=True):
+        if math.isfinite(bound) and v.causality == "parameter":
             result[name] = number(bound)
     return f"({', '.join(f'{name} = {value}' for name, value in result.items())})" if result else ""
 

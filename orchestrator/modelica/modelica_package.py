@@ -12,7 +12,7 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.text import rendered
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import FmuVariable
-from orchestrator.modelica.block import TYPES, FmuBlock, attributes, connectors, fmu_block, positions
+from orchestrator.modelica.block import FmuBlock, attributes, connectors, fmu_block, positions
 from orchestrator.modelica.flanges import model_with_flanges
 from orchestrator.modelica.syntax import PLAIN, RESERVED, Scope, class_name, literal, number, quoted
 from orchestrator.ssp.load import load
@@ -151,7 +151,6 @@ def _package(name: str, blocks: PackageBlocks, systems: Sequence[tuple[System, d
         ],
         flanges=(TEMPLATES / "Flanges.mo").read_text(encoding="utf-8"),
         internal=internal.replace("@PACKAGE@", name),
-        types=TYPES,
         attributes=attributes,
         connectors=connectors,
         literal=literal,

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.engine.c_library import Binding, library
 from orchestrator.engine.linear_system import Entry, JacobianColumn, Linearisation, column_structs
 from orchestrator.engine.network import initialise
@@ -35,7 +36,6 @@ from orchestrator.fmi.description import Value
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.ssp.system import Connection, Inlet, Port, System
 
-Array = NDArray[np.float64]
 SAME_INPUT = 1e-9  # relative difference of equal inputs in different units: rounding
 RELATIVE_STEP = 6e-6  # of central differences: the cube root of the rounding error
 

@@ -25,13 +25,13 @@ from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import check_room
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import ReferenceArguments
 from orchestrator.engine.result import Card, Result
@@ -43,8 +43,6 @@ from orchestrator.monolithic.plant import Plant
 from orchestrator.monolithic.tight import FMU_TOLERANCE, first_step, tightened
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import Inlet, System
-
-Array = NDArray[np.float64]
 
 SOLVER = "none, all FMUs as one ODE (CVODE)"  # on the card, in place of a master
 TOLERANCE = 2e-14  # default, relative; absolute: times the magnitude of the state

@@ -175,11 +175,11 @@ def describe(component: Component) -> reporting.ReportedComponent:
     return reporting.ReportedComponent(
         component.name,
         file,
-        interface.version,
-        interface.guid,
-        f"{interface.fmi}.0 CS",
-        interface.tool,
-        interface.description,
+        interface.model.get("version"),
+        interface.model.token,
+        f"{interface.model.major}.0 CS",
+        interface.model.get("generationTool"),
+        interface.model.get("description"),
         checksum(source) if source else "",
     )
 

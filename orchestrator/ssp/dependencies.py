@@ -128,7 +128,7 @@ class Feedthrough:
     def declares(self, output: Port) -> bool:
         """Does the FMU declare what an output depends on?"""
         interface = self._system.components[output.component].interface
-        declared = interface.initial_dependencies if self._initially else interface.feedthrough
+        declared = interface.initial_dependencies if self._initially else interface.dependencies
         return declared.get(output.variable) is not None
 
     def cycle(self, group: list[Port]) -> DependencyCycle | None:

@@ -14,7 +14,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.units import IDENTITY, LinearTransformation, conversion
-from orchestrator.fmi.description import FmuInterface, Value, read_interface
+from orchestrator.fmi.description import Value
+from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values
@@ -31,7 +32,6 @@ from orchestrator.ssp.system import (
 from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
-    Connector,
     FlatStructure,
     read_structure,
     signal_paths,
@@ -92,20 +92,20 @@ def _connected(flat: FlatStructure, system: System) -> System:
     notes = list(flat.notes)
     signals = signal_paths(flat, system, notes)
     maps = [(path, signals.map(path)) for path in signals.paths]
-    fed: dict[Connector, list[tuple[Port, LinearTransformation]]] = {}
+    fed: dict[Port, list[tuple[Port, LinearTransformation]]] = {}
     for path, linear in maps:
-        if path.target.owner in flat.sources:
-            fed.setdefault(path.source, []).append((Port(*path.target), linear))
-    inputs = {c.name: _inlet(flat, system, c, fed.get(c, ())) for c in flat.of_kind("", *SINKS)}
+        if path.target.component in flat.sources:
+            fed.setdefault(path.source, []).append((path.target, linear))
+    inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ())) for c in flat.of_kind("", *SINKS)}
     start = bound_values(signals)
     connections, outputs = list[Connection](), dict[str, Outlet]()
     for path, linear in maps:
-        source, target = Port(*path.source), Port(*path.target)
+        source, target = path.source, path.target
         if source.component in flat.sources and target.component in flat.sources:
             connections.append(check_connection(system, source, target, linear))
         elif source.component in flat.sources:
-            unit = flat.unit(path.target) or system.variable(source).unit
-            outputs[path.target.name] = Outlet(path.target.name, unit, source, linear)
+            unit = flat.unit(target) or system.variable(source).unit
+            outputs[target.variable] = Outlet(target.variable, unit, source, linear)
     return replace(
         system,
         components={name: replace(c, start=start[name]) for name, c in system.components.items()},
@@ -119,13 +119,13 @@ def _connected(flat: FlatStructure, system: System) -> System:
 def _inlet(
     flat: FlatStructure,
     system: System,
-    connector: Connector,
+    connector: Port,
     targets: Sequence[tuple[Port, LinearTransformation]],
 ) -> Inlet:
     """An input of the outermost system; without a declared unit it has that of the inputs that it feeds."""
     units = {system.variable(port).unit for port, _ in targets}
     unit = flat.unit(connector) or (units.pop() if len(units) == 1 else None)
-    return Inlet(connector.name, unit, tuple(targets))
+    return Inlet(connector.variable, unit, tuple(targets))
 
 
 # ---- from FMU files

@@ -16,7 +16,7 @@ from orchestrator.fmi.description import KINDS, Value
 from orchestrator.ssp.common_elements import read_transformation, read_units
 from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable, coerce
-from orchestrator.ssp.system_structure import Connector, ParameterBinding, SignalPaths
+from orchestrator.ssp.system_structure import ParameterBinding, SignalPaths
 
 # target, transformation, table source -> target, suppression of the unit conversion
 MappingEntry = tuple[str, LinearTransformation, Mapping[str, str], bool]
@@ -80,7 +80,7 @@ def _targets(
 ) -> Iterator[tuple[Port, LinearTransformation]]:
     """The variable that a value sets, or all that a connector feeds, with the map from the value."""
     flat, system = signals.flat, signals.system
-    full = f"{binding.owner}.{value.name}" if binding.owner else value.name
+    full = str(Port(binding.owner, value.name))
     for owner in sorted([*flat.sources, *flat.systems], key=len, reverse=True):
         name = full.removeprefix(f"{owner}.") if owner else full
         if owner and name == full:
@@ -91,13 +91,13 @@ def _targets(
             if name in interface.variables:
                 yield port, value.map_to(system.variable(port).unit, f"parameter {port}", signals.notes)
                 return
-        connector = Connector(owner, name)
+        connector = Port(owner, name)
         if owner in flat.systems and connector in flat.connectors:
             unit = flat.unit(connector)
             for path in (p for p in signals.paths if connector in p.connectors):
                 first = value.map_to(unit, f"parameter {connector}", signals.notes)
                 from_connector = replace(signals, notes=[]).map_from(path, connector, unit or value.unit)
-                yield Port(*path.target), first.then(from_connector)
+                yield path.target, first.then(from_connector)
             return
 
 

@@ -12,6 +12,7 @@ from math import prod
 from typing import NamedTuple
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import grouped
 from orchestrator.ssp.system import Connection, Port, System
 
 # dimensions of effort and flow: exponents of (kg, m, s, A, K, mol, cd); their product is power
@@ -53,9 +54,7 @@ def find_bonds(system: System) -> list[Bond]:
     several prefixes are equally long there is no bond. Ports with one of the words `SIGNALS` in their names,
     such as `load_sensing_pressure`, carry no power.
     """
-    between = defaultdict[tuple[str, str], list[Connection]](list)
-    for c in system.connections:
-        between[c.source.component, c.target.component].append(c)
+    between = grouped(system.connections, lambda c: (c.source.component, c.target.component))
     candidates = [
         _Candidate(_common_prefix(effort, flow), effort, flow)
         for effort in system.connections

@@ -15,6 +15,7 @@ from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open
+from orchestrator.base.text import first_names
 from orchestrator.base.units import in_reader_unit, reader_unit
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.system import Component, Port, System, coerce
@@ -74,7 +75,7 @@ def provenance(system: System, files: Sequence[str | Path | Location] = ()) -> P
         fmus = {name: {"file": str(fmu), "sha256": checksum(fmu)} for name, fmu in sources.items()}
     own = [Location(system.source.path)] if system.source else []
     others = [file if isinstance(file, Location) else Location(Path(file)) for file in files]
-    built = {s.file: s.sha256 for c in system.components.values() for s in c.interface.parameter_sets}
+    built = {s.file: s.sha256 for c in system.components.values() for s in c.interface.model.parameter_sets}
     return Provenance(
         fmus, {str(f): checksum(f) for f in [*own, *others]} | built, tuple(other_values(system))
     )
@@ -105,7 +106,7 @@ def other_values(system: System) -> Iterator[OtherValue]:
 def _built(component: Component) -> dict[str, tuple[Value, str]]:
     """Parameter -> value in the shipped FMU and file of the value that replaces it."""
     result: dict[str, tuple[Value, str]] = {}
-    for parameter_set in component.interface.parameter_sets:
+    for parameter_set in component.interface.model.parameter_sets:
         for name, text in parameter_set.shipped.items():
             variable = component.interface.variables.get(name)
             if variable is None:
@@ -132,12 +133,10 @@ def built_notes(system: System) -> tuple[str, ...]:
     )
 
 
-def chosen_note(system: System, limit: int = 3) -> str:
+def chosen_note(system: System) -> str:
     """The first values that a user chose, in words; empty if there are none."""
     built = {f"{c.name}.{name}" for c in system.components.values() for name in _built(c)}
-    chosen = [v for v in other_values(system) if v.name not in built]
-    more = f" and {len(chosen) - limit} more" if len(chosen) > limit else ""
-    return ", ".join(map(str, chosen[:limit])) + more
+    return first_names((str(v) for v in other_values(system) if v.name not in built), limit=3)
 
 
 def checksum(file: Location) -> str:

@@ -25,7 +25,7 @@ from orchestrator.base.errors import NotExchangeable, Problem, suggest
 from orchestrator.base.files import FMUS, VARIANTS, Location, require
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.power_bonds import find_bonds
 from orchestrator.ssp.system import (
     Component,
@@ -33,7 +33,6 @@ from orchestrator.ssp.system import (
     Port,
     System,
     coerce,
-    connectable_type,
     open_component,
 )
 
@@ -112,16 +111,17 @@ def _swap(system: System, name: str, file: Location, exchange: bool) -> tuple[Sy
     origins = {n: origin for n, origin in old.origins.items() if n in start}
     replaced = old.replaced or old.interface
     component = replace(new, interface=interface, start=start, replaced=replaced, origins=origins)
+    forth, back = fit.forth, fit.back
     connections = (
-        replace(c, map=fit.from_port(c.source).then(c.map).then(fit.to_port(c.target)))
+        replace(c, map=back.get(c.source, IDENTITY).then(c.map).then(forth.get(c.target, IDENTITY)))
         for c in system.connections
         if not fit.dropped & {c.source, c.target}
     )
     inlets = (
-        replace(i, targets=tuple((port, linear.then(fit.to_port(port))) for port, linear in i.targets))
+        replace(i, targets=tuple((p, linear.then(forth.get(p, IDENTITY))) for p, linear in i.targets))
         for i in system.inputs.values()
     )
-    outlets = (replace(o, map=fit.from_port(o.source).then(o.map)) for o in system.outputs.values())
+    outlets = (replace(o, map=back.get(o.source, IDENTITY).then(o.map)) for o in system.outputs.values())
     swapped = replace(
         system,
         components={**system.components, name: component},
@@ -193,8 +193,8 @@ def _optional_input(system: System, port: Port) -> str:
     The declaration of an FMU that was replaced counts, too: it holds for the place in the system.
     """
     component = system.components[port.component]
-    before = component.replaced.optional_inputs if component.replaced else {}
-    return {**before, **component.interface.optional_inputs}.get(port.variable, "")
+    before = component.replaced.model.optional_inputs if component.replaced else {}
+    return {**before, **component.interface.model.optional_inputs}.get(port.variable, "")
 
 
 def _is_rate(system: System, port: Port) -> bool:
@@ -225,25 +225,19 @@ REPLACEMENTS = {
 class Fit:
     """How the ports of a new FMU replace those of an old one.
 
-    maps      port -> conversion from the unit of the system to that of the new FMU, and back
+    forth     port -> conversion from the unit of the system to that of the new FMU
+    back      port -> the inverse conversion
     dropped   ports whose connections are left out
     lost      signals of dropped connections to optional inputs
     assumed   ports without a unit in the new FMU, with the expected unit
     """
 
-    maps: Mapping[Port, tuple[LinearTransformation, LinearTransformation]]
+    forth: Mapping[Port, LinearTransformation]
+    back: Mapping[Port, LinearTransformation]
     dropped: frozenset[Port]
     lost: tuple[LostSignal, ...]
     assumed: Mapping[str, FmuVariable]
     notes: tuple[str, ...]
-
-    def to_port(self, port: Port) -> LinearTransformation:
-        """The conversion of values for a port."""
-        return self.maps.get(port, (IDENTITY, IDENTITY))[0]
-
-    def from_port(self, port: Port) -> LinearTransformation:
-        """The conversion of values of a port."""
-        return self.maps.get(port, (IDENTITY, IDENTITY))[1]
 
 
 def _fit(system: System, old: Component, new: Component) -> Fit:
@@ -257,17 +251,19 @@ def _fit(system: System, old: Component, new: Component) -> Fit:
     if faults := list(filter(None, (_fault(use, new, others) for use in needed.values()))):
         raise Problem(f"swap {new.name}: {new.source} does not fit: {'; '.join(faults)}")
     without_unit = [n for n, use in needed.items() if variables[n].unit is None and use.unit]
-    maps, notes = dict[Port, tuple[LinearTransformation, LinearTransformation]](), list[str]()
+    forth, back, notes = dict[Port, LinearTransformation](), dict[Port, LinearTransformation](), list[str]()
     for n, use in needed.items():
-        back = conversion(variables[n].unit, use.unit, f"{new.name}.{n} in {new.source}", notes)
-        maps[Port(new.name, n)] = conversion(use.unit, variables[n].unit, n), back
+        port, unit = Port(new.name, n), variables[n].unit
+        back[port] = conversion(unit, use.unit, f"{port} in {new.source}", notes)
+        forth[port] = conversion(use.unit, unit, n)
     lost = tuple(
         LostSignal(new, n, tuple(port for port, t in used[n].meanings.items() if t == text), text)
         for n in dropped
         for text in dict.fromkeys(used[n].meanings.values())
     )
     return Fit(
-        maps,
+        forth,
+        back,
         dropped=frozenset(Port(new.name, n) for n in dropped),
         lost=lost,
         assumed={n: replace(variables[n], unit=needed[n].unit) for n in without_unit},
@@ -301,7 +297,7 @@ def _mismatch(use: UsedPort, new: FmuVariable) -> str:
     if new.causality not in REPLACEMENTS[old.causality]:
         noun = "local variable" if new.causality == "local" else new.causality
         return f"expected {use}, got {'an' if noun[0] in 'aeiou' else 'a'} {noun}"
-    if connectable_type(new) != connectable_type(old):
+    if new.value_type != old.value_type:
         return f"expected {old.causality} {old.name} of type {old.kind}, got type {new.kind}"
     if new.unit and use.unit and new.unit.exponents is None and new.unit.name != use.unit.name:
         return f"expected {use}, got {new.unit}, a unit without definition"
@@ -425,15 +421,12 @@ def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], lis
 
 def missing_after_swap(system: System) -> Mapping[str, str]:
     """Variables that a swapped FMU lacks, or does not let a user set any more -> the reason."""
-    swapped = ((c, c.replaced) for c in system.components.values() if c.replaced)
-    return {
-        f"{c.name}.{name}": reason for c, before in swapped for name, reason in _missing(c, before).items()
-    }
-
-
-def _missing(component: Component, before: FmuInterface) -> dict[str, str]:
-    now = component.interface.variables
-    fixed = (n for n, v in before.variables.items() if n in now and v.settable and not now[n].settable)
-    return {
-        name: f"{component.source} has no such variable" for name in before.variables if name not in now
-    } | {name: f"{component.source} computes it itself" for name in fixed}
+    reasons = dict[str, str]()
+    for c in system.components.values():
+        now = c.interface.variables
+        for name, before in c.replaced.variables.items() if c.replaced else ():
+            if name not in now:
+                reasons[f"{c.name}.{name}"] = f"{c.source} has no such variable"
+            elif before.settable and not now[name].settable:
+                reasons[f"{c.name}.{name}"] = f"{c.source} computes it itself"
+    return reasons

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.text import brief, first_names
+from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import (
     IDENTITY,
     DeclaredUnit,
@@ -20,7 +20,8 @@ from orchestrator.base.units import (
     number_and_unit,
 )
 from orchestrator.base.xml import integer, real
-from orchestrator.fmi.description import FmuInterface, FmuVariable, Value, read_interface
+from orchestrator.fmi.description import FmuVariable, Value
+from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
 MAX_NAMES = 4  # in a message
@@ -32,13 +33,13 @@ TARGETS = ("input", "parameter")  # at its second end
 
 
 class Port(NamedTuple):
-    """One variable of one component."""
+    """One variable of one component, or a connector of a system, whose path is the component."""
 
     component: str
     variable: str
 
     def __str__(self) -> str:
-        return f"{self.component}.{self.variable}"
+        return f"{self.component}.{self.variable}" if self.component else self.variable
 
 
 class Chosen(NamedTuple):
@@ -298,13 +299,10 @@ class System:
     def open(self) -> Mapping[str, Inlet]:
         """Component inputs that have no source, by variable name."""
         fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
-        open_ports: dict[str, list[Port]] = {}
-        for port in self.ports("input"):
-            if port not in fed and self.variable(port).kind != "String":
-                open_ports.setdefault(port.variable, []).append(port)
+        unfed = [p for p in self.ports("input") if p not in fed and self.variable(p).kind != "String"]
         return {
             name: Inlet(name, self.unit(ports[0]), tuple((p, self._conversion(p)) for p in ports))
-            for name, ports in open_ports.items()
+            for name, ports in grouped(unfed, lambda port: port.variable).items()
         }
 
     @property
@@ -435,8 +433,8 @@ def check_bounds(context: str, variable: FmuVariable, value: Value, remark: str 
     if isinstance(value, (str, bool)):
         return
     unit = f" {variable.unit.name}" if variable.unit and variable.unit.name != "1" else ""
-    for word, bound, sign in (("least", variable.minimum, 1.0), ("most", variable.maximum, -1.0)):
-        if bound is not None and sign * (value - bound) < -ROUNDING * abs(bound):
+    for word, bound, sign in zip(("least", "most"), variable.bounds, (1.0, -1.0), strict=True):
+        if math.isfinite(bound) and sign * (value - bound) < -ROUNDING * abs(bound):
             raise Problem(f"{context}: expected at {word} {bound:.13g}{unit}, got {value:.13g}{unit}{remark}")
 
 
@@ -470,14 +468,9 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     if y.causality not in SOURCES or u.causality not in TARGETS:
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
-    if connectable_type(y) != connectable_type(u) or y.kind == "String":
+    if y.value_type != u.value_type or y.kind == "String":
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
     if not y.is_real and not (linear.factor.is_integer() and linear.offset.is_integer()):
         got = f"{linear.factor:g} and {linear.offset:g}"
         raise Problem(f"{connection}: expected integer factor and offset, got {got}")
     return connection
-
-
-def connectable_type(variable: FmuVariable) -> str:
-    """The type for connections: equal types may be connected; enumerations count as integers."""
-    return "Integer" if variable.kind == "Enumeration" else variable.kind

@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.base.xml import XmlElement, read_xml
-from orchestrator.fmi.raw_description import FLOATS
+from orchestrator.fmi.description import FLOATS
 from orchestrator.ssp.common_elements import as_linear, read_transformation, read_units
 from orchestrator.ssp.system import Port, System
 
@@ -28,16 +28,6 @@ SOURCE, SINK = "source", "sink"
 MAX_PARTS, MAX_DEPTH = 10_000, 50
 
 
-class Connector(NamedTuple):
-    """A connector; `owner` is the path of its component or system."""
-
-    owner: str
-    name: str
-
-    def __str__(self) -> str:
-        return f"{self.owner}.{self.name}" if self.owner else self.name
-
-
 class ConnectorType(NamedTuple):
     """The declaration of a connector in a file."""
 
@@ -49,7 +39,7 @@ class ConnectorType(NamedTuple):
 class IncomingConnection(NamedTuple):
     """The connection that feeds a connector; suppressed: its unit is not converted."""
 
-    source: Connector
+    source: Port
     transformation: LinearTransformation
     suppressed: bool
 
@@ -75,21 +65,23 @@ class FlatStructure:
     name: str
     sources: dict[str, Location] = field(default_factory=dict)
     systems: set[str] = field(default_factory=set)
-    connectors: dict[Connector, ConnectorType] = field(default_factory=dict)
-    incoming: dict[Connector, IncomingConnection] = field(default_factory=dict)
+    connectors: dict[Port, ConnectorType] = field(default_factory=dict)
+    incoming: dict[Port, IncomingConnection] = field(default_factory=dict)
     bindings: list[ParameterBinding] = field(default_factory=list)
     start: float | None = None
     stop: float | None = None
     roots: list[XmlElement] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def unit(self, connector: Connector) -> DeclaredUnit | None:
+    def unit(self, connector: Port) -> DeclaredUnit | None:
         """The unit that a file declares for a connector."""
         return self.connectors[connector].unit if connector in self.connectors else None
 
-    def of_kind(self, owner: str, *kinds: str) -> list[Connector]:
+    def of_kind(self, owner: str, *kinds: str) -> list[Port]:
         """Connectors of one component or system, of some kinds."""
-        return [c for c, declared in self.connectors.items() if c.owner == owner and declared.kind in kinds]
+        return [
+            c for c, declared in self.connectors.items() if c.component == owner and declared.kind in kinds
+        ]
 
 
 def read_structure(file: Location) -> FlatStructure:
@@ -136,7 +128,7 @@ class _SsdReader:
         self._flat.systems.add(path)
         self._connectors(element, path)
         inner = [d.required("name") for d in element.children("SignalDictionaries", "SignalDictionary")]
-        visible = {**dictionaries, **{name: _join(path, name) for name in inner}}
+        visible = {**dictionaries, **{name: str(Port(path, name)) for name in inner}}
         owners: dict[str, str] = {}  # name of an element -> owner of its connectors
         for part in element.children("Elements"):
             for e in part.children():
@@ -149,7 +141,7 @@ class _SsdReader:
     def _name(self, element: XmlElement, path: str, owners: Mapping[str, str]) -> str:
         """The name of an element, which must be unique in its system."""
         name = element.required("name")
-        full = _join(path, name)
+        full = str(Port(path, name))
         if not name:
             raise element.problem("expected a name, got an empty one")
         if len(self._flat.sources) + len(self._flat.systems) > MAX_PARTS:
@@ -162,7 +154,7 @@ class _SsdReader:
 
     def _element(self, element: XmlElement, path: str, dictionaries: Mapping[str, str]) -> str:
         """Read one element of a system; returns the owner of its connectors."""
-        full = _join(path, element.required("name"))
+        full = str(Port(path, element.required("name")))
         if element.name == "System":
             self._system(element, full, dictionaries)
         elif element.name == "Component":
@@ -202,9 +194,9 @@ class _SsdReader:
         _SsdReader(self._flat, root, including, self._units).read(full)
 
     def _connectors(self, element: XmlElement, owner: str) -> None:
-        connectors = set[Connector]()
+        connectors = set[Port]()
         for e in element.children("Connectors", "Connector"):
-            connector = Connector(owner, e.required("name"))
+            connector = Port(owner, e.required("name"))
             if connector in connectors:
                 raise e.problem(f"expected a unique name, got {connector} twice")
             connectors.add(connector)
@@ -239,20 +231,20 @@ class _SsdReader:
 
     def _end(
         self, element: XmlElement, side: str, path: str, owners: Mapping[str, str]
-    ) -> tuple[Connector, str | None]:
+    ) -> tuple[Port, str | None]:
         """One end of a connection: its connector, and SOURCE, SINK or None (not declared in the file)."""
         # some tools write an empty name for a connector of the system itself
         name, connector = element.get(f"{side}Element") or None, element.required(f"{side}Connector")
         context = f"{element.file}: connection to"
         if name is not None and name not in owners:
             raise Problem(f"{context} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
-        end = Connector(path if name is None else owners[name], connector)
+        end = Port(path if name is None else owners[name], connector)
         declared = self._flat.connectors.get(end, ConnectorType(None, None, False))
         if declared.array or element.get(f"{side}Indices"):
             raise Problem(f"{context} {end}: expected a scalar, got an array")
-        if declared.kind is None and end.owner in self._flat.systems:
-            names = [c.name for c in self._flat.connectors if c.owner == end.owner]
-            label = end.owner or self._flat.name
+        if declared.kind is None and end.component in self._flat.systems:
+            names = [c.variable for c in self._flat.connectors if c.component == end.component]
+            label = end.component or self._flat.name
             raise Problem(
                 f"{element.file}: {label} has no connector {connector!r}{suggest(connector, names)}"
             )
@@ -266,10 +258,6 @@ def _resolved(file: Location) -> Location:
     return Location(file.path.resolve(), file.members)
 
 
-def _join(path: str, name: str) -> str:
-    return f"{path}.{name}" if path else name
-
-
 # ---- signal paths
 
 
@@ -277,15 +265,15 @@ def _join(path: str, name: str) -> str:
 class SignalPath:
     """A chain of connections; connections[i] leads from connectors[i] to connectors[i + 1]."""
 
-    connectors: tuple[Connector, ...]
+    connectors: tuple[Port, ...]
     connections: tuple[IncomingConnection, ...]
 
     @property
-    def source(self) -> Connector:
+    def source(self) -> Port:
         return self.connectors[0]
 
     @property
-    def target(self) -> Connector:
+    def target(self) -> Port:
         return self.connectors[-1]
 
 
@@ -304,18 +292,16 @@ class SignalPaths:
     def map(self, path: SignalPath) -> LinearTransformation:
         """The map over the whole path, with unit conversions."""
         declared = self.flat.unit(path.source)
-        if path.source.owner not in self.flat.sources:
+        if path.source.component not in self.flat.sources:
             return self.map_from(path, path.source, declared)
-        unit = self.system.variable(Port(*path.source)).unit
+        unit = self.system.variable(path.source).unit
         first = conversion(unit, declared, str(path.source), self.notes)
         return first.then(self.map_from(path, path.source, declared or unit))
 
-    def map_from(
-        self, path: SignalPath, connector: Connector, unit: DeclaredUnit | None
-    ) -> LinearTransformation:
+    def map_from(self, path: SignalPath, connector: Port, unit: DeclaredUnit | None) -> LinearTransformation:
         """The map from a connector of the path, whose value is in `unit`, to the variable at the end."""
         start, last = path.connectors.index(connector), path.target
-        target_unit = self.system.variable(Port(*last)).unit if last.owner in self.flat.sources else None
+        target_unit = self.system.variable(last).unit if last.component in self.flat.sources else None
         context = f"{self._label(path.source)} -> {self._label(last)}"
         linear = IDENTITY
         for connection, end in zip(path.connections[start:], path.connectors[start + 1 :], strict=True):
@@ -326,25 +312,25 @@ class SignalPaths:
             linear = linear.then(connection.transformation)
         return linear.then(conversion(self.flat.unit(last), target_unit, context, self.notes))
 
-    def _label(self, connector: Connector) -> str:
+    def _label(self, connector: Port) -> str:
         """A connector with its unit."""
-        of_component = connector.owner in self.flat.sources
-        unit = self.system.variable(Port(*connector)).unit if of_component else self.flat.unit(connector)
+        of_component = connector.component in self.flat.sources
+        unit = self.system.variable(connector).unit if of_component else self.flat.unit(connector)
         return f"{connector} {unit}" if unit else str(connector)
 
 
 def signal_paths(flat: FlatStructure, system: System, notes: list[str]) -> SignalPaths:
     """The paths of a flat structure; connectors of components must be variables of their FMUs."""
-    ends = [c for c in flat.incoming if c.owner in flat.sources]
+    ends = [c for c in flat.incoming if c.component in flat.sources]
     ends += [c for c in flat.of_kind("", "output", "calculatedParameter") if c in flat.incoming]
     paths = tuple(_path_to(flat, end) for end in ends)
     for connector in dict.fromkeys(c for path in paths for c in path.connectors):
-        if connector.owner in flat.sources:
+        if connector.component in flat.sources:
             _check_variable(flat, system, connector)
     return SignalPaths(flat, system, notes, paths)
 
 
-def _path_to(flat: FlatStructure, end: Connector) -> SignalPath:
+def _path_to(flat: FlatStructure, end: Port) -> SignalPath:
     connectors, connections = [end], list[IncomingConnection]()
     while incoming := flat.incoming.get(connectors[0]):
         if incoming.source in connectors:
@@ -354,9 +340,9 @@ def _path_to(flat: FlatStructure, end: Connector) -> SignalPath:
     return SignalPath(tuple(connectors), tuple(connections))
 
 
-def _check_variable(flat: FlatStructure, system: System, connector: Connector) -> None:
-    interface = system.components[connector.owner].interface
-    interface.check_supported(connector.name, f"connection to {connector}")
-    if connector.name not in interface.variables:
-        fmu, suggestion = flat.sources[connector.owner], suggest(connector.name, interface.variables)
-        raise Problem(f"connection to {connector}: {fmu} has no variable {connector.name!r}{suggestion}")
+def _check_variable(flat: FlatStructure, system: System, connector: Port) -> None:
+    interface = system.components[connector.component].interface
+    interface.check_supported(connector.variable, f"connection to {connector}")
+    if connector.variable not in interface.variables:
+        fmu, suggestion = flat.sources[connector.component], suggest(connector.variable, interface.variables)
+        raise Problem(f"connection to {connector}: {fmu} has no variable {connector.variable!r}{suggestion}")

@@ -44,15 +44,17 @@ def write_ssp(
     version      version of SSP, 1.0 or 2.0; default: 2.0 for FMUs of FMI 3.0, else 1.0
     """
     if version is None:
-        version = "2.0" if any(c.interface.fmi == 3 for c in system.components.values()) else "1.0"
+        version = "2.0" if any(c.interface.model.major == 3 for c in system.components.values()) else "1.0"
     if version not in TYPES:
         raise Problem(f"{system.name}: SSP version: expected one of {', '.join(TYPES)}, got {version!r}")
     sets = sets or {}
     for name in bound:
         if name not in sets:
             raise Problem(f"{system.name}: bound set {name}: expected one of the sets {', '.join(sets)}")
-    files = _other_resources(system) | {"signals.ssb": _signal_dictionary(system, version)}
-    files |= dict(resources or {})
+    signals = [(c.name, v) for c in system.components.values() for v in c.interface.of("output")]
+    units = defined_units(v.unit for _, v in signals)
+    dictionary = _file("signals.ssb", version, tool=generation_tool(), outputs=signals, units=units)
+    files = _other_resources(system) | {"signals.ssb": dictionary, **(resources or {})}
     for name, c in system.components.items():
         if c.source is None:
             raise Problem(
@@ -88,25 +90,14 @@ def parameter_set(name: str, values: Values, version: str = "1.0", tool: str | N
 
 
 def _file(template: str, version: str, **content: object) -> bytes:
-    """A file from a template, which can call `type`, the name of a variable's type in a version of SSP."""
-
-    def type_name(variable: FmuVariable) -> str:  # enumerations have that of integers, which are their values
-        return TYPES[version]["Integer" if variable.kind == "Enumeration" else variable.kind]
-
+    """A file from a template; types: of values -> name in a version of SSP."""
     path = Path(__file__).with_name("templates") / f"{template}.j2"
-    return rendered_xml(path, version=version, namespaces=NAMESPACES, type=type_name, **content)
+    return rendered_xml(path, version=version, namespaces=NAMESPACES, types=TYPES[version], **content)
 
 
 def _typed(values: Values) -> Values:
     """The values, those of real variables as floats."""
     return {name: (v, float(value) if v.is_real else value) for name, (v, value) in values.items()}
-
-
-def _signal_dictionary(system: System, version: str) -> bytes:
-    """The content of the signal dictionary: one entry per output, with its name in a trace."""
-    outputs = [(c.name, v) for c in system.components.values() for v in c.interface.of("output")]
-    units = defined_units(v.unit for _, v in outputs)
-    return _file("signals.ssb", version, tool=generation_tool(), outputs=outputs, units=units)
 
 
 def _structure(s: System, version: str, bound: Sequence[str], columns: Sequence[Sequence[str]]) -> bytes:

@@ -80,8 +80,10 @@ def variants(system: Path) -> Mapping[str, Mapping[str, str]]:
         available = [n.removeprefix(f"{component}_") for n in names if n.startswith(f"{component}_")]
         if available:
             machines = {n: with_swaps(loaded, {component: n}) for n in available}
-            guids = {n: machine.components[component].interface.guid for n, machine in machines.items()}
-            same = next((n for n in available if guids[n] == original.interface.guid), "")
+            guids = {
+                n: machine.components[component].interface.model.token for n, machine in machines.items()
+            }
+            same = next((n for n in available if guids[n] == original.interface.model.token), "")
             others = {n: n for n in available if n != same}
             labels[component] = {USUAL: f"{same} ({USUAL})" if same else USUAL, **others}
     return labels

@@ -47,7 +47,8 @@ class Channel:
         self.activity = share_activity(folder / "activity", self.keep)
         self.keep(share_calls(folder / "calls"))
         self._owner, self._numbers = os.getpid(), self.keep(mmap.mmap(-1, NUMBER.size))
-        self._answers, self._writing = _redirect_output(), threading.Lock()
+        self._answers, self._writing = os.dup(sys.stdout.fileno()), threading.Lock()
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what an FMU prints is no answer
         self._messages: SimpleQueue[Any] = SimpleQueue()
         threading.Thread(target=self._read, args=(sys.stdin.buffer,), daemon=True).start()
 
@@ -137,13 +138,6 @@ def left_behind(threads: bool = True) -> tuple[Any, ...]:
 
         found += [resource.getrlimit(getattr(resource, name)) for name in dir(resource) if "RLIMIT_" in name]
     return (*found,)
-
-
-def _redirect_output() -> int:
-    """A copy of standard output for answers; standard output is redirected to stderr."""
-    answers = os.dup(sys.stdout.fileno())
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    return answers
 
 
 def main(target: str, folder: Path) -> None:

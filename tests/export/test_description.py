@@ -17,7 +17,7 @@ from fmus.parameters import Values, values
 from fmus.supply import SUPPLY
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 
 TOYS = ("decay", "path", "vanderpol", "chamber", "gain", "blowup")
 
@@ -67,7 +67,7 @@ def test_optional_inputs_are_declared_with_their_meaning(tmp_path, fmi):
     (tmp_path / "modelDescription.xml").write_bytes(description)
     interface = read_interface(Location(tmp_path))
     drives = ("swing", "boom_stick")
-    assert interface.optional_inputs == {
+    assert interface.model.optional_inputs == {
         f"{drive}_load_pressure": f"the load of {drive} is not sensed" for drive in drives
     }
     assert interface.rate_inputs == {f"{d}_load_pressure": f"{d}_load_pressure_rate" for d in drives}

@@ -182,7 +182,7 @@ def test_page_says_what_to_connect(page, name):
 def test_page_of_another_model_has_no_table(toys):
     """Only FMUs of the machine have partners; the note on unconnected inputs is on every page."""
     sub, values = toys["gain"]
-    text = packages(sub, 1e-3, 1.0, values)[2].files["documentation/index.html"].decode()
+    text = packages(sub, 1e-3, 1.0, values)[2]["documentation/index.html"].decode()
     assert 'id="connections"' not in text
     assert "Simulink and OpenModelica set them to 0. Connect constants there: <code>left</code> 1" in text
     assert "harvester-cosim." not in text
@@ -259,7 +259,7 @@ def test_text_of_a_declaration_is_escaped(toys, make_toy):
         lambda *_: {},
         lambda _x, u, p: {"product": p.factor * u.left},
     )
-    text = packages(odd, 1e-3, 1.0, values)[2].files["documentation/index.html"].decode()
+    text = packages(odd, 1e-3, 1.0, values)[2]["documentation/index.html"].decode()
     assert "a &lt; b &amp; c" in text
     assert "a < b" not in text
 

@@ -31,8 +31,8 @@ from orchestrator.check.read_ls_ref import resolve
 from orchestrator.check.rules import archive as archive_rules
 from orchestrator.check.subject import Subject
 from orchestrator.drive.view_description import FILE, view_description
+from orchestrator.fmi.description import read_description
 from orchestrator.fmi.library import find_library
-from orchestrator.fmi.raw_description import read_description
 from orchestrator.results.validate_system import _provenance
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import open_component
@@ -454,7 +454,7 @@ def test_other_encodings_are_read(encoding: str, tmp_path: Path) -> None:
     named = {"utf-8-sig": "UTF-8"}.get(encoding, encoding)
     text = XML_2.replace("UTF-8", named).replace("first-order lag", "lag é")
     path = Archive(2, {**GOOD, DESCRIPTION: text.encode(encoding)}).write(tmp_path / "x.fmu")
-    assert open_component("x", Location(path)).interface.description == "A lag é"
+    assert open_component("x", Location(path)).interface.model.get("description") == "A lag é"
 
 
 # ---- systems -----------------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from orchestrator.base.units import IDENTITY
 from orchestrator.engine.run import ProgressBar
 from orchestrator.engine.scenario import Scenario, ScenarioTable
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.description import FmuInterface, FmuVariable
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic import reference as module
 from orchestrator.monolithic.reference import reference
 from orchestrator.ssp.system import Component, Port, System

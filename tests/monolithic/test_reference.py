@@ -15,7 +15,8 @@ from benchmarks import monolithic
 from orchestrator import Coupling, Result, RunFailed, Trace
 from orchestrator.base.errors import Problem
 from orchestrator.engine.result import Card
-from orchestrator.fmi.description import FmuInterface, FmuVariable
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic.reference import reference
 from orchestrator.monolithic.tight import BOUND, GUARD, CoSimulate, estimated_error, tightened
 from orchestrator.ssp.load import assemble

@@ -9,7 +9,7 @@ import pytest
 from orchestrator import Coupling, Result, RunFailed, Trace, run
 from orchestrator.base.errors import Problem
 from orchestrator.engine.result import Card, SignalError
-from orchestrator.fmi.description import FmuInterface
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic import reference as solving
 from orchestrator.monolithic import tight
 from orchestrator.monolithic.tight import estimated_error, first_step, master, tightened

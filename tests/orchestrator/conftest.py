@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from orchestrator import Coupling, Result, System, assemble
 from orchestrator.base.files import Location
 from orchestrator.fmi.cosimulation import CoSimulationFmu
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 
 
 def pytest_make_parametrize_id(val: object) -> str | None:

@@ -7,7 +7,8 @@ from kit.mistakes import problem, table
 from orchestrator import Coupling, System, assemble, run
 from orchestrator.base.units import DeclaredUnit
 from orchestrator.engine.result import BondEnergy, Card
-from orchestrator.fmi.description import FmuInterface, FmuVariable
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.ssp.power_bonds import bond_of, find_bonds
 from orchestrator.ssp.system import Component, Connection, Port
 

@@ -14,7 +14,7 @@ from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location
 from orchestrator.cli.lists import lines
 from orchestrator.fmi import library
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 from orchestrator.fmi.messages import with_variable_names
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
@@ -159,7 +159,7 @@ def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch, opened):
 def test_other_fmus_are_refused_by_name(fmus3, changes, message):
     """Other interfaces, versions and units of time; betas of 3.0 are another standard, but 3.0.2 is 3.0."""
     assert message in problem(lambda: load(fmus3.make("gain", "odd", **changes)))
-    assert read_interface(Location(fmus3.make("gain", "patched", version="3.0.2"))).fmi == 3
+    assert read_interface(Location(fmus3.make("gain", "patched", version="3.0.2"))).model.major == 3
 
 
 def test_arrays_and_binary_values_are_left_out_with_a_note(fmus3):

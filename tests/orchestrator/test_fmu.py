@@ -13,7 +13,7 @@ from kit.mistakes import problem, table
 from orchestrator import Problem
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import compatible_buffer
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 from orchestrator.fmi.library import load_library
 
 

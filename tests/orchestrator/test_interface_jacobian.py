@@ -13,7 +13,7 @@ from orchestrator.engine.linear_system import Linearisation
 from orchestrator.engine.masters import interface_jacobian_plan
 from orchestrator.engine.open_job import opened as opened_job
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 
 
 def predicting(**choices):

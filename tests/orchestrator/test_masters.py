@@ -8,7 +8,8 @@ from scipy.linalg import expm
 from orchestrator import Trace, assemble, run
 from orchestrator.base.files import Location
 from orchestrator.engine.masters import gauss_seidel_order
-from orchestrator.fmi.description import FmuInterface, FmuVariable, read_interface
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.dependencies import output_order
 from orchestrator.ssp.system import Component, Connection, Port, System
 

@@ -14,7 +14,8 @@ from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import open_job
 from orchestrator.engine.result import Card, compare
 from orchestrator.engine.run import ProgressBar
-from orchestrator.fmi.description import FmuInterface, FmuVariable
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.system import Component, System
 

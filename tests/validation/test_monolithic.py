@@ -9,7 +9,8 @@ from orchestrator import Result, Trace
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.engine.result import Card
-from orchestrator.fmi.description import FmuInterface, FmuVariable
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic.reference import SOLVER
 from orchestrator.results.validate_system import LIMIT, monolithic_recording
 from orchestrator.results.validation import validate
@@ -29,7 +30,7 @@ def solved(name: str = "arm", master: str = SOLVER, **signals: float) -> Result:
     """A solution with outputs that grow at a rate each, or are constant if it is 0; `still` has a nominal."""
     variables = {n: FmuVariable(n, causality="output") for n in signals}
     if "still" in variables:
-        variables["still"] = FmuVariable("still", causality="output", nominal=100.0)
+        variables["still"] = FmuVariable("still", causality="output", attributes={"nominal": "100"})
     system = System("s", {name: Component(name, FmuInterface(variables))})
     trace = Trace(TIME, {f"{name}.{n}": 3.0 + rate * TIME for n, rate in signals.items()})
     return Result(system, trace, Card(master, 0.1, 0.1, 10, 1.0, 0.1))

@@ -18,7 +18,7 @@ from orchestrator import load, read_trace, run
 from orchestrator.__main__ import main
 from orchestrator.base.files import Location
 from orchestrator.engine.result import read_metadata
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.interface import read_interface
 from orchestrator.results import validate_system
 from orchestrator.ssp.provenance import OtherValue, checksum
 
@@ -77,20 +77,20 @@ def test_each_fmu_knows_its_file_and_the_shipped_values(my_file, tmp_path):
     for sub, name in ((variant, "valve_area"), *((sub, "swing_valve_area") for sub in whole)):
         assert not_shipped(sub)[name].shipped == 4e-5
     for package in packages(variant, 1e-3, 1.0, versions=[2, 3]).values():
-        (tmp_path / "modelDescription.xml").write_bytes(package.files["modelDescription.xml"])
-        (own,) = read_interface(Location(tmp_path)).parameter_sets
+        (tmp_path / "modelDescription.xml").write_bytes(package["modelDescription.xml"])
+        (own,) = read_interface(Location(tmp_path)).model.parameter_sets
         assert (own.file, own.sha256) == ("my.toml", digest(my_file))
         assert own.shipped == {"valve_area": "4e-05", "valve_pa_command_1": "0", "valve_pa_command_2": "0"}
 
 
 def test_shipped_fmus_have_no_annotation(supplies):
     """And the annotation is where each version of FMI wants it, apart from that of the inputs."""
-    assert read_interface(Location(supplies["shipped"])).parameter_sets == ()
+    assert read_interface(Location(supplies["shipped"])).model.parameter_sets == ()
     for name, path in (("mine", "VendorAnnotations/Tool"), ("mine3", "Annotations/Annotation")):
         root = etree.fromstring(Location(supplies[name]).member("modelDescription.xml").read())
         found = [e.get("name") or e.get("type") for e in root.iterfind(path)]
         assert found == ["harvester-cosim", "harvester-cosim.parameters"]
-        assert [s.file for s in read_interface(Location(supplies[name])).parameter_sets] == ["my.toml"]
+        assert [s.file for s in read_interface(Location(supplies[name])).model.parameter_sets] == ["my.toml"]
 
 
 @pytest.mark.usefixtures("here")

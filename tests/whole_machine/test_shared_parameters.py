@@ -9,7 +9,8 @@ from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES, SHARED
 from fmus.parameters import values
 from orchestrator import Problem, assemble, load, run
-from orchestrator.fmi.description import FmuInterface, FmuVariable
+from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import FmuInterface
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import write_ssp
@@ -98,10 +99,10 @@ def test_an_assembled_system_shares_what_it_is_told(fmu_dir):
 def test_what_cannot_be_shared_is_refused(name, reason):
     """In one line, before any value is compared; so is a component that does not exist."""
     variables = (
-        FmuVariable("factor", causality="parameter", start="1"),
+        FmuVariable("factor", causality="parameter", starts=("1",)),
         FmuVariable("bare", causality="parameter"),
-        FmuVariable("text", "String", "parameter", start="a"),
-        FmuVariable("y", causality="output", start="1"),
+        FmuVariable("text", "String", "parameter", starts=("a",)),
+        FmuVariable("y", causality="output", starts=("1",)),
     )
     part = Component("a", FmuInterface({v.name: v for v in variables}))
     System("s", {"a": part}, shared={"factor": ("a",)}).check_sharing()
@@ -115,7 +116,7 @@ def test_what_cannot_be_shared_is_refused(name, reason):
 
 def test_three_shared_values_are_set_all_at_once():
     """The line does not say both."""
-    part = FmuInterface({"factor": FmuVariable("factor", causality="parameter", start="1")})
+    part = FmuInterface({"factor": FmuVariable("factor", causality="parameter", starts=("1",))})
     system = System("s", {n: Component(n, part) for n in "abc"}, shared={"factor": tuple("abc")})
     with pytest.raises(Problem, match="; set all at once by the name factor"):
         system.with_start({"c.factor": 2.0})

@@ -10,7 +10,6 @@ from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from fmus import parameters
 from fmus.contract import Subsystem
@@ -226,15 +225,9 @@ def library_code() -> dict[str, bytes]:
 
 def library(platform: str) -> bytes:
     """The shared library for a platform, which is the same for all models."""
-    return shared_library(**library_source(platform))
+    return shared_library(*library_source(platform))
 
 
-def library_source(platform: str) -> dict[str, Any]:
+def library_source(platform: str) -> tuple[str, dict[str, bytes], list[str], str, tuple[str, ...]]:
     """What the library is made from: arguments of `fmus.export.compile.shared_library`."""
-    return {
-        "model": "python_fmu",
-        "code": library_code(),
-        "compiled": [MAIN],
-        "platform": platform,
-        "libraries": ("-ldl",),
-    }
+    return "python_fmu", library_code(), [MAIN], platform, ("-ldl",)

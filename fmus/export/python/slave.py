@@ -46,8 +46,9 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
 
     log_categories: ClassVar[dict[str, str]] = LOG_CATEGORIES
 
-    def __init__(self, **arguments: Any) -> None:
-        super().__init__(**arguments)
+    def __init__(self, *, instance_name: str, resources: str, logger: int = 0, visible: int = 0) -> None:
+        """The arguments with which the library of PythonFMU calls it."""
+        super().__init__(instance_name=instance_name, resources=resources, logger=logger, visible=visible)
         self.folder = Path(self.resources)
         self.built = json.loads((self.folder / MODEL_FILE).read_text(encoding="utf-8"))
         self.guid = self.built["guid"]
@@ -138,7 +139,7 @@ def connect(
     try:
         if not name.strip():
             raise Problem("the instance name is empty")
-        slave = model(instance_name=name, resources=str(folder), logger=0, visible=0)
+        slave = model(instance_name=name, resources=str(folder))
         if guid != slave.guid:
             raise Problem(f'the GUID differs, expected "{slave.guid}" (files of different builds)')
     except KeyboardInterrupt:
@@ -174,13 +175,10 @@ class Dispatcher:
         except BaseException as problem:  # the library could not handle it
             status = DISCARD if isinstance(problem, NotAvailable) else ERROR
             problems = [(status, message(problem, self.slave.folder))]
-        messages = [*events, *self._queued(), *problems]
-        return status, b"".join(_record(s, function, text) for s, text in messages if s in self.logged), value
-
-    def _queued(self) -> list[tuple[int, str]]:
-        messages = [(int(m.status), m.msg) for m in self.slave.log_queue]
+        queued = [(int(m.status), m.msg) for m in self.slave.log_queue]
         self.slave.log_queue.clear()
-        return messages
+        messages = [*events, *queued, *problems]
+        return status, b"".join(_record(s, function, text) for s, text in messages if s in self.logged), value
 
 
 # ---- FMI functions

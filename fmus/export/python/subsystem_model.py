@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import importlib
 import sys
-import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import casadi as ca
 import numpy as np
 
-from fmus.contract import Subsystem
+from fmus.contract import Subsystem, place
 from fmus.export.c_code import directional
 from fmus.export.interface import Interface
 from fmus.solver import Array, InputPolynomials, solve
@@ -194,15 +193,12 @@ def _subsystems(module: str) -> Iterator[tuple[str, Any]]:
 
 def _told(problem: Exception, module: str) -> str:
     """Place and text of an exception of a module that is imported, in one line."""
-    frames = [
-        f for f in traceback.extract_tb(problem.__traceback__) if Path(f.filename).stem in module.split(".")
-    ]
-    place = "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in frames[-1:])
+    where = place(problem, lambda file: Path(file).stem in module.split("."))
     if isinstance(problem, SyntaxError):
-        place = f"{Path(problem.filename or module).name}:{problem.lineno}: "
+        where = f"{Path(problem.filename or module).name}:{problem.lineno}: "
     name = "" if isinstance(problem, Problem) else f"{type(problem).__name__}: "
     text = problem.msg if isinstance(problem, SyntaxError) else str(problem)
-    return f"{place}{name}{' '.join(text.split())}"
+    return f"{where}{name}{' '.join(text.split())}"
 
 
 def import_subsystem(origin: str) -> Subsystem:

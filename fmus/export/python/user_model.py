@@ -24,7 +24,6 @@ import importlib.util
 import inspect
 import math
 import sys
-import traceback
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
@@ -37,7 +36,7 @@ from typing import Annotated, Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from fmus.contract import Quantity, Subsystem, Symbolic, quantities, unstack
+from fmus.contract import Quantity, Subsystem, Symbolic, place, quantities, unstack
 from fmus.export.interface import Interface, Variable, make_interface, variable_groups
 from fmus.export.model_description import Unknowns
 from fmus.export.python.instance import Instance, InstanceState
@@ -377,20 +376,16 @@ def in_file(problem: BaseException, path: Path) -> Problem:
         return Problem(text)
     if not isinstance(problem, Problem):  # the place in the library says nothing to the user
         text = text[len(_location(problem, path.parent)) :]
-    lines = [
-        f.lineno for f in traceback.extract_tb(problem.__traceback__) if Path(f.filename).name == path.name
-    ]
-    where = f"{path.name}:{lines[-1]}" if lines else path.name
-    return Problem(f"{where}: {text.removeprefix(f'{path.stem}: ')}")
+    where = place(problem, lambda file: Path(file).name == path.name) or f"{path.name}: "
+    return Problem(f"{where}{text.removeprefix(f'{path.stem}: ')}")
 
 
 def _location(problem: BaseException, folder: Path) -> str:
     """File and line of an exception, as "file.py:12: "; empty if they are unknown."""
     if isinstance(problem, SyntaxError) and problem.filename:
         return f"{Path(problem.filename).name}:{problem.lineno}: "
-    frames = traceback.extract_tb(problem.__traceback__)
-    in_folder = [f for f in frames if Path(f.filename).parent == folder]
-    return "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in (in_folder or frames)[-1:])
+    in_folder = place(problem, lambda file: Path(file).parent == folder)
+    return in_folder or place(problem, lambda _: True)
 
 
 PACKAGE = __name__.partition(".")[0]

@@ -11,7 +11,7 @@ from orchestrator.base.xml import local_name
 from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.rules.variables import CPP, C
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.raw_description import parse_float
+from orchestrator.fmi.description import parse_float
 
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
 FMPY = "fmpy.validate"
@@ -164,8 +164,6 @@ def identity_same(subject: Subject) -> Iterator[str]:
 def _experiment(subject: Subject) -> tuple[str, Mapping[str, float]]:
     """Where the default experiment is declared, and its attributes that are numbers; none without one."""
     element = subject.model.experiment
-    if element is None:
-        return "", {}
     numbers = {name: parse_float(text) for name, text in element.attributes.items()}
     return f"{DESCRIPTION} line {element.line}", {n: x for n, x in numbers.items() if x is not None}
 
@@ -173,10 +171,10 @@ def _experiment(subject: Subject) -> tuple[str, Mapping[str, float]]:
 def experiment_exists(subject: Subject) -> Iterator[str]:
     """The FMU has a default experiment with stop time and step size."""
     element = subject.model.experiment
-    if element is None and subject.model.variables:
+    missing = [n for n in ("stopTime", "stepSize") if n not in element.attributes]
+    if not element.line and subject.model.variables:
         yield f"{DESCRIPTION}: no DefaultExperiment; tools guess stop time and step size"
-    missing = [n for n in ("stopTime", "stepSize") if element is not None and n not in element.attributes]
-    if element is not None and missing and subject.model.variables:
+    elif missing and subject.model.variables:
         yield f"{DESCRIPTION} line {element.line}: DefaultExperiment has no {' and no '.join(missing)}"
 
 

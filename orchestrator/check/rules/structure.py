@@ -6,7 +6,7 @@ from typing import Any
 
 from orchestrator.check.finding import MAKE, Finding, error, join_names, note, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, Unknown
+from orchestrator.fmi.description import FmuVariable, ModelDescription, Unknown
 
 WHERE = "modelDescription.xml: ModelStructure"
 CALCULATED = ("calculated", "approx")  # values of `initial` of variables that initialisation computes
@@ -19,7 +19,7 @@ ELEMENTS = {
 
 
 def _differences(
-    model: ModelDescription, section: str, expected: list[DeclaredVariable], why: str
+    model: ModelDescription, section: str, expected: list[FmuVariable], why: str
 ) -> Iterator[Finding]:
     """Variables that are missing in a list, and variables that do not belong there."""
     listed = dict.fromkeys(u.variable for u in model.structure.get(section, ()) if u.variable)
@@ -79,7 +79,7 @@ def structure_derivatives(subject: Subject) -> Iterator[Finding]:
             yield finding(f"{unknown}: the variable has no attribute derivative")
         elif state is None:
             yield finding(f"{variable}: derivative={key!r} is not a variable")
-        elif not (state.is_float and state.variability == "continuous"):
+        elif not state.is_continuous:
             yield finding(f"{variable}: is the derivative of {state.name}, which is not continuous")
         elif state.causality not in ("local", "output"):
             text = f"its state {state.name} is {state.causality}, expected local or output"
@@ -96,7 +96,7 @@ def structure_rates(subject: Subject) -> Iterator[str]:
         return
     listed = {u.variable for u in model.structure.get("derivatives", ())}
     unlisted = [v for v in model.variables if v.get("derivative") and v not in listed]
-    if unlisted := [v for v in unlisted if v.is_float and v.variability == "continuous"]:
+    if unlisted := [v for v in unlisted if v.is_continuous]:
         yield (
             f"{unlisted[0]}: has the attribute derivative, but no entry in ModelStructure/Derivatives;"
             f" some tools count a state for each: {join_names([v.name for v in unlisted])}"
@@ -154,7 +154,7 @@ def structure_knowns(subject: Subject) -> Iterator[Finding]:
                     )
 
 
-def _is_known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], major: int) -> bool:
+def _is_known(v: FmuVariable, section: str, states: set[FmuVariable], major: int) -> bool:
     """True for a known of this list as defined by the standard."""
     if v.causality in ("input", "independent"):
         return True
@@ -188,7 +188,7 @@ def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
     if wrong := [k for k in unknown.dependency_kinds if k in KINDS and k not in allowed]:
         yield error(f"{unknown}: dependenciesKind: expected {' or '.join(allowed)}, got {wrong[0]}")
     special = [k for k in unknown.dependency_kinds if k != "dependent"]
-    if special and unknown.variable and not unknown.variable.is_float:
+    if special and unknown.variable and not unknown.variable.is_real:
         # a note, because the Reference-FMUs have it, too
         text = f"expected dependent for a {unknown.variable.type}, got {special[0]}"
         yield note(f"{unknown}: dependenciesKind: {text}")

@@ -10,7 +10,7 @@ from orchestrator.base.xml import Element, children
 from orchestrator.check.finding import Finding, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.subject import Subject, read_xml
-from orchestrator.fmi.raw_description import UnitDefinition, parse_float, parse_int
+from orchestrator.fmi.description import UnitDefinition, parse_float, parse_int
 
 DIMENSIONS = [b for b in BASES if b != "rad"]  # tools differ in the treatment of the radian
 WELL_KNOWN = words(  # names with one meaning
@@ -27,22 +27,22 @@ def unit_undefined(subject: Subject) -> Iterator[str]:
     """Every unit that a variable uses is defined."""
     defined = {u.name for u in subject.model.units}
     for v in subject.model.variables:
-        if v.unit is not None and v.unit not in defined:
-            yield f"{v}: unit {v.unit!r} is not in UnitDefinitions"
+        if v.unit_name is not None and v.unit_name not in defined:
+            yield f"{v}: unit {v.unit_name!r} is not in UnitDefinitions"
 
 
 def unit_display(subject: Subject) -> Iterator[Finding]:
     """Every display unit is defined in its unit."""
     displays = {u.name: u.display_units for u in subject.model.units}
     for v in subject.model.variables:
-        display_unit = v.attributes.get("displayUnit") if v.is_float else None
+        display_unit = v.attributes.get("displayUnit") if v.is_real else None
         if display_unit is None:
             continue
-        if v.unit is None:
+        if v.unit_name is None:
             yield error(f"{v}: displayUnit {display_unit!r} without unit")
-        elif v.unit in displays and display_unit not in displays[v.unit]:
+        elif v.unit_name in displays and display_unit not in displays[v.unit_name]:
             make = error if subject.major == 3 else note  # FMI 2.0: "then displayUnit is ignored"
-            yield make(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit}")
+            yield make(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit_name}")
     for unit in subject.model.units:
         for name, attributes in unit.display_units.items():
             if parse_float(attributes.get("factor")) == 0:
@@ -58,7 +58,7 @@ def unit_twice(subject: Subject) -> Iterator[str]:
 
 def unit_base(subject: Subject) -> Iterator[str]:
     """Every used unit has a BaseUnit."""
-    used = {v.unit for v in subject.model.variables}
+    used = {v.unit_name for v in subject.model.variables}
     for unit in subject.model.units:
         if unit.base_unit is None and unit.name in used:
             yield f"{_at(unit)}: has no BaseUnit; tools can neither convert it nor detect a wrong connection"
@@ -72,7 +72,7 @@ def unit_wrong(subject: Subject) -> Iterator[str]:
         usual = parse_unit(unit.name)
         exponents = {b: str(usual.base().get(b, 0)) for b in DIMENSIONS}
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
-        factor, offset = unit.conversion
+        factor, offset = unit.declared.factor, unit.declared.offset
         if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
             yield f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}"
         elif not (  # factors have five digits or more
@@ -89,16 +89,18 @@ def _text(exponents: Mapping[str, str]) -> str:
 
 def unit_factor(subject: Subject) -> Iterator[str]:
     """Inputs and outputs are in SI units: factor 1, offset 0."""
-    conversions = {u.name: u.conversion for u in subject.model.units if u.base_unit}
-    scaled = {name for name, conversion in conversions.items() if conversion != (1, 0)}
-    if ports := [v for v in subject.model.of("input", "output") if v.unit in scaled]:
-        names = ", ".join(sorted({str(v.unit) for v in ports}))
+    declared = [u.declared for u in subject.model.units if u.base_unit]
+    scaled = {u.name for u in declared if (u.factor, u.offset) != (1, 0)}
+    if ports := [v for v in subject.model.of("input", "output") if v.unit_name in scaled]:
+        names = ", ".join(sorted({str(v.unit_name) for v in ports}))
         yield f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values"
 
 
 def unit_missing(subject: Subject) -> Iterator[str]:
     """Real inputs, outputs and parameters have a unit."""
-    without = [v for v in subject.model.of("input", "output", "parameter") if v.is_float and v.unit is None]
+    without = [
+        v for v in subject.model.of("input", "output", "parameter") if v.is_real and v.unit_name is None
+    ]
     if without:
         yield f"{join_variables(without)}: no unit"
 

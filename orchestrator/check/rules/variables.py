@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from orchestrator.base.text import MODELICA, grouped, words
 from orchestrator.check.finding import Finding, error, join_variables, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
-from orchestrator.fmi.raw_description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
-from orchestrator.fmi.raw_description import DeclaredVariable as Variable
+from orchestrator.fmi.description import INITIAL, INITIAL_3, SIGNED, UNSIGNED, parse_float, parse_int
+from orchestrator.fmi.description import FmuVariable as Variable
 
 
 def variable_duplicate(subject: Subject) -> Iterator[str]:
@@ -34,14 +34,14 @@ def variable_combination(subject: Subject) -> Iterator[str]:
         elif "initial" in v.attributes and v.initial not in allowed:
             expected = f"expected {' or '.join(allowed) or 'none'} for a {v.variability} {v.causality}"
             yield f"{v}: initial: {expected}, got {v.initial}"
-        elif v.variability == "continuous" and not v.is_float:
+        elif v.variability == "continuous" and not v.is_real:
             yield f"{v}: variability: expected discrete for a {v.type}, got continuous"
 
 
 def variable_variability(subject: Subject) -> Iterator[str]:
     """Variables that are not Real declare their variability."""
     for v in subject.model.variables:
-        if not v.is_float and "variability" not in v.attributes:
+        if not v.is_real and "variability" not in v.attributes:
             yield f"{v}: a {v.type} without variability is continuous by default, which no {v.type} may be"
 
 
@@ -63,7 +63,7 @@ def variable_reference(subject: Subject) -> Iterator[str]:
     """Value references are integers, and unique in FMI 3."""
     variables: dict[int, Variable] = {}
     for v in subject.model.variables:
-        if v.reference is None or not 0 <= v.reference < 2**32:
+        if not 0 <= v.reference < 2**32:
             got = v.attributes.get("valueReference")
             yield f"{v}: valueReference: expected an integer from 0 to 2^32 - 1, got {got!r}"
         elif subject.major == 3 and v.reference in variables:
@@ -74,13 +74,13 @@ def variable_reference(subject: Subject) -> Iterator[str]:
 
 def variable_alias(subject: Subject) -> Iterator[Finding]:
     """Variables with the same value reference are consistent (FMI 2)."""
-    referenced = (v for v in subject.model.variables if v.reference is not None)
+    referenced = (v for v in subject.model.variables if v.reference >= 0)
     for aliases in grouped(referenced, _storage).values():
         if len(aliases) > 1:
             yield from _alias(aliases)
 
 
-def _storage(v: Variable) -> tuple[str, int | None]:
+def _storage(v: Variable) -> tuple[str, int]:
     """Type and reference of a value; an enumeration is an integer."""
     return "Integer" if v.type == "Enumeration" else v.type, v.reference
 
@@ -94,7 +94,7 @@ def _alias(aliases: list[Variable]) -> Iterator[Finding]:
         return
     if len([v for v in aliases if v.starts is not None and v.variability != "constant"]) > 1:
         yield error(f"{first}: {names} share a valueReference, and more than one has a start value")
-    if len(units := {v.unit for v in aliases}) > 1:
+    if len(units := {v.unit_name for v in aliases}) > 1:
         make = warning if None in units else error  # no conversion goes wrong without a unit
         yield make(f"{first}: {names} share a valueReference, but have different units")
     if len({v.variability == "constant" for v in aliases}) > 1:
@@ -110,7 +110,7 @@ def variable_independent(subject: Subject) -> Iterator[str]:
     if model.major == 3 and model.variables and not variables:
         yield f"{DESCRIPTION}: expected an independent variable such as time, got no independent variable"
     for v in variables:
-        if not v.is_float:
+        if not v.is_real:
             yield f"{v}: expected a real independent variable, got {v.type}"
 
 
@@ -230,7 +230,7 @@ def name_length(subject: Subject) -> Iterator[str]:
 
 def number(v: Variable, text: str | None) -> float | None:
     """An attribute of a numeric variable; None if it is missing or not a number of the variable's type."""
-    if v.is_float:
+    if v.is_real:
         return parse_float(text)
     return parse_int(text) if v.type in (*SIGNED, *UNSIGNED, "Enumeration") else None
 
@@ -238,7 +238,7 @@ def number(v: Variable, text: str | None) -> float | None:
 def _fits(v: Variable, text: str) -> bool:
     """True if a start value is a value of the type."""
     value = number(v, text)
-    if v.is_float:
+    if v.is_real:
         return value is not None
     if v.type in SIGNED:
         return value is not None and -(2 ** (SIGNED[v.type] - 1)) <= value < 2 ** (SIGNED[v.type] - 1)
@@ -255,7 +255,7 @@ def value_start(subject: Subject) -> Iterator[Finding]:
         for text in v.starts or ():
             if not _fits(v, text):
                 yield error(f"{v}: start value: expected a {v.type}, got {text!r}")
-            elif v.is_float and not math.isfinite(float(text)):
+            elif v.is_real and not math.isfinite(float(text)):
                 yield warning(f"{v}: start value: expected a finite number, got {text}")
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import Simulation, Vector, numeric, usual_step
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import CallFailed
-from orchestrator.fmi.raw_description import DeclaredVariable
 
 SHIFT = 1e-4  # relative to the magnitude of a variable
 MAX_KNOWNS = 60  # inputs and states that are shifted
@@ -30,11 +30,11 @@ class ShiftedPoint:
         self.x = simulation.integrator.states() if simulation.integrator else np.zeros(0)
 
     @property
-    def knowns(self) -> list[DeclaredVariable]:
+    def knowns(self) -> list[FmuVariable]:
         """The inputs and states that are shifted."""
         return [*self.inputs, *self.states][:MAX_KNOWNS]
 
-    def shifted(self, known: DeclaredVariable, shift: float) -> Vector:
+    def shifted(self, known: FmuVariable, shift: float) -> Vector:
         """The unknowns with one known shifted and all others unchanged."""
         integrator, time = self.simulation.integrator, self.simulation.time
         if integrator is not None and known in self.states:
@@ -50,9 +50,10 @@ class ShiftedPoint:
         value.set([self.u[known.name]])
         return row
 
-    def allowed(self, known: DeclaredVariable, shift: float) -> bool:
+    def allowed(self, known: FmuVariable, shift: float) -> bool:
         """The shifted value is within its bounds."""
-        return known in self.states or known.minimum <= self.u[known.name] + shift <= known.maximum
+        low, high = known.bounds
+        return known in self.states or low <= self.u[known.name] + shift <= high
 
 
 def _points(trial: Trial) -> Iterator[ShiftedPoint]:
@@ -67,7 +68,7 @@ def dependencies(trial: Trial) -> Iterator[Remark]:
     """An output or derivative that changes with an input or state declares this dependency."""
     entries = (u for section in ("outputs", "derivatives") for u in trial.description.structure[section])
     declared = {u.variable: u.dependencies for u in entries if u.variable and u.dependencies is not None}
-    by_key, reported = trial.description.by_key, set[DeclaredVariable]()
+    by_key, reported = trial.description.by_key, set[FmuVariable]()
     for point in _points(trial):
         for known in point.knowns:
             for size in (SHIFT, 1e-2):
@@ -81,7 +82,7 @@ def dependencies(trial: Trial) -> Iterator[Remark]:
                     yield "error", f"{text} {', '.join(sorted(names)[:5]) or 'none'}{more}"
 
 
-def _changed(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> list[DeclaredVariable]:
+def _changed(point: ShiftedPoint, known: FmuVariable, shift: float) -> list[FmuVariable]:
     """The unknowns that change; none if the FMU rejects the value."""
     try:
         if not point.allowed(known, shift):
@@ -101,15 +102,13 @@ def directional(trial: Trial) -> Iterator[Remark]:
         if not references:
             return
         for known in point.knowns:
-            exact = point.simulation.instance.directional(references, known.reference or 0)
+            exact = point.simulation.instance.directional(references, known.reference)
             for text in _against_differences(point, known, exact):
                 yield "error", text
                 return
 
 
-def _against_differences(
-    point: ShiftedPoint, known: DeclaredVariable, exact: Sequence[float]
-) -> Iterator[str]:
+def _against_differences(point: ShiftedPoint, known: FmuVariable, exact: Sequence[float]) -> Iterator[str]:
     try:
         coarse, fine = (_central(point, known, k * SHIFT * known.scale) for k in (1.0, 0.1))
     except CallFailed:
@@ -120,13 +119,13 @@ def _against_differences(
         return  # an FMU may compute its outputs only in the next step
     for unknown, d, a, b in zip(point.unknowns, exact, coarse, fine, strict=True):
         # the two differences show their truncation error; the last term is rounding
-        tolerance = 10 * abs(a - b) + 1e-3 * abs(b) + 1e-7 * unknown.nominal / known.scale
+        tolerance = 10 * abs(a - b) + 1e-3 * abs(b) + 1e-7 * unknown.magnitude / known.scale
         if unknown is not known and not abs(d - b) <= tolerance:
             text = f"the derivative of {unknown.name} with respect to {known.name} is {d:.6g}"
             yield f"{text}, by finite differences {b:.6g}"
 
 
-def _central(point: ShiftedPoint, known: DeclaredVariable, shift: float) -> Vector | None:
+def _central(point: ShiftedPoint, known: FmuVariable, shift: float) -> Vector | None:
     if not point.allowed(known, shift) or not point.allowed(known, -shift):
         return None
     return (point.shifted(known, shift) - point.shifted(known, -shift)) / (2 * shift)
@@ -142,10 +141,10 @@ def adjoint(trial: Trial) -> Iterator[Remark]:
             return
         columns = [instance.directional([u.reference or 0 for u in point.unknowns], r) for r in references]
         for i, unknown in enumerate(point.unknowns):
-            row = instance.adjoint(unknown.reference or 0, references)
+            row = instance.adjoint(unknown.reference, references)
             for known, a, column in zip(knowns, row, columns, strict=True):
                 # the same products summed in another order
-                if not abs(a - column[i]) <= 1e-6 * abs(column[i]) + 1e-9 * unknown.nominal / known.scale:
+                if not abs(a - column[i]) <= 1e-6 * abs(column[i]) + 1e-9 * unknown.magnitude / known.scale:
                     text = f"the adjoint derivative of {unknown.name} with respect to {known.name} is {a:.6g}"
                     yield "error", f"{text}, the directional one {column[i]:.6g}"
                     return
@@ -172,16 +171,16 @@ def output_derivatives(trial: Trial) -> Iterator[Remark]:
         before = values.get()
         simulation.advance()
         quotients.append((values.get() - before) / simulation.step)
-        derivatives.append(simulation.instance.output_derivatives([v.reference or 0 for v in outputs]))
+        derivatives.append(simulation.instance.output_derivatives([v.reference for v in outputs]))
     for v, d, left, right in zip(outputs, derivatives[1], quotients[1], quotients[2], strict=True):
         # the derivative of a stiff model differs a lot at states that are off by the solver's tolerance
-        tolerance = 3 * abs(right - left) + 0.2 * abs(right) + 1e-5 * v.nominal / simulation.step
+        tolerance = 3 * abs(right - left) + 0.2 * abs(right) + 1e-5 * v.magnitude / simulation.step
         if not abs(d - (left + right) / 2) <= tolerance:
             text = f"the derivative of {v.name} is {d:.6g} at t = {simulation.time - simulation.step:.6g} s"
             yield "error", f"{text}, the difference quotient of the run {(left + right) / 2:.6g}"
             return
 
 
-def smooth(v: DeclaredVariable) -> bool:
+def smooth(v: FmuVariable) -> bool:
     """A continuous real scalar."""
-    return v.is_float and v.variability == "continuous" and v.size == 1
+    return v.is_continuous and v.size == 1

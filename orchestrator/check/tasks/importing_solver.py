@@ -10,8 +10,8 @@ import numpy as np
 
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import Integrator, Simulation, numeric, usual_step
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import CallFailed
-from orchestrator.fmi.raw_description import DeclaredVariable
 
 MAX_EIGENVALUES = 60  # of larger models the outermost eigenvalues
 SHIFT = 1e-6  # of a state for finite differences, relative to nominal
@@ -55,7 +55,7 @@ def late(trial: Trial) -> Iterator[Remark]:
     it. Each call gets a new instance, because after a failed call an FMU may reject all others.
     """
     parameters = [v for v in numeric(trial.description, "parameter") if v.variability == "fixed"]
-    for v in [v for v in parameters if v.is_float and v.size == 1][:1]:
+    for v in [v for v in parameters if v.is_real and v.size == 1][:1]:
         with _initialised(trial) as (simulation, _):
             yield from _late_parameter(simulation, v)
     with _initialised(trial) as (_, integrator):
@@ -72,11 +72,12 @@ def _late(quantity: str, call: Callable[[], None]) -> Iterator[Remark]:
         yield "note", f"{quantity} cannot be set before fmi2EnterContinuousTimeMode: {failure}"
 
 
-def _late_parameter(simulation: Simulation, v: DeclaredVariable) -> Iterator[Remark]:
+def _late_parameter(simulation: Simulation, v: FmuVariable) -> Iterator[Remark]:
     """A remark if a new value of a parameter is rejected, or accepted without effect."""
     values = simulation.values([v])
     (old,) = values.get()
-    new = min(max(old + CHANGE * max(abs(old), v.scale), v.minimum), v.maximum)
+    low, high = v.bounds
+    new = min(max(old + CHANGE * max(abs(old), v.scale), low), high)
     try:
         values.set([new])
         (actual,) = values.get()

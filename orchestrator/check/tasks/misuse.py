@@ -10,8 +10,8 @@ from itertools import islice
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import Simulation, continuous_inputs, not_finite, numeric
+from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.instance import CallFailed
-from orchestrator.fmi.raw_description import DeclaredVariable
 
 MAX_INPUTS = 20  # inputs tested per FMU
 MAX_PARAMETERS = 5  # parameters set per case
@@ -42,7 +42,7 @@ def invalid_values(trial: Trial) -> Iterator[Remark]:
         yield "warning", f"status OK although an input is invalid: {first}{more}"
 
 
-def _symptom(trial: Trial, v: DeclaredVariable, value: float) -> str:
+def _symptom(trial: Trial, v: FmuVariable, value: float) -> str:
     """The damage that a value does; empty if the FMU rejects the value or survives it."""
     simulation = Simulation(trial, inputs=[v])
     names = simulation.outputs.names
@@ -128,10 +128,10 @@ def _set_parameters(legal: bool) -> Call:
         parameters = [
             v
             for v in numeric(simulation.trial.description, "parameter")
-            if v.start and (between_steps and v.variability == "tunable") == legal
+            if v.start_values and (between_steps and v.variability == "tunable") == legal
         ]
         for v in parameters[:MAX_PARAMETERS]:
-            simulation.values([v]).set((v.start * v.size)[: v.size])
+            simulation.values([v]).set((v.start_values * v.size)[: v.size])
 
     return call
 

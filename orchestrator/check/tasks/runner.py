@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
+from orchestrator.fmi.description import Entry, ModelDescription
 from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources_location
 from orchestrator.fmi.library import Library, find_library
 from orchestrator.fmi.messages import ERROR, Log
-from orchestrator.fmi.raw_description import Entry, ModelDescription
 from orchestrator.worker.calls import Activity
 from orchestrator.worker.main import Channel
 

@@ -89,7 +89,7 @@ def _set_parameters(simulation: Simulation, values: dict[str, Any]) -> None:
         v = simulation.trial.description.by_name[name]
         if v.type == "String":
             text = (ctypes.c_char_p * 1)(str(value).encode())
-            instance.call("SetString", *instance.references([v.reference or 0]), *instance.values(text, 1))
+            instance.call("SetString", *instance.references([v.reference]), *instance.values(text, 1))
         else:
             simulation.values([v]).set(value)
 

@@ -17,7 +17,6 @@ from orchestrator.check.tasks.trial_run import (
     Simulation,
     Vector,
     difference,
-    experiment,
     inner_step,
     numeric,
     observed,
@@ -226,7 +225,7 @@ def start_time(trial: Trial) -> Iterator[Remark]:
 
 def _time_remarks(simulation: Simulation) -> Iterator[Remark]:
     """The independent variable and the time that the FMU reports fit the simulation time."""
-    times = [v for v in numeric(simulation.trial.description, "independent") if v.is_float]
+    times = [v for v in numeric(simulation.trial.description, "independent") if v.is_real]
     for v in times[:1]:
         (value,) = simulation.values([v]).get()
         if not _fits_time(simulation, value):
@@ -287,7 +286,8 @@ def _different_run(late: Simulation, rows: Rows, late_rows: Rows) -> Iterator[Re
 
 def stop_time(trial: Trial) -> Iterator[Remark]:
     """Without a stop time the FMU continues, also beyond the stop time of the default experiment."""
-    start, stop = experiment(trial.description, "startTime") or 0.0, experiment(trial.description, "stopTime")
+    experiment = trial.description.experiment
+    start, stop = experiment.number("startTime") or 0.0, experiment.number("stopTime")
     late = start if stop is None else max(start, stop - usual_step(trial.description))
     simulation = Simulation(trial, start=late)
     try:

@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.check.tasks.runner import Trial
 from orchestrator.fmi.calls import address
+from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
 from orchestrator.fmi.instance import CallFailed, FmuInstance
 from orchestrator.fmi.library import Library
 from orchestrator.fmi.messages import DISCARD, ERROR
-from orchestrator.fmi.raw_description import FLOATS, MAX_LOCALS, DeclaredVariable, ModelDescription
 
 Vector = NDArray[np.float64]
 Rows = Sequence[Vector]
@@ -37,40 +37,33 @@ MAX_LISTED = 5  # inputs listed in a message
 # ---- variables and default experiment
 
 
-def numeric(description: ModelDescription, *causalities: str) -> list[DeclaredVariable]:
+def numeric(description: ModelDescription, *causalities: str) -> list[FmuVariable]:
     """Numeric variables of these causalities."""
     return [v for v in description.of(*causalities) if v.is_number]
 
 
-def observed(description: ModelDescription) -> list[DeclaredVariable]:
+def observed(description: ModelDescription) -> list[FmuVariable]:
     """The outputs; if there are none, local variables that change during a run."""
     local = [v for v in numeric(description, "local") if v.variability in ("continuous", "discrete")]
     return numeric(description, "output") or local[:MAX_LOCALS]
 
 
-def continuous_inputs(description: ModelDescription) -> list[DeclaredVariable]:
+def continuous_inputs(description: ModelDescription) -> list[FmuVariable]:
     """Real inputs that may be set at any time."""
     inputs = numeric(description, "input")
-    return [v for v in inputs if v.is_float and v.variability == "continuous"]
-
-
-def experiment(description: ModelDescription, name: str) -> float | None:
-    """An attribute of the default experiment; None if it is not declared."""
-    entry = description.experiment
-    return float(entry.get(name)) if entry and name in entry.attributes else None
+    return [v for v in inputs if v.is_continuous]
 
 
 def inner_step(description: ModelDescription) -> float:
     """The fixed internal step [s], by which the time inside the FMU may lag; 0 if unknown."""
-    entry = description.interfaces.get("CoSimulation")
-    return float(entry.get("fixedInternalStepSize", "0")) if entry else 0.0
+    return description.interfaces.get("CoSimulation", Entry()).number("fixedInternalStepSize") or 0.0
 
 
 def usual_step(description: ModelDescription) -> float:
     """Communication step [s]: as declared, else a 500th of the default experiment, else 10 ms."""
-    start, stop = (experiment(description, name) for name in ("startTime", "stopTime"))
+    start, stop = (description.experiment.number(name) for name in ("startTime", "stopTime"))
     length = 1e-2 if stop is None or not stop > (start or 0.0) else (stop - (start or 0.0)) / 500
-    return experiment(description, "stepSize") or inner_step(description) or length
+    return description.experiment.number("stepSize") or inner_step(description) or length
 
 
 # ---- values of variables
@@ -79,14 +72,13 @@ def usual_step(description: ModelDescription) -> float:
 class VariableValues:
     """Values of some numeric variables of an instance, read and set together; arrays are flattened."""
 
-    def __init__(self, trial: Trial, instance: FmuInstance, variables: Sequence[DeclaredVariable]) -> None:
+    def __init__(self, trial: Trial, instance: FmuInstance, variables: Sequence[FmuVariable]) -> None:
         self.trial, self.instance, self.variables = trial, instance, list(variables)
         self.names, self.elements = scalars(variables), flat(variables)
-        enumeration = "Integer" if instance.fmi == 2 else "Int64"  # how enumerations are read
-        types = [enumeration if v.type == "Enumeration" else v.type for v in variables]
+        types = [v.function_type for v in variables]
         self._groups: list[tuple[str, NDArray[np.intp], NDArray[Any], tuple[Any, ...]]] = []
         for type_ in dict.fromkeys(types):
-            references = [v.reference or 0 for v, t in zip(variables, types, strict=True) if t == type_]
+            references = [v.reference for v, t in zip(variables, types, strict=True) if t == type_]
             places = np.flatnonzero(np.repeat(np.equal(types, type_), [v.size for v in variables]))
             buffer = np.zeros(len(places), instance.types[type_])
             values = instance.values(address(buffer), len(places))
@@ -95,7 +87,7 @@ class VariableValues:
     @cached_property
     def nominal(self) -> Vector:
         """Nominal value of each element."""
-        return np.array([v.nominal for v in self.elements])
+        return np.array([v.magnitude for v in self.elements])
 
     @cached_property
     def scale(self) -> Vector:
@@ -122,12 +114,12 @@ class VariableValues:
             self.instance.call(f"Set{type_}", *arguments)
 
 
-def scalars(variables: Sequence[DeclaredVariable]) -> list[str]:
+def scalars(variables: Sequence[FmuVariable]) -> list[str]:
     """Names of the scalar elements of some variables."""
     return [v.name if v.size == 1 else f"{v.name}[{i}]" for v in variables for i in range(v.size)]
 
 
-def flat(variables: Sequence[DeclaredVariable]) -> list[DeclaredVariable]:
+def flat(variables: Sequence[FmuVariable]) -> list[FmuVariable]:
     """For each scalar element its variable."""
     return [v for v in variables for _ in range(v.size)]
 
@@ -157,8 +149,8 @@ def severity(trial: Trial, expected: Rows, rows: Rows) -> str:
     """ "error" if two runs differ by more than the tolerance of the FMU, "warning" if by less."""
     if len(expected) != len(rows):
         return "error"
-    x, nominal = np.array(expected), [v.nominal for v in flat(observed(trial.description))]
-    tolerance = experiment(trial.description, "tolerance") or TOLERANCE
+    x, nominal = np.array(expected), [v.magnitude for v in flat(observed(trial.description))]
+    tolerance = trial.description.experiment.number("tolerance") or TOLERANCE
     near = np.abs(x - np.array(rows)) <= tolerance * np.maximum(np.abs(x), nominal)
     return "warning" if near.all() else "error"
 
@@ -316,7 +308,7 @@ class Simulation:
         stop: float | None = None,
         step: float | None = None,
         summed: bool | None = None,
-        inputs: Sequence[DeclaredVariable] | None = None,
+        inputs: Sequence[FmuVariable] | None = None,
         kind: str = "",
         library: Library | None = None,
         **options: Any,
@@ -325,7 +317,7 @@ class Simulation:
         self.trial, description = trial, trial.description
         self.kind = kind or trial.kind
         self.instance = trial.instance(self.kind, library, **options)
-        self.start = experiment(description, "startTime") or 0.0 if start is None else start
+        self.start = description.experiment.number("startTime") or 0.0 if start is None else start
         self.stop, self.step = stop, step or usual_step(description)
         self.summed = trial.summed if summed is None else summed
         self.time, self.step_count, self.reached = self.start, 0, self.start
@@ -335,7 +327,7 @@ class Simulation:
         self._ended = self.early = False
         self.initial_inputs = np.zeros(0)
 
-    def values(self, variables: Sequence[DeclaredVariable]) -> VariableValues:
+    def values(self, variables: Sequence[FmuVariable]) -> VariableValues:
         """Access to the values of some variables of this instance."""
         return VariableValues(self.trial, self.instance, variables)
 
@@ -371,7 +363,8 @@ class Simulation:
         inputs = self.inputs.elements
         pattern = PATTERN[(n + 3 * np.arange(len(inputs))) % len(PATTERN)]
         perturbed = self.initial_inputs + PERTURBATION * self.inputs.scale * pattern
-        self.inputs.set(np.clip(perturbed, [v.minimum for v in inputs], [v.maximum for v in inputs]))
+        low, high = np.reshape([v.bounds for v in inputs], (-1, 2)).T
+        self.inputs.set(np.clip(perturbed, low, high))
 
     def do_step(self, time: float, length: float) -> None:
         """One communication step; raises CallFailed unless the FMU completes it or ends the simulation."""

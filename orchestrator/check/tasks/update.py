@@ -49,8 +49,8 @@ class UpdateCallback:
 
 def _simulation(trial: Trial, callback: UpdateCallback, early: bool = False) -> Simulation:
     """A run with this callback, which may read all real outputs."""
-    outputs = [v for v in numeric(trial.description, "output") if v.is_float]
-    required = [v.reference or 0 for v in outputs]
+    outputs = [v for v in numeric(trial.description, "output") if v.is_real]
+    required = [v.reference for v in outputs]
     simulation = Simulation(trial, update=callback.function, required=required, early=early).begin()
     callback.outputs = simulation.values(outputs)
     return simulation

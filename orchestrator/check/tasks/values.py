@@ -10,7 +10,6 @@ from orchestrator.check.tasks.trial_run import (
     Rows,
     Simulation,
     Vector,
-    experiment,
     inner_step,
     not_finite,
     numeric,
@@ -72,17 +71,17 @@ def _tiny_step(trial: Trial, first: Vector) -> Iterator[Remark]:
         return
     outputs = simulation.outputs
     for v, name, a, b, c in zip(outputs.elements, outputs.names, first, *rows, strict=True):
-        continuous = v.is_float and v.variability == "continuous"
-        if continuous and a == 0.0 and abs(b) > 1e-3 * v.nominal and abs(c - b) < 0.1 * abs(b):
+        if v.is_continuous and a == 0.0 and abs(b) > 1e-3 * v.magnitude and abs(c - b) < 0.1 * abs(b):
             text = f"{name} is 0 after initialisation and {b:.6g} after a step of {simulation.step:.3g} s"
             yield "warning", f"{text}: the output is not evaluated at initialisation"
 
 
 def _start_values(simulation: Simulation) -> Iterator[Remark]:
     """Parameters and inputs have the start values of modelDescription.xml."""
-    variables = [v for v in numeric(simulation.trial.description, "parameter", "input") if v.start]
+    variables = [v for v in numeric(simulation.trial.description, "parameter", "input") if v.start_values]
     values = simulation.values(variables)
-    starts = [s for v in variables for s in (v.start if len(v.start) == v.size else v.start[:1] * v.size)]
+    given = [(v.start_values, v.size) for v in variables]
+    starts = [x for start, size in given for x in (start if len(start) == size else start[:1] * size)]
     for name, x, start in zip(values.names, values.get(), starts, strict=True):
         # single precision has seven digits
         if abs(x - start) > 1e-6 * max(abs(x), abs(start)) or math.isnan(x) != math.isnan(start):
@@ -97,8 +96,8 @@ MAX_STEPS = 20_000  # if the default experiment has no stop time
 
 def default(trial: Trial) -> Iterator[Remark]:
     """The default experiment runs with finite values; the result has the options for the other tasks."""
-    start = experiment(trial.description, "startTime") or 0.0
-    stop = experiment(trial.description, "stopTime")
+    start = trial.description.experiment.number("startTime") or 0.0
+    stop = trial.description.experiment.number("stopTime")
     duration = math.inf if stop is None else stop - start
     steps = int(duration / usual_step(trial.description) + 1e-9) if math.isfinite(duration) else MAX_STEPS
     simulation, initial, rows = _run(trial, stop if steps else None, max(steps, 1))

@@ -1,0 +1,343 @@
+"""Interface of an FMU for an importer: variables, dependencies and capabilities.
+
+`read_interface` reads it from modelDescription.xml and refuses FMUs that cannot be run.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
+from orchestrator.base.files import Location, is_file_name
+from orchestrator.base.units import DeclaredUnit
+from orchestrator.base.xml import MAX_BYTES, Element, parse_text
+from orchestrator.fmi.description import (
+    INITIAL,
+    INTERFACES,
+    Entry,
+    FmuVariable,
+    ModelDescription,
+    Unknown,
+    parse_int,
+    read_description,
+)
+
+MAX_LISTED = 5  # unsupported variables in a note
+# field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
+CAPABILITIES = {
+    "rollback": ("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+    "one_per_process": ("canBeInstantiatedOnlyOncePerProcess",),
+    "needs_execution_tool": ("needsExecutionTool",),
+    "variable_step": ("canHandleVariableCommunicationStepSize",),
+    "output_derivatives": ("maxOutputDerivativeOrder",),
+    "directional_derivatives": ("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+}
+
+
+@dataclass(frozen=True)
+class FmuInterface:
+    """The declared interface of an FMU.
+
+    variables              supported scalar variables, by name
+    model                  the whole model description
+    dependencies           output or state derivative -> inputs and states; None if not declared
+    initial_dependencies   output -> variables it depends on in initialisation mode; None if not declared
+    identifier             model identifier
+    unsupported            unsupported variables -> their type
+    can_interpolate_inputs the FMU has a function for time derivatives of inputs, which FMI 3.0 lacks
+    rate_inputs            input -> input that the FMU declares as its time derivative
+    output_derivatives     the FMU provides time derivatives of outputs
+    rollback               the FMU can save and restore its state
+    one_per_process        only one instance can exist in a process
+    needs_execution_tool   the FMU needs the installed tool that exported it
+    event_indicators       number of event indicators, in Model Exchange
+    completed_step         in Model Exchange, the FMU needs to know when the solver has accepted a step
+    variable_step          the communication step size may vary
+    stateless              the FMU declares, for Model Exchange, that it has no continuous states
+    unused_inputs          inputs on which no state and no output depends after the initialisation
+    directional_derivatives   the FMU provides directional derivatives
+    states                 continuous state -> time derivative; empty unless the FMU lists all of them
+    start, step, stop, tolerance   default experiment; times in [s]
+    """
+
+    variables: Mapping[str, FmuVariable]
+    dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
+    initial_dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
+    identifier: str = ""
+    model: ModelDescription = field(default_factory=lambda: ModelDescription(2))
+    unsupported: Mapping[str, str] = field(default_factory=dict)
+    can_interpolate_inputs: bool = False
+    rate_inputs: Mapping[str, str] = field(default_factory=dict)
+    output_derivatives: bool = False
+    rollback: bool = False
+    one_per_process: bool = False
+    needs_execution_tool: bool = False
+    event_indicators: int = 0
+    completed_step: bool = True
+    variable_step: bool = True
+    stateless: bool = False
+    unused_inputs: frozenset[str] = frozenset()
+    directional_derivatives: bool = False
+    states: Mapping[str, str] = field(default_factory=dict)
+    start: float | None = None
+    step: float | None = None
+    stop: float | None = None
+    tolerance: float | None = None
+
+    def nominal(self, name: str) -> float:
+        """The nominal value of a variable; if it declares none, that of FMI, 1, or 0 if no variable does."""
+        declared = self.variables[name].nominal
+        return declared or float(any(v.nominal for v in self.variables.values()))
+
+    def of(self, causality: str) -> list[FmuVariable]:
+        """All variables of one causality, in declaration order."""
+        return [v for v in self.variables.values() if v.causality == causality]
+
+    def direct_inputs(self, output: str) -> frozenset[str]:
+        """Inputs with direct feedthrough to `output`; all inputs if the FMU declares no dependencies."""
+        declared, inputs = self.dependencies.get(output), frozenset(v.name for v in self.of("input"))
+        return inputs if declared is None else inputs & declared
+
+    def initial_knowns(self, output: str) -> frozenset[str]:
+        """Variables on which `output` depends in initialisation mode; all settable ones if not declared."""
+        declared = self.initial_dependencies.get(output)
+        if declared is None:
+            return frozenset(v.name for v in self.variables.values() if v.settable)
+        return declared
+
+    @property
+    def linearisable(self) -> bool:
+        """Does the FMU declare directional derivatives and all its states?"""
+        return self.directional_derivatives and bool(self.states or self.stateless)
+
+    def may_affect_states(self, variable: str) -> bool:
+        """May a state depend on an input? True if states or dependencies of the FMU are not declared."""
+        if not self.states:
+            return not self.stateless or any(self.dependencies.get(y.name) is None for y in self.of("output"))
+        dependencies = [self.dependencies.get(rate) for rate in self.states.values()]
+        return any(names is None or variable in names for names in dependencies)
+
+    @property
+    def ramp_inputs(self) -> frozenset[str]:
+        """Inputs whose time derivative can be set, so that they are ramps inside a step."""
+        if self.can_interpolate_inputs:
+            return frozenset(v.name for v in self.of("input") if v.is_real)
+        return frozenset(u for u, rate in self.rate_inputs.items() if rate not in self.rate_inputs)
+
+    def check_supported(self, variable: str, where: str) -> None:
+        """Refuse an unsupported variable; `where` is the beginning of the message."""
+        if variable in self.unsupported:
+            type_ = self.unsupported[variable]
+            raise Unsupported(f"{where}: expected a scalar number or text, got {type_}, not supported")
+
+    @property
+    def unsupported_note(self) -> str:
+        """A note on the unsupported variables; empty if there are none."""
+        entries = [f"{name}, {type_}" for name, type_ in self.unsupported.items()]
+        more = f"; and {len(entries) - MAX_LISTED} more" if len(entries) > MAX_LISTED else ""
+        return f"left out: {'; '.join(entries[:MAX_LISTED])}{more}" if entries else ""
+
+
+SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
+
+
+def read_interface(
+    fmu: Location, exchange: bool = False, known: dict[bytes, FmuInterface] | None = None
+) -> FmuInterface:
+    """Read the interface of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
+
+    exchange   for Model Exchange; else for Co-Simulation
+    known      interfaces by the content of modelDescription.xml, to which this one is added
+    """
+    file, known = fmu.member("modelDescription.xml"), {} if known is None else known
+    text = file.read(MAX_BYTES)
+    if text not in known:
+        known[text] = _read_interface(fmu, parse_text(text, file, "fmiModelDescription"), exchange)
+    return known[text]
+
+
+def _read_interface(fmu: Location, root: Element, exchange: bool) -> FmuInterface:
+    version = root.get("fmiVersion")
+    if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
+        raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
+    description = read_description(root, int(version[0]))
+    element = "ModelExchange" if exchange else "CoSimulation"
+    if element not in description.interfaces:
+        got = " and ".join(INTERFACES[e] for e in INTERFACES if e in description.interfaces) or "nothing"
+        kind = NotExchangeable if exchange else Problem
+        raise kind(f"{fmu}: expected an FMU for {INTERFACES[element]}, got one for {got} only")
+    try:
+        return _interface(description, element)
+    except Problem as problem:
+        raise Problem(f"{fmu}: {problem}") from None
+
+
+def _interface(description: ModelDescription, element: str) -> FmuInterface:
+    fmi, capabilities = description.major, description.interfaces[element]
+    for u in description.units:
+        if u.declared.fault:
+            raise Problem(f"modelDescription.xml line {u.line}: unit {u.name}: {u.declared.fault}")
+    declared = list(_with_aliases(description))
+    unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
+    variables = {v.name: v for v in declared if v.name not in unsupported}
+    for v in variables.values():
+        _check_variable(v)
+    _check_identity(description, capabilities)
+    _check(variables, unsupported, declared)
+    inputs = {name for name, v in variables.items() if v.causality == "input"}
+    outputs, derivatives, initial = (
+        _dependencies(description, description.structure[section])
+        for section in ("outputs", "derivatives", "initial")
+    )
+    exchange = "ModelExchange" in description.interfaces
+    used = [*outputs.values(), *derivatives.values()]
+    known = [names for names in used if names is not None]
+    experiment = description.experiment
+    attributes: dict[str, Any] = {n: capabilities.declares(*names) for n, names in CAPABILITIES.items()}
+    indicators = parse_int(description.get("numberOfEventIndicators")) or 0
+    return FmuInterface(
+        variables=variables,
+        dependencies=outputs | derivatives,
+        initial_dependencies=outputs | initial,
+        identifier=capabilities.get("modelIdentifier"),
+        model=description,
+        unsupported=unsupported,
+        can_interpolate_inputs=capabilities.declares("canInterpolateInputs") and fmi == 2,
+        rate_inputs=_rate_inputs(declared, description, variables),
+        event_indicators=indicators if fmi == 2 else len(description.structure["indicators"]),
+        completed_step=capabilities.declares("needsCompletedIntegratorStep")
+        if fmi == 3
+        else not capabilities.declares("completedIntegratorStepNotNeeded"),
+        stateless=exchange and not derivatives,
+        unused_inputs=frozenset(inputs.difference(*known) if exchange and None not in used else ()),
+        states=_states(description, variables),
+        start=_number(experiment, "startTime"),
+        step=_number(experiment, "stepSize") or _number(capabilities, "fixedInternalStepSize"),
+        stop=_number(experiment, "stopTime"),
+        tolerance=max(_number(experiment, "tolerance") or 0.0, 0.0) or None,
+        **attributes,
+    )
+
+
+def _with_aliases(description: ModelDescription) -> Iterator[FmuVariable]:
+    """The variables, followed by their aliases as further variables."""
+    yield from (v for v in description.variables if v.name)
+    for v in description.variables:
+        for alias in v.aliases:
+            yield replace(v, name=alias.get("name"), attributes={**v.attributes, **alias.attributes})
+
+
+def _unsupported_type(v: FmuVariable) -> str:
+    """The type of an unsupported variable, for messages; empty for supported variables."""
+    if v.clocked:
+        return "a clock" if v.type == "Clock" else f"a clocked {v.type}"
+    if not v.kind:
+        return f"a variable of type {v.type}"
+    return f"an array of shape ({', '.join(map(str, v.shape))})" if v.shape else ""
+
+
+def _check(
+    variables: Mapping[str, FmuVariable], unsupported: Mapping[str, str], declared: Iterable[FmuVariable]
+) -> None:
+    """Refuse an FMU that cannot be run: with clocks, with arrays only, or with a time not in seconds."""
+    for name, type_ in unsupported.items():
+        if "clock" in type_:  # such an FMU needs event mode
+            raise Problem(f"{name} is {type_}: expected an FMU without clocks, they are not supported")
+    ports = [v.name for v in declared if v.causality in ("input", "output")]
+    if ports and not any(name in variables for name in ports):
+        first = f"{ports[0]} is {unsupported[ports[0]]}"
+        raise Problem(f"{first}: expected an FMU with scalar inputs or outputs, arrays are not supported")
+    for v in variables.values():
+        unit = v.unit if v.causality == "independent" else None
+        if unit and unit.exponents and (unit.exponents, unit.factor, unit.offset) != (SECOND_EXPONENTS, 1, 0):
+            raise Problem(f"{v.name}: expected time in seconds, got {unit}")
+
+
+def _check_identity(description: ModelDescription, capabilities: Entry) -> None:
+    """Refuse an FMU without the attributes that loading it needs."""
+    token = "guid" if description.major == 2 else "instantiationToken"
+    if token not in description.attributes:
+        raise Problem(f"expected an attribute {token}, got none")
+    identifier = capabilities.get("modelIdentifier")
+    if not is_file_name(identifier):  # a path could lead to a library outside of the FMU
+        raise Problem(f"modelIdentifier: expected a C identifier, got {identifier!r}")
+
+
+def _check_variable(v: FmuVariable) -> None:
+    """Refuse an invalid declaration."""
+    type_ = v.attributes.get("declaredType")
+    if type_ is not None and v.definition is None:
+        raise Problem(f"{v}: declaredType {type_!r} is not defined")
+    if not 0 <= v.reference < 2**32:
+        got = v.attributes.get("valueReference")
+        raise Problem(f"{v}: valueReference: expected a whole number below 2^32, got {got!r}")
+    if (v.causality, v.variability) not in INITIAL and not v.get("initial"):
+        raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
+    try:
+        _ = v.items
+        for name in ("nominal", "min", "max"):
+            _number(v, name)
+    except (Problem, ValueError) as problem:
+        raise Problem(f"{v}: {problem}") from None
+
+
+def _dependencies(
+    description: ModelDescription, unknowns: Iterable[Unknown]
+) -> dict[str, frozenset[str] | None]:
+    """Unknown -> variables it depends on, aliases included; None if not declared."""
+    result: dict[str, frozenset[str] | None] = {}
+    for u in unknowns:
+        if u.variable is None:
+            raise Problem(f"{u}: expected a variable, got none with the index or value reference {u.key}")
+        names = None
+        if u.dependencies is not None:
+            variables = [description.by_key.get(-1 if key is None else key) for key in u.dependencies]
+            if None in variables:
+                raise Problem(f"{u}: dependency {u.dependencies[variables.index(None)]} is not a variable")
+            names = frozenset(name for v in variables if v for name in v.names)
+        result |= dict.fromkeys(u.variable.names, names)
+    return result
+
+
+def _states(description: ModelDescription, variables: Mapping[str, FmuVariable]) -> dict[str, str]:
+    """Continuous states and their time derivatives; empty if one of them is missing or unsupported."""
+    pairs = [(description.state_of(v), v) for v in description.derivatives]
+    states = {state.name: v.name for state, v in pairs if state}
+    complete = len(states) == len(pairs)
+    return states if complete and all(name in variables for pair in states.items() for name in pair) else {}
+
+
+def _rate_inputs(
+    declared: Iterable[FmuVariable], description: ModelDescription, variables: Mapping[str, FmuVariable]
+) -> dict[str, str]:
+    """Inputs and the inputs that are their time derivatives, if the units agree.
+
+    They are declared by the attribute `derivative`, or in FMI 2.0 by this project's annotation, because
+    OMSimulator treats a variable with that attribute as the derivative of a state.
+    """
+    pairs = {state.name: v.name for v in declared if (state := description.state_of(v))}
+    pairs.update(description.input_rates)
+    inputs = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
+    return {
+        u.name: rate.name
+        for u, rate in inputs
+        if u and rate and u.causality == rate.causality == "input" and _per_second(u.unit, rate.unit)
+    }
+
+
+def _per_second(unit: DeclaredUnit | None, rate: DeclaredUnit | None) -> bool:
+    """True if `rate` is `unit` per second."""
+    if unit is None or rate is None:
+        return unit is rate
+    if unit.exponents is None or rate.exponents is None or unit.offset or rate.offset:
+        return False
+    expected = tuple(a - b for a, b in zip(unit.exponents, SECOND_EXPONENTS, strict=True))
+    return rate.exponents == expected and rate.factor == unit.factor
+
+
+def _number(entry: Entry, name: str) -> float | None:
+    try:
+        return entry.number(name)
+    except ValueError:
+        raise Problem(f"{name}: expected a number, got {entry.get(name)!r}") from None
