@@ -1,7 +1,4 @@
-"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved.
-
-`SignalIndex` finds the values of bare names in the frames of any machine.
-"""
+"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved."""
 
 import math
 import time
@@ -9,49 +6,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.drive.view_description import by_bare_name
-from orchestrator.realtime.setup import Frame, Machine, Setup
+from orchestrator.realtime.setup import Machine, Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
 
 
-def columns(names: Sequence[str]) -> Mapping[str, int]:
-    """Bare name -> index among the names."""
-    index = {name: k for k, name in enumerate(names)}
-    return {bare: index[full] for bare, full in by_bare_name(names).items()}
-
-
-class SignalIndex:
-    """Finds values in the frames of one machine by bare name.
-
-    names   names of the axes and the signals
-    """
-
-    def __init__(self, machine: Machine) -> None:
-        count = len(machine.axes)
-        signals = {name: count + k for name, k in columns(machine.signals).items()}
-        self._places = {**signals, **columns(machine.axes)}
-        self.names = tuple(self._places)
-
-    def contains(self, name: str) -> bool:
-        """Is there a signal or axis of this name?"""
-        return name in self._places
-
-    def value(self, frame: Frame, name: str) -> float:
-        """Value of the axis or signal of this name; NaN if there is none."""
-        if name not in self._places:
-            return math.nan
-        return float(np.concatenate((frame.axes, frame.values))[self._places[name]])
-
-    def columns(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Columns of these names in a table of axes, then signals."""
-        return np.array([self._places[name] for name in names], dtype=np.int64)
+def columns(machine: Machine) -> Mapping[str, int]:
+    """Bare name of a signal or an axis -> its column in a table of axes, then signals; an axis goes first."""
+    axes, signals = list(machine.axes), list(machine.signals)
+    places = {bare: len(axes) + signals.index(full) for bare, full in by_bare_name(signals).items()}
+    return places | {bare: axes.index(full) for bare, full in by_bare_name(axes).items()}
 
 
 class ExchangeableMachine:
@@ -100,7 +68,7 @@ class Session:
 
     plan      the latest choice
     machine   the machine that is shown: `live`, or a replay
-    index     index of the signals in its frames
+    columns   bare name -> column in its frames, see `columns`
     title     title of the page
     span      first and last time of the replayed file [s]; None for a live machine
     """
@@ -116,7 +84,7 @@ class Session:
         self.file = ""
         self._recording: SeekableMachine | None = None
         self.span: tuple[float, float] | None = None
-        self._read()
+        self.columns = columns(self.machine)
 
     @property
     def title(self) -> str:
@@ -167,8 +135,7 @@ class Session:
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
         recording = self._replay(trace)
-        index = SignalIndex(recording)
-        if not any(index.contains(name) for name in self._required):
+        if not self._required & set(columns(recording)):
             full = by_bare_name(self.plan.setup.signals)
             example = next((full[name] for name in full if name in self._required), "component.output")
             found = ", ".join(list(trace.signals)[:4]) or "none"
@@ -207,7 +174,4 @@ class Session:
     def _show(self, machine: Machine, file: str) -> None:
         self.machine.exchange(machine)
         self.file, self._recording, self.span = file, None, None
-        self._read()
-
-    def _read(self) -> None:
-        self.index = SignalIndex(self.machine)
+        self.columns = columns(self.machine)

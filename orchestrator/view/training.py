@@ -6,7 +6,7 @@ attempt equals that of `score.score` for the same samples. A page with a machine
 
 import csv
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +15,19 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.drive import score
-from orchestrator.drive.score import Progress, Samples, Score, Task
+from orchestrator.drive.score import Progress, Samples, Task
 from orchestrator.realtime.setup import Machine
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """A finished attempt: done, given up by `again`, or ended by a restart of the machine."""
-
-    number: int
-    exercise: str
-    score: Score
-
-
 class Training:
-    """The task of one machine, shared by all pages."""
+    """The task of one machine, shared by all pages.
+
+    table   the attempts that are over: done, given up by `again`, or ended by a restart; one row each
+    """
 
     def __init__(self, machine: Machine, declared: Callable[[], Task]) -> None:
         """declared: the task of the current machine."""
-        self.task, self.attempts = declared(), list[Attempt]()
+        self.task, self.table = declared(), list[dict[str, Any]]()
         self.exercise = self.task.exercises[0]
         self._machine, self._declared, self._source = machine, declared, _source(machine)
         self._number, self._open = -1, 0
@@ -100,7 +94,7 @@ class Training:
             "time": score.clock(self._progress),
             "load": score.load(self.exercise, self._progress),
             "problem": self._problem,
-            "table": self.table(),
+            "table": self.table,
         }
 
     def loads(self) -> dict[str, float]:
@@ -108,21 +102,16 @@ class Training:
         held = score.load(self.exercise, self._progress) if self._open else 0.0
         return {self.task.load: held} if self.task.load else {}
 
-    def table(self) -> list[dict[str, Any]]:
-        """The finished attempts, one row each."""
-        return [{"attempt": a.number, "exercise": a.exercise, **asdict(a.score)} for a in self.attempts]
-
     def write(self, path: Path) -> Path:
         """Write the table as CSV."""
-        if not self.attempts:
+        if not self.table:
             raise Problem(f"{path}: expected a finished attempt, found none")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            rows = self.table()
             with path.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.DictWriter(file, [*rows[0]], lineterminator="\n")
+                writer = csv.DictWriter(file, [*self.table[0]], lineterminator="\n")
                 writer.writeheader()
-                writer.writerows(rows)
+                writer.writerows(self.table)
         except OSError as error:
             raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
         return path
@@ -161,7 +150,8 @@ class Training:
         if self._progress.started is not None and not self._kept:
             result = score.judge(Samples.joined(self._samples), self.exercise, self._progress)
             assert result is not None  # the clock has started
-            self.attempts.append(Attempt(len(self.attempts) + 1, self.exercise.name, result))
+            numbered = {"attempt": len(self.table) + 1, "exercise": self.exercise.name}
+            self.table.append(numbered | asdict(result))
         self._kept = True
 
 

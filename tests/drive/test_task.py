@@ -3,7 +3,7 @@
 import functools
 import itertools
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -142,8 +142,8 @@ def test_online_is_offline(tmp_path: Path) -> None:
         training.update()
         seen.add(training.status()["phase"])
     assert seen == {"ready", "moving", "holding", "done"}
-    assert [attempt.score for attempt in training.attempts] == [score(trace, TASK)]
-    assert training.status()["time"] == training.attempts[0].score.cycle_time
+    assert training.table == [{"attempt": 1, "exercise": EXERCISE.name, **asdict(score(trace, TASK))}]
+    assert training.status()["time"] == training.table[0]["cycle_time"]
     text = training.write(tmp_path / "build" / "training.csv").read_text()
     assert text.count("\n") == 2
     assert text.startswith("attempt,exercise,finished,cycle_time")
@@ -156,7 +156,7 @@ def test_counts_only_what_is_shown() -> None:
     training = Training(live, lambda: TASK)
     training.open()
     training.update()
-    assert training.attempts == []
+    assert training.table == []
     assert training.status()["phase"] == "ready"
 
 
@@ -201,9 +201,9 @@ def test_restart_ends_an_attempt() -> None:
     live.frames = first + live.frames
     training = Training(live, lambda: TASK)
     training.update()
-    assert [attempt.score.finished for attempt in training.attempts] == [False, True]
+    assert [attempt["finished"] for attempt in training.table] == [False, True]
     training.again()
-    assert len(training.attempts) == 2
+    assert len(training.table) == 2
     assert training.status()["phase"] == "ready"
 
 

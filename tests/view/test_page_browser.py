@@ -107,9 +107,14 @@ def picture(page: Any) -> NDArray[np.float64]:
     return np.asarray(found[..., :3], dtype=np.float64)
 
 
+def value(session: Session, name: str) -> float:
+    """Of a signal of the machine now."""
+    return float(session.machine.latest().values[session.columns[name] - len(session.machine.axes)])
+
+
 def angle(server: Server, joint: str) -> float:
     """Of a joint [rad], from the machine itself."""
-    return server.session.index.value(server.session.machine.latest(), f"{joint}_angle")
+    return value(server.session, f"{joint}_angle")
 
 
 def comes_to(server: Server, state: str) -> bool:
@@ -178,7 +183,7 @@ def test_machine_is_seen_and_moves(own: Any, server: Server) -> None:
     own.close()
     assert until(lambda: not driven(server))
     session = server.session
-    assert until(lambda: abs(session.index.value(session.machine.latest(), "swing_speed")) < 0.01)
+    assert until(lambda: abs(value(session, "swing_speed")) < 0.01)
 
 
 def test_pause_and_restart(page: Any, server: Server) -> None:
@@ -226,8 +231,7 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
 
     def looked_at() -> bool:
         *target, away = page.evaluate(CAMERA)
-        index, frame = server.session.index, server.session.machine.latest()
-        tip = [index.value(frame, f"tip_{name}") for name in ("x", "y", "height")]
+        tip = [value(server.session, f"tip_{name}") for name in ("x", "y", "height")]
         # 5 cm: the tip creeps while the picture is under way; 7 m is the distance of the view
         return bool(np.allclose(target, tip, atol=0.05) and abs(away - 7) < 0.01)
 
