@@ -189,8 +189,7 @@ class CommandGate:
 
     def set(self, name: object, value: object) -> None:
         """Set an input. Raises `Problem` for one that the machine or a stick does not leave to others."""
-        driven = {n for mode in self._described().modes.values() for n in mode.inputs}
-        names = sorted({axis.rpartition(".")[2] for axis in self.machine.axes} - driven)
+        names = sorted(self._described().free(self.machine.axes))
         if not isinstance(name, str) or name not in names:
             raise Problem(f"input: expected one of {', '.join(names) or 'none'}, found {ascii(name)[:60]}")
         self.values[name] = finite(value, name)

@@ -176,9 +176,7 @@ class Broadcast:
         self.number += 1
         self._ticks = 0
         self.hello = page_data(description, plan.parameters)
-        driven = {name for mode in description.modes.values() for name in mode.inputs}
-        bare = (axis.rpartition(".")[2] for axis in session.machine.axes)
-        inputs = [name for name in bare if name not in driven]  # those that are not for the sticks
+        inputs = description.free(session.machine.axes)
         self.hello |= {"names": names, "title": session.title, "inputs": inputs}
 
 

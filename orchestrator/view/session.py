@@ -4,12 +4,14 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace, read_trace
+from orchestrator.data.trace import read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.drive.view_description import by_bare_name
+from orchestrator.realtime.machine import RealTimeMachine
+from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Machine, Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
@@ -53,16 +55,6 @@ class ExchangeableMachine:
         self.exchanges += 1
 
 
-class SeekableMachine(Machine, Protocol):
-    """A machine with a position that can be set: a replay."""
-
-    def seek(self, t: float) -> None: ...
-
-
-Simulate = Callable[[Setup], Machine]
-Replayed = Callable[[Trace], SeekableMachine]
-
-
 class Session:
     """The machine that all pages show.
 
@@ -70,20 +62,22 @@ class Session:
     machine   the machine that is shown: `live`, or a replay
     columns   bare name -> column in its frames, see `columns`
     title     title of the page
-    span      first and last time of the replayed file [s]; None for a live machine
+    file      name of the file that is replayed; empty for the live machine
     """
 
     def __init__(
-        self, first: MachineChoice, simulate: Simulate, replay: Replayed, folders: Sequence[Path] = ()
+        self,
+        first: MachineChoice,
+        folders: Sequence[Path] = (),
+        simulate: Callable[[Setup], Machine] = RealTimeMachine,
     ) -> None:
-        """simulate, replay: factories of machines; folders: of result files, the first also for saving."""
-        self._replay, self.folders = replay, tuple(folders)
+        """folders: of result files, the first also for saving; simulate: starts the live machine."""
+        self.folders = tuple(folders)
         self.plan: ViewPlan = plan(first)
         self.live = simulate(self.plan.setup)
         self.machine = ExchangeableMachine(self.live)
         self.file = ""
-        self._recording: SeekableMachine | None = None
-        self.span: tuple[float, float] | None = None
+        self._recording: Replay | None = None
         self.columns = columns(self.machine)
 
     @property
@@ -97,16 +91,16 @@ class Session:
         return ", ".join([choice.system.name, *([choice.pose] if choice.pose else []), *swaps, *sets])
 
     @property
-    def replaying(self) -> bool:
-        """Is a file shown?"""
-        return bool(self.file)
+    def span(self) -> tuple[float, float] | None:
+        """First and last time of the replayed file [s]; None for the live machine."""
+        return (self._recording.begin, self._recording.end) if self._recording else None
 
     def start(self, choice: MachineChoice) -> None:
         """Start the live machine with this choice."""
         new = plan(choice)
         self.live.restart(new.setup)
         self.plan = new
-        self._show(self.live, "")
+        self._show(self.live)
         self.live.play()
 
     def again(self) -> None:
@@ -134,14 +128,13 @@ class Session:
         trace = read_trace(path)
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
-        recording = self._replay(trace)
+        recording = Replay(trace)
         if not self._required & set(columns(recording)):
             full = by_bare_name(self.plan.setup.signals)
             example = next((full[name] for name in full if name in self._required), "component.output")
             found = ", ".join(list(trace.signals)[:4]) or "none"
             raise Problem(f"{path}: expected signals such as {example}, found {found}")
         self._show(recording, name or path.name)
-        self._recording, self.span = recording, (float(trace.time[0]), float(trace.time[-1]))
         self.machine.play()
 
     def seek(self, t: float) -> None:
@@ -154,7 +147,7 @@ class Session:
         """Show the live machine again, as it was paused."""
         if self.file:
             self.machine.machine.close()
-            self._show(self.live, "")
+            self._show(self.live)
 
     def save(self, machine: Machine | None = None) -> Path:
         """Save the session, or that of another machine, as a result file in the first folder."""
@@ -171,7 +164,7 @@ class Session:
         self.machine.close()
         self.live.close()
 
-    def _show(self, machine: Machine, file: str) -> None:
+    def _show(self, machine: Machine, file: str = "") -> None:
         self.machine.exchange(machine)
-        self.file, self._recording, self.span = file, None, None
+        self.file, self._recording = file, machine if isinstance(machine, Replay) else None
         self.columns = columns(self.machine)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
-from orchestrator.realtime.machine import APART, RealTimeMachine
-from orchestrator.realtime.replay import Replay
+from orchestrator.realtime.machine import APART
 from orchestrator.view import server as serving
 from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.choice import MachineChoice
@@ -38,7 +37,7 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     times = np.linspace(0, 4, 401)
     angles = {"manipulator.boom_angle": 0.2 + 0.1 * times, "manipulator.stick_angle": -1.4 + 0 * times}
     write_trace(Trace(times, angles), results / "rising.csv")
-    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), RealTimeMachine, Replay, [results])
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), [results])
     with pytest.MonkeyPatch.context() as patient:
         # a browser may halt for some seconds where much else is done: that is no driver who went away
         patient.setattr(serving, "ControlAuthority", partial(ControlAuthority, silence_limit=LONG))
@@ -337,7 +336,7 @@ def test_replay(page: Any, server: Server) -> None:
     """A result file is played and cannot be driven; from there it goes back to the live machine."""
     page.get_by_role("button", name="Replay").click()
     page.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
-    assert until(lambda: server.session.replaying)
+    assert until(lambda: server.session.file)
     page.wait_for_function("() => document.querySelector('.hm-mode').innerText.includes('rising.csv')")
     assert until(lambda: angle(server, "boom") > 0.3)
     server.session.machine.pause()  # a click may take longer than the file

@@ -224,7 +224,7 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
     (tmp_path / "text.csv").write_bytes(b"\xff")
     (tmp_path / "cut.csv").write_text("time,boom_angle\nno number")
     replay = Replay(Trace(np.arange(2.0), still))
-    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), lambda _: replay, Replay, [tmp_path])
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), [tmp_path], lambda _: replay)
     assert session.files() == ["a.csv", "b.parquet", "cut.csv"]
 
 
