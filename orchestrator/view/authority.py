@@ -72,7 +72,6 @@ class OperatorStation:
     held       True if the dead-man was held in that message
     armed      True if the dead-man was released since the driver took over and since the last fault
     counts     number of messages: "accepted", "refused", "old", "flood"
-    why        error in the last refused message
     """
 
     name: str
@@ -82,7 +81,6 @@ class OperatorStation:
     armed: bool = False
     bucket: TokenBucket = field(default_factory=TokenBucket)
     counts: Counter[str] = field(default_factory=Counter)
-    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -315,9 +313,8 @@ class ControlAuthority:
             return False
         try:
             message = parse(raw)
-        except Problem as error:
+        except Problem:
             station.counts["refused"] += 1
-            station.why = str(error)
             if self._driver is station:
                 self._rest("a message was not valid")
             return False

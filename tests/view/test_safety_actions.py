@@ -2,9 +2,11 @@
 
 import asyncio
 import json
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import httpx
 import pytest
@@ -14,6 +16,14 @@ from orchestrator.view import live
 from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.live import ACTIONS, PATIENT, OpenPage
 from orchestrator.view.server import application
+
+Result = TypeVar("Result")
+
+
+def ran(coroutine: Coroutine[Any, Any, Result]) -> Result:
+    """Its result, from a thread: in that of the tests a browser may have its loop."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, coroutine).result()
 
 
 class Room:
@@ -49,7 +59,7 @@ class Room:
         self.authority.hear(self.driver.station, json.dumps(message))
 
     def ask(self, page: OpenPage, do: str, **more: object) -> None:
-        asyncio.run(page._act(ACTIONS[do], {"do": do, **more}))
+        ran(page._act(ACTIONS[do], {"do": do, **more}))
 
     def role(self) -> str:
         return self.authority.status(self.driver.station).role
@@ -122,7 +132,7 @@ def test_actions_count_for_the_limit_of_messages(room: Room) -> None:
     async def flood() -> list[bool]:
         return [room.watcher._hear('{"do":"shown","number":1}') for _ in range(2 * PATIENT)]
 
-    heard = asyncio.run(flood())
+    heard = ran(flood())
     assert 0 < sum(heard) < PATIENT
     assert room.watcher.station.counts["flood"] == 2 * PATIENT - sum(heard)
 
@@ -135,7 +145,7 @@ def test_the_end_of_the_server_is_rest(room: Room) -> None:
         async with app.router.lifespan_context(app):
             assert room.machine.moving
 
-    asyncio.run(served())
+    ran(served())
     assert (room.machine.moving, room.role()) == (False, "free")
 
 
@@ -151,7 +161,7 @@ def test_result_files_of_the_folder_only(room: Room, tmp_path: Path) -> None:
         async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
             return await client.get(f"/result/{name}")
 
-    assert asyncio.run(fetched("run.csv")).text == "time\n0\n"
+    assert ran(fetched("run.csv")).text == "time\n0\n"
     for name in ("..%2Fsecret.csv", "%2Fetc%2Fpasswd", "con.csv", "run.txt", ""):
-        answer = asyncio.run(fetched(name))
+        answer = ran(fetched(name))
         assert (answer.status_code, answer.text.count("\n")) == (404, 1), name
