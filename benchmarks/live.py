@@ -26,8 +26,6 @@ import numpy as np
 from fmus.machine.parts import MACHINES
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.deadlines import PRIORITY_VARIABLE
-from orchestrator.realtime.machine import RealTimeMachine
-from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Machine
 
 SYSTEM = Path("build/harvester.ssp")
@@ -52,7 +50,7 @@ class Watched:
         from orchestrator.view.session import Session
 
         self._choice = MachineChoice
-        self.session = Session(MachineChoice(SYSTEM), RealTimeMachine, Replay)
+        self.session = Session(MachineChoice(SYSTEM))
         self.machine = self.session.machine
         self.url, self._server = "", None
         if server:

@@ -24,8 +24,6 @@ from typing import Any
 
 from benchmarks.live import SYSTEM, browser
 from orchestrator.drive.page import write_page
-from orchestrator.realtime.machine import RealTimeMachine
-from orchestrator.realtime.replay import Replay
 from orchestrator.view.choice import MachineChoice
 from orchestrator.view.server import Server
 from orchestrator.view.session import Session
@@ -110,7 +108,7 @@ def _file(stack: ExitStack) -> str:
 
 
 def _view(stack: ExitStack) -> str:
-    session = Session(MachineChoice(SYSTEM), RealTimeMachine, Replay)
+    session = Session(MachineChoice(SYSTEM))
     stack.callback(session.close)
     server = Server(session)
     server.start()

@@ -191,7 +191,7 @@ def _variable(name: str) -> str:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of an attempt. Times are those of the samples [s].
+    """Progress of an attempt at an exercise. Times are those of the samples [s].
 
     origin    first position of the tip
     started   time when the clock started, None before
@@ -201,12 +201,67 @@ class Progress:
     now       time of the last sample
     """
 
+    exercise: Exercise
     origin: Point | None = None
     started: float | None = None
     inside: float | None = None
     reached: tuple[float, ...] = ()
     done: tuple[float, ...] = ()
     now: float = 0.0
+
+    @property
+    def target(self) -> Target | None:
+        """The next target; None when all are done."""
+        return next(iter(self.exercise.targets[len(self.done) :]), None)
+
+    @property
+    def load(self) -> float:
+        """Mass that the head holds after the targets that are done [kg]."""
+        return self.exercise.targets[len(self.done) - 1].load if self.done else 0.0
+
+    @property
+    def clock(self) -> float | None:
+        """Time since the start [s], until all targets are done; None before the start."""
+        return None if self.started is None else self.now - self.started
+
+    @property
+    def phase(self) -> str:
+        """`ready`, `moving`, `holding` or `done`."""
+        if self.target is None:
+            return "done"
+        if self.inside is not None:
+            return "holding"
+        return "ready" if self.started is None else "moving"
+
+    def advance(self, time: float, tip: Point, speed: float) -> Progress:
+        """Progress after one more sample."""
+        if (target := self.target) is None:
+            return self
+        exercise, origin = self.exercise, self.origin or tip
+        updated = replace(self, origin=origin, now=time)
+        if updated.started is None:
+            if math.dist(tip, origin) <= exercise.start:
+                return updated
+            updated = replace(updated, started=time)
+        # with this comparison, NaN is never in a target
+        if not math.dist(tip, target.at) <= exercise.radius:
+            return replace(updated, inside=None)
+        if len(updated.reached) == len(updated.done):
+            updated = replace(updated, reached=(*updated.reached, time))
+        if not speed <= exercise.slow:
+            return replace(updated, inside=None)
+        since = time if updated.inside is None else updated.inside
+        # tolerance for rounding: the time of a frame is a multiple of the step
+        if time - since >= exercise.hold - 1e-9:
+            return replace(updated, inside=None, done=(*updated.done, time))
+        return replace(updated, inside=since)
+
+    def follow(self, samples: Samples) -> Progress:
+        """Progress after more samples."""
+        progress = self
+        for time, tip, speed in zip(samples.time.tolist(), samples.tips, samples.speed.tolist(), strict=True):
+            progress = progress.advance(time, tip, speed)
+        return progress
 
 
 LONGEST = 600.0  # s; a longer attempt is given up, to limit memory
@@ -217,66 +272,11 @@ def rules(task: Task) -> dict[str, Any]:
     return asdict(task) | {"needed": task.needed, "moving": MOVING, "longest": LONGEST}
 
 
-def distance(exercise: Exercise, progress: Progress, tip: Point) -> float:
-    """Distance of the tip from the next target [m]; 0 when all are done."""
-    left = exercise.targets[len(progress.done) :]
-    return math.dist(tip, left[0].at) if left else 0.0
-
-
 def way(tip: Point, at: Point) -> Point:
     """Vector from the tip to a position: outwards [m], up [m], to the left [rad]."""
     turn = math.atan2(at[1], at[0]) - math.atan2(tip[1], tip[0])
     out = math.hypot(at[0], at[1]) - math.hypot(tip[0], tip[1])
     return out, at[2] - tip[2], math.remainder(turn, 2 * math.pi)
-
-
-def load(exercise: Exercise, progress: Progress) -> float:
-    """Mass that the head holds after the targets that are done [kg]."""
-    return exercise.targets[len(progress.done) - 1].load if progress.done else 0.0
-
-
-def clock(progress: Progress) -> float | None:
-    """Time since the start [s], until all targets are done; None before the start."""
-    return None if progress.started is None else progress.now - progress.started
-
-
-def phase(exercise: Exercise, progress: Progress) -> str:
-    """`ready`, `moving`, `holding` or `done`."""
-    if len(progress.done) == len(exercise.targets):
-        return "done"
-    if progress.inside is not None:
-        return "holding"
-    return "ready" if progress.started is None else "moving"
-
-
-def advance(exercise: Exercise, progress: Progress, time: float, tip: Point, speed: float) -> Progress:
-    """Progress after one more sample."""
-    if phase(exercise, progress) == "done":
-        return progress
-    updated = replace(progress, origin=progress.origin or tip, now=time)
-    if updated.origin is not None and updated.started is None:
-        if math.dist(tip, updated.origin) <= exercise.start:
-            return updated
-        updated = replace(updated, started=time)
-    # with this comparison, NaN is never in a target
-    if not distance(exercise, updated, tip) <= exercise.radius:
-        return replace(updated, inside=None)
-    if len(updated.reached) == len(updated.done):
-        updated = replace(updated, reached=(*updated.reached, time))
-    if not speed <= exercise.slow:
-        return replace(updated, inside=None)
-    since = time if updated.inside is None else updated.inside
-    # tolerance for rounding: the time of a frame is a multiple of the step
-    if time - since >= exercise.hold - 1e-9:
-        return replace(updated, inside=None, done=(*updated.done, time))
-    return replace(updated, inside=since)
-
-
-def follow(exercise: Exercise, progress: Progress, samples: Samples) -> Progress:
-    """Progress after more samples."""
-    for time, tip, speed in zip(samples.time.tolist(), samples.tips, samples.speed.tolist(), strict=True):
-        progress = advance(exercise, progress, time, tip, speed)
-    return progress
 
 
 HIGHEST = 10.0  # Hz; upper limit of the frequency
@@ -329,15 +329,15 @@ class Score:
 
 def score(trace: Trace, task: Task, exercise: Exercise | None = None) -> Score | None:
     """Score of a run; None if the tip never moved. Default: the first exercise of the task."""
-    samples, exercise = of_trace(trace, task), exercise or task.exercises[0]
-    return judge(samples, exercise, follow(exercise, Progress(), samples))
+    samples = of_trace(trace, task)
+    return judge(samples, Progress(exercise or task.exercises[0]).follow(samples))
 
 
-def judge(samples: Samples, exercise: Exercise, progress: Progress) -> Score | None:
+def judge(samples: Samples, progress: Progress) -> Score | None:
     """Score of samples with this progress; None if the clock has not started."""
     if progress.started is None:
         return None
-    finished = phase(exercise, progress) == "done"
+    finished = progress.phase == "done"
     end = progress.done[-1] if finished else progress.now
     part = samples[slice(*np.searchsorted(samples.time, (progress.started, np.nextafter(end, np.inf))))]
     moving = np.sum(np.abs(part.functions) > MOVING, axis=1)

@@ -222,6 +222,11 @@ class ViewDescription:
                 hint = suggest(name, self.functions) or f"; there are {', '.join(self.functions) or 'none'}"
                 raise Problem(f"{where}: unknown function {name!r}{hint}")
 
+    def free(self, axes: Iterable[str]) -> list[str]:
+        """Bare names of the axes that no mode of the sticks drives."""
+        driven = {name for mode in self.modes.values() for name in mode.inputs}
+        return [bare for bare in (axis.rpartition(".")[2] for axis in axes) if bare not in driven]
+
     @property
     def curves(self) -> tuple[str, ...]:
         """The signals of the charts."""

@@ -16,10 +16,9 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.processes import machine_memory
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
-from orchestrator.realtime import shared_memory
 from orchestrator.realtime.deadlines import latency_quantile, speed_factor
 from orchestrator.realtime.setup import Frame, Setup, Task, Timing
-from orchestrator.realtime.shared_memory import HEAD, Command, MachineStatus, Memory, SharedState
+from orchestrator.realtime.shared_memory import Command, MachineStatus, Memory, SharedState, layout
 from orchestrator.worker.process import Worker
 
 KEPT = 1800.0  # [s]; frames of this time are kept
@@ -44,8 +43,8 @@ class MachineProcess:
         self.setup, self.first, self.closed = setup, first, False
         self.axes = tuple(axis.name for axis in setup.axes)
         sizes = len(setup.axes), len(setup.signals)
-        rows = max(2, min(int(KEPT / setup.frame), MOST // (8 * (HEAD + sum(sizes)))))
-        memory = Memory(shared_memory.size(*sizes, rows))
+        rows = max(2, min(int(KEPT / setup.frame), MOST // layout(*sizes, 1)["frames"].itemsize))
+        memory = Memory(layout(*sizes, rows).itemsize)
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
         self.worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
@@ -91,26 +90,25 @@ class MachineProcess:
 
     def latest(self) -> Frame:
         """The latest frame; NaN before the first one."""
-        status, n = self.shared.status(), len(self.axes)
-        begun = status.last >= self.first
-        rows = self.shared.rows
-        row = rows[status.last % len(rows)].copy() if begun else np.full(rows.shape[1], np.nan)
-        number = status.last if begun else self.first - 1
+        status, frames = self.shared.status(), self.shared.frames
+        _, t, axes, values = frames[status.last % len(frames)].copy().item()
+        if status.last < self.first:
+            t, axes, values = np.nan, axes + np.nan, values + np.nan
         state, message = self._state(status)
-        axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
         median, p99 = (min(latency_quantile(status.latencies, q), status.worst) for q in (0.5, 0.99))
         timing = Timing(status.frames, status.missed, (median, p99, status.worst), status.load)
-        return Frame(number, float(row[shared_memory.TIME]), axes, values, state, message, timing)
+        number = max(status.last, self.first - 1)
+        return Frame(number, t, axes, values, state, message, timing)
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number."""
-        status, rows, n = self.shared.status(), self.shared.rows, len(self.axes)
+        status = self.shared.status()
         begin = max(number + 1, self._oldest(status))
         numbers = np.arange(begin, max(status.last + 1, begin))
-        frames = rows[numbers % len(rows)]
-        valid = frames[:, shared_memory.NUMBER] == numbers  # False if overwritten in the meantime
+        frames = self.shared.frames[numbers % len(self.shared.frames)]
+        valid = frames["number"] == numbers  # False if overwritten in the meantime
         numbers, frames = numbers[valid], frames[valid]
-        return numbers, frames[:, shared_memory.TIME], frames[:, HEAD : HEAD + n], frames[:, HEAD + n :]
+        return numbers, frames["time"], frames["axes"], frames["values"]
 
     def trace(self) -> Trace:
         """Axes and signals over time, of all frames in memory."""
@@ -121,7 +119,7 @@ class MachineProcess:
 
     def _oldest(self, status: MachineStatus) -> int:
         """Number of the oldest frame in memory."""
-        room = len(self.shared.rows)
+        room = len(self.shared.frames)
         full = status.last - self.first >= room
         return status.last - room + 1 + min(MARGIN, room // 4) if full else self.first
 

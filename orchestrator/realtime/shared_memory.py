@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from mmap import mmap as mmap_of_mmap
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,10 +77,6 @@ def _nameless() -> int:
 STATES = ("starting", "running", "paused", "ended", "failed")
 TEXT = 1 << 20  # bytes of the details
 TRIES = 1000  # readings while the writer writes, which takes microseconds
-SEQUENCE, CHECK, PLAYING, SERIAL = range(4)  # integers of the command; speed and values follow as reals
-STATE, LAST, HEARTBEAT, FRAMES, MISSED, LENGTH = range(1, 7)  # integers of the status, after the sequence
-LOAD, WORST, SLIPPED = range(3)  # reals of the status
-NUMBER, TIME, HEAD = range(3)  # columns of a frame; axes and signals follow
 
 
 class Command(NamedTuple):
@@ -96,6 +92,7 @@ class MachineStatus(NamedTuple):
     """Status of the process. last: number of the latest frame; heartbeat: counts its loops."""
 
     state: str
+    text: str
     last: int
     heartbeat: int
     frames: int
@@ -103,98 +100,93 @@ class MachineStatus(NamedTuple):
     load: float
     worst: float
     slipped: float
-    text: str
     latencies: NDArray[np.int64]
 
 
-def size(axes: int, signals: int, rows: int) -> int:
-    """Size of a `SharedState` in bytes."""
-    return 8 * (8 + 1 + axes + 16 + 8 + BINS + TEXT // 8 + rows * (HEAD + axes + signals))
+def layout(axes: int, signals: int, rows: int) -> np.dtype[Any]:
+    """Type of the memory: command, status and its details, frames. Frame n is in row n modulo rows."""
+    command = [("playing", "i8"), ("speed", "f8"), ("serial", "i8"), ("values", "f8", (axes,))]
+    counts = [(name, "i8") for name in ("state", "last", "heartbeat", "frames", "missed")]
+    reals = [(name, "f8") for name in ("load", "worst", "slipped")]
+    status = [*counts, *reals, ("latencies", "i8", (BINS,))]
+    frame = [("number", "i8"), ("time", "f8"), ("axes", "f8", (axes,)), ("values", "f8", (signals,))]
+    parts: list[Any] = [
+        ("command", [("sequence", "i8"), ("check", "i8"), ("content", command)]),
+        ("status", [("sequence", "i8"), ("length", "i8"), ("content", status)]),
+        ("text", "u1", (TEXT,)),
+        ("frames", frame, (rows,)),
+    ]
+    return np.dtype(parts)
 
 
 class SharedState:
     """Typed views of a block of shared memory.
 
-    rows    latest frames, shape (rows, 2 + axes + signals): frame n is in row n modulo rows
+    frames   the latest frames, shape (rows,): number, time, axes, values
     """
 
     def __init__(self, memory: mmap_of_mmap, axes: int, signals: int, rows: int) -> None:
-        self.axes, self._memory, self._position = axes, memory, 0
-        self._command, self._command_reals = self._integers(8), self._floats(1 + axes)
-        self._counts, self._reals, self.latencies = self._integers(16), self._floats(8), self._integers(BINS)
-        self._text = self._integers(TEXT // 8).view(np.uint8)
-        self.rows = self._floats(rows * (HEAD + axes + signals)).reshape(rows, -1)
-
-    def _integers(self, count: int) -> NDArray[np.int64]:
-        """View of the next integers of the memory."""
-        self._position += 8 * count
-        return np.frombuffer(self._memory, np.int64, count, self._position - 8 * count)
-
-    def _floats(self, count: int) -> Array:
-        return self._integers(count).view(np.float64)
+        whole = np.frombuffer(memory, layout(axes, signals, rows), 1).reshape(())
+        parts = (whole[name] for name in ("command", "status", "text", "frames"))
+        self._command, self._status, self._text, self.frames = parts
 
     # ---- command
 
     def write_command(self, command: Command) -> None:
         """Write a command. Only the parent does so."""
-        integers = self._command
-        integers[SEQUENCE] += 1
-        integers[PLAYING], integers[SERIAL] = command.playing, command.serial
-        self._command_reals[0], self._command_reals[1:] = command.speed, command.values
-        integers[CHECK] = _check(integers, self._command_reals)
-        integers[SEQUENCE] += 1
+        shared = self._command
+        shared["sequence"] += 1
+        shared["content"] = tuple(command)
+        shared["check"] = _check(shared)
+        shared["sequence"] += 1
 
     def read_command(self) -> Command | None:
         """The command; None while it is being written."""
-        integers, reals = self._command.copy(), self._command_reals.copy()
-        sequence = integers[SEQUENCE]
-        if sequence % 2 or sequence != self._command[SEQUENCE] or integers[CHECK] != _check(integers, reals):
+        read = self._command.copy()
+        sequence = read["sequence"]
+        if sequence % 2 or sequence != self._command["sequence"] or read["check"] != _check(read):
             return None
-        return Command(bool(integers[PLAYING]), float(reals[0]), int(integers[SERIAL]), reals[1:])
+        playing, *others = read["content"].item()
+        return Command(bool(playing), *others)
 
     # ---- status
 
     @contextmanager
-    def writing(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
-        """Context for writing the status. Only the child does so."""
-        self._counts[SEQUENCE] += 1
+    def writing(self) -> Iterator[NDArray[Any]]:
+        """Context for writing the status, whose fields it gives. Only the child does so."""
+        self._status["sequence"] += 1
         try:
-            yield self._counts, self._reals
+            yield self._status["content"]
         finally:
-            self._counts[SEQUENCE] += 1
+            self._status["sequence"] += 1
 
     def write_frame(self, number: int, t: float, axes: Array, values: Array) -> None:
         """Write a frame. Readers ignore it until the status has its number."""
-        row = self.rows[number % len(self.rows)]
-        row[NUMBER], row[TIME] = number, t
-        row[HEAD : HEAD + self.axes] = axes
-        row[HEAD + self.axes :] = values
+        self.frames[number % len(self.frames)] = (number, t, axes, values)
 
     def set_state(self, state: str, text: str) -> None:
         """Publish a state, with its details as text."""
         data = text.encode("utf-8")[:TEXT]
-        with self.writing() as (counts, _):
+        with self.writing() as status:
             self._text[: len(data)] = np.frombuffer(data, np.uint8)
-            counts[LENGTH], counts[STATE] = len(data), STATES.index(state)
+            self._status["length"], status["state"] = len(data), STATES.index(state)
 
     def heartbeat(self) -> None:
         """Count the heartbeat: a single number, which needs no sequence number."""
-        self._counts[HEARTBEAT] += 1
+        self._status["content"]["heartbeat"] += 1
 
     def status(self) -> MachineStatus:
         """Read the status. If the writer died while writing, the status may be inconsistent."""
         for _ in range(TRIES):
-            n, reals = self._counts.copy(), self._reals.copy()
-            latencies, text = self.latencies.copy(), self._text[: max(n[LENGTH], 0)].tobytes()
-            if n[SEQUENCE] % 2 == 0 and n[SEQUENCE] == self._counts[SEQUENCE]:
+            read = self._status.copy()
+            text = self._text[: max(int(read["length"]), 0)].tobytes()
+            if read["sequence"] % 2 == 0 and read["sequence"] == self._status["sequence"]:
                 break
-        last, heartbeat, frames, missed = (int(n[i]) for i in (LAST, HEARTBEAT, FRAMES, MISSED))
-        load, worst, slipped = (float(r) for r in reals[:3])
-        details = text.decode("utf-8", "replace")
-        state = STATES[n[STATE]] if 0 <= n[STATE] < len(STATES) else "failed"  # an FMU may write anywhere
-        return MachineStatus(state, last, heartbeat, frames, missed, load, worst, slipped, details, latencies)
+        number, *others = read["content"].item()
+        state = STATES[number] if 0 <= number < len(STATES) else "failed"  # an FMU may write anywhere
+        return MachineStatus(state, text.decode("utf-8", "replace"), *others)
 
 
-def _check(integers: NDArray[np.int64], reals: Array) -> int:
+def _check(command: NDArray[Any]) -> int:
     """Checksum of a command."""
-    return zlib.crc32(reals.tobytes(), zlib.crc32(integers[PLAYING : SERIAL + 1].tobytes()))
+    return zlib.crc32(command["content"].tobytes())

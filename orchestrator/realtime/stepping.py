@@ -28,10 +28,9 @@ from orchestrator.engine.job import Execution, Job, Record
 from orchestrator.engine.open_job import opened
 from orchestrator.engine.scenario import ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
-from orchestrator.realtime import shared_memory as memory
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Axis, Setup, Task
-from orchestrator.realtime.shared_memory import Command, attach
+from orchestrator.realtime.shared_memory import Command, SharedState, attach
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
@@ -51,7 +50,7 @@ def main(channel: Channel) -> None:
     task: Task = channel.get()
     channel.grace = GRACE
     tempfile.tempdir = str(channel.folder)  # where the FMUs are unpacked
-    shared = memory.SharedState(
+    shared = SharedState(
         channel.keep(attach(task.address)), len(task.setup.axes), len(task.setup.signals), task.rows
     )
     details: dict[str, Any] = {}
@@ -59,8 +58,8 @@ def main(channel: Channel) -> None:
         with closing(FrameStepper(task.setup)) as stepper:
             details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
             shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
-            with shared.writing() as (counts, _):
-                counts[memory.LAST] = task.first
+            with shared.writing() as status:
+                status["last"] = task.first
             shared.set_state("paused", json.dumps(details))
             _loop(stepper, task, shared, json.dumps(details), channel.ended)
         shared.set_state("ended", json.dumps(details))
@@ -70,11 +69,11 @@ def main(channel: Channel) -> None:
     channel.ended.wait()
 
 
-def _loop(stepper: FrameStepper, task: Task, shared: memory.SharedState, details: str, ended: Event) -> None:
+def _loop(stepper: FrameStepper, task: Task, shared: SharedState, details: str, ended: Event) -> None:
     """Make one frame after the other, each when it is due, until the parent ends."""
     setup, clock, number = task.setup, DeadlineClock(), task.first
     limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
-    command = memory.Command(False, 1.0, 0, limiter.rest)
+    command = Command(False, 1.0, 0, limiter.rest)
     watchdog, running = CommandWatchdog(limiter.rest, setup.timeout, task.serial), False
     while not ended.is_set():
         if running:
@@ -98,19 +97,17 @@ def _loop(stepper: FrameStepper, task: Task, shared: memory.SharedState, details
             clock.done(length)
 
 
-def _publish(
-    shared: memory.SharedState, number: int, clock: DeadlineClock, began: float, length: float
-) -> None:
+def _publish(shared: SharedState, number: int, clock: DeadlineClock, began: float, length: float) -> None:
     """Make the frame visible to readers, and record its latency and load."""
-    with shared.writing() as (counts, reals):
+    with shared.writing() as status:
         now = time.monotonic()
         latency, load = now - clock.due, (now - began) / length
-        shared.latencies[latency_bin(latency)] += 1
-        counts[memory.LAST] = number
-        counts[memory.FRAMES] += 1
-        counts[memory.MISSED] += latency > length
-        reals[memory.LOAD] += (load - reals[memory.LOAD]) * min(length / LOAD_SPAN, 1.0)
-        reals[memory.WORST], reals[memory.SLIPPED] = max(reals[memory.WORST], latency), clock.slipped
+        status["latencies"][latency_bin(latency)] += 1
+        status["last"] = number
+        status["frames"] += 1
+        status["missed"] += latency > length
+        status["load"] += (load - status["load"]) * min(length / LOAD_SPAN, 1.0)
+        status["worst"], status["slipped"] = max(status["worst"], latency), clock.slipped
 
 
 class Ramp(ScenarioTable):

@@ -72,7 +72,6 @@ class OperatorStation:
     held       True if the dead-man was held in that message
     armed      True if the dead-man was released since the driver took over and since the last fault
     counts     number of messages: "accepted", "refused", "old", "flood"
-    why        error in the last refused message
     """
 
     name: str
@@ -82,7 +81,6 @@ class OperatorStation:
     armed: bool = False
     bucket: TokenBucket = field(default_factory=TokenBucket)
     counts: Counter[str] = field(default_factory=Counter)
-    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -189,8 +187,7 @@ class CommandGate:
 
     def set(self, name: object, value: object) -> None:
         """Set an input. Raises `Problem` for one that the machine or a stick does not leave to others."""
-        driven = {n for mode in self._described().modes.values() for n in mode.inputs}
-        names = sorted({axis.rpartition(".")[2] for axis in self.machine.axes} - driven)
+        names = sorted(self._described().free(self.machine.axes))
         if not isinstance(name, str) or name not in names:
             raise Problem(f"input: expected one of {', '.join(names) or 'none'}, found {ascii(name)[:60]}")
         self.values[name] = finite(value, name)
@@ -316,9 +313,8 @@ class ControlAuthority:
             return False
         try:
             message = parse(raw)
-        except Problem as error:
+        except Problem:
             station.counts["refused"] += 1
-            station.why = str(error)
             if self._driver is station:
                 self._rest("a message was not valid")
             return False

@@ -36,7 +36,7 @@ from orchestrator.drive.page import page_data
 from orchestrator.realtime.setup import Machine
 from orchestrator.view.authority import ControlAuthority, OperatorStation, finite
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
-from orchestrator.view.session import Session, SignalIndex
+from orchestrator.view.session import Session
 from orchestrator.view.training import Training
 
 Asked = dict[str, Any]  # the action of a page, with its name in "do"
@@ -85,11 +85,10 @@ class History:
     bins     number of the bin -> its extremes in order of time, shape (2, names)
     """
 
-    def __init__(self, machine: Machine, index: SignalIndex, names: Sequence[str]) -> None:
+    def __init__(self, machine: Machine, columns: Mapping[str, int], names: Sequence[str]) -> None:
         self.names = tuple(dict.fromkeys(names))
         self._machine = machine
-        self._known = np.array([index.contains(name) for name in self.names], dtype=bool)
-        self._columns = index.columns([name for name in self.names if index.contains(name)])
+        self._columns = [columns.get(name, -1) for name in self.names]  # the last one is NaN
         self.number = -1
         self.bins = dict[int, Array]()
 
@@ -98,13 +97,12 @@ class History:
         if self.number < 0:  # the first call needs only the last `WINDOW`
             self.number = self._machine.latest().number - round(WINDOW / 0.01) - 1
         numbers, times, axes, values = self._machine.since(self.number)
-        if not len(numbers) or not len(self._columns):
+        if not len(numbers) or max(self._columns, default=-1) < 0:
             return
         if self.bins and times[0] < max(self.bins) * BIN - BIN:  # restarted
             self.bins.clear()
         self.number = int(numbers[-1])
-        table = np.full((len(numbers), len(self.names)), np.nan)
-        table[:, self._known] = np.concatenate((axes, values), axis=1)[:, self._columns]
+        table = np.column_stack((axes, values, np.full(len(numbers), np.nan)))[:, self._columns]
         bins = np.floor(times / BIN + 1e-9).astype(int)
         for k in np.unique(bins):
             rows = table[bins == k]
@@ -151,7 +149,7 @@ class Broadcast:
     def look(self) -> None:
         """Read the machine once."""
         session = self._session
-        fitted = (session.index, session.plan, session.machine.exchanges)
+        fitted = (session.columns, session.plan, session.machine.exchanges)
         if fitted != self._fitted:
             self._fitted = fitted
             self._begin()
@@ -171,16 +169,14 @@ class Broadcast:
     def _begin(self) -> None:
         """Another machine, or another part of its time."""
         session, plan = self._session, self._session.plan
-        description, index = plan.description, session.index
-        names = [n for n in dict.fromkeys((*description.shown, *index.names)) if index.contains(n)]
-        self._columns = index.columns(names)
-        self.history = History(session.machine, index, description.curves)
+        description, columns = plan.description, session.columns
+        names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns]
+        self._columns = [columns[name] for name in names]
+        self.history = History(session.machine, columns, description.curves)
         self.number += 1
         self._ticks = 0
         self.hello = page_data(description, plan.parameters)
-        driven = {name for mode in description.modes.values() for name in mode.inputs}
-        bare = (axis.rpartition(".")[2] for axis in session.machine.axes)
-        inputs = [name for name in bare if name not in driven]  # those that are not for the sticks
+        inputs = description.free(session.machine.axes)
         self.hello |= {"names": names, "title": session.title, "inputs": inputs}
 
 

@@ -21,8 +21,6 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
 from orchestrator.drive.page import served
-from orchestrator.realtime.machine import RealTimeMachine
-from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import failures_reported
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
@@ -181,7 +179,7 @@ def serve(
     first = MachineChoice(require_system(system), pose, swap, set_)
     make_folder(results)
     access.shorten_library_logs()
-    session = Session(first, RealTimeMachine, Replay, [results])
+    session = Session(first, [results])
     try:
         if replay is not None:
             session.replay_file(replay)

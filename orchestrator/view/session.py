@@ -1,57 +1,27 @@
-"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved.
-
-`SignalIndex` finds the values of bare names in the frames of any machine.
-"""
+"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved."""
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace, read_trace
+from orchestrator.data.trace import read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.drive.view_description import by_bare_name
-from orchestrator.realtime.setup import Frame, Machine, Setup
+from orchestrator.realtime.machine import RealTimeMachine
+from orchestrator.realtime.replay import Replay
+from orchestrator.realtime.setup import Machine, Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
 
 
-def columns(names: Sequence[str]) -> Mapping[str, int]:
-    """Bare name -> index among the names."""
-    index = {name: k for k, name in enumerate(names)}
-    return {bare: index[full] for bare, full in by_bare_name(names).items()}
-
-
-class SignalIndex:
-    """Finds values in the frames of one machine by bare name.
-
-    names   names of the axes and the signals
-    """
-
-    def __init__(self, machine: Machine) -> None:
-        count = len(machine.axes)
-        signals = {name: count + k for name, k in columns(machine.signals).items()}
-        self._places = {**signals, **columns(machine.axes)}
-        self.names = tuple(self._places)
-
-    def contains(self, name: str) -> bool:
-        """Is there a signal or axis of this name?"""
-        return name in self._places
-
-    def value(self, frame: Frame, name: str) -> float:
-        """Value of the axis or signal of this name; NaN if there is none."""
-        if name not in self._places:
-            return math.nan
-        return float(np.concatenate((frame.axes, frame.values))[self._places[name]])
-
-    def columns(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Columns of these names in a table of axes, then signals."""
-        return np.array([self._places[name] for name in names], dtype=np.int64)
+def columns(machine: Machine) -> Mapping[str, int]:
+    """Bare name of a signal or an axis -> its column in a table of axes, then signals; an axis goes first."""
+    axes, signals = list(machine.axes), list(machine.signals)
+    places = {bare: len(axes) + signals.index(full) for bare, full in by_bare_name(signals).items()}
+    return places | {bare: axes.index(full) for bare, full in by_bare_name(axes).items()}
 
 
 class ExchangeableMachine:
@@ -85,38 +55,30 @@ class ExchangeableMachine:
         self.exchanges += 1
 
 
-class SeekableMachine(Machine, Protocol):
-    """A machine with a position that can be set: a replay."""
-
-    def seek(self, t: float) -> None: ...
-
-
-Simulate = Callable[[Setup], Machine]
-Replayed = Callable[[Trace], SeekableMachine]
-
-
 class Session:
     """The machine that all pages show.
 
     plan      the latest choice
     machine   the machine that is shown: `live`, or a replay
-    index     index of the signals in its frames
+    columns   bare name -> column in its frames, see `columns`
     title     title of the page
-    span      first and last time of the replayed file [s]; None for a live machine
+    file      name of the file that is replayed; empty for the live machine
     """
 
     def __init__(
-        self, first: MachineChoice, simulate: Simulate, replay: Replayed, folders: Sequence[Path] = ()
+        self,
+        first: MachineChoice,
+        folders: Sequence[Path] = (),
+        simulate: Callable[[Setup], Machine] = RealTimeMachine,
     ) -> None:
-        """simulate, replay: factories of machines; folders: of result files, the first also for saving."""
-        self._replay, self.folders = replay, tuple(folders)
+        """folders: of result files, the first also for saving; simulate: starts the live machine."""
+        self.folders = tuple(folders)
         self.plan: ViewPlan = plan(first)
         self.live = simulate(self.plan.setup)
         self.machine = ExchangeableMachine(self.live)
         self.file = ""
-        self._recording: SeekableMachine | None = None
-        self.span: tuple[float, float] | None = None
-        self._read()
+        self._recording: Replay | None = None
+        self.columns = columns(self.machine)
 
     @property
     def title(self) -> str:
@@ -129,16 +91,16 @@ class Session:
         return ", ".join([choice.system.name, *([choice.pose] if choice.pose else []), *swaps, *sets])
 
     @property
-    def replaying(self) -> bool:
-        """Is a file shown?"""
-        return bool(self.file)
+    def span(self) -> tuple[float, float] | None:
+        """First and last time of the replayed file [s]; None for the live machine."""
+        return (self._recording.begin, self._recording.end) if self._recording else None
 
     def start(self, choice: MachineChoice) -> None:
         """Start the live machine with this choice."""
         new = plan(choice)
         self.live.restart(new.setup)
         self.plan = new
-        self._show(self.live, "")
+        self._show(self.live)
         self.live.play()
 
     def again(self) -> None:
@@ -166,15 +128,13 @@ class Session:
         trace = read_trace(path)
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
-        recording = self._replay(trace)
-        index = SignalIndex(recording)
-        if not any(index.contains(name) for name in self._required):
+        recording = Replay(trace)
+        if not self._required & set(columns(recording)):
             full = by_bare_name(self.plan.setup.signals)
             example = next((full[name] for name in full if name in self._required), "component.output")
             found = ", ".join(list(trace.signals)[:4]) or "none"
             raise Problem(f"{path}: expected signals such as {example}, found {found}")
         self._show(recording, name or path.name)
-        self._recording, self.span = recording, (float(trace.time[0]), float(trace.time[-1]))
         self.machine.play()
 
     def seek(self, t: float) -> None:
@@ -187,7 +147,7 @@ class Session:
         """Show the live machine again, as it was paused."""
         if self.file:
             self.machine.machine.close()
-            self._show(self.live, "")
+            self._show(self.live)
 
     def save(self, machine: Machine | None = None) -> Path:
         """Save the session, or that of another machine, as a result file in the first folder."""
@@ -204,10 +164,7 @@ class Session:
         self.machine.close()
         self.live.close()
 
-    def _show(self, machine: Machine, file: str) -> None:
+    def _show(self, machine: Machine, file: str = "") -> None:
         self.machine.exchange(machine)
-        self.file, self._recording, self.span = file, None, None
-        self._read()
-
-    def _read(self) -> None:
-        self.index = SignalIndex(self.machine)
+        self.file, self._recording = file, machine if isinstance(machine, Replay) else None
+        self.columns = columns(self.machine)

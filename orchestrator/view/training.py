@@ -6,7 +6,7 @@ attempt equals that of `score.score` for the same samples. A page with a machine
 
 import csv
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,29 +15,22 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.drive import score
-from orchestrator.drive.score import Progress, Samples, Score, Task
+from orchestrator.drive.score import Exercise, Progress, Samples, Task
 from orchestrator.realtime.setup import Machine
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """A finished attempt: done, given up by `again`, or ended by a restart of the machine."""
-
-    number: int
-    exercise: str
-    score: Score
-
-
 class Training:
-    """The task of one machine, shared by all pages."""
+    """The task of one machine, shared by all pages.
+
+    table   the attempts that are over: done, given up by `again`, or ended by a restart; one row each
+    """
 
     def __init__(self, machine: Machine, declared: Callable[[], Task]) -> None:
         """declared: the task of the current machine."""
-        self.task, self.attempts = declared(), list[Attempt]()
-        self.exercise = self.task.exercises[0]
+        self.task, self.table = declared(), list[dict[str, Any]]()
         self._machine, self._declared, self._source = machine, declared, _source(machine)
         self._number, self._open = -1, 0
-        self._clear()
+        self._clear(self.task.exercises[0])
 
     def open(self) -> None:
         """A page shows the task. The first page begins an attempt."""
@@ -45,7 +38,6 @@ class Training:
         if self._open == 1:
             self._fit()
             self._number = self._machine.latest().number
-            self._clear()
 
     def close(self) -> None:
         """A page hides the task. While no page shows it, nothing is recorded."""
@@ -59,19 +51,18 @@ class Training:
     def choose(self, name: str) -> None:
         """Begin another exercise, if there is one of this name."""
         exercise = self.task.exercise(name)
-        if exercise is not None and exercise != self.exercise:
-            self.again()
-            self.exercise = exercise
+        if exercise is not None and exercise != self._progress.exercise:
+            self.again(exercise)
 
-    def again(self) -> None:
-        """Begin a new attempt. A started one is kept as unfinished."""
+    def again(self, exercise: Exercise | None = None) -> None:
+        """Begin a new attempt, at another exercise if one is given. A started one is kept as unfinished."""
         self._keep()
-        self._clear()
+        self._clear(exercise or self._progress.exercise)
 
     def update(self) -> None:
         """Add the frames since the last call."""
         if self._source != _source(self._machine):  # another machine, with other frame numbers
-            self.again()
+            self._keep()
             self._fit()
             self._number = -1
         numbers, times, _, values = self._machine.since(self._number)
@@ -85,55 +76,47 @@ class Training:
 
     def status(self) -> dict[str, Any]:
         """State of the current attempt, without the score, which is computed at its end."""
-        tip = self._tip
-        left = self.exercise.targets[len(self._progress.done) :]
-        inside = self._progress.inside
+        tip, progress = self._tip, self._progress
+        exercise, target, inside = progress.exercise, progress.target, progress.inside
         return {
-            "exercise": self.exercise.name,
-            "phase": score.phase(self.exercise, self._progress),
-            "target": asdict(left[0]) if left else None,
-            "radius": self.exercise.radius,
-            "done": len(self._progress.done),
-            "distance": score.distance(self.exercise, self._progress, tip) if tip else None,
-            "way": score.way(tip, left[0].at) if tip and left else None,
-            "held": 0.0 if inside is None else (self._progress.now - inside) / self.exercise.hold,
-            "time": score.clock(self._progress),
-            "load": score.load(self.exercise, self._progress),
+            "exercise": exercise.name,
+            "phase": progress.phase,
+            "target": asdict(target) if target else None,
+            "radius": exercise.radius,
+            "done": len(progress.done),
+            "way": score.way(tip, target.at) if tip and target else None,
+            "held": 0.0 if inside is None else (progress.now - inside) / exercise.hold,
+            "time": progress.clock,
+            "load": progress.load,
             "problem": self._problem,
-            "table": self.table(),
+            "table": self.table,
         }
 
     def loads(self) -> dict[str, float]:
         """Input -> its value: the load of the head while a page shows the task, else none."""
-        held = score.load(self.exercise, self._progress) if self._open else 0.0
-        return {self.task.load: held} if self.task.load else {}
-
-    def table(self) -> list[dict[str, Any]]:
-        """The finished attempts, one row each."""
-        return [{"attempt": a.number, "exercise": a.exercise, **asdict(a.score)} for a in self.attempts]
+        return {self.task.load: self._progress.load if self._open else 0.0} if self.task.load else {}
 
     def write(self, path: Path) -> Path:
         """Write the table as CSV."""
-        if not self.attempts:
+        if not self.table:
             raise Problem(f"{path}: expected a finished attempt, found none")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            rows = self.table()
             with path.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.DictWriter(file, [*rows[0]], lineterminator="\n")
+                writer = csv.DictWriter(file, [*self.table[0]], lineterminator="\n")
                 writer.writeheader()
-                writer.writerows(rows)
+                writer.writerows(self.table)
         except OSError as error:
             raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
         return path
 
     def _fit(self) -> None:
-        """The task is that of the machine that is shown now."""
+        """Begin an attempt at the task of the machine that is shown now."""
         self._source, self.task = _source(self._machine), self._declared()
-        self.exercise = self.task.exercise(self.exercise.name) or self.task.exercises[0]
+        self._clear(self.task.exercise(self._progress.exercise.name) or self.task.exercises[0])
 
-    def _clear(self) -> None:
-        self._progress = Progress()
+    def _clear(self, exercise: Exercise) -> None:
+        self._progress = Progress(exercise)
         self._samples: list[Samples] = []
         self._tip: tuple[float, float, float] | None = None
         self._problem = ""
@@ -151,17 +134,18 @@ class Training:
             self._samples = []
         self._samples.append(part)
         self._tip = part.tips[-1]
-        self._progress = score.follow(self.exercise, self._progress, part)
-        if score.phase(self.exercise, self._progress) == "done":
+        self._progress = self._progress.follow(part)
+        if self._progress.phase == "done":
             self._keep()
         elif self._progress.started is not None and times[-1] - self._progress.started > score.LONGEST:
             self.again()
 
     def _keep(self) -> None:
         if self._progress.started is not None and not self._kept:
-            result = score.judge(Samples.joined(self._samples), self.exercise, self._progress)
+            result = score.judge(Samples.joined(self._samples), self._progress)
             assert result is not None  # the clock has started
-            self.attempts.append(Attempt(len(self.attempts) + 1, self.exercise.name, result))
+            numbered = {"attempt": len(self.table) + 1, "exercise": self._progress.exercise.name}
+            self.table.append(numbered | asdict(result))
         self._kept = True
 
 

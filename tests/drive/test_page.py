@@ -169,6 +169,20 @@ def test_follows_the_switch_of_a_site(opened: Any) -> None:
 
 
 @shards.browser
+def test_fits_a_phone(opened: Any) -> None:
+    """As narrow as in a report on a phone, nothing of the section is cut off at its side."""
+    page = opened("report", reduced_motion="reduce")
+    page.page.set_viewport_size({"width": 360, "height": 740})
+    page.page.wait_for_function("document.querySelector('.hm-scene').clientWidth < 360")
+    beyond = page.page.evaluate("""() => { const root = document.querySelector('.harvester-machine');
+      const beyond = (one) => one.getBoundingClientRect().right - root.getBoundingClientRect().right;
+      const text = (one) => `${one.tagName} ${one.getAttribute('class')} ${beyond(one)}`;
+      const all = [...root.querySelectorAll('.hm-hands *, .hm-panel *, .hm-bar *')];
+      return all.filter((one) => one.checkVisibility() && beyond(one) > 1).map(text); }""")
+    assert beyond == []
+
+
+@shards.browser
 def test_replay_then_drive(opened: Any) -> None:
     """The run is replayed next to the reference; a key takes over from where the machine is."""
     page = opened("replay")

@@ -14,7 +14,7 @@ from view.standin import DESCRIPTION
 
 from orchestrator.drive import score as scores
 from orchestrator.drive.drawing import SCALE, UNKNOWN
-from orchestrator.drive.page import page_data
+from orchestrator.drive.page import libraries, page_data
 from orchestrator.drive.sticks import ResponseCurve, StickAxes, functions
 from orchestrator.drive.view_description import CAVITATION
 
@@ -130,6 +130,20 @@ def test_history(script: Any) -> None:
     assert script("charts", f"(() => {{ {put} return h.curves(1).columns.a; }})()") == [5, -2], (
         "a bin that has grown"
     )
+
+
+def test_the_axis_of_time_is_in_seconds(script: Any) -> None:
+    """Each label that a chart draws below its curves has its unit."""
+    draw = """(async () => { (0, eval)(a.uplot); const drawn = [];
+      CanvasRenderingContext2D.prototype.fillText = (text) => drawn.push(text);
+      const place = document.body.appendChild(document.createElement("div"));
+      const charts = new m.Charts(place, a.charts.slice(0, 1), new Set([a.name]));
+      charts.show({ time: [-1, 0], columns: { [a.name]: [0, 1e6] } });
+      await new Promise((done) => setTimeout(done, 100)); place.remove();
+      return [...new Set(drawn)]; })()"""
+    given = {"uplot": libraries()["uplot"], "charts": DATA["charts"], "name": "boom_head_pressure"}
+    labels = set(script("charts", draw, given))
+    assert labels >= {"\N{MINUS SIGN}20 s", "\N{MINUS SIGN}10 s", "0 s"}
 
 
 def test_task_as_in_python(script: Any) -> None:

@@ -3,7 +3,7 @@
 import functools
 import itertools
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from view.standin import DESCRIPTION, StandIn
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.drive import score as scores
-from orchestrator.drive.score import Exercise, Progress, Target, follow, of_trace, phase, score
+from orchestrator.drive.score import Exercise, Progress, Target, of_trace, score
 from orchestrator.view.training import Training
 
 Array = NDArray[np.float64]
@@ -110,16 +110,16 @@ def test_shares_of_functions() -> None:
 def in_one_piece() -> tuple[Any, Progress]:
     """The samples of the cycle, and the progress at their end."""
     samples = of_trace(cycle(), TASK)
-    return samples, follow(EXERCISE, Progress(), samples)
+    return samples, Progress(EXERCISE).follow(samples)
 
 
 @given(st.lists(st.integers(1, 1198), unique=True, max_size=8))
 def test_in_pieces(cuts: list[int]) -> None:
     """Progress does not depend on how the samples are cut into pieces."""
     samples, whole = in_one_piece()
-    progress = Progress()
+    progress = Progress(EXERCISE)
     for part in np.split(np.arange(len(samples.time)), sorted(cuts)):
-        progress = follow(EXERCISE, progress, samples[slice(part[0], part[-1] + 1)])
+        progress = progress.follow(samples[slice(part[0], part[-1] + 1)])
     assert progress == whole
 
 
@@ -142,8 +142,8 @@ def test_online_is_offline(tmp_path: Path) -> None:
         training.update()
         seen.add(training.status()["phase"])
     assert seen == {"ready", "moving", "holding", "done"}
-    assert [attempt.score for attempt in training.attempts] == [score(trace, TASK)]
-    assert training.status()["time"] == training.attempts[0].score.cycle_time
+    assert training.table == [{"attempt": 1, "exercise": EXERCISE.name, **asdict(score(trace, TASK))}]
+    assert training.status()["time"] == training.table[0]["cycle_time"]
     text = training.write(tmp_path / "build" / "training.csv").read_text()
     assert text.count("\n") == 2
     assert text.startswith("attempt,exercise,finished,cycle_time")
@@ -156,7 +156,7 @@ def test_counts_only_what_is_shown() -> None:
     training = Training(live, lambda: TASK)
     training.open()
     training.update()
-    assert training.attempts == []
+    assert training.table == []
     assert training.status()["phase"] == "ready"
 
 
@@ -201,21 +201,23 @@ def test_restart_ends_an_attempt() -> None:
     live.frames = first + live.frames
     training = Training(live, lambda: TASK)
     training.update()
-    assert [attempt.score.finished for attempt in training.attempts] == [False, True]
+    assert [attempt["finished"] for attempt in training.table] == [False, True]
     training.again()
-    assert len(training.attempts) == 2
+    assert len(training.table) == 2
     assert training.status()["phase"] == "ready"
+
+
+LINE = Exercise("line", (Target("end", (1.0, 0.0, 0.0)),))
 
 
 def at(progress: Progress, time: float, x: float, speed: float = 0.0) -> Progress:
     """One more sample on a line, with the target at 1 m."""
-    line = Exercise("line", (Target("end", (1.0, 0.0, 0.0)),))
-    return scores.advance(line, progress, time, (x, 0.0, 0.0), speed)
+    return progress.advance(time, (x, 0.0, 0.0), speed)
 
 
 def test_hold_without_a_break() -> None:
     """Too fast, or out of the target for a moment, and the hold begins again."""
-    progress = at(at(Progress(), 0, 0), 1, 0.9)
+    progress = at(at(Progress(LINE), 0, 0), 1, 0.9)
     assert progress.inside == 1
     assert at(progress, 1.9, 0.9).done == ()
     assert at(progress, 2.0, 0.9).done == (2.0,)
@@ -230,7 +232,7 @@ def test_nothing_moves() -> None:
     time = np.arange(0, 5, STEP)
     still = Trace(time, {name: np.full_like(time, value[-1]) for name, value in cycle().signals.items()})
     assert score(still, TASK) is None
-    assert phase(EXERCISE, follow(EXERCISE, Progress(), of_trace(still, TASK))) == "ready"
+    assert Progress(EXERCISE).follow(of_trace(still, TASK)).phase == "ready"
 
 
 def test_supply_is_not_counted_twice() -> None:

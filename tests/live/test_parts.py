@@ -12,10 +12,10 @@ from kit.mistakes import problem
 
 from orchestrator import Problem, Trace
 from orchestrator.engine.scenario import ScenarioTable
-from orchestrator.realtime import deadlines, shared_memory
+from orchestrator.realtime import deadlines
 from orchestrator.realtime.deadlines import BINS, latency_bin, latency_quantile
 from orchestrator.realtime.setup import Axis, Setup
-from orchestrator.realtime.shared_memory import Command, Memory, SharedState, attach
+from orchestrator.realtime.shared_memory import Command, Memory, SharedState, attach, layout
 from orchestrator.realtime.stepping import CommandWatchdog, Ramp, RateLimiter, RestDelay
 
 positive = st.floats(1e-6, 1e6)
@@ -106,7 +106,7 @@ def test_the_watchdog_lets_go_of_old_commands():
 @pytest.fixture
 def shared():
     """Two views of the same memory."""
-    memory = Memory(shared_memory.size(2, 3, 10))
+    memory = Memory(layout(2, 3, 10).itemsize)
     other = attach(memory.address)
     return SharedState(memory.map, 2, 3, 10), SharedState(other, 2, 3, 10)
 
@@ -119,7 +119,9 @@ def test_commands_and_frames_arrive_in_another_mapping(shared):
     assert command[:3] == (True, 0.1, 12)
     np.testing.assert_array_equal(command.values, [math.pi, -1e300])
     child.write_frame(13, 0.125, np.array([1.0, 2.0]), np.array([3.0, np.nan, 5.0]))
-    np.testing.assert_array_equal(parent.rows[3], [13, 0.125, 1, 2, 3, np.nan, 5])
+    number, t, axes, values = parent.frames[3].item()
+    assert (number, t, *axes) == (13, 0.125, 1, 2)
+    np.testing.assert_array_equal(values, [3, np.nan, 5])
     child.set_state("failed", "gauge \u00fc")
     assert (parent.status().state, parent.status().text) == ("failed", "gauge \u00fc")
 
@@ -128,11 +130,11 @@ def test_half_an_order_is_none(shared):
     """Neither one that is being written nor one whose numbers do not fit together."""
     parent, child = shared
     parent.write_command(Command(True, 1.0, 1, np.array([1.0, 2.0])))
-    parent._command[shared_memory.SEQUENCE] += 1
+    parent._command["sequence"] += 1
     assert child.read_command() is None
-    parent._command[shared_memory.SEQUENCE] += 1
+    parent._command["sequence"] += 1
     assert child.read_command() is not None
-    parent._command_reals[2] = 3.0
+    parent._command["content"]["values"][1] = 3.0
     assert child.read_command() is None
 
 
@@ -140,7 +142,7 @@ def test_a_writer_that_died_locks_nobody_out(shared):
     """A status whose sequence number stays odd is read as it is."""
     parent, child = shared
     child.set_state("running", "on")
-    child._counts[shared_memory.SEQUENCE] += 1
+    child._status["sequence"] += 1
     assert parent.status().state == "running"
 
 

@@ -24,7 +24,7 @@ from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.live import Pages
 from orchestrator.view.server import application
 from orchestrator.view.server_load import TimedConnection
-from orchestrator.view.session import SignalIndex
+from orchestrator.view.session import columns
 from orchestrator.view.training import Training
 
 # how the harvester is driven, as its own description says
@@ -81,7 +81,7 @@ def pages(machine: StandIn, authority: ControlAuthority, training: Training | No
     """The pages of a machine without a scene."""
     plan = SimpleNamespace(description=DESCRIPTION, parameters=None)
     session = SimpleNamespace(
-        machine=machine, index=SignalIndex(machine), plan=plan, span=None, title="", folders=()
+        machine=machine, columns=columns(machine), plan=plan, span=None, title="", folders=()
     )
     return Pages(session, authority, training or Training(machine, lambda: DESCRIPTION.task))
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
-from orchestrator.realtime.machine import APART, RealTimeMachine
-from orchestrator.realtime.replay import Replay
+from orchestrator.realtime.machine import APART
 from orchestrator.view import server as serving
 from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.choice import MachineChoice
@@ -38,7 +37,7 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     times = np.linspace(0, 4, 401)
     angles = {"manipulator.boom_angle": 0.2 + 0.1 * times, "manipulator.stick_angle": -1.4 + 0 * times}
     write_trace(Trace(times, angles), results / "rising.csv")
-    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), RealTimeMachine, Replay, [results])
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), [results])
     with pytest.MonkeyPatch.context() as patient:
         # a browser may halt for some seconds where much else is done: that is no driver who went away
         patient.setattr(serving, "ControlAuthority", partial(ControlAuthority, silence_limit=LONG))
@@ -107,9 +106,14 @@ def picture(page: Any) -> NDArray[np.float64]:
     return np.asarray(found[..., :3], dtype=np.float64)
 
 
+def value(session: Session, name: str) -> float:
+    """Of a signal of the machine now."""
+    return float(session.machine.latest().values[session.columns[name] - len(session.machine.axes)])
+
+
 def angle(server: Server, joint: str) -> float:
     """Of a joint [rad], from the machine itself."""
-    return server.session.index.value(server.session.machine.latest(), f"{joint}_angle")
+    return value(server.session, f"{joint}_angle")
 
 
 def comes_to(server: Server, state: str) -> bool:
@@ -178,7 +182,7 @@ def test_machine_is_seen_and_moves(own: Any, server: Server) -> None:
     own.close()
     assert until(lambda: not driven(server))
     session = server.session
-    assert until(lambda: abs(session.index.value(session.machine.latest(), "swing_speed")) < 0.01)
+    assert until(lambda: abs(value(session, "swing_speed")) < 0.01)
 
 
 def test_pause_and_restart(page: Any, server: Server) -> None:
@@ -226,8 +230,7 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
 
     def looked_at() -> bool:
         *target, away = page.evaluate(CAMERA)
-        index, frame = server.session.index, server.session.machine.latest()
-        tip = [index.value(frame, f"tip_{name}") for name in ("x", "y", "height")]
+        tip = [value(server.session, f"tip_{name}") for name in ("x", "y", "height")]
         # 5 cm: the tip creeps while the picture is under way; 7 m is the distance of the view
         return bool(np.allclose(target, tip, atol=0.05) and abs(away - 7) < 0.01)
 
@@ -333,7 +336,7 @@ def test_replay(page: Any, server: Server) -> None:
     """A result file is played and cannot be driven; from there it goes back to the live machine."""
     page.get_by_role("button", name="Replay").click()
     page.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
-    assert until(lambda: server.session.replaying)
+    assert until(lambda: server.session.file)
     page.wait_for_function("() => document.querySelector('.hm-mode').innerText.includes('rising.csv')")
     assert until(lambda: angle(server, "boom") > 0.3)
     server.session.machine.pause()  # a click may take longer than the file

@@ -25,7 +25,7 @@ from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants
 from orchestrator.view.live import AHEAD, BIN, LOST, WINDOW, Credit, History, chosen, extremes, offered
 from orchestrator.view.server import bound
-from orchestrator.view.session import Session, SignalIndex
+from orchestrator.view.session import Session, columns
 
 
 @given(
@@ -66,7 +66,7 @@ def peaks(history: History) -> list[float]:
 def test_history() -> None:
     """A spike of one frame stays in sight for the window, and is gone after it; a restart begins anew."""
     machine = Recorded(rows=[(0.01 * k, 1.0, 9.0 if k == 137 else 0.5) for k in range(1000)])
-    history = History(machine, SignalIndex(machine), ["boom_command", "boom_speed", "unknown"])
+    history = History(machine, columns(machine), ["boom_command", "boom_speed", "unknown"])
     history.look()
     *known, unknown = peaks(history)
     assert known == [1.0, 9.0]
@@ -80,7 +80,7 @@ def test_history() -> None:
     machine.rows += [(0.01 * k, 0.0, 0.1) for k in range(50)]
     history.look()
     assert peaks(history)[1] == 0.1
-    empty = History(machine, SignalIndex(machine), ["unknown"])
+    empty = History(machine, columns(machine), ["unknown"])
     empty.look()
     assert empty.bins == {}, "none of the curves is in the file"
 
@@ -224,7 +224,7 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
     (tmp_path / "text.csv").write_bytes(b"\xff")
     (tmp_path / "cut.csv").write_text("time,boom_angle\nno number")
     replay = Replay(Trace(np.arange(2.0), still))
-    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), lambda _: replay, Replay, [tmp_path])
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), [tmp_path], lambda _: replay)
     assert session.files() == ["a.csv", "b.parquet", "cut.csv"]
 
 
@@ -232,9 +232,9 @@ def test_replay_tells_what_it_knows() -> None:
     """Of a file, signals are found by their bare names; a joint that is not in it stands where it began."""
     trace = Trace(np.array([0.0, 1.0]), {"manipulator.boom_angle": np.array([0.3, 0.3])})
     machine = Replay(trace)
-    index = SignalIndex(machine)
-    assert index.value(machine.latest(), "boom_angle") == 0.3
-    assert math.isnan(index.value(machine.latest(), "stick_angle"))
+    found = columns(machine)
+    assert machine.latest().values[found["boom_angle"]] == 0.3
+    assert "stick_angle" not in found
 
 
 def test_port_in_use() -> None:

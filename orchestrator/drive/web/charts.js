@@ -1,5 +1,6 @@
 // Strip charts of the last seconds, drawn by uPlot. Of each bin of time the lowest and the highest value are kept, so
 // that no peak is lost.
+import { make } from "drive/panels.js";
 
 export const WINDOW = 20; // s of simulated time
 export const BIN = 0.2; // s
@@ -78,22 +79,13 @@ export class Charts {
 class StripChart {
   constructor(place, chart) {
     [this.chart, this.high] = [chart, chart.ends[0]];
-    const figure = document.createElement("figure");
-    figure.className = "hm-chart";
-    figure.innerHTML = '<p class="hm-title"></p><div class="hm-key"></div><div class="hm-plot" role="img"></div>';
-    const [heading, key, host] = figure.children;
-    heading.textContent = `${chart.title} [${chart.unit}]`;
-    host.setAttribute("aria-label", `${chart.title} over the last ${WINDOW} s`);
-    for (const curve of chart.curves) {
-      const entry = document.createElement("span");
-      entry.innerHTML = `<i style="border-top: 2px ${curve.dashed ? "dashed" : "solid"} ${curve.colour}"></i>`;
-      entry.append(curve.text);
-      key.append(entry);
-    }
-    place.append(figure);
-    this.host = host;
-    this.plot = new uPlot(this.options(), [[], ...chart.curves.map(() => [])], host);
-    new ResizeObserver(() => this.fit()).observe(host);
+    const heading = make("p", { className: "hm-title", textContent: `${chart.title} [${chart.unit}]` });
+    const line = ({ dashed, colour }) => make("i", { style: `border-top: 2px ${dashed ? "dashed" : "solid"} ${colour}` });
+    const key = make("div", { className: "hm-key" }, ...chart.curves.map((curve) => make("span", {}, line(curve), curve.text)));
+    this.host = make("div", { className: "hm-plot", role: "img", ariaLabel: `${chart.title} over the last ${WINDOW} s` });
+    place.append(make("figure", { className: "hm-chart" }, heading, key, this.host));
+    this.plot = new uPlot(this.options(), [[], ...chart.curves.map(() => [])], this.host);
+    new ResizeObserver(() => this.fit()).observe(this.host);
   }
 
   fit() {

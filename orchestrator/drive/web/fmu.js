@@ -59,11 +59,6 @@ export class Fmu {
     this.time += length;
   }
 
-  free() {
-    this.c.fmi3FreeInstance(this.instance);
-    this.instance = 0;
-  }
-
   // ---- values of several variables: the group has their references and room for their values in the memory
 
   group(names) {
@@ -90,10 +85,6 @@ export class Fmu {
   set({ at, values, count }, numbers) {
     new Float64Array(this.c.memory.buffer, values, count).set(numbers);
     return this.check("SetFloat64", this.c.fmi3SetFloat64(this.instance, at, count, values, count));
-  }
-
-  value(name) {
-    return this.get(this.group([name]))[0];
   }
 
   // ---- memory, messages

@@ -3,6 +3,7 @@
 import { History } from "drive/charts.js";
 import { Fmu } from "drive/fmu.js";
 import { functions } from "drive/levers.js";
+import { sample } from "drive/recording.js";
 import { Attempts } from "drive/task.js";
 
 const BUDGET = 24; // ms of simulation for one picture; beyond it the machine is slower than real time
@@ -89,17 +90,6 @@ export class Simulation {
   }
 }
 
-// the commands of a program at a time
-function commandsAt({ time, columns }, t) {
-  let k = time.findIndex((sample) => sample > t + 1e-9);
-  if (k < 0) k = time.length;
-  const pick = (values) => {
-    if (k === 0 || k === time.length) return values[Math.max(0, k - 1)];
-    return values[k - 1] + ((t - time[k - 1]) / (time[k] - time[k - 1])) * (values[k] - values[k - 1]);
-  };
-  return Object.fromEntries(Object.entries(columns).map(([name, values]) => [name, pick(values)]));
-}
-
 export class ModuleSource {
   shared = false;
 
@@ -119,10 +109,6 @@ export class ModuleSource {
 
   get time() {
     return this.simulation.time;
-  }
-
-  get slow() {
-    return this.due > 2 * this.fmu.frame;
   }
 
   read() {
@@ -145,7 +131,7 @@ export class ModuleSource {
       this.frame(read);
       this.due -= this.fmu.frame;
     }
-    if (this.slow) this.due = 0; // slower than real time
+    if (this.due > 2 * this.fmu.frame) this.due = 0; // slower than real time
     this.read();
   }
 
@@ -153,7 +139,7 @@ export class ModuleSource {
     const program = this.program && this.fmu.program;
     if (program && this.time >= program.time[program.time.length - 1]) this.begin();
     const next = (this.simulation.frames + 1) * this.fmu.frame;
-    this.simulation.frame(program ? commandsAt(program, next) : this.commanded(read(this.fmu.frame)), Boolean(program));
+    this.simulation.frame(program ? sample(program, next) : this.commanded(read(this.fmu.frame)), Boolean(program));
     const values = this.simulation.values();
     this.history.add(this.time, values);
     if (this.task.add(this.time, values)) this.set(this.data.task.load, this.task.status().load);

@@ -1,20 +1,27 @@
 // Source: a recorded run at the times of its pictures, and the angles of the reference beside it.
 import { WINDOW } from "drive/charts.js";
 
+// number of the times up to t
+const until = (time, t) => time.filter((one) => one <= t + 1e-9).length;
+
+// values of columns over time at t, linear between the samples
+export function sample({ time, columns }, t) {
+  const count = until(time, t);
+  const [a, b] = [Math.max(0, count - 1), Math.min(count, time.length - 1)];
+  const share = a === b ? 0 : (t - time[a]) / (time[b] - time[a]);
+  return Object.fromEntries(Object.entries(columns).map(([name, v]) => [name, v[a] + share * (v[b] - v[a])]));
+}
+
 export class Recording {
   shared = false;
   drives = false;
 
   constructor({ time, columns, ghost }) {
-    [this.all, this.columns, this.ghost] = [time, columns, Object.keys(ghost).length ? ghost : null];
-    [this.first, this.last] = [time[0], time[time.length - 1]];
+    [this.run, this.ghost] = [{ time, columns }, Object.keys(ghost).length ? { time, columns: ghost } : null];
+    [this.first, this.last] = this.span = [time[0], time[time.length - 1]];
     this.names = new Set(Object.keys(columns));
     [this.jumps, this.sliders] = [0, []];
     this.seek(this.first);
-  }
-
-  get span() {
-    return [this.first, this.last];
   }
 
   begin() {
@@ -33,28 +40,16 @@ export class Recording {
 
   show(t) {
     this.time = Math.max(this.first, Math.min(this.last, t));
-    this.values = this.at(this.columns);
-    this.reference = this.ghost && this.at(this.ghost);
-  }
-
-  // place of the time among the pictures, with its fraction
-  get place() {
-    return ((this.time - this.first) / (this.last - this.first)) * (this.all.length - 1);
-  }
-
-  // linear between the pictures
-  at(columns) {
-    const k = Math.max(0, Math.min(this.all.length - 2, Math.floor(this.place)));
-    const mixed = ([name, v]) => [name, v[k] + (this.place - k) * (v[k + 1] - v[k])];
-    return Object.fromEntries(Object.entries(columns).map(mixed));
+    this.values = sample(this.run, this.time);
+    this.reference = this.ghost && sample(this.ghost, this.time);
   }
 
   // the last seconds, and now
   curves() {
-    const from = this.all.findIndex((t) => t > this.time - WINDOW);
-    const to = Math.floor(this.place) + 1;
-    const until = (values, now) => [...values.slice(from, to), now];
-    const columns = Object.entries(this.columns).map(([name, values]) => [name, until(values, this.values[name])]);
-    return { time: until(this.all, this.time).map((t) => t - this.time), columns: Object.fromEntries(columns) };
+    const { time, columns } = this.run;
+    const [from, to] = [this.time - WINDOW, this.time].map((t) => until(time, t));
+    const part = (values, now) => [...values.slice(from, to), now];
+    const parts = Object.entries(columns).map(([name, values]) => [name, part(values, this.values[name])]);
+    return { time: part(time, this.time).map((t) => t - this.time), columns: Object.fromEntries(parts) };
   }
 }

@@ -4,7 +4,7 @@ import { History } from "drive/charts.js";
 
 const SILENT = 1000; // ms after which a server that says nothing counts as gone
 const HEARD = 4; // pictures between two words to the server that they were drawn
-const FREE = { role: "free", live: false, why: "", asked: "", drives: false, modes: [] };
+const FREE = { role: "free", live: false, why: "", asked: "", drives: false, pattern: "", mode: "", modes: [] };
 
 export class SocketSource {
   shared = true;
@@ -13,7 +13,8 @@ export class SocketSource {
     // onhello: another machine; onframe; oninfo; onstatus: of the controls; onanswer; onlate
     for (const name of ["onhello", "onframe", "oninfo", "onstatus", "onanswer", "onlate"]) this[name] = () => {};
     [this.opened, this.late, this.spoke, this.lost, this.heard] = [false, false, false, false, performance.now()];
-    [this.status, this.info, this.jumps, this.values, this.time, this.state] = [FREE, {}, 0, {}, 0, "starting"];
+    [this.info, this.jumps, this.values, this.time, this.state] = [{}, 0, {}, 0, "starting"];
+    this.tell(FREE);
     this.worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" });
     this.worker.onmessage = ({ data }) => this.hear(data);
     this.worker.postMessage({ address });
@@ -27,11 +28,13 @@ export class SocketSource {
     if (data.hello) this.begin(data.hello);
     for (const [number, first, second] of data.bins ?? []) this.history.put(number, first, second);
     if (data.frame) this.show(data.frame);
-    if (data.info) this.info = data.info;
-    if (data.info) this.oninfo();
+    if (data.info) {
+      [this.info, this.span] = [data.info, data.info.span];
+      this.oninfo();
+    }
     if (data.status) {
-      [this.status, this.lost] = [data.status, this.lost && data.status.role === "free"];
-      this.onstatus();
+      this.lost &&= data.status.role === "free";
+      this.tell(data.status);
     }
     if (data.answer) this.onanswer(data.answer);
   }
@@ -40,7 +43,12 @@ export class SocketSource {
     this.opened = open;
     if (open) return;
     this.lost ||= this.status.role === "driving";
-    this.status = FREE;
+    this.tell(FREE);
+  }
+
+  // the state of the controls
+  tell(status) {
+    Object.assign(this, { status, drives: status.drives, pattern: status.pattern, mode: status.mode });
     this.onstatus();
   }
 
@@ -77,22 +85,6 @@ export class SocketSource {
     if (speaks) this.worker.postMessage({ sticks, held: deadMan });
     else if (this.spoke) this.worker.postMessage({ quiet: true });
     this.spoke = speaks;
-  }
-
-  get drives() {
-    return this.status.drives;
-  }
-
-  get pattern() {
-    return this.status.pattern ?? "";
-  }
-
-  get mode() {
-    return this.status.mode ?? "";
-  }
-
-  get span() {
-    return this.info.span;
   }
 
   get sliders() {

@@ -1,5 +1,6 @@
 // The training task: progress and score of a run in this browser, by the rules and definitions of score.py, and the
 // panel that shows them or those of a server.
+import { make, write } from "drive/panels.js";
 
 const RATE = 50; // Hz; sampling rate for the spectrum, and the next constants, as in score.py
 const HIGHEST = 10; // Hz
@@ -230,14 +231,12 @@ export class TaskPanel {
       <progress max="1" aria-label="Held" hidden></progress><div class="hm-table" tabindex="0" hidden><table><thead><tr></tr></thead><tbody></tbody></table></div>`;
     [this.choice, this.head, this.body] = ["select", "thead tr", "tbody"].map((name) => place.querySelector(name));
     [this.line, this.held] = ["[role=status]", "progress"].map((name) => place.querySelector(name));
-    const [again, write] = place.querySelectorAll("button");
-    this.write = write;
-    for (const { name } of rules.exercises) this.choice.append(new Option(name));
-    for (const heading of ["attempt", ...COLUMNS.map(([, text]) => text)])
-      this.head.append(Object.assign(document.createElement("th"), { scope: "col", textContent: heading }));
-    this.choice.addEventListener("change", () => asked("choose", this.choice.value));
-    again.addEventListener("click", () => asked("again"));
-    write.addEventListener("click", () => asked("write"));
+    [this.again, this.write] = place.querySelectorAll("button");
+    this.choice.append(...rules.exercises.map(({ name }) => new Option(name)));
+    this.head.append(...["attempt", ...COLUMNS.map(([, text]) => text)].map((textContent) => make("th", { scope: "col", textContent })));
+    this.choice.onchange = () => asked("choose", this.choice.value);
+    this.again.onclick = () => asked("again");
+    this.write.onclick = () => asked("write");
   }
 
   get open() {
@@ -251,8 +250,7 @@ export class TaskPanel {
 
   show(status) {
     if (!status || !this.open) return;
-    const text = summary(status);
-    if (this.line.textContent !== text) this.line.textContent = text;
+    write(this.line, summary(status));
     if (document.activeElement !== this.choice) this.choice.value = status.exercise;
     this.held.hidden = status.phase !== "holding";
     this.held.value = Math.min(1, status.held);
@@ -261,10 +259,6 @@ export class TaskPanel {
     if (key === this.rows) return;
     this.rows = key;
     this.write.hidden = this.place.querySelector(".hm-table").hidden = !rows.length;
-    this.body.replaceChildren(...rows.map((cells) => {
-      const line = document.createElement("tr");
-      line.append(...cells.map((text) => Object.assign(document.createElement("td"), { textContent: text })));
-      return line;
-    }));
+    this.body.replaceChildren(...rows.map((cells) => make("tr", {}, ...cells.map((text) => make("td", {}, text)))));
   }
 }
