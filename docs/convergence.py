@@ -15,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from orchestrator.cli.studies import print_convergence
 from orchestrator.pages.plotting import png
 from orchestrator.studies.convergence.convergence_study import (
     adaptive_table,
@@ -68,7 +69,7 @@ def studies() -> None:
         if len(sys.argv) < 2:
             build_machine(folder)
         usual = data("reference/work_cycle.csv")
-        cycle = convergence(machine, None, folder / "cycle", STEPS, "", (), 3, usual)
+        cycle = convergence(machine, None, folder / "cycle", STEPS, "", (), 3, usual, print_convergence)
         systems = build(folder / "manipulator")
         benchmark = manipulator(systems["rates"])
         beside_the_published(systems, EXAMPLE / "steps.png")

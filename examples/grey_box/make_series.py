@@ -9,11 +9,11 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from fmus.components.smooth import direction
 from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
 from fmus.components.chamber import pressure_rate
-from fmus.components.smooth import direction
 from fmus.components.spool_valve import Valve, ports_from_pressure
 
 STEP, SAMPLES, SEED = 0.04, 1024, 7  # s, 1, 1

@@ -23,7 +23,7 @@ from rich.table import Table
 
 from orchestrator import Problem, Result, Trace, read_trace, run, write_trace
 from orchestrator.data.recording import Recording, read_recording
-from orchestrator.results.summary import summary
+from orchestrator.results.summary import Summary
 from orchestrator.results.validation import Validation, validate
 
 HERE = Path(__file__).resolve().parent
@@ -93,7 +93,7 @@ def main() -> int:
     console.print(outcome.result.card.text(), "")
     console.print(errors(outcome), "")
     if outcome.validation:
-        console.print(summary(outcome.validation), "")
+        console.print(Summary(outcome.validation), "")
     picture = draw(outcome.result.trace, outcome.truth, outcome.reference, given.out / "result.png")
     trace = write_trace(outcome.result.trace, given.out / "result.csv")
     console.print(f"wrote {system}, {trace} and {picture}", soft_wrap=True)

@@ -15,9 +15,10 @@ from rich.console import Console
 from run import M1, REFERENCE
 
 from orchestrator import load, read_trace, run
+from orchestrator.cli.studies import print_convergence
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.studies.convergence.convergence_study import maximum_table, report, with_progress
+from orchestrator.studies.convergence.convergence_study import maximum_table, with_progress
 from orchestrator.studies.convergence.reference_solution import ReferenceSolution, from_run
 from orchestrator.studies.convergence.runs import SETTINGS, ConvergenceStudy, Setting, run_settings
 
@@ -71,7 +72,7 @@ def main() -> None:
     systems = build(FOLDER)
     study = manipulator(systems["rates"])
     maximum_table(study, "position").print(Console())
-    report(study, FOLDER)
+    print_convergence(study, FOLDER)
     print(beside_the_published(systems, FOLDER / "steps.png"))
 
 

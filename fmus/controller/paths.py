@@ -231,11 +231,6 @@ def start_angles(label: str, tip: Point, arm: Mapping[str, float]) -> dict[str, 
     return {f"manipulator.initial_{joint}_angle": value for joint, value in angles.items()}
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Write the scenarios to the folder of the first argument, by default data/scenarios."""
-    for path in write(Path(arguments[0] if arguments else "data/scenarios")):
-        print(path)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    for file in write(Path(*(sys.argv[1:] or ["data/scenarios"]))):
+        print(file)

@@ -49,14 +49,14 @@ def variant_lines(costs: Costs) -> Iterator[str]:
         yield ""
 
 
-def print_parameters(name: str | None = None, source: str | None = None, folder: Path | None = None) -> None:
-    """Print the parameters of a subsystem (default: all of the machine), optionally of one source only.
+def parameter_text(name: str | None = None, source: str | None = None, folder: Path | None = None) -> str:
+    """Tables of the parameters of a subsystem (default: all of the machine), optionally of one source only.
 
     Another name, such as `hose`, selects the parameters of all subsystems whose names contain it.
 
     The program of the operator is not part of the machine; its table is that of `operator_input`.
 
-    folder   of built FMUs; values that were built into them are printed, with the shipped ones
+    folder   of built FMUs; values that were built into them are shown, with the shipped ones
     """
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
     by_name = {**ALL, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
@@ -73,9 +73,8 @@ def print_parameters(name: str | None = None, source: str | None = None, folder:
     if folder is not None:
         subs = [_as_built(sub, folder) for sub in subs]
     told = set[tuple[str, str]]()  # by part, as variants of a part share parameters
-    for table in filter(None, ("\n".join(_parameter_lines(sub, source, word, told)) for sub in subs)):
-        print(f"{table}\n")
-    print(LEGEND if word else f"{LEGEND}\n\n{_count(subs, source)}")
+    tables = ["\n".join(_parameter_lines(sub, source, word, told)) for sub in subs]
+    return "\n\n".join(filter(None, [*tables, LEGEND, "" if word else _count(subs, source)]))
 
 
 def _parameter_lines(

@@ -484,10 +484,10 @@ def find(given: str | Path, suffixes: tuple[str, ...], folder: str | Path = "") 
 
 
 def tell_once(text: str) -> None:
-    """Print what was assumed about a file, once per process, on standard error."""
+    """Tell what was assumed about a file, once per process, on standard error."""
     if text not in _told:
         _told.add(text)
-        print(text, file=sys.stderr)
+        sys.stderr.write(f"{text}\n")
 
 
 def _shipped(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from orchestrator.base.errors import Problem
@@ -47,7 +48,8 @@ def variants(
 
     file = require_system(system_file(system))
     if combinations:
-        return table(file, {part: list(family) for part, family in FAMILIES.items()}, JOINT_SPEEDS, out)
+        families = {part: list(family) for part, family in FAMILIES.items()}
+        return table(file, families, JOINT_SPEEDS, out, partial(print, flush=True))
     print("\n".join(variant_lines(costs(file, variant_names()))))
     return True
 
@@ -66,9 +68,9 @@ def parameters(
     source      Only parameters of this source: paper, derived, literature, assumed or identified; default:
                 all.
     """
-    from fmus.machine.tables import print_parameters
+    from fmus.machine.tables import parameter_text
 
-    print_parameters(subsystem, source, BUILD)
+    print(parameter_text(subsystem, source, BUILD))
 
 
 @command

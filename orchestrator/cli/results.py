@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Unpack
 
@@ -39,12 +40,15 @@ def validate(
                  the run, in addition to the commands, such as '*.supply_pressure'; default: none.
     out          Folder of run.csv and the report.
     """
+    from rich.console import Console
+
     from fmus.package_files import data
     from orchestrator.base.files import DEFAULT_SYSTEM
+    from orchestrator.results.summary import Summary
     from orchestrator.results.validate_system import validate_system
 
     file = system_file(system)
-    return validate_system(
+    validation, text = validate_system(
         file,
         scenario,
         reference,
@@ -56,8 +60,12 @@ def validate(
         monolithic=monolithic,
         limit=limit,
         default_accuracy=1e-4,
+        report=partial(print, flush=True),
         **options,
     )
+    Console().print(Summary(validation))
+    print(f"\n{text}")
+    return validation.passed
 
 
 FORMATS = (".png", ".svg")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import TYPE_CHECKING, Annotated, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind, Patterns, Swaps, Values
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, command, system_file, tell_built
 from orchestrator.engine.arguments import CaseArguments
+
+if TYPE_CHECKING:
+    from orchestrator.studies.convergence.runs import ConvergenceStudy
 
 
 @command
@@ -45,7 +48,21 @@ def convergence(
 
     file, work_cycle = system_file(system), data("reference/work_cycle.csv")
     tell_built(file, {})
-    study(file, reference, out, steps, masters, signals or (), repeats, work_cycle, scenario, **options)
+    show = print_convergence
+    study(file, reference, out, steps, masters, signals or (), repeats, work_cycle, show, scenario, **options)
+
+
+def print_convergence(study: ConvergenceStudy, out: Path) -> None:
+    """Print the tables and notes of a study, write its files."""
+    from rich.console import Console
+
+    from orchestrator.studies.convergence.convergence_study import failures, tables, write
+
+    console = Console()
+    for table in tables(study):
+        table.print(console)
+    lines = [*failures(study), *(f"note: {note}" for note in study.notes)]
+    print("\n".join([*lines, "", *map(str, write(study, out))]))
 
 
 PATHS = ("line", "square")
@@ -103,7 +120,7 @@ def track(
     machine = system_file(system, "harvester_control.ssp")
     tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
-    return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {})
+    return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {}, report=print)
 
 
 def _file(name: str) -> Path:
@@ -138,12 +155,23 @@ def sweep(
     no_report   Leave out the page report.html.
     """
     require("sweep", "harvester sweep")
-    from orchestrator.studies import read_study
-    from orchestrator.studies.parameter_study import run
+    from orchestrator.lanes.group import FAILED
+    from orchestrator.studies import parameter_study, read_study
 
     chosen = read_study(study)
     tell_built(chosen.system_file, {})
     if workers and scheduler:
         cluster = "whose cluster determines the number of workers"
         raise Problem(f"--workers: expected none with --scheduler, {cluster}")
-    return run(chosen, out, report=not no_report, workers=workers, scheduler=scheduler, fresh=fresh)
+    folder = out or parameter_study.FOLDER / study.stem
+    run = partial(parameter_study.sweep, workers=workers, scheduler=scheduler, fresh=fresh)
+    with parameter_study.progress() as watch:
+        results = run(chosen, folder, watch=watch)
+    table = results.table
+    print(parameter_study.summary(results))
+    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
+    if not no_report:
+        from orchestrator.studies.report import study_page
+
+        print(f"report: {study_page.report(folder)}")
+    return bool((table["status"] != FAILED).any())

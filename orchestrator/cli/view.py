@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -44,14 +46,24 @@ def view(
     results   Folder of the results that can be replayed, and of recorded sessions.
     """
     require("view", "harvester view")
+    from orchestrator.base.files import require_system
+    from orchestrator.view.choice import MachineChoice
     from orchestrator.view.server import serve
 
     swapped = {name: str(file) for name, file in (swap or {}).items()}
     starts = {name: str(value) for name, value in (set_ or {}).items()}
-    chosen = system or _default_system(swapped)
+    chosen = require_system(system or _default_system(swapped))
     options.tell_built(chosen, swapped)
     serve(
-        chosen, replay, pose, swapped, starts, host=host, port=port, token=token, open_=open_, results=results
+        MachineChoice(chosen, pose, swapped, starts),
+        replay,
+        host=host,
+        port=port,
+        token=token,
+        open_=open_,
+        results=results,
+        tell=partial(print, flush=True),
+        tell_failure=lambda text: print(f"harvester: {text}", file=sys.stderr, flush=True),
     )
 
 

@@ -1,6 +1,5 @@
 """Setup of a machine in real time, its frames, the interface `Machine` that a page uses, and its failures."""
 
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -172,8 +171,10 @@ class Machine(Protocol):
 
 
 @contextmanager
-def failures_reported(machine: Machine, save: Callable[[], Path]) -> Iterator[None]:
-    """Context that prints each failure in one line on stderr; it closes the machine at its end.
+def failures_reported(
+    machine: Machine, save: Callable[[], Path], report: Callable[[str], object]
+) -> Iterator[None]:
+    """Context that reports each failure in one line; it closes the machine at its end.
 
     save   saves what the machine has recorded, for each failure; raises Problem if that is nothing
     """
@@ -187,7 +188,7 @@ def failures_reported(machine: Machine, save: Callable[[], Path]) -> Iterator[No
             saved = ""
             with suppress(Problem):
                 saved = f"; the session until then is in {save()}"
-            print(f"harvester: {frame.message}{saved}", file=sys.stderr, flush=True)
+            report(f"{frame.message}{saved}")
 
     def watch() -> None:
         while not ended.wait(INTERVAL):

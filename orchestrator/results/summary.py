@@ -89,7 +89,7 @@ _LEGEND = "NRMSE: over the range of the whole reference; ISO: ISO/TS 18571, 0 to
 
 @dataclass(frozen=True)
 class Summary:
-    """Failed signals, table, notes, and the verdict as last line."""
+    """What `harvester validate` prints: failed signals, table, notes, and the verdict as last line."""
 
     validation: Validation
 
@@ -100,11 +100,6 @@ class Summary:
         yield from _table(validation, options.max_width)
         yield from (Text(note, "dim") for note in (_LEGEND, *validation.notes, *_remarks(validation)))
         yield Text(validation.verdict, _COLOUR[validation.passed if validation.judged else None])
-
-
-def summary(validation: Validation) -> Summary:
-    """The summary that `harvester validate` prints."""
-    return Summary(validation)
 
 
 def _missed(validation: Validation) -> Iterator[Text]:

@@ -6,7 +6,7 @@ can replace a reference, with the limits of its signals.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -14,7 +14,6 @@ from typing import Any, Unpack
 
 import numpy as np
 from markupsafe import Markup
-from rich.console import Console
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
@@ -35,7 +34,6 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.monolithic.reference import SOLVER, reference
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
-from orchestrator.results.summary import summary
 from orchestrator.results.validation import (
     Validation,
     by_variable,
@@ -258,9 +256,10 @@ def validate_system(
     monolithic: bool = False,
     limit: float | None = None,
     default_accuracy: float | None = None,
+    report: Callable[[str], object] = lambda _: None,
     **options: Unpack[RunArguments],
-) -> bool:
-    """Co-simulate, compare, write the trace and the report, print the table; True if no limit is exceeded.
+) -> tuple[Validation, str]:
+    """Co-simulate, compare, write the trace and the report; returns comparison, and card and files as text.
 
     out      folder of run.csv, report.html and report.json
     default  reference and layout if none is given; this layout may contain signals that the run lacks
@@ -270,6 +269,7 @@ def validate_system(
     monolithic       compare with the monolithic solution of the same FMUs
     limit            of the NRMSE of each signal of the monolithic solution, see `monolithic_recording`
     default_accuracy, options   as for `run_to_file`
+    report           called before the run with what differs in the numbers of the system, if anything does
     """
     doubts: list[str] = []
     _refuse_contradictions(scenario, reference, play, monolithic, limit)
@@ -293,7 +293,7 @@ def validate_system(
 
     shipped = against if reference is None and not monolithic else None
     if other := other_numbers(system, shipped, options):
-        print(f"{other}\n", flush=True)
+        report(f"{other}\n")
     result, file = run_to_file(
         system,
         scenario or commands,
@@ -333,9 +333,7 @@ def validate_system(
     machine, reason = _machine(system, result, against)
     result = result.noted(reason) if reason else result
     validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate, machine)
-    Console().print(summary(validation))
-    print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
-    return validation.passed
+    return validation, f"{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}"
 
 
 def _refuse_contradictions(

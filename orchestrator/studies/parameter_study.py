@@ -161,26 +161,6 @@ def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
 # ---- the command line
 
 
-def run(
-    study: Study, out: Path | None, report: bool, workers: int | None, scheduler: str | None, fresh: bool
-) -> bool:
-    """Run a study with a progress bar and print a summary; False if no run came to its end.
-
-    report  write the page of the analysis, too; the others are those of `sweep`
-    """
-    folder = out or FOLDER / Path(study.source).stem
-    with progress() as watch:
-        results = sweep(study, folder, workers=workers, scheduler=scheduler, fresh=fresh, watch=watch)
-    table = results.table
-    print(summary(results))
-    print(f"\n{folder / 'runs.parquet'}: {len(table)} runs, {len(table.columns)} columns")
-    if report:
-        from orchestrator.studies.report import study_page
-
-        print(f"report: {study_page.report(folder)}")
-    return bool((table["status"] != FAILED).any())
-
-
 class StudyProgress:
     """Progress of a study: a bar on a terminal, elsewhere a line for each tenth of the runs."""
 
@@ -203,8 +183,8 @@ class StudyProgress:
             self._bar.update(self._task, total=total, completed=done, description=text)
         elif tenth > self._tenth:
             self._tenth = tenth
-            line = f"{100 * tenth // PROGRESS_LINES} %: {done} of {total} runs, {text}"
-            print(line, file=self._stream, flush=True)
+            self._stream.write(f"{100 * tenth // PROGRESS_LINES} %: {done} of {total} runs, {text}\n")
+            self._stream.flush()
 
 
 @contextmanager

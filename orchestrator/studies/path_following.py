@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isclose
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -246,17 +245,19 @@ def track(
     paths: Sequence[tuple[Path, Start]],
     machines: Mapping[str, Mapping[str, str]],
     out: Path,
-    feedback: Sequence[bool] = (True, False),
-    limit: float | None = None,
-    given: Starts = MappingProxyType({}),
+    feedback: Sequence[bool],
+    limit: float | None,
+    given: Starts,
+    report: Callable[[str], object],
 ) -> bool:
-    """Run every machine along every path; print a table, write tracking.png and tracking.json.
+    """Run every machine along every path; report a table, write tracking.png and tracking.json.
 
     paths     scenarios, each with a function from parameter values of its follower to start values for the
               first point of the path; the function raises a Problem if that point is out of reach
     machines  name -> variants {component: variant}
     limit     largest allowed error with feedback [m]
     given     start values of all runs
+    report    called with notes before the first run, and with the table and the files after the last
 
     Returns True if all runs came to the end, within the limit.
     """
@@ -273,20 +274,20 @@ def track(
         for name, machine in systems.items()
     ]
     for note in dict.fromkeys(n for machine in systems.values() for n in differences(machine, names)):
-        print(f"note: {note}")
+        report(f"note: {note}")
     for doubts in dict.fromkeys(filter(None, (d for m in systems.values() for d in doubtful_starts(m)))):
-        print(f"warning: {doubts}")
+        report(f"warning: {doubts}")
     given_tasks = itertools.product(tasks, feedback)
     runs = [follow(systems[name], names, path, name, on, at) for (path, name, at), on in given_tasks]
     figure, json = out / "tracking.png", out / "tracking.json"
-    print(text(runs))
+    report(text(runs))
     figure.write_bytes(png(draw(runs, names.radius)))
     write_json(json, [as_dict(r) for r in runs])
-    print(figure, json)
+    report(f"{figure} {json}")
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]
     for r in beyond:
         got = f"got {MM * r.largest:.1f} mm"
-        print(f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, {got}")
+        report(f"{r.path}, {r.machine}: expected at most {MM * (limit or 0):g} mm, {got}")
     return not beyond and not any(r.failure for r in runs)
 
 

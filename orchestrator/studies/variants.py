@@ -10,7 +10,7 @@ Every combination of variants is run once. Its row contains the time reached, co
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
@@ -126,13 +126,17 @@ def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, 
     return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
 
 
-def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[str], out: Path) -> bool:
-    """Run every combination, print a table and write it to `out`; True if all came to the end.
+def table(
+    system: Path,
+    variants: Mapping[str, Sequence[str]],
+    watch: Sequence[str],
+    out: Path,
+    report: Callable[[str], object],
+) -> bool:
+    """Run every combination, report a table and write it to `out`; True if all came to the end.
 
     Each row is written at once, so the file contains all finished rows if the user interrupts.
     """
-    if not system.exists():
-        raise Problem(f"{system}: no such file; build it with: harvester build")
     make_folder(out.parent)
     widths = [max(map(len, (part, *names))) for part, names in variants.items()]
     total, done, complete = prod(map(len, variants.values())), 0, True
@@ -140,7 +144,7 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
 
     def show(index: str, names: Iterable[str], cells: Iterable[str], failure: str) -> None:
         padded = "  ".join(n.ljust(w) for n, w in zip(names, widths, strict=True))
-        print(index.rjust(count), padded, *(f"{cell:>12}" for cell in cells), failure, flush=True)
+        report(" ".join((index.rjust(count), padded, *(f"{cell:>12}" for cell in cells), failure)))
 
     show("", variants, (head for _, head, *_ in COLUMNS), "")
     with out.open("w", newline="", encoding="utf-8") as file:
@@ -156,9 +160,9 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
                 file.flush()
                 complete = complete and not row.failure
         except KeyboardInterrupt:
-            print(f"\n{done} of {total} combinations, in {out}")
+            report(f"\n{done} of {total} combinations, in {out}")
             raise
-    print(
+    report(
         f"\n{out}: change is that of {', '.join(watch)} against the first row, RMS over range;"
         " us per ms is the time in the steps of all FMUs, calls from Python included"
     )

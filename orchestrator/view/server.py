@@ -8,7 +8,7 @@ import contextlib
 import socket
 import threading
 import webbrowser
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder, require_system
+from orchestrator.base.files import make_folder
 from orchestrator.drive.page import served
 from orchestrator.realtime.setup import failures_reported
 from orchestrator.view import access
@@ -163,20 +163,22 @@ def _displayed(host: str) -> str:
 
 
 def serve(
-    system: Path,
+    first: MachineChoice,
     replay: Path | None,
-    pose: str,
-    swap: Mapping[str, str],
-    set_: Mapping[str, str],
     *,
     host: str,
     port: int,
     token: str,
     open_: bool,
     results: Path,
+    tell: Callable[[str], object],
+    tell_failure: Callable[[str], object],
 ) -> None:
-    """Serve until interrupted. Raises `Problem` for a mistake before anything is served."""
-    first = MachineChoice(require_system(system), pose, swap, set_)
+    """Serve until interrupted. Raises `Problem` for a mistake before anything is served.
+
+    tell          called with what is served and where, when the server accepts connections
+    tell_failure  called with each failure of the machine
+    """
     make_folder(results)
     access.shorten_library_logs()
     session = Session(first, [results])
@@ -186,11 +188,11 @@ def serve(
         server = Server(session, host, port, token)
 
         def began() -> None:
-            print(f"{session.title}\n{server.url}\npress Ctrl-C to end", flush=True)
+            tell(f"{session.title}\n{server.url}\npress Ctrl-C to end")
             if open_:  # in a thread, because on some systems the call waits for the browser
                 threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
 
-        with failures_reported(session.live, partial(session.save, session.live)):
+        with failures_reported(session.live, partial(session.save, session.live), tell_failure):
             server.run(began)
         raise KeyboardInterrupt  # uvicorn returns without it if SIGINT is ignored, as in a background job
     finally:

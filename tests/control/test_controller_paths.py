@@ -85,7 +85,7 @@ def test_the_start_of_a_path_is_a_pose_with_the_tip_there(name):
 @pytest.mark.parametrize("name", PATHS)
 def test_the_files_are_those_of_the_paths(name, tmp_path):
     """data/scenarios holds what `python -m fmus.controller.paths` writes."""
-    paths.main([str(tmp_path)])
+    paths.write(tmp_path)
     assert (tmp_path / f"{name}.csv").read_bytes() == data(f"scenarios/{name}.csv").read_bytes()
 
 

@@ -241,10 +241,12 @@ def write(**files):
 
 
 def validated(reference="m.csv", scenario=None, default=("none.csv", "none.toml"), **options):
-    """Validate the system of the bench; the reports go to out/."""
+    """Validate the system of the bench; the reports go to out/. Returns the text of the card."""
     system, usual = Path("build/harvester.ssp").resolve(), tuple(map(Path, default))
     files = [name and Path(name) for name in (scenario, reference)]
-    validate_system(system, *files, None, Path("out"), default=usual, rate=False, step=0.5, **options)
+    return validate_system(system, *files, None, Path("out"), default=usual, rate=False, step=0.5, **options)[
+        1
+    ]
 
 
 RESULT = '[signals.result]\nunit = "m"\n'
@@ -264,28 +266,28 @@ def test_signals_that_a_swap_lost_are_not_compared(fmus):
 
 
 @pytest.mark.usefixtures("bench")
-def test_a_swapped_system_is_expected_to_differ_from_a_simulation(capsys):
+def test_a_swapped_system_is_expected_to_differ_from_a_simulation():
     """Said in the terminal and on the first page of the report; a measurement is of no model."""
     made = 'title = "T"\norigin = "o"\nmade_by = "m"\nsolver = "s"\nrelative_tolerance = 1e-9\n'
     made += 'date = 2024-01-01\nchange = "c"\n'
     note = "g is swapped: the reference was computed with another model, so expect differences"
     for kind, expected in (("simulation", True), ("measurement", False)):
         write(m_toml=f'[reference]\nkind = "{kind}"\n{made}{RESULT}', m_csv="time,result\n0,2\n1,2\n")
-        validated(swap={"g": "fine"}, stop=1.0)
-        assert (f"note: {note}" in capsys.readouterr().out) is expected
+        told = validated(swap={"g": "fine"}, stop=1.0)
+        assert (f"note: {note}" in told) is expected
         page = Path("out/report.html").read_text(encoding="utf-8")
         assert (f"<p>G{note[1:]}.</p>" in page) is expected
         assert "a simulation of the same equations" not in page
 
 
 @pytest.mark.usefixtures("bench")
-def test_a_scenario_without_reference_is_told_what_judges_it(capsys):
+def test_a_scenario_without_reference_is_told_what_judges_it():
     """The usual reference is of another scenario."""
     write(m_toml=RESULT, m_csv="time,result\n0,2\n1,2\n", u_csv="time,command\n0,0\n1,0\n")
     write(l_toml='title = "T"')
-    validated(None, "u.csv", default=("m.csv", "l.toml"))
+    told = validated(None, "u.csv", default=("m.csv", "l.toml"))
     note = "no --reference given: judged against m.csv, which may have another scenario than u.csv"
-    assert f"note: {note}" in capsys.readouterr().out
+    assert f"note: {note}" in told
     assert note in Path("out/report.json").read_text(encoding="utf-8")
 
 

@@ -14,14 +14,14 @@ from orchestrator.base.text import number
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.summary import miss_text, percent, summary
+from orchestrator.results.summary import Summary, miss_text, percent
 from orchestrator.results.validation import Validation, validate
 
 
 def shown(outcome: Validation, width: int = 80) -> list[str]:
     """The summary as lines of plain text."""
     console = Console(width=width, file=StringIO())
-    console.print(summary(outcome))
+    console.print(Summary(outcome))
     return console.file.getvalue().splitlines()  # type: ignore[attr-defined,no-any-return]
 
 

@@ -1,10 +1,12 @@
 """`harvester view`, of which the first page drives at once: `python first_drives.py SYSTEM RESULTS`."""
 
 import sys
+from functools import partial
 from pathlib import Path
 
 from orchestrator.view import server
 from orchestrator.view.authority import ControlAuthority, OperatorStation
+from orchestrator.view.choice import MachineChoice
 
 
 class Volunteering(ControlAuthority):
@@ -19,4 +21,5 @@ class Volunteering(ControlAuthority):
 if __name__ == "__main__":
     server.ControlAuthority = Volunteering
     where = {"host": "127.0.0.1", "port": 0, "token": "", "open_": False, "results": Path(sys.argv[2])}
-    server.serve(Path(sys.argv[1]), None, "", {}, {}, **where)
+    tell = partial(print, flush=True)
+    server.serve(MachineChoice(Path(sys.argv[1])), None, **where, tell=tell, tell_failure=tell)

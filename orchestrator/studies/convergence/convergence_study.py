@@ -1,4 +1,4 @@
-"""`harvester convergence`: choose settings, steps and reference, run, print tables, write files.
+"""`harvester convergence`: choose settings, steps and reference, run, make tables, write files.
 
 The tables have a row for each setting and a column for each communication step.
 """
@@ -54,14 +54,16 @@ def convergence(
     signals: Sequence[str],
     repeats: int,
     default_reference: Path,
+    report: Callable[[ConvergenceStudy, Path], object],
     scenario: Path | None = None,
     **options: Unpack[CaseArguments],
 ) -> ConvergenceStudy:
-    """Run, print and write a study; after an interrupt the finished runs are printed and written.
+    """Run a study and report it; after an interrupt the finished runs are reported.
 
     steps              times [s], separated by commas
     masters            names separated by commas, as of `choose`
     default_reference  used if no reference is given, and if it fits this system and this run
+    report             prints and writes the study, which goes to the folder `out`
     options            of `run`
     """
     if repeats < 1:
@@ -126,15 +128,6 @@ def with_progress(runs: Iterable[SettingRun], total: int) -> Iterator[SettingRun
             description = f"{run.setting.label}, {run.case or milliseconds(run.step)}"
             bar.update(task, advance=1, description=description)
             yield run
-
-
-def report(study: ConvergenceStudy, out: Path) -> None:
-    """Print the tables and notes, write the files."""
-    console = Console()
-    for table in tables(study):
-        table.print(console)
-    lines = [*failures(study), *(f"note: {note}" for note in study.notes)]
-    print("\n".join([*lines, "", *map(str, write(study, out))]))
 
 
 def write(study: ConvergenceStudy, home: Path) -> list[Path]:
