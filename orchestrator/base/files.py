@@ -487,7 +487,8 @@ def tell_once(text: str) -> None:
     """Tell what was assumed about a file, once per process, on standard error."""
     if text not in _told:
         _told.add(text)
-        sys.stderr.write(f"{text}\n")
+        if sys.stderr:  # a program without a terminal has none
+            sys.stderr.write(f"{text}\n")
 
 
 def _shipped(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
