@@ -9,12 +9,12 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from fmus.components.smooth import direction
 from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
 from fmus.components.chamber import pressure_rate
 from fmus.components.spool_valve import Valve, ports_from_pressure
+from fmus.smooth import direction
 
 STEP, SAMPLES, SEED = 0.04, 1024, 7  # s, 1, 1
 SUPPLY, TANK, DENSITY, BULK = 16e6, 0.2e6, 870.0, 4e8  # Pa, Pa, kg/m3, Pa with the hoses

@@ -168,9 +168,7 @@ class Trace(Mapping[str, Array]):
                 continue
             bare = [name for name in self.signals if fnmatch.fnmatchcase(name.rpartition(".")[2], pattern)]
             matches = fnmatch.filter(self.signals, pattern) or bare
-            if not matches:
-                raise UnknownSignal(pattern, self.signals)
-            names |= dict.fromkeys(matches)
+            names |= dict.fromkeys(matches or [self._only(pattern)])
         return list(names)
 
     def window(self, start: Seconds = None, stop: Seconds = None) -> Self:

@@ -185,6 +185,8 @@ def _require(where: str, known: list[str], *names: str) -> None:
 def parameters(scene: Scene, system: System) -> Values:
     """Real parameters of the component with those of the arm. Raises `Problem` if there is none."""
     needed, components = scene.parameters, system.components.values()
+    if not needed:
+        return {}
     if found := [c for c in components if all(name in c.interface.variables for name in needed)]:
         return _finite(max(found, key=lambda c: sum(n in c.interface.variables for n in scene.initial)))
     expected = f"expected a component with the arm's parameters, {needed[0]} to {needed[-1]}"

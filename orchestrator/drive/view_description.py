@@ -271,7 +271,10 @@ def view_description(system: System) -> ViewDescription:
     file = next((file for file in files if file.exists), None)
     if file is None:
         return of_variables(system)
-    return read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES)))
+    try:
+        return read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES)))
+    except Problem as problem:
+        raise Problem(f"{problem}; build a system again that another version built") from None
 
 
 def of_variables(system: System) -> ViewDescription:

@@ -79,7 +79,7 @@ class Entry:
     """An XML element: its line and its attributes."""
 
     line: int = 0
-    attributes: Mapping[str, str] = field(default_factory=dict)
+    attributes: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def get(self, name: str, default: str = "") -> str:
         """The text of an attribute."""
@@ -268,14 +268,16 @@ class UnitDefinition:
 
     @cached_property
     def declared(self) -> DeclaredUnit:
-        """The unit for conversions; one with a fault, and factor NaN, if a text is not a number."""
+        """The unit for conversions; a text that is not a number is a fault, and NaN as factor or offset."""
         if self.base_unit is None:
             return DeclaredUnit(self.name)
+        texts = self.base_unit.get("factor", "1"), self.base_unit.get("offset", "0")
+        factor, offset = (math.nan if (number := parse_float(t)) is None else number for t in texts)
         try:
             exponents = tuple(int(self.base_unit.get(b, "0")) for b in BASES)
-            factor, offset = (float(self.base_unit.get(n, d)) for n, d in (("factor", "1"), ("offset", "0")))
+            _ = [float(text) for text in texts]
         except ValueError as error:
-            return DeclaredUnit(self.name, None, math.nan, math.nan, str(error))
+            return DeclaredUnit(self.name, None, factor, offset, str(error))
         return DeclaredUnit(self.name, exponents, factor, offset)
 
 

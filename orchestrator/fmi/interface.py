@@ -6,6 +6,7 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
@@ -96,8 +97,12 @@ class FmuInterface:
 
     def direct_inputs(self, output: str) -> frozenset[str]:
         """Inputs with direct feedthrough to `output`; all inputs if the FMU declares no dependencies."""
-        declared, inputs = self.dependencies.get(output), frozenset(v.name for v in self.of("input"))
-        return inputs if declared is None else inputs & declared
+        declared = self.dependencies.get(output)
+        return self._inputs if declared is None else self._inputs & declared
+
+    @cached_property
+    def _inputs(self) -> frozenset[str]:
+        return frozenset(v.name for v in self.of("input"))
 
     def initial_knowns(self, output: str) -> frozenset[str]:
         """Variables on which `output` depends in initialisation mode; all settable ones if not declared."""
@@ -198,7 +203,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     indicators = parse_int(description.get("numberOfEventIndicators")) or 0
     return FmuInterface(
         variables=variables,
-        dependencies=outputs | derivatives,
+        dependencies=derivatives | outputs,
         initial_dependencies=outputs | initial,
         identifier=capabilities.get("modelIdentifier"),
         model=description,

@@ -63,6 +63,7 @@ def test_a_quotient_has_an_error_of_two_units_in_the_last_place(functions):
     x, y = 10 ** rng.uniform(-150, 150, (2, 100_000))
     assert (np.abs(functions("quotient", x, y) / (x / y) - 1) < 5e-16).all()
     special = np.array([0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1e300, 1e-300])
+    assert functions("quotient", [1.0, -1.0], [1e-310, 1e-310]).tolist() == [np.inf, -np.inf]  # counts as 0
     x, y = (v.ravel() for v in np.meshgrid(special, special))
     with np.errstate(all="ignore"):
         np.testing.assert_allclose(functions("quotient", x, y), x / y, rtol=1e-15)

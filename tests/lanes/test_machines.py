@@ -94,6 +94,16 @@ def test_a_mistake_is_told_in_one_line(machines, call, told):
         call(machines)
 
 
+@pytest.mark.parametrize("boom", [np.full(11, np.nan), np.r_[np.nan, 1e308, np.full(9, 5.0)]])
+def test_a_command_that_is_no_number_ends_its_machine(machines, boom):
+    """With the reason, and beside any other command: the opening curve has no piece for it."""
+    machines.advance(np.column_stack([boom, np.zeros(11)]), STEPS)
+    failed = [bool(reason) for reason in machines.reasons]
+    assert np.array(failed)[np.isnan(boom)].all()
+    assert not np.array(failed)[boom == 5.0].any()
+    assert machines.reasons[0].startswith("boom_stick: ")
+
+
 def test_other_fmus_are_refused(fmus, system):
     """Their machines cannot be stepped in lanes; and a machine needs a command."""
     with pytest.raises(NotInLanes, match="no C sources"):

@@ -8,7 +8,10 @@ const DRIVEN = 0.5; // value, 0 to 1, above which a controller drives
 const TONES = { running: "good", failed: "bad" };
 
 export const make = (tag, properties = {}, ...children) => {
-  const element = Object.assign(document.createElement(tag), properties);
+  const { role, ariaLabel, ...others } = properties; // as attributes, since older browsers lack these properties
+  const element = Object.assign(document.createElement(tag), others);
+  if (role) element.setAttribute("role", role);
+  if (ariaLabel) element.setAttribute("aria-label", ariaLabel);
   element.append(...children);
   return element;
 };

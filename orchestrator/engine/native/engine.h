@@ -369,7 +369,8 @@ typedef struct Simulation {
     const double *events;
     int64_t event_count, event[WIDTH];
     double start, step, shorter, patience;
-    double tick; /* [s], measured in the last call of simulation_advance; 0 before */
+    double spent, counted; /* time in all calls of simulation_advance, in [s] and in ticks */
+    double tick;           /* their ratio; 0 before the first call */
     int64_t total, done, steps, all_passes, repeated;
     Pool *pool; /* threads that step components; NULL: one component after the other */
     int32_t threads;

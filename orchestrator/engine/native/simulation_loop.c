@@ -267,7 +267,8 @@ int32_t simulation_advance(Simulation *sim) {
         const double spent = sim->tick > 0.0 ? (ticks() - first) * sim->tick : seconds() - began;
         if (sim->diverged || errors_are_full(sim->errors) || spent > sim->patience) break;
     }
-    sim->tick = (seconds() - began) / (ticks() - first);
+    sim->spent += seconds() - began, sim->counted += ticks() - first;
+    if (sim->counted > 0.0) sim->tick = sim->spent / sim->counted;
     if (!verdict) environment_restore(sim, ANY_COMPONENT);
     return verdict;
 }

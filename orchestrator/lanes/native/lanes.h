@@ -56,7 +56,8 @@ INLINE Lanes where(Mask condition, Lanes a) { return condition.bits ? a.v : Vect
 INLINE Vector quotient(Vector a, Vector b) {
     const Vector r = __builtin_ia32_rcp14pd512_mask(b, Vector(0.0), -1), e = 1.0 - b * r, squared = e * e;
     const Vector sum = e + squared;
-    return a * (e == e ? r + r * (sum + sum * squared) : r); /* e is NaN if b is 0, infinite or NaN */
+    /* e is NaN if b is 0, infinite or NaN, and -infinite if 1 / b is too large for a number: then b counts as 0 */
+    return a * (e > -1.0 ? r + r * (sum + sum * squared) : r);
 }
 #else
 INLINE Vector quotient(Vector a, Vector b) { return a / b; }

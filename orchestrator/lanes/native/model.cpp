@@ -38,8 +38,8 @@ static Piece where(Mask condition, const Piece &x, const Piece &y) {
 static __attribute__((noinline)) void curve_pieces(Lanes v, const Lanes *t, const Lanes *rows, Piece *result) {
     *result = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
     Mask reached = v > t[0];
-    for (int i = 0; any(reached); i++) {
-        const Mask next = i < CURVE_POINTS - 1 ? reached && v >= t[i + 1] : v != v;
+    for (int i = 0; i < CURVE_POINTS && any(reached); i++) {
+        const Mask next = i < CURVE_POINTS - 1 ? reached && v >= t[i + 1] : reached && !reached;
         *result = where(reached && !next, curve_piece(rows, i), *result);
         reached = next;
     }
@@ -50,7 +50,7 @@ INLINE Lanes slope(const Piece &p, Lanes s) { return p.b + s * (2.0 * p.c + s * 
 
 /* Value or slope. Most often all machines are below the first piece, or in the same one of those in the middle. */
 INLINE Lanes curve(Lanes v, const Lanes *t, Lanes (*at)(const Piece &, Lanes)) {
-    if (!any(v > t[0])) return 0.0;
+    if (all(v <= t[0])) return 0.0; /* a command that is NaN has a piece of zeros, and the value NaN */
     int i = 1;
     while (i < CURVE_POINTS - 2 && all(v >= t[i + 1])) i++;
     if (all(v >= t[i] && v < t[i + 1])) {
