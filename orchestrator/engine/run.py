@@ -231,9 +231,9 @@ def co_simulate(
             end = simulate(job, times, sink)
             with DeferredInterrupts(second_at_once=False) as interrupts:
                 result: Result | None = finished(job, times, end, sink)
-                if search and result:
+                if search and result is not None:
                     result = search.judge(result)
-                if result:
+                if result is not None:  # one without signals is false
                     keep(result, sink, interrupts.check)
         except RunFailed as failed:
             if not (search and not failed.final and not failed.result.complete and search.goes_on()):
@@ -241,7 +241,7 @@ def co_simulate(
             result = None
         finally:
             sink.close()
-        if result:
+        if result is not None:
             estimate = request.execution.error_estimate and not search
             return with_error_estimate(job, times, result) if estimate else result, sink
 

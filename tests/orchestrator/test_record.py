@@ -32,6 +32,12 @@ def test_first_and_last_point_are_always_kept(oscillator, step, interval, stop, 
     assert_kept(kept, oscillator, interval, step=step, start=0.0, stop=stop)
 
 
+def test_a_run_may_record_nothing(oscillator):
+    """It ends, with its card and an empty trace."""
+    result = run(oscillator, record=[], step=1e-2, stop=0.1, isolate=False)
+    assert (result.card.steps, dict(result.trace.signals)) == (10, {})
+
+
 def test_other_kinds_of_numbers_are_kept_too(fmus):
     """Integers and Booleans have the same rows as Real signals."""
     start = {"types.int_in": 3}
