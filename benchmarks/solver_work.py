@@ -9,7 +9,7 @@ counters. The tables give numbers per simulated second:
     inner       inner steps that its solver tried
     Jacobians   df/dx; LU: factorisations; solves: substitutions with one of them
     f           evaluations of the derivatives, without those inside a Jacobian
-    ms          processor time inside the component [ms]; `all` has that of the whole loop, with the master
+    ms          wall time inside the component [ms]; `all` has that of the whole loop, with the master
 """
 
 from __future__ import annotations
@@ -50,10 +50,8 @@ COLUMNS = {
 def simulate(system: Path, stop: float, label: str) -> Result:
     """One run in this process, with one signal recorded."""
     master, step, tolerance = SETTINGS[label]
-    recorded = ["manipulator.swing_speed"]
-    return run(
-        *(system,), stop=stop, step=step, master=master, tolerance=tolerance, record=recorded, isolate=False
-    )
+    options = {"master": master, "step": step, "tolerance": tolerance, "stop": stop}
+    return run(system, record=["manipulator.swing_speed"], isolate=False, **options)
 
 
 def counting(system: Path, folder: Path) -> Path:

@@ -206,9 +206,14 @@ def variant(
     hoses: type[Hose],
     states: type[Any],
     outputs: type[Any],
-    **declared: Any,
+    text: str,
+    parameters: type[Any],
+    initial: Callable[[Any, Any, Any], Mapping[str, Scalar]],
+    require: Callable[[Any, Any, Any], Mapping[str, Scalar]],
+    validity: str,
+    stiff: bool = True,
 ) -> Subsystem:
-    """A variant with the parameters of warm oil; declared: what else it declares as a `Subsystem`.
+    """A variant with the parameters of warm oil; the others are those of `Subsystem`.
 
     drives   (x, u, p) -> boom and stick drive, with the methods `rates` and `observe` of `CylinderDrive`
     """
@@ -234,6 +239,11 @@ def variant(
             derive=partial(derive, hoses),
             values=PARAMETERS,
             terminals=TERMINALS,
-            **declared,
+            text=text,
+            parameters=parameters,
+            initial=initial,
+            require=require,
+            validity=validity,
+            stiff=stiff,
         )
     )

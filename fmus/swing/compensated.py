@@ -18,6 +18,7 @@ from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil
 from fmus.components.hose import HoseWall
 from fmus.components.motor import Brake, BrakeTorque, MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.orifice import ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar, quantities
@@ -187,16 +188,18 @@ def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-SWING = drive.variant(
-    text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
-    parameters=Parameters,
-    states=State,
-    outputs=Outputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=require,
-    derive=drive.derive_capacitance,
-    validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
-    " no spool dynamics",
+SWING = at_temperature(
+    drive.variant(
+        text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
+        parameters=Parameters,
+        states=State,
+        outputs=Outputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=require,
+        derive=drive.derive_capacitance,
+        validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
+        " no spool dynamics",
+    )
 )

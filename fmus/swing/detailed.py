@@ -21,6 +21,7 @@ from fmus.components.chamber import Fluid
 from fmus.components.detailed_drive import DetailedState, ValveAndLines
 from fmus.components.hose import HydraulicLine
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.spool_valve import SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
@@ -161,7 +162,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}
-    return family("swing", **others, detailed=sub)["detailed"]
+    return family("swing", **others, detailed=at_temperature(sub))["detailed"]
 
 
 SWING = detailed()

@@ -5,6 +5,7 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from fmus import ports
 from fmus.components import chamber, hose, load_sensing, motor, opening_curve, orifice, spool_valve
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows
@@ -144,8 +144,5 @@ TERMINALS: tuple[Terminal, ...] = (
 )
 
 
-def variant(**declared: Any) -> Subsystem:
-    """A variant with the parameters of warm oil; declared: what it does not declare like all others."""
-    return at_temperature(
-        Subsystem(name="swing", inputs=SwingInputs, values=PARAMETERS, terminals=TERMINALS, **declared)
-    )
+# what all variants declare alike
+variant = partial(Subsystem, name="swing", inputs=SwingInputs, values=PARAMETERS, terminals=TERMINALS)

@@ -12,6 +12,7 @@ The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is requi
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar
@@ -65,15 +66,17 @@ def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scal
     return drive.initial_pressures(x, u, p) | {"swing_flow_a": 0, "swing_flow_b": 0}
 
 
-SWING = drive.variant(
-    text="Hydraulic swing drive: spool valve, lines, motor and gear",
-    parameters=SwingParameters,
-    states=SwingState,
-    outputs=SwingOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=drive.require,
-    derive=drive.derive,
-    validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
+SWING = at_temperature(
+    drive.variant(
+        text="Hydraulic swing drive: spool valve, lines, motor and gear",
+        parameters=SwingParameters,
+        states=SwingState,
+        outputs=SwingOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=drive.require,
+        derive=drive.derive,
+        validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
+    )
 )

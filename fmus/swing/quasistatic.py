@@ -11,6 +11,7 @@ pressures are those of the motor ports. The torque depends only on states.
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.swing import drive
@@ -49,16 +50,18 @@ def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> 
     return SwingOutputs(**outputs, stored_energy=energy)
 
 
-SWING = drive.variant(
-    text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
-    parameters=QuasistaticSwingParameters,
-    states=LinePressures,
-    outputs=SwingOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=drive.initial_pressures,
-    require=drive.require,
-    derive=drive.derive_capacitance,
-    validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
-    stiff=False,
+SWING = at_temperature(
+    drive.variant(
+        text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
+        parameters=QuasistaticSwingParameters,
+        states=LinePressures,
+        outputs=SwingOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=drive.initial_pressures,
+        require=drive.require,
+        derive=drive.derive_capacitance,
+        validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
+        stiff=False,
+    )
 )

@@ -4,12 +4,12 @@ import os
 import shutil
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.description import Entry, ModelDescription
@@ -24,6 +24,18 @@ FORKS = hasattr(os, "fork") and sys.platform != "darwin"  # there, libraries of 
 FINISHED = 93  # exit status of a fork whose task is complete
 Remark = tuple[str, str]  # severity, text
 Task = Callable[["Trial"], Iterator[Remark]]
+
+
+class InstanceOptions(TypedDict, total=False):
+    """Arguments of `FmuInstance.instantiate` by which an instance may differ from the usual one."""
+
+    token: str
+    resources: str | None
+    name: str
+    verbose: bool
+    update: Any
+    early: bool
+    required: Sequence[int]
 
 
 class OnlyOnce(Exception):
@@ -76,10 +88,12 @@ class Trial:
         self.activity.call(f"loading {path.name}")
         return Library(path, self.description.major)
 
-    def instance(self, kind: str = "", library: Library | None = None, **options: Any) -> FmuInstance:
+    def instance(
+        self, kind: str = "", library: Library | None = None, **options: Unpack[InstanceOptions]
+    ) -> FmuInstance:
         """A new instance; raises OnlyOnce if a second one is not allowed, CallFailed if the FMU fails.
 
-        options   how it differs from the usual one, see `FmuInstance.instantiate`
+        options   how it differs from the usual one
         """
         kind, library = kind or self.kind, library or self.library
         if self._instances and self.description.interfaces[kind].declares(
@@ -89,8 +103,9 @@ class Trial:
         log = Log(limit=MAX_MESSAGES)
         instance = FmuInstance(library, log, kind == "ModelExchange", self.activity.call)
         resources = resources_location(self.folder, self.description.major)
-        usual = {"token": self.description.token, "name": "probe", "resources": resources}
-        if not instance.instantiate(**(usual | options)):
+        usual: InstanceOptions = {"token": self.description.token, "resources": resources, "name": "probe"}
+        given: InstanceOptions = {**usual, **options}
+        if not instance.instantiate(**given):
             call = instance.describe_call("Instantiate")
             raise CallFailed(f"{call} returns no instance{log.quoted_messages()}", ERROR)
         self._instances += 1

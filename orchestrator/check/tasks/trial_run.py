@@ -11,12 +11,12 @@ import math
 import time
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orchestrator.check.tasks.runner import Trial
+from orchestrator.check.tasks.runner import InstanceOptions, Trial
 from orchestrator.fmi.calls import address
 from orchestrator.fmi.description import FLOATS, MAX_LOCALS, Entry, FmuVariable, ModelDescription
 from orchestrator.fmi.instance import CallFailed, FmuInstance
@@ -311,7 +311,7 @@ class Simulation:
         inputs: Sequence[FmuVariable] | None = None,
         kind: str = "",
         library: Library | None = None,
-        **options: Any,
+        **options: Unpack[InstanceOptions],
     ) -> None:
         """`library`: of another copy of the FMU; `options`: of the instance."""
         self.trial, description = trial, trial.description
