@@ -76,6 +76,20 @@ export class Charts {
   }
 }
 
+// A canvas that the processor draws, which uPlot cannot be asked for. Without a graphics card the other kind takes
+// most of a core.
+function plot(options, data, place) {
+  const { getContext } = HTMLCanvasElement.prototype;
+  HTMLCanvasElement.prototype.getContext = function (kind) {
+    return getContext.call(this, kind, { willReadFrequently: true });
+  };
+  try {
+    return new uPlot(options, data, place);
+  } finally {
+    HTMLCanvasElement.prototype.getContext = getContext;
+  }
+}
+
 class StripChart {
   constructor(place, chart) {
     [this.chart, this.high] = [chart, chart.ends[0]];
@@ -84,7 +98,7 @@ class StripChart {
     const key = make("div", { className: "hm-key" }, ...chart.curves.map((curve) => make("span", {}, line(curve), curve.text)));
     this.host = make("div", { className: "hm-plot", role: "img", ariaLabel: `${chart.title} over the last ${WINDOW} s` });
     place.append(make("figure", { className: "hm-chart" }, heading, key, this.host));
-    this.plot = new uPlot(this.options(), [[], ...chart.curves.map(() => [])], this.host);
+    this.plot = plot(this.options(), [[], ...chart.curves.map(() => [])], this.host);
     new ResizeObserver(() => this.fit()).observe(this.host);
   }
 

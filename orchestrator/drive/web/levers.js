@@ -140,7 +140,11 @@ class Stick {
     for (const text of this.svg.querySelectorAll("text")) text.textContent = legend[`${this.hand}_${text.dataset.end}`] ?? "";
   }
 
+  // an attribute that is set is drawn again, even to what it was
   show([x, y], live) {
+    const key = [x, y, live].join();
+    if (key === this.shown) return;
+    this.shown = key;
     this.knob.setAttribute("cx", 75 + REACH * x);
     this.knob.setAttribute("cy", 75 - REACH * y);
     this.knob.classList.toggle("hm-live", live);
