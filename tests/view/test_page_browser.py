@@ -277,6 +277,22 @@ def test_words_move_nothing(page: Any) -> None:
     page.evaluate("() => delete document.querySelector('.harvester-machine').machine.describe")
 
 
+def test_only_what_changes_is_drawn(page: Any) -> None:
+    """Sticks that rest are not written, and the processor draws the charts: without a graphics card, either
+    would cost more than the picture of the machine."""
+    written = page.evaluate("""() => new Promise((resolve) => {
+      let written = 0;
+      const watch = new MutationObserver((records) => { written += records.length; });
+      watch.observe(document.querySelector('.hm-hands'), { attributes: true, subtree: true });
+      setTimeout(() => resolve(written), 300); })""")
+    assert written == 0
+    own = "one.getContext('2d').getContextAttributes().willReadFrequently"
+    found = page.evaluate(f"[...document.querySelectorAll('.hm-chart canvas')].map((one) => {own})")
+    assert len(found) > 2
+    assert all(found)
+    assert page.evaluate("HTMLCanvasElement.prototype.getContext.toString()").endswith("[native code] }")
+
+
 def test_less_to_draw(own: Any) -> None:
     """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
     own.evaluate("() => document.querySelector('.harvester-machine').machine.slow()")
