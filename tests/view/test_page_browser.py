@@ -283,7 +283,8 @@ def test_only_what_changes_is_drawn(page: Any) -> None:
     written = page.evaluate("""() => new Promise((resolve) => {
       let written = 0;
       const watch = new MutationObserver((records) => { written += records.length; });
-      watch.observe(document.querySelector('.hm-hands'), { attributes: true, subtree: true });
+      for (const stick of document.querySelectorAll('.hm-stick'))
+        watch.observe(stick, { attributes: true, subtree: true });
       setTimeout(() => resolve(written), 300); })""")
     assert written == 0
     own = "one.getContext('2d').getContextAttributes().willReadFrequently"

@@ -67,7 +67,7 @@ export class Gauges {
       const value = values[gauge.name] ?? NaN;
       const { text, begin, end, warning } = figure(gauge, value, this.data.cavitation);
       write(output, text);
-      bar.style.transform = `translateX(${100 * begin}%) scaleX(${end - begin})`;
+      bar.style.transform = `translateX(${(100 * begin).toFixed(1)}%) scaleX(${(end - begin).toFixed(3)})`;
       row.classList.toggle("hm-cavitates", Boolean(warning));
       write(unit, warning || gauge.unit);
       if (gauge.coloured) bar.style.background = colour(this.data, value);
