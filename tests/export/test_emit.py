@@ -24,6 +24,9 @@ OPERATIONS = {
     "extremes": lambda a, b: ca.fmin(a, b) - 3 * ca.fmax(a, 0.5) + ca.copysign(a, b) + ca.hypot(a, b),
     "branch": lambda a, b: ca.if_else(a > b, a, -b) + ca.if_else(ca.logic_and(a >= 0, b < 1), 1.5, a * b),
     "logic": lambda a, b: ca.if_else(ca.logic_or(a == b, ca.logic_not(a != 0)), 2 * a, -a),
+    "clipped": lambda a, b: (
+        ca.exp(ca.fmax(a, -0.3)) + ca.exp(ca.fmax(-0.3, b))
+    ),  # at, above and below the bound
     "constant": lambda a, b: ca.SX(-3.25e-7) + 0 * a + 0 * b,
 }
 
