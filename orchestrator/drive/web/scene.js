@@ -127,7 +127,7 @@ export class Scene {
 }
 
 function mark({ at: [x, y, z], radius, colour, strong }, ground) {
-  const paint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: strong ? 0.95 : 0.35 });
+  const paint = new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity: strong ? 0.95 : 0.6 });
   const ring = new THREE.Mesh(new THREE.TorusGeometry(radius, 0.03, 6, 28), paint);
   const staff = new THREE.Mesh(new THREE.CylinderGeometry(0.014, 0.014, z - ground, 6), paint);
   const foot = new THREE.Mesh(new THREE.RingGeometry(0.8 * radius, radius, 28), paint);
