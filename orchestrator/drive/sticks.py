@@ -168,9 +168,13 @@ def commands(
     return {name: values[_bare(name)] for name in axes if _bare(name) in values}
 
 
-def uncommanded(commanded: Collection[str], axes: Sequence[str], values: Iterable[float]) -> bool:
-    """Is an axis without a command still away from zero? Then the previous mode has not come to rest."""
-    return any(value != 0 for name, value in zip(axes, values, strict=True) if name not in commanded)
+def uncommanded(
+    commanded: Collection[str], axes: Sequence[str], values: Iterable[float], declared: Iterable[DriveMode]
+) -> bool:
+    """Is an axis of another mode still away from zero? Then the previous mode has not come to rest."""
+    driven = {name for mode in declared for part in (mode.constant, *mode.full.values()) for name in part}
+    others = ((name, value) for name, value in zip(axes, values, strict=True) if name not in commanded)
+    return any(value != 0 and _bare(name) in driven for name, value in others)
 
 
 def _bare(name: str) -> str:

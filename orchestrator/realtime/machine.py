@@ -1,6 +1,7 @@
 """The machine in real time, seen from the parent process: it sends commands and reads frames."""
 
 import json
+import math
 import os
 import threading
 import time
@@ -225,9 +226,9 @@ class RealTimeMachine:
     # ---- driving
 
     def command(self, values: Mapping[str, float]) -> None:
-        """Command new values by axis; other axes go to rest. The command expires after `timeout`."""
+        """Command new values by axis; the others go to rest. The command expires after `timeout`."""
         with self._lock:
-            commanded = {axis.name: float(axis.rest) for axis in self.setup.axes}
+            commanded = {axis.name: math.nan for axis in self.setup.axes}
             for name, value in values.items():
                 if name not in commanded:
                     raise Problem(f"unknown axis {str(name)[:40]!r}{suggest(str(name)[:40], commanded)}")
@@ -299,7 +300,7 @@ class RealTimeMachine:
         plain = _plain(setup)
         plain.check()
         process = MachineProcess(plain, before + 1, self._serial)
-        self._commanded = np.array([axis.rest for axis in plain.axes], dtype=np.float64)
+        self._commanded = np.full(len(plain.axes), np.nan)
         self._send(process)
         return process
 

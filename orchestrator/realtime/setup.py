@@ -27,8 +27,8 @@ class Axis:
     limit       largest magnitude, in the unit of the FMU; commands are clipped
     rate        largest change per second, in that unit, also towards rest
     rest        value without a command
-    rest_delay  time for which the axis keeps its value before it goes to rest [s of simulated time]; longer
-                for an axis that the others need in order to stop, such as `engaged` of a controller
+    rest_delay  time for which an axis without a command keeps its value before it goes to rest [s of
+                simulated time]; longer for one that others need to stop, such as `engaged` of a controller
     """
 
     name: str

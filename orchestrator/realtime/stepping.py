@@ -73,8 +73,9 @@ def _loop(stepper: FrameStepper, task: Task, shared: SharedState, details: str, 
     """Make one frame after the other, each when it is due, until the parent ends."""
     setup, clock, number = task.setup, DeadlineClock(), task.first
     limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
-    command = Command(False, 1.0, 0, limiter.rest)
-    watchdog, running = CommandWatchdog(limiter.rest, setup.timeout, task.serial), False
+    nothing = np.full(len(setup.axes), np.nan)
+    command = Command(False, 1.0, 0, nothing)
+    watchdog, running = CommandWatchdog(nothing, setup.timeout, task.serial), False
     while not ended.is_set():
         if running:
             clock.wait()
@@ -129,21 +130,21 @@ class Ramp(ScenarioTable):
 
 
 class CommandWatchdog:
-    """Commands rest for all axes if there is no new command for `timeout` [s].
+    """Commands nothing for all axes if there is no new command for `timeout` [s].
 
     The age of a command counts from when this process first read it, so clocks of processes are not compared.
     """
 
-    def __init__(self, rest: Array, timeout: float, serial: int) -> None:
-        """serial: number of the last command that is already too old."""
-        self._rest, self._timeout, self._serial = rest, timeout, serial
-        self._values, self._seen = rest, -inf
+    def __init__(self, nothing: Array, timeout: float, serial: int) -> None:
+        """nothing: NaN, shape (axes,); serial: number of the last command that is already too old."""
+        self._nothing, self._timeout, self._serial = nothing, timeout, serial
+        self._values, self._seen = nothing, -inf
 
     def commanded(self, command: Command, now: float) -> Array:
-        """Commanded values of the axes, shape (axes,), at `now` [s]."""
+        """Commanded values of the axes, shape (axes,), at `now` [s]; NaN for an axis without a command."""
         if command.serial != self._serial:
             self._serial, self._values, self._seen = command.serial, command.values, now
-        return self._values if now - self._seen <= self._timeout else self._rest
+        return self._values if now - self._seen <= self._timeout else self._nothing
 
 
 class RateLimiter:
@@ -159,24 +160,23 @@ class RateLimiter:
         self._reach = frame * np.array([axis.rate for axis in axes], dtype=np.float64)
 
     def toward(self, now: Array, commanded: Array) -> Array:
-        """Values one frame after `now`, moved towards `commanded`; NaN counts as rest."""
+        """Values one frame after `now`, moved towards `commanded`, or to rest where that is NaN."""
         target = np.where(np.isnan(commanded), self.rest, commanded)
         move = np.clip(np.clip(target, -self._limit, self._limit) - now, -self._reach, self._reach)
         return np.clip(now + move, -self._limit, self._limit)
 
 
 class RestDelay:
-    """Holds the value of each axis until rest has been commanded for its `rest_delay`."""
+    """Holds the value of each axis without a command for its `rest_delay`; a command is obeyed at once."""
 
     def __init__(self, axes: Sequence[Axis], frame: float) -> None:
         """frame: [s]"""
-        self._rest = np.array([axis.rest for axis in axes], dtype=np.float64)
         self._frames = np.array([round(axis.rest_delay / frame) for axis in axes])
         self._left = np.zeros_like(self._frames)
 
     def delayed(self, now: Array, commanded: Array) -> Array:
-        """Commanded values of this frame. Call it once per frame. NaN counts as rest."""
-        resting = np.isnan(commanded) | (commanded == self._rest)
+        """Commanded values of this frame. Call it once per frame."""
+        resting = np.isnan(commanded)
         self._left = np.where(resting, np.maximum(self._left - 1, -1), self._frames)
         return np.where(resting & (self._left >= 0), now, commanded)
 

@@ -171,9 +171,9 @@ class CommandGate:
             if not (self.mode and self.pattern):
                 return self._fault("this machine has no input that sticks can drive")
             commanded = sticks.functions(deflections, described.patterns[self.pattern], CURVE)
-            loads = {**self._loads(), **self._set()}
-            values = sticks.commands(commanded, described.modes[self.mode], self.machine.axes, loads)
-            if sticks.uncommanded(values, self.machine.axes, frame.axes):
+            mode = described.modes[self.mode]
+            values = sticks.commands(commanded, mode, self.machine.axes, self._loaded())
+            if sticks.uncommanded(values, self.machine.axes, frame.axes, described.modes.values()):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
             self.machine.command(values)
@@ -193,8 +193,8 @@ class CommandGate:
         self.values[name] = finite(value, name)
 
     def keep(self) -> None:
-        """Command again the inputs that are set, while the sticks rest."""
-        if self.values:
+        """Command again the inputs that are set or loaded, while the sticks rest."""
+        if self._loaded():
             self._keep()
 
     def rest(self, why: str) -> None:
@@ -202,14 +202,14 @@ class CommandGate:
         self.live, self.why = False, why
         self._keep()
 
-    def _set(self) -> dict[str, float]:
-        """Input -> value that is set, unless the training task holds a load there."""
+    def _loaded(self) -> dict[str, float]:
+        """Input -> value that is set, or the load that the training task holds there."""
         loads = self._loads()
-        return {name: value for name, value in self.values.items() if not loads.get(name)}
+        return {**loads, **{name: value for name, value in self.values.items() if not loads.get(name)}}
 
     def _keep(self) -> None:
-        """Command only the inputs that are set."""
-        values, bare = self._set(), {axis: axis.rpartition(".")[2] for axis in self.machine.axes}
+        """Command only the inputs that are set or loaded."""
+        values, bare = self._loaded(), {axis: axis.rpartition(".")[2] for axis in self.machine.axes}
         try:
             self.machine.command({axis: values[name] for axis, name in bare.items() if name in values})
         except Exception:

@@ -360,10 +360,15 @@ class OpenPage:
             self.answer(f"written: {training.write(folders[0] / TABLE).name}")
 
     def show_task(self, on: bool) -> None:
-        """Show or hide the training task on this page."""
-        if on != self._task_shown:
-            self._task_shown = on
-            (self.training.open if on else self.training.close)()
+        """Show or hide the training task on this page. A driver who hides it drops its load."""
+        if on == self._task_shown:
+            return
+        self._task_shown = on
+        dropped = {} if on else {name: 0.0 for name, load in self.training.loads().items() if load}
+        (self.training.open if on else self.training.close)()
+        if self.authority.status(self.station).role == "driving" and not self.training.shown:
+            for name, none in dropped.items():
+                self.authority.set(self.station, name, none)
 
 
 ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {

@@ -93,8 +93,8 @@ class Training:
         }
 
     def loads(self) -> dict[str, float]:
-        """Input -> its value: the load of the head while a page shows the task, else none."""
-        return {self.task.load: self._progress.load if self._open else 0.0} if self.task.load else {}
+        """Input -> its value: the load of the head while a page shows the task."""
+        return {self.task.load: self._progress.load} if self.task.load and self._open else {}
 
     def write(self, path: Path) -> Path:
         """Write the table as CSV."""

@@ -52,16 +52,19 @@ def test_an_axis_arrives_at_what_is_possible(limit, frames, start, wanted):
 
 
 def test_no_number_means_rest():
-    """NaN is no limit; an axis that lingers stays 0.03 s after the last command and obeys at once."""
+    """NaN is no limit; an axis that lingers stays 0.03 s after the last command, and obeys at once, also a
+    command of its rest value."""
     limits = RateLimiter([Axis("a", 5, 1000, rest=1.0), Axis("b", 5, 1000)], 0.01)
     np.testing.assert_array_equal(limits.toward(np.array([3.0, 3.0]), np.array([np.nan, 4.0])), [1.0, 4.0])
     axes = [Axis("engaged", 1.0, 1000.0, rest_delay=0.03), Axis("velocity", 1.0, 1000.0)]
     limits, rest_delay = RateLimiter(axes, 0.01), RestDelay(axes, 0.01)
     now, seen = limits.rest.copy(), []
-    for wanted in [(0, 0)] + 2 * [(1, 1)] + 2 * [(0, 0)] + [(1, 1)] + 3 * [(0, 0)] + [(np.nan, 0)] + [(0, 0)]:
+    none = (np.nan, np.nan)
+    for wanted in [none] + 2 * [(1, 1)] + 2 * [none] + [(1, 1)] + 5 * [none] + [(1, 1), (0, 0)]:
         now = limits.toward(now, rest_delay.delayed(now, np.array(wanted, dtype=float)))
         seen.append((int(now[0]), int(now[1])))
-    assert seen == [(0, 0), (1, 1), (1, 1), (1, 0), (1, 0), (1, 1), (1, 0), (1, 0), (1, 0), (0, 0), (0, 0)]
+    assert seen[:6] == [(0, 0), (1, 1), (1, 1), (1, 0), (1, 0), (1, 1)]
+    assert seen[6:] == 3 * [(1, 0)] + 2 * [(0, 0)] + [(1, 1), (0, 0)]
 
 
 AXIS = Axis("u", 1.0, 1.0)

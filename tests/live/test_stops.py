@@ -35,7 +35,7 @@ def released(system: Path, mode: str, pose: str, swap: str, load: float = 0.0) -
     rows = []
     try:
         for n in range(HELD + WATCHED):
-            wanted = np.array([full.get(name, 0.0) if n < HELD else 0.0 for name in names])
+            wanted = np.array([full.get(name, np.nan) if n < HELD else np.nan for name in names])
             live.advance(limits.toward(live.axes, rest_delay.delayed(live.axes, wanted)))
             rows.append([*live.axes, *live.values])
     finally:

@@ -122,8 +122,13 @@ def comes_to(server: Server, state: str) -> bool:
 
 
 def driven(server: Server) -> bool:
-    """Is any axis away from rest?"""
-    return bool(np.any(server.session.machine.latest().axes))
+    """Is any lever away from rest?"""
+    machine = server.session.machine
+    return any(
+        value
+        for name, value in zip(machine.axes, machine.latest().axes, strict=True)
+        if name.endswith("_command")
+    )
 
 
 def begin(server: Server) -> float:
@@ -275,6 +280,30 @@ def test_words_move_nothing(page: Any) -> None:
     page.get_by_text("too slow").wait_for()
     assert page.locator(".hm-stage").bounding_box() == before
     page.evaluate("() => delete document.querySelector('.harvester-machine').machine.describe")
+
+
+def test_payload(page: Any, server: Server) -> None:
+    """It is what the slider says, also none again; it stays in the head after its driver has gone."""
+    session = server.session
+    payload = [name.endswith("payload_mass") for name in session.machine.axes].index(True)
+
+    def comes(mass: float) -> bool:
+        return until(lambda: session.machine.latest().axes[payload] == mass)
+
+    def put(mass: str) -> None:
+        page.get_by_role("slider", name="Payload").fill(mass)
+        assert comes(float(mass))
+
+    take(page, server)
+    put("250")
+    put("0")
+    put("100")
+    page.get_by_role("button", name="Release controls").click()
+    assert until(lambda: server.authority.status().driver == "")
+    first = angle(server, "swing")
+    drive(page, server, "a", lambda: angle(server, "swing") > first + MOVED)
+    assert session.machine.latest().axes[payload] == 100.0
+    put("0")
 
 
 def test_only_what_changes_is_drawn(page: Any) -> None:

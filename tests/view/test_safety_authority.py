@@ -239,8 +239,11 @@ def test_inputs_that_are_set(desk: Desk) -> None:
     desk.authority.set(station, "payload_mass", 100)
     desk.say(station, dead_man=False)
     assert desk.machine.commands[-1] == kept
+    desk.machine.still = {"manipulator.payload_mass": 100.0}
     desk.authority.release(station)
     assert desk.machine.commands[-1] == {}
+    assert desk.hold(desk.driver()), "what another driver has set, and the machine keeps, is no fault"
+    assert "manipulator.payload_mass" not in desk.machine.commands[-1]
 
 
 def test_machine_without_sticks() -> None:
