@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import httpx
 import pytest
-from view.standin import DESCRIPTION, SILENCE_LIMIT, TIMEOUT, StandIn, pages
+from view.standin import DESCRIPTION, LEVERS, SILENCE_LIMIT, TIMEOUT, StandIn, pages
 
 from orchestrator.view import live
 from orchestrator.view.authority import ControlAuthority
@@ -135,6 +135,25 @@ def test_actions_count_for_the_limit_of_messages(room: Room) -> None:
     heard = ran(flood())
     assert 0 < sum(heard) < PATIENT
     assert room.watcher.station.counts["flood"] == 2 * PATIENT - sum(heard)
+
+
+def test_a_hidden_task_drops_its_load(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The load that the task has put into the head goes with the last panel, if that is the driver's."""
+    room.machine.axes = (*LEVERS, "manipulator.payload_mass")
+    training = room.driver.training
+    monkeypatch.setattr(training, "loads", lambda: {"payload_mass": 200.0} if training.shown else {})
+    for page in (room.driver, room.watcher):
+        room.ask(page, "task", what="show", value=True)
+    room.ask(room.driver, "task", what="show", value=False)
+    room.say()
+    assert "manipulator.payload_mass" not in room.machine.commands[-1], "the other page still shows the task"
+    room.ask(room.watcher, "task", what="show", value=False)
+    room.say()
+    assert "manipulator.payload_mass" not in room.machine.commands[-1], "a watcher drops nothing"
+    room.ask(room.driver, "task", what="show", value=True)
+    room.ask(room.driver, "task", what="show", value=False)
+    room.say()
+    assert room.machine.commands[-1]["manipulator.payload_mass"] == 0.0
 
 
 def test_the_end_of_the_server_is_rest(room: Room) -> None:
