@@ -221,8 +221,7 @@ def _shown(part: Any) -> dict[str, Any]:
 def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str, Any]:
     """Interface of the FMU: variables that the page uses, driven inputs, sliders, poses and program."""
     component = next(iter(fmu.components.values()))
-    interface = component.interface
-    scene = description.scene
+    interface, scene = component.interface, description.scene
     axes = description.driven(fmu)
     name, mode = next(((n, m) for n, m in description.modes.items() if m.drives(axes)), ("", None))
     if scene is None or mode is None:
@@ -235,6 +234,7 @@ def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str,
     shown = [n for n in description.shown if n in interface.variables]
     used = dict.fromkeys((*shown, *inputs, *rates.values(), *sliders, *initial))
     return {
+        "component": component.name,
         "identifier": interface.identifier,
         "token": interface.model.token,
         "step": interface.step or STEP,

@@ -1,5 +1,6 @@
 """The choices before a start: the system, the pose, and the variant of each component."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +30,15 @@ class MachineChoice:
     pose: str = ""
     swap: Mapping[str, str] = field(default_factory=dict)
     set: Mapping[str, str] = field(default_factory=dict)
+
+    def command(self, scenario: str) -> str:
+        """The command that repeats a drive whose commands are in this file."""
+        pose = ["--pose", self.pose] if self.pose else []
+        swaps = [part for name, variant in self.swap.items() for part in ("--swap", f"{name}={variant}")]
+        sets = [part for name, value in self.set.items() for part in ("--set", f"{name}={value}")]
+        return shlex.join(
+            ["harvester", "run", str(self.system), "--scenario", scenario, *pose, *swaps, *sets]
+        )
 
 
 @dataclass(frozen=True)

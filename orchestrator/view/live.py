@@ -338,7 +338,9 @@ class OpenPage:
 
     async def save(self) -> None:
         path = await asyncio.to_thread(self.session.save)
-        self.answer(f"saved: {path}", href=f"/result/{quote(path.name)}")
+        command = self.session.repeated(path)
+        again = f"; the same drive: {command}" if command else ""
+        self.answer(f"saved: {path}{again}", href=f"/result/{quote(path.name)}")
 
     async def files(self) -> None:
         files = await asyncio.to_thread(self.session.files)

@@ -17,6 +17,11 @@ from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
 
 
+def drive_of(session: Path) -> Path:
+    """The scenario of a saved session."""
+    return session.with_name(f"drive{session.stem.removeprefix('session')}.csv")
+
+
 def columns(machine: Machine) -> Mapping[str, int]:
     """Bare name of a signal or an axis -> its column in a table of axes, then signals; an axis goes first."""
     axes, signals = list(machine.axes), list(machine.signals)
@@ -150,14 +155,26 @@ class Session:
             self._show(self.live)
 
     def save(self, machine: Machine | None = None) -> Path:
-        """Save the session, or that of another machine, as a result file in the first folder."""
+        """Save the session, or that of another machine, as a result file in the first folder.
+
+        What was driven is beside it, as a scenario (`drive_of`); a replay has none.
+        """
         if not self.folders:
             raise Problem("save: no folder for results is open")
-        trace = (machine or self.machine).trace()
+        machine = machine or self.machine
+        trace = machine.trace()
         if not len(trace.time):
             raise Problem("save: nothing has been recorded yet")
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        return write_trace(trace, self.folders[0] / f"session-{stamp}.parquet")
+        path = write_trace(trace, self.folders[0] / f"session-{stamp}.parquet")
+        if machine.drives and machine.axes:
+            write_trace(trace.select(machine.axes), drive_of(path))
+        return path
+
+    def repeated(self, saved: Path) -> str:
+        """The command that repeats a saved session; empty for a replay."""
+        drive = drive_of(saved)
+        return self.plan.choice.command(str(drive)) if drive.is_file() else ""
 
     def close(self) -> None:
         """Close all machines."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kit import shards
-from kit.driven_page import SECTION, Opened, assert_same_motion
+from kit.driven_page import SECTION, Opened, assert_same_motion, hold
 
 from fmus.machine.build import data
 from orchestrator.base.errors import Problem
@@ -150,7 +150,31 @@ def test_parameters_and_poses(opened: Any) -> None:
     assert page.ask("source.values.supply_pressure") == pytest.approx(10e6)
     # 450 kg more at 3 m: 13 kN.m over a lever of some 0.4 m and 113 cm2 are some 3 MPa, after the oscillation
     assert page.ask("source.values.boom_head_pressure") > light + 1e6
-    assert page.page.get_by_role("button", name="Save the drive").is_disabled(), "a scenario has no head mass"
+    page.page.get_by_role("button", name="Save the drive").click()
+    said = page.page.locator(".hm-said").inner_text()
+    assert said == "head_mass was changed during the drive, and a scenario has no parameters: start again"
+
+
+@shards.browser
+def test_payload(opened: Any) -> None:
+    """Whoever takes over the demonstration has its payload, and no score of it. The task holds its load until
+    it is hidden, and leaves the slider free."""
+    page = opened("drive")
+    payload = "s.sources.drive.input('payload_mass')"
+    page.page.locator(".hm-speed").select_option("5")
+    page.page.get_by_role("button", name="Training task").click()
+    page.page.get_by_role("button", name="Demonstration").click()
+    page.until(f"{payload} === 200 && s.mode === 'program' && s.source.time > 4")
+    assert page.ask("sources.drive.task.started") is None
+    page.page.locator(".hm-stage").focus()
+    hold(page, "ArrowDown", 0.5)
+    page.until(f"s.mode === 'drive' && {payload} === 200")
+    page.page.get_by_label("Payload").fill("300")
+    page.until(f"s.source.time > {page.ask('source.time') + 0.5} && {payload} === 300")
+    page.page.evaluate(f"() => {{ {SECTION}.sources.drive.task.done = [1]; }}")
+    page.until(f"{payload} === 200")
+    page.page.get_by_role("button", name="Training task").click()
+    page.until(f"{payload} === 0")
 
 
 def halt(page: Opened, time: float) -> None:

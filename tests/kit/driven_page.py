@@ -1,5 +1,6 @@
 """Drives the machine on a page in a browser, and compares its motion with that of `harvester run`."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,8 @@ def drive(page: Opened) -> None:
     """
     page.page.locator(".hm-speed").select_option("5")
     page.page.get_by_role("button", name="Drive", exact=True).click()
+    page.page.locator(".hm-pose").select_option("reach")
+    page.page.get_by_label("Head mass").fill("500")
     page.page.get_by_role("button", name="Start again").click()
     page.page.get_by_label("Payload").fill("200")
     page.page.locator(".hm-stage").focus()
@@ -73,7 +76,7 @@ def hold(page: Opened, key: str, duration: float) -> None:
 
 
 def assert_same_motion(page: Opened, fmu: Path, folder: Path) -> None:
-    """Driven by hand, the machine is where `harvester run` has it with the commands that the page saves.
+    """Driven by hand, the machine is where `harvester run` has it with what the page saves and says.
 
     Nothing is asked of the network.
     """
@@ -86,7 +89,10 @@ def assert_same_motion(page: Opened, fmu: Path, folder: Path) -> None:
     scenario = read_trace(folder / "drive.csv")
     assert np.ptp(scenario["boom_command"]) > 1, "the key did nothing"
     assert np.ptp(scenario["supply_pressure"]) == pytest.approx(20.684e6 - 15e6)
-    result = run(fmu, scenario, stop=float(scenario.time[-1]), step=1e-3)
+    command = page.page.locator(".hm-said").inner_text().removeprefix("the same drive: ")
+    sets = re.findall(r" --set (\S+)=(\S+)", command)
+    assert {"harvester.head_mass", "harvester.initial_boom_angle"} <= {name for name, _ in sets}, command
+    result = run(fmu, scenario, stop=float(scenario.time[-1]), step=1e-3, set=dict(sets))
     time, *angles = np.array(seen).T
     at = int(np.argmin(np.abs(time - 5.0)))
     assert time[at] == pytest.approx(5.0, abs=0.02)

@@ -1,6 +1,7 @@
 """The page in a real browser: it loads, shows the machine, is driven, and lets go when it is closed."""
 
 import io
+import shlex
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -397,14 +398,32 @@ def test_replay(page: Any, server: Server) -> None:
     assert until(lambda: server.session.machine.drives)
 
 
-def test_save(page: Any, tmp_path: Path) -> None:
-    """The session comes as a file that can be read, with the axes and the signals."""
+def test_save(page: Any, server: Server, tmp_path: Path) -> None:
+    """The session comes as a file that can be read, with the axes and the signals; the page says how to run
+    the same drive, which comes to the same angles."""
     from orchestrator.data.trace import read_trace
+    from orchestrator.engine.run import run
 
     with page.expect_download() as loaded:
         page.get_by_role("button", name="Save the drive").click()
     found = read_trace(loaded.value.path().rename(tmp_path / "session.parquet"))
     assert {"boom_command", "manipulator.boom_angle"} <= set(found.signals)
+    said = page.get_by_role("alert").get_by_text("the same drive: ").inner_text()
+    words = shlex.split(said.partition("the same drive: ")[2])
+    system, scenario = words[2], words[words.index("--scenario") + 1]
+    assert system == str(server.session.plan.choice.system)
+    swap = server.session.plan.choice.swap
+    result = run(
+        system,
+        scenario,
+        stop=float(found.time[-1]),
+        swap=swap,
+        parameters=server.session.plan.setup.parameters,
+    )
+    for joint in ("swing", "boom", "stick"):
+        name = f"manipulator.{joint}_angle"
+        # frame by frame, the solvers of the FMUs begin anew
+        np.testing.assert_allclose(result[name][-1], found[name][-1], atol=1e-4)
 
 
 def test_help(page: Any) -> None:

@@ -34,6 +34,7 @@
 
   show().catch((problem) => {
     root.querySelector(".hm-said").textContent = problem.message;
+    root.querySelector(".hm-said").classList.add("hm-bad");
     console.error(problem);
   });
 })();

@@ -29,7 +29,7 @@ export class Simulation {
     const inputs = Object.fromEntries(this.names.map((name, k) => [name, this.now[k]]));
     this.begun = { ...this.parameters, ...angles };
     this.fmu.start({ ...this.begun, ...inputs });
-    [this.frames, this.exact, this.cost] = [0, true, 0];
+    [this.frames, this.lost, this.cost] = [0, "", 0]; // lost: why a scenario does not repeat the drive
     this.rows = [[0, ...this.now]];
   }
 
@@ -55,9 +55,11 @@ export class Simulation {
       this.fmu.step(next - t);
     }
     this.now = to;
+    // sliders go on from what the program has set
+    if (exactly) this.axes.forEach((axis, k) => (axis.limit === null) && (this.goal[k] = to[k]));
     this.frames += 1;
     if (this.rows.length < LONGEST) this.rows.push([this.time, ...to]);
-    else this.exact = false;
+    else this.lost = "a drive of more than 10 minutes is not kept";
     this.cost += performance.now() - began;
   }
 
@@ -74,7 +76,7 @@ export class Simulation {
     else {
       this.parameters[name] = value;
       this.fmu.set(this.fmu.group([name]), [value]);
-      if (this.frames) this.exact = false; // a scenario has no parameters
+      if (this.frames) this.lost = `${name} was changed during the drive, and a scenario has no parameters: start again`;
       else this.begun[name] = value;
     }
   }
@@ -87,6 +89,12 @@ export class Simulation {
   // a scenario for `harvester run`
   csv() {
     return [["time", ...this.names].join(), ...this.rows.map((row) => row.join())].join("\n") + "\n";
+  }
+
+  // the command that repeats the drive with this scenario
+  command(scenario) {
+    const sets = Object.entries(this.begun).map(([name, value]) => ` --set ${this.data.component}.${name}=${value}`);
+    return `harvester run ${this.data.file} --scenario ${scenario}${sets.join("")}`;
   }
 }
 
@@ -102,7 +110,7 @@ export class ModuleSource {
     this.names = new Set(this.fmu.outputs);
     this.history = new History(data.charts);
     this.task = new Attempts(data.task);
-    [this.program, this.jumps, this.due] = [Boolean(this.fmu.program), 0, 0];
+    [this.program, this.jumps, this.due, this.carried] = [Boolean(this.fmu.program), 0, 0, 0];
     [this.pattern, this.mode, this.drives] = [Object.keys(data.patterns)[0] ?? "", this.fmu.mode, true];
     this.read();
   }
@@ -142,7 +150,17 @@ export class ModuleSource {
     this.simulation.frame(program ? sample(program, next) : this.commanded(read(this.fmu.frame)), Boolean(program));
     const values = this.simulation.values();
     this.history.add(this.time, values);
-    if (this.task.add(this.time, values)) this.set(this.data.task.load, this.task.status().load);
+    if (program) return;
+    this.task.add(this.time, values);
+    this.carry();
+  }
+
+  // what the task holds in the head, when that changes: the slider moves it, too
+  carry() {
+    const load = this.task.open ? this.task.status().load : 0;
+    if (load === this.carried) return;
+    this.carried = load;
+    this.set(this.data.task.load, load);
   }
 
   commanded(sticks) {

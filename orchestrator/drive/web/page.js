@@ -18,6 +18,7 @@ const PANELS = 100; // ms between two updates of numbers and charts
 const BEAT = 30; // ms between two looks at the hands
 const TOLD = 2500; // ms that a word about a key without controls stays
 const SAID = 8000; // ms that an answer of the server stays
+const KEPT = 60000; // ms that the name of a file stays
 const REST = [0, 0, 0, 0];
 const TITLES = { program: "demonstration", drive: "you drive", replay: "replay of the run" };
 const STANDING = { // banner for each state in which a shared machine does not move
@@ -128,7 +129,7 @@ export class Page {
     this.at("speed").addEventListener("change", () => this.shared && this.source.do("speed", { factor: Number(this.at("speed").value) }));
     this.at("seek").addEventListener("input", () => this.seek(Number(this.at("seek").value)));
     this.at("pose").addEventListener("change", () => (this.choose("drive"), this.again()));
-    this.at("save").addEventListener("click", () => (this.shared ? this.source.do("save") : download("drive.csv", this.source.simulation.csv())));
+    this.at("save").addEventListener("click", () => (this.shared ? this.source.do("save") : this.keep()));
     this.at("training").addEventListener("click", () => {
       this.task.toggle();
       this.at("training").setAttribute("aria-expanded", String(this.task.open));
@@ -210,7 +211,7 @@ export class Page {
     if (what === "choose") task.choose(value);
     if (what === "again") task.again();
     if (what === "write") download("training.csv", task.csv());
-    if (!task.open || what !== "write") this.sources.drive.set(this.data.task.load, task.status().load);
+    this.sources.drive.carry();
   }
 
   // ---- sources of this browser
@@ -293,7 +294,7 @@ export class Page {
 
   fail(problem) {
     [this.running, this.failed] = [false, true];
-    this.at("said").textContent = problem.message;
+    this.answer({ text: problem.message, bad: true });
     [this.at("begin").hidden, this.at("begin").textContent] = [false, "Start again"];
     this.panels();
     console.error(problem);
@@ -340,11 +341,19 @@ export class Page {
     if (this.source.data) this.choices();
   }
 
-  // what the server says to an action: a line, and a file to keep
+  // the drive as a file, and how to repeat it
+  keep() {
+    const { simulation } = this.source;
+    if (simulation.lost) return this.answer({ text: simulation.lost, bad: true });
+    download("drive.csv", simulation.csv());
+    this.answer({ text: `the same drive: ${simulation.command("drive.csv")}` });
+  }
+
+  // to an action: a line, and a file of the server to keep
   answer({ text, bad, href }) {
     this.at("said").textContent = text;
     this.at("said").classList.toggle("hm-bad", Boolean(bad));
-    this.said = performance.now() + SAID;
+    this.said = performance.now() + (href ? KEPT : SAID);
     if (href) make("a", { href, download: "" }).click();
   }
 
@@ -406,7 +415,7 @@ export class Page {
     write(this.at("clock"), `${source.time.toFixed(1)} s`);
     const goes = state === "running" || state === "starting";
     write(this.at("pause"), goes ? "Pause" : this.began || this.shared ? "Go on" : "Start");
-    if (!this.shared) this.at("save").disabled = this.mode === "replay" || !source.simulation.exact || !source.simulation.frames;
+    if (!this.shared) this.at("save").disabled = this.mode === "replay" || !source.simulation.frames;
     if (this.shared) this.at("time").hidden = !source.span;
     if (this.shared && document.activeElement !== this.at("speed")) this.at("speed").value = String(source.info.factor ?? 1);
     if (source.span && !this.at("seek").matches(":active")) this.at("seek").value = (source.time - source.span[0]) / (source.span[1] - source.span[0]);

@@ -63,9 +63,9 @@ export class Attempts {
     return this.started === null ? "ready" : "moving";
   }
 
-  // a sample of the machine: false if nothing is counted
+  // a sample of the machine
   add(t, values) {
-    if (!this.open || this.kept) return this.open;
+    if (!this.open || this.kept) return;
     const pick = (names) => names.map((name) => values[name] ?? NaN);
     const [tip, functions] = [pick(this.rules.tip), pick(this.rules.speeds)];
     const [turning] = pick([this.rules.turning]);
@@ -79,7 +79,6 @@ export class Attempts {
     this.advance(sample);
     if (this.phase === "done") this.keep();
     else if (this.started !== null && t - this.started > this.rules.longest) this.again();
-    return true;
   }
 
   advance({ t, tip, speed }) {
