@@ -5,6 +5,7 @@ A page sends its sticks every 30 ms, and actions such as `{"do": "take"}`. A mes
 dropped, and the end of the connection ends driving. The server sends objects with these keys:
 
     hello    what the page shows of the machine, when that has changed (`orchestrator.drive.page.page_data`)
+    jump     number of the jump, when the time or the machine is another one; the charts begin anew
     frame    number, time, state, and the values of `names` in the hello
     bins     extremes of the charts in bins of time
     status   of the controls; ten times a second, so that it is the heartbeat of the server, too
@@ -135,6 +136,7 @@ class Broadcast:
     """What all pages are sent; made once for all of them.
 
     hello     description of the machine that is shown, and its number, which counts up
+    jumps     number of jumps of the time, also to another machine
     frame     time, state and values of the last frame; None before the first
     """
 
@@ -142,6 +144,7 @@ class Broadcast:
         self._session, self._training = session, training
         self._fitted: tuple[object, ...] = ()
         self.number, self.hello, self.info = 0, dict[str, Any](), dict[str, Any]()
+        self.jumps = 0
         self.frame: list[Any] | None = None
         self._ticks = 0
         self.look()
@@ -173,11 +176,13 @@ class Broadcast:
         names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns]
         self._columns = [columns[name] for name in names]
         self.history = History(session.machine, columns, description.curves)
-        self.number += 1
+        self.jumps += 1
         self._ticks = 0
-        self.hello = page_data(description, plan.parameters)
+        hello = page_data(description, plan.parameters)
         inputs = description.free(session.machine.axes)
-        self.hello |= {"names": names, "title": session.title, "inputs": inputs}
+        hello |= {"names": names, "title": session.title, "inputs": inputs}
+        if hello != self.hello:
+            self.number, self.hello = self.number + 1, hello
 
 
 class Pages:
@@ -238,13 +243,15 @@ class OpenPage:
 
     async def send(self) -> None:
         """Send what is new until the connection ends."""
-        begun, sent, told, info, latest = -1, None, 0.0, None, -1
+        begun, jumped, sent, told, info, latest = -1, -1, None, 0.0, None, -1
         with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
             while True:
                 new, shared, now = dict[str, Any](), self._broadcast, time.monotonic()
                 if begun != shared.number:
-                    begun, sent, info, latest = shared.number, None, None, -1
-                    new["hello"] = shared.hello
+                    begun, new["hello"] = shared.number, shared.hello
+                if jumped != shared.jumps:
+                    jumped, sent, info, latest = shared.jumps, None, None, -1
+                    new["jump"] = jumped
                 if info is not shared.info:
                     info = new["info"] = shared.info
                     if bins := shared.history.since(latest):

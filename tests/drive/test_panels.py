@@ -146,6 +146,20 @@ def test_the_axis_of_time_is_in_seconds(script: Any) -> None:
     assert labels >= {"\N{MINUS SIGN}20 s", "\N{MINUS SIGN}10 s", "0 s"}
 
 
+def test_charts_end(script: Any) -> None:
+    """Charts that are closed are destroyed, and look at their size no more."""
+    draw = """(() => { (0, eval)(a.uplot); const ended = [];
+      const place = document.body.appendChild(document.createElement("div"));
+      const charts = new m.Charts(place, a.charts.slice(0, 1), new Set([a.name]));
+      const [one] = charts.charts;
+      one.plot.hooks.destroy = [() => ended.push("plot")];
+      one.observer.disconnect = () => ended.push("observer");
+      charts.close(); place.remove();
+      return ended.sort(); })()"""
+    given = {"uplot": libraries()["uplot"], "charts": DATA["charts"], "name": "boom_head_pressure"}
+    assert script("charts", draw, given) == ["observer", "plot"]
+
+
 def test_task_as_in_python(script: Any) -> None:
     """Progress and score of the page are those of score.py for the same samples; so are its words."""
     trace = cycle()

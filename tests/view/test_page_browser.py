@@ -358,8 +358,13 @@ def test_replay(page: Any, server: Server) -> None:
     assert until(lambda: angle(server, "boom") > 0.3)
     server.session.machine.pause()  # a click may take longer than the file
     slider = page.get_by_role("slider", name="Time")
+    page.evaluate("""() => { const { source } = document.querySelector('.harvester-machine').machine;
+      source.begin = () => { throw new Error('the same description was sent again'); }; }""")
     slider.click(position={"x": 0.1 * slider.bounding_box()["width"], "y": 8})
     assert until(lambda: angle(server, "boom") < 0.3)
+    page.wait_for_function("() => document.querySelector('.harvester-machine').machine.source.time < 1")
+    page.evaluate("() => delete document.querySelector('.harvester-machine').machine.source.begin")
+    assert page.complaints == []
     server.session.machine.play()
     assert comes_to(server, "ended")
     page.get_by_text("end of the replay: press P to repeat it").wait_for()

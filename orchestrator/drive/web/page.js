@@ -66,6 +66,7 @@ export class Page {
     this.at("looks").replaceChildren(...(this.scene?.views ?? []).map((name) =>
       make("button", { type: "button", textContent: name, onclick: () => this.scene.look(name) })));
     this.gauges = new Gauges(this.at("panel"), data, names);
+    this.charts?.close();
     this.charts = new Charts(this.at("charts"), data.charts, names);
     const driven = this.sources.drive ?? this.sources.live;
     this.sliders = driven && new Sliders(this.at("sliders"), driven.sliders, (name, value) => this.slide(name, value), (name) => driven.input(name));

@@ -26,6 +26,7 @@ export class SocketSource {
     if ("late" in data) this.late = data.late;
     if (data.late) this.onlate();
     if (data.hello) this.begin(data.hello);
+    if ("jump" in data) this.jump();
     for (const [number, first, second] of data.bins ?? []) this.history.put(number, first, second);
     if (data.frame) this.show(data.frame);
     if (data.info) {
@@ -54,8 +55,13 @@ export class SocketSource {
 
   begin(hello) {
     [this.data, this.names, this.history] = [hello, new Set(hello.names), new History(hello.charts)];
-    this.jumps += 1;
     this.onhello();
+  }
+
+  // another part of the time of the same machine
+  jump() {
+    this.history.clear();
+    this.jumps += 1;
   }
 
   show([number, t, state, values]) {
