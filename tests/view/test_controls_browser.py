@@ -225,6 +225,29 @@ def test_silent_server(page: Any, address: str) -> None:
     page.get_by_text("the connection was lost: take the controls again").wait_for()
 
 
+HANDS = "document.querySelector('.hm-hands').clientHeight"
+
+
+def test_stopped_server(page: Any, address: str) -> None:
+    """Without a word of the server the lamp is off, the foot says so, the toolbar waits; the sticks stay."""
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
+    page.locator(".hm-lamp.hm-live").wait_for()
+    server, height = state(address)["pid"], page.evaluate(HANDS)
+    try:
+        os.kill(server, signal.SIGSTOP)
+        page.locator(".hm-foot").get_by_text("no connection: trying again").wait_for()
+        page.locator(".hm-banner").get_by_text("no connection: trying again").wait_for()
+        page.locator(".hm-lamp:not(.hm-live)").wait_for()
+        assert page.get_by_role("button", name="Pause").is_disabled()
+        page.wait_for_function("!document.querySelector('.harvester-machine').machine.source.opened")
+        assert page.get_by_role("button", name="SAE").is_visible()
+        assert page.evaluate(HANDS) == height
+    finally:
+        os.kill(server, signal.SIGCONT)
+    page.locator(".hm-pause:not(:disabled)").wait_for()
+    page.locator(".hm-foot").get_by_text("running").wait_for()
+
+
 def test_slow_page(page: Any, address: str) -> None:
     """After a long picture the page says what to do, draws cheaper ones, and goes on after a new hold."""
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))

@@ -254,7 +254,7 @@ def test_connection_comes_back(own: Any, server: Server) -> None:
     before = own.evaluate(CAMERA)
     for one in [*server._server.server_state.connections]:
         one.loop.call_soon_threadsafe(one.transport.abort)
-    own.get_by_text("no connection").wait_for()
+    own.get_by_text("no connection: trying again").first.wait_for()
     assert until(lambda: server.authority.status().driver == "")
     own.get_by_text("the connection was lost: take the controls again").wait_for()
     assert np.allclose(own.evaluate(CAMERA), before, atol=0.05)  # m; the tip creeps

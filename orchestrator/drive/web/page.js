@@ -10,7 +10,7 @@
 // and a source of this browser `advance(seconds, read)` and `begin(angles)`, which the page calls.
 import { Charts } from "drive/charts.js";
 import { Levers, elsewhere } from "drive/levers.js";
-import { Gauges, Pace, Sliders, StatusLine, colour, make, notices, write } from "drive/panels.js";
+import { Gauges, Pace, Sliders, StatusLine, UNHEARD, colour, make, notices, write } from "drive/panels.js";
 import { Scene } from "drive/scene.js";
 import { TaskPanel, rings } from "drive/task.js";
 
@@ -307,15 +307,25 @@ export class Page {
     const now = performance.now();
     const hands = this.levers.read(Math.min(0.1, (now - this.beaten) / 1000));
     this.beaten = now;
-    const { driving } = this.source;
+    const { driving, live, alive } = this.source;
     this.source.steer(hands);
-    this.levers.show(driving ? hands.sticks : REST, this.source.status.live);
+    if (alive !== this.alive) this.connection(alive);
+    this.levers.show(driving ? hands.sticks : REST, live);
     const lamp = this.at("lamp").classList;
     lamp.toggle("hm-held", driving && hands.deadMan);
-    lamp.toggle("hm-live", this.source.status.live);
+    lamp.toggle("hm-live", live);
     write(this.at("state"), this.describe());
     write(this.at("note"), this.levers.note);
     if (this.said && now > this.said) [this.said, this.at("said").textContent] = [0, ""];
+  }
+
+  // the server is heard again, or no more: without it the toolbar does nothing
+  connection(alive) {
+    this.alive = alive;
+    if (!alive && this.at("bar").contains(document.activeElement)) this.focus();
+    for (const one of this.at("bar").querySelectorAll("button:not(.hm-help), input, select")) one.disabled = !alive;
+    this.told();
+    this.panels();
   }
 
   describe() {
@@ -331,13 +341,13 @@ export class Page {
   }
 
   told() {
-    const { status } = this.source;
+    const { status, alive, driving } = this.source;
     if (status.role === "driving" && this.role !== "driving") [this.levers.letGo(), this.focus()];
     this.role = status.role;
     write(this.at("take"), TAKE[status.role]);
-    this.at("take").disabled = !status.drives || !(status.modes.length || this.source.data?.inputs.length);
+    this.at("take").disabled = !alive || !status.drives || !(status.modes.length || this.source.data?.inputs.length);
     write(this.at("asked"), status.asked && status.role === "driving" ? "another page requests the controls" : "");
-    if (this.sliders) this.sliders.disabled = status.role !== "driving";
+    if (this.sliders) this.sliders.disabled = !driving;
     if (this.source.data) this.choices();
   }
 
@@ -374,7 +384,7 @@ export class Page {
   }
 
   get state() {
-    if (this.shared) return this.source.state;
+    if (this.shared) return this.source.alive ? this.source.state : UNHEARD;
     return this.failed ? "failed" : this.running ? "running" : "paused";
   }
 
@@ -395,9 +405,9 @@ export class Page {
     const { timing, message, able } = { able: source.able, ...source.info };
     const { values, time, drives } = source;
     this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });
-    const standing = this.shared ? [message, STANDING[state] ?? ""] : [];
+    const standing = !this.shared ? [] : state === UNHEARD ? [UNHEARD] : [message, STANDING[state] ?? ""];
     write(this.at("banner"), [...standing, ...notices(this.data.notices, values)].filter(Boolean).join("; "));
-    this.at("banner").classList.toggle("hm-bad", state === "failed");
+    this.at("banner").classList.toggle("hm-bad", state === "failed" || state === UNHEARD);
   }
 
   // name, state and time of what is shown
@@ -405,7 +415,7 @@ export class Page {
     const { source, state } = this;
     write(this.at("mode"), this.shared ? source.data.title : `${TITLES[this.mode]}${this.running ? "" : ", paused"}`);
     write(this.at("clock"), `${source.time.toFixed(1)} s`);
-    const goes = state === "running" || state === "starting";
+    const goes = ["running", "starting"].includes(this.shared ? source.state : state);
     write(this.at("pause"), goes ? "Pause" : this.began || this.shared ? "Go on" : "Start");
     if (!this.shared) this.at("save").disabled = this.mode === "replay" || !source.simulation.exact || !source.simulation.frames;
     if (this.shared) this.at("time").hidden = !source.span;
@@ -417,7 +427,7 @@ export class Page {
   choices() {
     const source = this.sources.drive ?? this.source;
     const { pattern, mode } = source;
-    const [modes, driver] = [this.shared ? source.status.modes : [], !this.shared || source.status.role !== "watching"];
+    const [modes, driver] = [this.shared ? source.status.modes : [], !this.shared || (source.alive && source.status.role !== "watching")];
     const key = JSON.stringify([pattern, mode, modes, driver, this.data.legends]);
     if (key === this.chosen) return;
     this.chosen = key;

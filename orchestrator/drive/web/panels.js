@@ -5,7 +5,8 @@ const SPAN = 2000; // ms over which the real-time factor is measured
 const MISSED = 0.005; // fraction of missed frames that is still good
 const FULL = 0.9; // fraction of the commanded speed that counts as full speed
 const DRIVEN = 0.5; // value, 0 to 1, above which a controller drives
-const TONES = { running: "good", failed: "bad" };
+export const UNHEARD = "no connection: trying again"; // state of a machine whose server is silent
+const TONES = { running: "good", failed: "bad", [UNHEARD]: "bad" };
 
 export const make = (tag, properties = {}, ...children) => {
   const { role, ariaLabel, ...others } = properties; // as attributes, since older browsers lack these properties

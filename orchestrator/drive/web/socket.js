@@ -44,7 +44,8 @@ export class SocketSource {
     this.opened = open;
     if (open) return;
     this.lost ||= this.status.role === "driving";
-    this.tell(FREE);
+    const { pattern, mode, modes } = this.status; // the same machine, until it says otherwise
+    this.tell({ ...FREE, pattern, mode, modes });
   }
 
   // the state of the controls
@@ -77,6 +78,11 @@ export class SocketSource {
 
   get driving() {
     return this.status.role === "driving" && this.alive;
+  }
+
+  // whether the machine follows the sticks
+  get live() {
+    return this.status.live && this.alive;
   }
 
   // ---- for the operator
