@@ -220,6 +220,17 @@ def test_a_failure_is_said(opened: Any) -> None:
     assert re.search("swing_command cannot be set to -?nan", page.page.locator(".hm-said").inner_text())
 
 
+@shards.browser
+def test_driven_without_webgl(opened: Any) -> None:
+    """In a browser without WebGL one line says so; a click where the picture would be takes the keys."""
+    page = opened("drive", webgl=False)
+    page.page.get_by_text("no picture: this browser offers no WebGL").wait_for()
+    page.page.locator(".hm-stage").click(position={"x": 400, "y": 20})
+    page.page.keyboard.down("d")
+    page.until("s.mode === 'drive' && s.sources.drive.simulation.now[0] < -1")
+    assert page.complaints == []
+
+
 def part(page: str, name: str) -> str:
     """A part of a section, unpacked."""
     packed = re.search(f'data-part="{name}">([^<]*)<', page)

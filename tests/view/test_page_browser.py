@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from kit import shards
+from kit.driven_page import NO_WEBGL
 from kit.wait import LONG, until
 from matplotlib import image
 from numpy.typing import NDArray
@@ -48,8 +49,8 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     session.close()
 
 
-def page_of(chromium: Any, server: Server) -> Any:
-    """An open page that has drawn the machine; what it complains of and asks for is kept."""
+def page_of(chromium: Any, server: Server, blind: bool = False) -> Any:
+    """An open page that has drawn the machine; what it complains of and asks for is kept. blind: no WebGL."""
     context = chromium.new_context(viewport={"width": 1200, "height": 800}, accept_downloads=True)
     opened = context.new_page()
     opened.complaints, opened.hosts = [], set()
@@ -57,8 +58,11 @@ def page_of(chromium: Any, server: Server) -> Any:
     opened.on("pageerror", lambda error: opened.complaints.append(str(error)))
     context.on("request", lambda request: opened.hosts.add(urlsplit(request.url).netloc))
     opened.set_default_timeout(1e3 * LONG)
+    if blind:
+        opened.add_init_script(NO_WEBGL)
     opened.goto(server.url)
-    opened.wait_for_function(DRAWN, arg=1)
+    if not blind:
+        opened.wait_for_function(DRAWN, arg=1)
     return opened
 
 
@@ -263,6 +267,31 @@ def test_connection_comes_back(own: Any, server: Server) -> None:
     own.get_by_text("moving, ").wait_for()
     assert np.linalg.norm(np.subtract(own.evaluate(CAMERA), before)) > MOVED
     own.get_by_role("button", name="Training task").click()
+
+
+def test_without_webgl(chromium: Any, server: Server) -> None:
+    """In a browser without WebGL one line says so; gauges, charts and sticks work."""
+    blind = page_of(chromium, server, blind=True)
+    blind.get_by_text("no picture: this browser offers no WebGL").wait_for()
+    blind.wait_for_function("() => parseFloat(document.querySelector('.hm-gauge output').textContent) > 15")
+    assert blind.locator(".hm-chart").count() > 2
+    take(blind, server)
+    first = angle(server, "swing")
+    drive(blind, server, "a", lambda: angle(server, "swing") > first + MOVED)
+    assert blind.complaints == []
+    blind.context.close()
+    assert until(lambda: server.authority.status().driver == "")
+
+
+def test_a_view_keeps_the_focus(page: Any, server: Server) -> None:
+    """After a restart the next key is still that of the button of the view."""
+    button = page.locator(".hm-looks button").first
+    button.focus()
+    before = begin(server)
+    page.keyboard.press("Home")
+    assert until(lambda: begin(server) > before + APART / 2)
+    page.wait_for_function("() => document.querySelector('.harvester-machine').machine.source.time < 1")
+    assert page.evaluate("document.activeElement.closest('.hm-looks') !== null")
 
 
 def test_words_move_nothing(page: Any) -> None:

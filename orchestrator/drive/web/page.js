@@ -57,14 +57,9 @@ export class Page {
   // names: signals of its sources
   fit(data, names) {
     // after an interruption of the connection it is the same machine: the view stays
-    if (!this.scene || JSON.stringify(data.scene) !== JSON.stringify(this.data.scene)) {
-      this.scene?.close();
-      this.scene = data.scene && new Scene(this.at("stage"), { ...data.scene }, Boolean(this.sources.replay?.ghost));
-    }
+    const drawing = JSON.stringify(data.scene);
+    if (drawing !== this.drawing) [this.drawing] = [drawing, this.draw(data.scene)];
     this.data = data;
-    this.root.classList.toggle("hm-flat", !this.scene);
-    this.at("looks").replaceChildren(...(this.scene?.views ?? []).map((name) =>
-      make("button", { type: "button", textContent: name, onclick: () => this.scene.look(name) })));
     this.gauges = new Gauges(this.at("panel"), data, names);
     this.charts?.close();
     this.charts = new Charts(this.at("charts"), data.charts, names);
@@ -76,10 +71,25 @@ export class Page {
     this.jumped = -1;
   }
 
+  // the picture of a machine, with its views; without WebGL the page is that of a machine that has none
+  draw(scene) {
+    this.scene?.close();
+    [this.scene, this.blind] = [null, ""];
+    try {
+      this.scene = scene && new Scene(this.at("stage"), { ...scene }, Boolean(this.sources.replay?.ghost));
+    } catch (problem) {
+      this.blind = `no picture: ${problem.message}`;
+      console.warn(problem.message);
+    }
+    this.root.classList.toggle("hm-flat", !this.scene);
+    this.at("looks").replaceChildren(...(this.scene?.views ?? []).map((name) =>
+      make("button", { type: "button", textContent: name, onclick: () => this.scene.look(name) })));
+  }
+
   embed() {
     const { replay, drive } = this.sources;
     this.fit(this.data, (drive ?? replay).names);
-    this.scene.embed();
+    this.scene?.embed();
     if (replay && !drive) this.at("stage").setAttribute("aria-label", "The machine in space; P pauses, Home starts again");
     this.choose(replay ? "replay" : drive.program ? "program" : "drive");
     this.at("modes").hidden = false;
@@ -322,7 +332,7 @@ export class Page {
   // the server is heard again, or no more: without it the toolbar does nothing
   connection(alive) {
     this.alive = alive;
-    if (!alive && this.at("bar").contains(document.activeElement)) this.focus();
+    if (!alive && document.activeElement?.closest(".hm-bar, .hm-hands")) this.focus();
     for (const one of this.at("bar").querySelectorAll("button:not(.hm-help), input, select")) one.disabled = !alive;
     this.told();
     this.panels();
@@ -406,7 +416,7 @@ export class Page {
     const { values, time, drives } = source;
     this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });
     const standing = !this.shared ? [] : state === UNHEARD ? [UNHEARD] : [message, STANDING[state] ?? ""];
-    write(this.at("banner"), [...standing, ...notices(this.data.notices, values)].filter(Boolean).join("; "));
+    write(this.at("banner"), [...standing, this.blind, ...notices(this.data.notices, values)].filter(Boolean).join("; "));
     this.at("banner").classList.toggle("hm-bad", state === "failed" || state === UNHEARD);
   }
 
@@ -431,11 +441,15 @@ export class Page {
     const key = JSON.stringify([pattern, mode, modes, driver, this.data.legends]);
     if (key === this.chosen) return;
     this.chosen = key;
-    const group = (place, names, chosen, act) => this.at(place).replaceChildren(...names.map((name) => {
-      const button = make("button", { type: "button", textContent: name, disabled: !driver, onclick: () => act(name) });
-      button.setAttribute("aria-pressed", String(name === chosen));
-      return button;
-    }));
+    const group = (place, names, chosen, act) => {
+      const buttons = [...this.at(place).children];
+      const same = buttons.map((one) => one.textContent).join() === names.join(); // then one of them may have the focus
+      if (!same) this.at(place).replaceChildren(...names.map((name) => make("button", { type: "button", textContent: name, onclick: () => act(name) })));
+      for (const button of this.at(place).children) {
+        button.disabled = !driver;
+        button.setAttribute("aria-pressed", String(button.textContent === chosen));
+      }
+    };
     const legend = this.data.legends[mode]?.[pattern];
     group("patterns", legend ? Object.keys(this.data.patterns) : [], pattern, (name) => this.pattern(name));
     group("drive-modes", modes.length > 1 ? modes : [], mode, (name) => source.do("choose", { mode: name }));
