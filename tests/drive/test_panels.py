@@ -73,6 +73,7 @@ def test_clock(script: Any) -> None:
     begun += " for (let k = 0; k < 20; k++) { now = 100 * k; p.look(0.05 * k, true); }"
     assert script("panels", f"{begun} return p.factor; }})()") == pytest.approx(0.5)
     assert script("panels", f"{begun} p.look(0.95, false); return p.factor; }})()") is None
+    assert script("panels", f"{begun} p.look(9, true, 'jumped'); return p.factor; }})()") is None
 
 
 NOW = {"state": "running", "time": 1.0, "factor": 1.0, "values": {}, "drives": True, "message": ""}

@@ -21,6 +21,12 @@ NOTE = f"""() => {{ const s = {SECTION}, add = s.sources.drive.history.add; s.se
 NO_WEBGL = """{ const { getContext } = HTMLCanvasElement.prototype;
   HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
     return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...more); }; }"""
+# a gamepad that a test moves
+PAD = """() => {
+  window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],
+                 buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
+  navigator.getGamepads = () => [null, window.pad];
+}"""
 OWN = ("file", "blob", "data")  # schemes of addresses that no network sees
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import httpx
 import pytest
 from kit import shards
+from kit.driven_page import PAD
 from kit.wait import LONG, until
 
 from orchestrator.view.authority import AGAIN, HOLD
@@ -24,11 +25,6 @@ STATE = ".hm-state"
 STAGE = "document.activeElement.classList.contains('hm-stage')"
 TOLD = f"document.querySelector('{STATE}').innerText"
 SWING, BOOM, STICK = "swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"
-PAD = """() => {
-  window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],
-                 buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
-  navigator.getGamepads = () => [null, window.pad];
-}"""
 
 
 @pytest.fixture(scope="module")
@@ -368,5 +364,6 @@ def test_second_page(page: Any, chromium: Any, address: str) -> None:
     assert until(lambda: state(address)["asked"] != "")
     first.close()
     assert until(lambda: command(address) == {})
+    page.get_by_text("the controls are free").wait_for()
     page.get_by_role("button", name="Take controls").click()
     assert until(lambda: state(address)["role"] == "driving")

@@ -9,7 +9,7 @@
 //
 // and a source of this browser `advance(seconds, read)` and `begin(angles)`, which the page calls.
 import { Charts } from "drive/charts.js";
-import { Levers, elsewhere } from "drive/levers.js";
+import { Levers, elsewhere, readGamepad } from "drive/levers.js";
 import { Gauges, Pace, Sliders, StatusLine, UNHEARD, colour, make, notices, write } from "drive/panels.js";
 import { Scene } from "drive/scene.js";
 import { TaskPanel, rings } from "drive/task.js";
@@ -90,7 +90,8 @@ export class Page {
     const { replay, drive } = this.sources;
     this.fit(this.data, (drive ?? replay).names);
     this.scene?.embed();
-    if (replay && !drive) this.at("stage").setAttribute("aria-label", "The machine in space; P pauses, Home starts again");
+    const keys = drive ? "Drive it with W A S D and the arrow keys; P pauses, Home starts again, Escape leaves." : "P pauses, Home starts again.";
+    this.at("stage").setAttribute("aria-label", `The machine in space. ${keys}`);
     this.choose(replay ? "replay" : drive.program ? "program" : "drive");
     this.at("modes").hidden = false;
     for (const button of this.root.querySelectorAll("[data-mode]")) {
@@ -155,9 +156,17 @@ export class Page {
     // after a click with the mouse the keys belong to the sticks again; after one by keyboard they stay there
     document.addEventListener("click", (event) => {
       const field = document.activeElement?.matches("input,textarea,select,[contenteditable]");
-      if (event.detail > 0 && this.shared && this.source.driving && !field && !document.querySelector("dialog[open]")) this.focus();
+      if (event.detail > 0 && this.steered(event.target) && !field && !document.querySelector("dialog[open]")) this.focus();
     });
+    for (const name of ["pointerdown", "keydown"]) this.at("pose").addEventListener(name, () => (this.pointed = name === "pointerdown"));
+    this.at("pose").addEventListener("change", () => this.pointed && this.focus());
     this.levers.onrelease = () => this.shared && this.source.driving && this.source.steer({ sticks: REST, deadMan: false });
+  }
+
+  // whether a click there is one of the driver: of a machine of one's own, on a button of its section
+  steered(target) {
+    if (this.shared) return this.source.driving;
+    return Boolean(this.sources.drive) && this.root.contains(target) && target.closest("button") !== null;
   }
 
   // whether keys move the sticks now
@@ -239,6 +248,7 @@ export class Page {
   choose(mode, angles = {}) {
     const before = this.mode;
     [this.mode, this.source] = [mode, this.sources[mode === "replay" ? "replay" : "drive"]];
+    if (mode === "replay" && this.failed) [this.failed, this.at("said").textContent] = [false, ""];
     if (mode !== "replay") this.source.program = mode === "program";
     for (const button of this.root.querySelectorAll("[data-mode]")) button.setAttribute("aria-pressed", String(button.dataset.mode === mode));
     this.at("time").hidden = this.at("ghost").hidden = mode !== "replay";
@@ -294,6 +304,14 @@ export class Page {
       return this.fail(problem);
     }
     requestAnimationFrame((next) => this.tick(next));
+  }
+
+  // a gamepad whose dead-man is pressed starts a page that waits; seen: whether the machine is in sight
+  watchPad(seen) {
+    const { deadMan, note } = readGamepad();
+    write(this.at("note"), note);
+    if (seen && deadMan && this.padFree && !this.running) this.run(true);
+    this.padFree = !deadMan && document.hasFocus();
   }
 
   // a gamepad takes over, as a key does
@@ -411,7 +429,7 @@ export class Page {
     this.task?.show(status);
     this.scene?.mark(this.task?.open && status ? rings(this.data.task, status) : []);
     this.times();
-    this.pace.look(source.time, state === "running");
+    this.pace.look(source.time, state === "running", [this.mode, source.jumps, this.at("speed").value].join());
     const { timing, message, able } = { able: source.able, ...source.info };
     const { values, time, drives } = source;
     this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });
@@ -479,6 +497,7 @@ export class Page {
     };
     new IntersectionObserver(([entry]) => ((visible = entry.isIntersecting), update())).observe(this.at("stage"));
     document.addEventListener("visibilitychange", update);
+    if (this.sources.drive) setInterval(() => this.watchPad(visible), PANELS);
   }
 }
 

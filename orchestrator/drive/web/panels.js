@@ -126,11 +126,13 @@ export class Sliders {
 // simulated over real time, over the last two seconds in which the machine ran
 export class Pace {
   constructor(now = () => performance.now()) {
-    [this.now, this.seen] = [now, []];
+    [this.now, this.seen, this.motion] = [now, [], ""];
   }
 
-  look(t, running) {
-    if (!running || (this.seen.length && t < this.seen[this.seen.length - 1][1])) this.seen = [];
+  // motion: another one, as after a jump or at another speed, is measured anew
+  look(t, running, motion = "") {
+    if (!running || motion !== this.motion || (this.seen.length && t < this.seen[this.seen.length - 1][1])) this.seen = [];
+    this.motion = motion;
     if (running) this.seen.push([this.now(), t]);
     while (this.seen.length && this.now() - this.seen[0][0] > SPAN) this.seen.shift();
   }
