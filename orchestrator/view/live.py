@@ -10,7 +10,7 @@ dropped, and the end of the connection ends driving. The server sends objects wi
     bins     extremes of the charts in bins of time
     status   of the controls; ten times a second, so that it is the heartbeat of the server, too
     info     the rest: timing, span of a replay, training task
-    answer   to an action: a line, or what there is to choose
+    answer   to an action: a line, what there is to choose, or that what was chosen is done
 
 A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
 further ones. So a slow browser shows fewer pictures, but no outdated ones, and does not load the server.
@@ -335,6 +335,11 @@ class OpenPage:
     async def start(self, asked: Asked) -> None:
         choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
         await self.change(self.authority.stop, self.session.start, choice)
+        self.answers.append({"done": True})
+
+    async def replay(self, asked: Asked) -> None:
+        await self.change(self.authority.stop, self.session.replay, asked.get("file"))
+        self.answers.append({"done": True})
 
     async def change(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> None:
         """Change what all pages see, after the machine rests, unless another page drives."""
@@ -387,7 +392,7 @@ ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     ),
     "again": lambda page, _: page.change(page.authority.stop, page.session.again),
     "back": lambda page, _: page.change(page.authority.stop, page.session.back),
-    "replay": lambda page, asked: page.change(page.authority.stop, page.session.replay, asked.get("file")),
+    "replay": lambda page, asked: page.replay(asked),
     "start": lambda page, asked: page.start(asked),
     "seek": lambda page, asked: page.session.seek(finite(asked.get("t"), "time")),
     "save": lambda page, _: page.save(),

@@ -262,6 +262,18 @@ def test_a_failure_is_said(opened: Any) -> None:
 
 
 @shards.browser
+def test_replay_after_a_failure(opened: Any) -> None:
+    """After a failure of the FMU the run is still replayed."""
+    page = opened("replay")
+    page.page.get_by_role("button", name="Drive", exact=True).click()
+    page.page.evaluate(f"() => {SECTION}.fail(new Error('it broke'))")
+    page.page.get_by_role("button", name="Replay the run").click()
+    begun = page.ask("source.time")
+    page.until(f"s.mode === 'replay' && s.running && s.source.time > {begun}")
+    assert page.page.locator(".hm-said").inner_text() == ""
+
+
+@shards.browser
 def test_driven_without_webgl(opened: Any) -> None:
     """In a browser without WebGL one line says so; a click where the picture would be takes the keys."""
     page = opened("drive", webgl=False)

@@ -70,9 +70,9 @@ def answers(url: str) -> bool:
         return False
 
 
-def open_page(browser: Any, address: str) -> Any:
+def open_page(browser: Any, address: str, **settings: Any) -> Any:
     """A page that has heard from the server: only then it knows whether somebody drives."""
-    opened = browser.new_page(viewport={"width": 900, "height": 600})
+    opened = browser.new_page(viewport={"width": 900, "height": 600}, **settings)
     opened.set_default_timeout(1e3 * LONG)
     opened.goto(address)
     opened.evaluate(
@@ -351,6 +351,15 @@ def test_mouse(page: Any, address: str) -> None:
     hold(page, address, Hands(press, page.mouse.up), lambda: full(address, SWING, 1))
     page.mouse.up()
     assert until(lambda: command(address) == {})
+
+
+def test_words_for_fingers(chromium: Any, address: str) -> None:
+    """Where there is no mouse, the page speaks of the sticks on the screen, not of keys."""
+    opened = open_page(chromium, address, has_touch=True, is_mobile=True)
+    for told, shown in ((HOLD, "drag a stick"), (AGAIN, "let go, then drag a stick")):
+        opened.evaluate(f"document.querySelector('.harvester-machine').machine.describe = () => '{told}'")
+        opened.locator(STATE).get_by_text(shown, exact=True).wait_for()
+    opened.close()
 
 
 def test_second_page(page: Any, chromium: Any, address: str) -> None:

@@ -402,6 +402,16 @@ def test_replay(page: Any, server: Server) -> None:
     assert until(lambda: server.session.machine.drives)
 
 
+def test_a_dialog_says_what_was_wrong(page: Any, server: Server) -> None:
+    """A file that is gone by now is refused in the dialog, which stays."""
+    page.get_by_role("button", name="Replay").click()
+    page.get_by_role("combobox", name="File").wait_for()
+    page.evaluate("document.querySelector('dialog[open] option').value = 'gone.csv'")
+    page.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
+    page.locator("dialog[open]").get_by_role("alert").get_by_text("gone.csv").wait_for()
+    assert not server.session.file
+
+
 def test_save(page: Any, tmp_path: Path) -> None:
     """The session comes as a file that can be read, with the axes and the signals."""
     from orchestrator.data.trace import read_trace

@@ -24,6 +24,10 @@ const STANDING = { // banner for each state in which a shared machine does not m
   starting: "starting", paused: "paused: press P to continue", ended: "end of the replay: press P to repeat it",
   failed: "press Home to start again",
 };
+const TOUCH = [ // words about keys, and those for fingers
+  [/hold Space.*arrows/, "drag a stick"], [/release Space, then hold it again/, "let go, then drag a stick"],
+  [/press P/, 'press "Go on"'], [/press Home/, 'press "Start again"'],
+];
 const TAKE = { driving: "Release controls", watching: "Request controls", free: "Take controls" };
 const KEYS = [
   ["Space or Shift, held", "dead-man: the machine rests without it", "shared"],
@@ -342,7 +346,7 @@ export class Page {
     const lamp = this.at("lamp").classList;
     lamp.toggle("hm-held", driving && hands.deadMan);
     lamp.toggle("hm-live", live);
-    write(this.at("state"), this.describe());
+    write(this.at("state"), worded(this.describe()));
     write(this.at("note"), this.levers.note);
     if (this.said && now > this.said) [this.said, this.at("said").textContent] = [0, ""];
   }
@@ -363,7 +367,7 @@ export class Page {
     if (status.role === "watching") return `another page drives${refused ? ': press "Request controls"' : ""}`;
     if (status.role === "free" && refused && status.drives) return 'press "Take controls" first';
     if (status.role === "free") return lost ? "the connection was lost: take the controls again" : status.why;
-    if (status.mode && elsewhere(document.activeElement)) return "Esc: back to the sticks";
+    if (status.mode && !touched() && elsewhere(document.activeElement)) return "Esc: back to the sticks";
     if (late) return "too slow: release Space, then hold it again";
     return status.live ? "driving" : status.why;
   }
@@ -434,7 +438,7 @@ export class Page {
     const { values, time, drives } = source;
     this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });
     const standing = !this.shared ? [] : state === UNHEARD ? [UNHEARD] : [message, STANDING[state] ?? ""];
-    write(this.at("banner"), [...standing, this.blind, ...notices(this.data.notices, values)].filter(Boolean).join("; "));
+    write(this.at("banner"), [...standing, this.blind, ...notices(this.data.notices, values)].filter(Boolean).map(worded).join("; "));
     this.at("banner").classList.toggle("hm-bad", state === "failed" || state === UNHEARD);
   }
 
@@ -500,6 +504,9 @@ export class Page {
     if (this.sources.drive) setInterval(() => this.watchPad(visible), PANELS);
   }
 }
+
+const touched = () => matchMedia("(hover: none) and (pointer: coarse)").matches;
+const worded = (text) => (touched() ? TOUCH.reduce((now, [keys, fingers]) => now.replace(keys, fingers), text) : text);
 
 function download(name, text) {
   const href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
