@@ -98,12 +98,18 @@ class History:
         if self.number < 0:  # the first call needs only the last `WINDOW`
             self.number = self._machine.latest().number - round(WINDOW / 0.01) - 1
         numbers, times, axes, values = self._machine.since(self.number)
-        if not len(numbers) or max(self._columns, default=-1) < 0:
+        if not len(numbers):
             return
         if self.bins and times[0] < max(self.bins) * BIN - BIN:  # restarted
             self.bins.clear()
         self.number = int(numbers[-1])
-        table = np.column_stack((axes, values, np.full(len(numbers), np.nan)))[:, self._columns]
+        self.add(times, axes, values)
+
+    def add(self, times: Array, axes: Array, values: Array) -> None:
+        """Add frames that follow each other."""
+        if max(self._columns, default=-1) < 0:
+            return
+        table = np.column_stack((axes, values, np.full(len(times), np.nan)))[:, self._columns]
         bins = np.floor(times / BIN + 1e-9).astype(int)
         for k in np.unique(bins):
             rows = table[bins == k]
@@ -176,6 +182,8 @@ class Broadcast:
         names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns]
         self._columns = [columns[name] for name in names]
         self.history = History(session.machine, columns, description.curves)
+        if before := session.before(WINDOW):
+            self.history.add(*before)
         self.jumps += 1
         self._ticks = 0
         hello = page_data(description, plan.parameters)
