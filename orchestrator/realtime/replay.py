@@ -105,6 +105,12 @@ class Replay:
         times, values = self._values(numbers - self._first + self._origin)
         return numbers, times, np.zeros((len(numbers), 0)), values
 
+    def before(self, seconds: float) -> tuple[Array, Array, Array]:
+        """Times (n,), axes (n, 0), values (n, signals) of the frames in these last seconds of the file."""
+        last = self._position()
+        times, values = self._values(np.arange(max(0, last - round(seconds / self._frame)), last + 1))
+        return times, np.zeros((len(times), 0)), values
+
     def trace(self) -> Trace:
         """The whole file."""
         return self._trace

@@ -355,7 +355,7 @@ class ControlAuthority:
         gate = self._gate
         why = gate.why if self.machine.drives else "a replay cannot be driven"
         if role == "free" and self.machine.drives and station not in (None, self._last):
-            why = "nobody drives"
+            why = "the controls are free" if station is self._asked else "nobody drives"
         if role == "driving" and not gate.modes:
             why = SLIDE
         elif station is not None and self._driver is station and station.held and not station.armed:

@@ -5,11 +5,12 @@ A page sends its sticks every 30 ms, and actions such as `{"do": "take"}`. A mes
 dropped, and the end of the connection ends driving. The server sends objects with these keys:
 
     hello    what the page shows of the machine, when that has changed (`orchestrator.drive.page.page_data`)
+    jump     number of the jump, when the time or the machine is another one; the charts begin anew
     frame    number, time, state, and the values of `names` in the hello
     bins     extremes of the charts in bins of time
     status   of the controls; ten times a second, so that it is the heartbeat of the server, too
     info     the rest: timing, span of a replay, training task
-    answer   to an action: a line, or what there is to choose
+    answer   to an action: a line, what there is to choose, or that what was chosen is done
 
 A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
 further ones. So a slow browser shows fewer pictures, but no outdated ones, and does not load the server.
@@ -97,12 +98,18 @@ class History:
         if self.number < 0:  # the first call needs only the last `WINDOW`
             self.number = self._machine.latest().number - round(WINDOW / 0.01) - 1
         numbers, times, axes, values = self._machine.since(self.number)
-        if not len(numbers) or max(self._columns, default=-1) < 0:
+        if not len(numbers):
             return
         if self.bins and times[0] < max(self.bins) * BIN - BIN:  # restarted
             self.bins.clear()
         self.number = int(numbers[-1])
-        table = np.column_stack((axes, values, np.full(len(numbers), np.nan)))[:, self._columns]
+        self.add(times, axes, values)
+
+    def add(self, times: Array, axes: Array, values: Array) -> None:
+        """Add frames that follow each other."""
+        if max(self._columns, default=-1) < 0:
+            return
+        table = np.column_stack((axes, values, np.full(len(times), np.nan)))[:, self._columns]
         bins = np.floor(times / BIN + 1e-9).astype(int)
         for k in np.unique(bins):
             rows = table[bins == k]
@@ -135,6 +142,7 @@ class Broadcast:
     """What all pages are sent; made once for all of them.
 
     hello     description of the machine that is shown, and its number, which counts up
+    jumps     number of jumps of the time, also to another machine
     frame     time, state and values of the last frame; None before the first
     """
 
@@ -142,6 +150,7 @@ class Broadcast:
         self._session, self._training = session, training
         self._fitted: tuple[object, ...] = ()
         self.number, self.hello, self.info = 0, dict[str, Any](), dict[str, Any]()
+        self.jumps = 0
         self.frame: list[Any] | None = None
         self._ticks = 0
         self.look()
@@ -173,11 +182,15 @@ class Broadcast:
         names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns]
         self._columns = [columns[name] for name in names]
         self.history = History(session.machine, columns, description.curves)
-        self.number += 1
+        if before := session.before(WINDOW):
+            self.history.add(*before)
+        self.jumps += 1
         self._ticks = 0
-        self.hello = page_data(description, plan.parameters)
+        hello = page_data(description, plan.parameters)
         inputs = description.free(session.machine.axes)
-        self.hello |= {"names": names, "title": session.title, "inputs": inputs}
+        hello |= {"names": names, "title": session.title, "inputs": inputs}
+        if hello != self.hello:
+            self.number, self.hello = self.number + 1, hello
 
 
 class Pages:
@@ -238,13 +251,15 @@ class OpenPage:
 
     async def send(self) -> None:
         """Send what is new until the connection ends."""
-        begun, sent, told, info, latest = -1, None, 0.0, None, -1
+        begun, jumped, sent, told, info, latest = -1, -1, None, 0.0, None, -1
         with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
             while True:
                 new, shared, now = dict[str, Any](), self._broadcast, time.monotonic()
                 if begun != shared.number:
-                    begun, sent, info, latest = shared.number, None, None, -1
-                    new["hello"] = shared.hello
+                    begun, new["hello"] = shared.number, shared.hello
+                if jumped != shared.jumps:
+                    jumped, sent, info, latest = shared.jumps, None, None, -1
+                    new["jump"] = jumped
                 if info is not shared.info:
                     info = new["info"] = shared.info
                     if bins := shared.history.since(latest):
@@ -328,6 +343,11 @@ class OpenPage:
     async def start(self, asked: Asked) -> None:
         choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
         await self.change(self.authority.stop, self.session.start, choice)
+        self.answers.append({"done": True})
+
+    async def replay(self, asked: Asked) -> None:
+        await self.change(self.authority.stop, self.session.replay, asked.get("file"))
+        self.answers.append({"done": True})
 
     async def change(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> None:
         """Change what all pages see, after the machine rests, unless another page drives."""
@@ -387,7 +407,7 @@ ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     ),
     "again": lambda page, _: page.change(page.authority.stop, page.session.again),
     "back": lambda page, _: page.change(page.authority.stop, page.session.back),
-    "replay": lambda page, asked: page.change(page.authority.stop, page.session.replay, asked.get("file")),
+    "replay": lambda page, asked: page.replay(asked),
     "start": lambda page, asked: page.start(asked),
     "seek": lambda page, asked: page.session.seek(finite(asked.get("t"), "time")),
     "save": lambda page, _: page.save(),

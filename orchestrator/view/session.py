@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 from orchestrator.data.trace import read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.drive.view_description import by_bare_name
@@ -147,6 +148,10 @@ class Session:
         if self._recording is not None and math.isfinite(t):
             self._recording.seek(t)
             self.machine.exchanges += 1  # frames before and after are not related
+
+    def before(self, seconds: float) -> tuple[Array, Array, Array] | None:
+        """Times, axes and values that the replayed file has in the seconds before now, also before a jump."""
+        return self._recording.before(seconds) if self._recording else None
 
     def back(self) -> None:
         """Show the live machine again, as it was paused."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kit import shards
-from kit.driven_page import SECTION, Opened, assert_same_motion, hold
+from kit.driven_page import PAD, SECTION, Opened, assert_same_motion, hold
 
 from fmus.machine.build import data
 from orchestrator.base.errors import Problem
@@ -115,6 +115,47 @@ def test_keyboard_alone(opened: Any) -> None:
         "Keys",
         "top",
     } <= reached
+
+
+@shards.browser
+def test_keys_after_a_click(opened: Any) -> None:
+    """After a click with the mouse the keys belong to the sticks; after Enter they stay at the button."""
+    page = opened("drive")
+    at_sticks = "document.activeElement.classList.contains('hm-stage')"
+    for name in ("Pause", "Go on", "SAE", "tip"):
+        page.page.get_by_role("button", name=name, exact=True).click()
+        assert page.page.evaluate(at_sticks), name
+    page.page.keyboard.down("d")
+    page.until("s.sources.drive.simulation.now[0] < -1")
+    page.page.keyboard.up("d")
+    for name in ("ISO", "Pause"):
+        page.page.get_by_role("button", name=name, exact=True).press("Enter")
+        assert not page.page.evaluate(at_sticks), name
+    pose = page.page.locator(".hm-pose")
+    pose.select_option("reach")
+    assert not page.page.evaluate(at_sticks), "by keyboard"
+    pose.dispatch_event("pointerdown")
+    pose.select_option("raised")
+    assert page.page.evaluate(at_sticks)
+
+
+@shards.browser
+def test_gamepad(opened: Any) -> None:
+    """A gamepad of another mapping is named; the dead-man of a usual one starts a page that waits."""
+    page = opened("drive", reduced_motion="reduce")
+    page.page.evaluate(PAD)
+    page.page.evaluate("pad.mapping = ''")
+    page.page.get_by_text("stub: no standard mapping, not used").wait_for()
+    page.page.evaluate("pad.mapping = 'standard'")
+    page.page.get_by_text("stub", exact=True).wait_for()
+    assert not page.ask("running")
+    page.page.evaluate("pad.buttons[5].pressed = true")
+    page.until("s.running")
+    page.page.evaluate("pad.axes[0] = 1")
+    page.until("s.sources.drive.simulation.now[0] < -1")
+    page.page.get_by_role("button", name="Pause").click()
+    page.page.wait_for_timeout(300)
+    assert not page.ask("running"), "the dead-man was not released"
 
 
 @shards.browser
@@ -242,6 +283,29 @@ def test_a_failure_is_said(opened: Any) -> None:
     )
     page.page.wait_for_selector(".hm-said:not(:empty)")
     assert re.search("swing_command cannot be set to -?nan", page.page.locator(".hm-said").inner_text())
+
+
+@shards.browser
+def test_replay_after_a_failure(opened: Any) -> None:
+    """After a failure of the FMU the run is still replayed."""
+    page = opened("replay")
+    page.page.get_by_role("button", name="Drive", exact=True).click()
+    page.page.evaluate(f"() => {SECTION}.fail(new Error('it broke'))")
+    page.page.get_by_role("button", name="Replay the run").click()
+    begun = page.ask("source.time")
+    page.until(f"s.mode === 'replay' && s.running && s.source.time > {begun}")
+    assert page.page.locator(".hm-said").inner_text() == ""
+
+
+@shards.browser
+def test_driven_without_webgl(opened: Any) -> None:
+    """In a browser without WebGL one line says so; a click where the picture would be takes the keys."""
+    page = opened("drive", webgl=False)
+    page.page.get_by_text("no picture: this browser offers no WebGL").wait_for()
+    page.page.locator(".hm-stage").click(position={"x": 400, "y": 20})
+    page.page.keyboard.down("d")
+    page.until("s.mode === 'drive' && s.sources.drive.simulation.now[0] < -1")
+    assert page.complaints == []
 
 
 def part(page: str, name: str) -> str:

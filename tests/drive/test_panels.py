@@ -73,6 +73,7 @@ def test_clock(script: Any) -> None:
     begun += " for (let k = 0; k < 20; k++) { now = 100 * k; p.look(0.05 * k, true); }"
     assert script("panels", f"{begun} return p.factor; }})()") == pytest.approx(0.5)
     assert script("panels", f"{begun} p.look(0.95, false); return p.factor; }})()") is None
+    assert script("panels", f"{begun} p.look(9, true, 'jumped'); return p.factor; }})()") is None
 
 
 NOW = {"state": "running", "time": 1.0, "factor": 1.0, "values": {}, "drives": True, "message": ""}
@@ -144,6 +145,20 @@ def test_the_axis_of_time_is_in_seconds(script: Any) -> None:
     given = {"uplot": libraries()["uplot"], "charts": DATA["charts"], "name": "boom_head_pressure"}
     labels = set(script("charts", draw, given))
     assert labels >= {"\N{MINUS SIGN}20 s", "\N{MINUS SIGN}10 s", "0 s"}
+
+
+def test_charts_end(script: Any) -> None:
+    """Charts that are closed are destroyed, and look at their size no more."""
+    draw = """(() => { (0, eval)(a.uplot); const ended = [];
+      const place = document.body.appendChild(document.createElement("div"));
+      const charts = new m.Charts(place, a.charts.slice(0, 1), new Set([a.name]));
+      const [one] = charts.charts;
+      one.plot.hooks.destroy = [() => ended.push("plot")];
+      one.observer.disconnect = () => ended.push("observer");
+      charts.close(); place.remove();
+      return ended.sort(); })()"""
+    given = {"uplot": libraries()["uplot"], "charts": DATA["charts"], "name": "boom_head_pressure"}
+    assert script("charts", draw, given) == ["observer", "plot"]
 
 
 def test_task_as_in_python(script: Any) -> None:

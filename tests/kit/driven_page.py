@@ -18,13 +18,23 @@ NOTE = f"""() => {{ const s = {SECTION}, add = s.sources.drive.history.add; s.se
   s.sources.drive.history.add = function (t, v) {{
     if (s.seen.length && t < s.seen[s.seen.length - 1][0]) s.seen = [];
     s.seen.push([t, v.boom_angle, v.swing_angle, v.stick_angle]); add.call(this, t, v); }}; }}"""
+# of a browser without WebGL, for `add_init_script`
+NO_WEBGL = """{ const { getContext } = HTMLCanvasElement.prototype;
+  HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+    return kind.startsWith("webgl") ? null : getContext.call(this, kind, ...more); }; }"""
+# a gamepad that a test moves
+PAD = """() => {
+  window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],
+                 buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
+  navigator.getGamepads = () => [null, window.pad];
+}"""
 OWN = ("file", "blob", "data")  # schemes of addresses that no network sees
 
 
 class Opened:
     """A page from disk. requests: schemes of the addresses asked for; complaints: errors in the console."""
 
-    def __init__(self, chromium: Any, file: Path, **settings: Any) -> None:
+    def __init__(self, chromium: Any, file: Path, webgl: bool = True, **settings: Any) -> None:
         self.context = chromium.new_context(viewport={"width": 1100, "height": 900}, **settings)
         self.page = self.context.new_page()
         self.page.set_default_timeout(1e3 * LONG)
@@ -32,6 +42,8 @@ class Opened:
         self.context.on("request", lambda request: self.requests.add(request.url.partition(":")[0]))
         self.page.on("console", lambda m: self.complaints.append(m.text) if m.type == "error" else None)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        if not webgl:
+            self.page.add_init_script(NO_WEBGL)
         self.page.goto(file.as_uri())
         self.page.wait_for_selector(READY)
 

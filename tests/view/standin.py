@@ -81,7 +81,13 @@ def pages(machine: StandIn, authority: ControlAuthority, training: Training | No
     """The pages of a machine without a scene."""
     plan = SimpleNamespace(description=DESCRIPTION, parameters=None)
     session = SimpleNamespace(
-        machine=machine, columns=columns(machine), plan=plan, span=None, title="", folders=()
+        machine=machine,
+        columns=columns(machine),
+        plan=plan,
+        span=None,
+        title="",
+        folders=(),
+        before=lambda _: None,
     )
     return Pages(session, authority, training or Training(machine, lambda: DESCRIPTION.task))
 

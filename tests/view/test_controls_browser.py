@@ -14,6 +14,7 @@ from typing import Any
 import httpx
 import pytest
 from kit import shards
+from kit.driven_page import PAD
 from kit.wait import LONG, until
 
 from orchestrator.view.authority import AGAIN, HOLD
@@ -24,11 +25,6 @@ STATE = ".hm-state"
 STAGE = "document.activeElement.classList.contains('hm-stage')"
 TOLD = f"document.querySelector('{STATE}').innerText"
 SWING, BOOM, STICK = "swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"
-PAD = """() => {
-  window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],
-                 buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
-  navigator.getGamepads = () => [null, window.pad];
-}"""
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +70,9 @@ def answers(url: str) -> bool:
         return False
 
 
-def open_page(browser: Any, address: str) -> Any:
+def open_page(browser: Any, address: str, **settings: Any) -> Any:
     """A page that has heard from the server: only then it knows whether somebody drives."""
-    opened = browser.new_page(viewport={"width": 900, "height": 600})
+    opened = browser.new_page(viewport={"width": 900, "height": 600}, **settings)
     opened.set_default_timeout(1e3 * LONG)
     opened.goto(address)
     opened.evaluate(
@@ -225,6 +221,29 @@ def test_silent_server(page: Any, address: str) -> None:
     page.get_by_text("the connection was lost: take the controls again").wait_for()
 
 
+HANDS = "document.querySelector('.hm-hands').clientHeight"
+
+
+def test_stopped_server(page: Any, address: str) -> None:
+    """Without a word of the server the lamp is off, the foot says so, the toolbar waits; the sticks stay."""
+    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
+    page.locator(".hm-lamp.hm-live").wait_for()
+    server, height = state(address)["pid"], page.evaluate(HANDS)
+    try:
+        os.kill(server, signal.SIGSTOP)
+        page.locator(".hm-foot").get_by_text("no connection: trying again").wait_for()
+        page.locator(".hm-banner").get_by_text("no connection: trying again").wait_for()
+        page.locator(".hm-lamp:not(.hm-live)").wait_for()
+        assert page.get_by_role("button", name="Pause").is_disabled()
+        page.wait_for_function("!document.querySelector('.harvester-machine').machine.source.opened")
+        assert page.get_by_role("button", name="SAE").is_visible()
+        assert page.evaluate(HANDS) == height
+    finally:
+        os.kill(server, signal.SIGCONT)
+    page.locator(".hm-pause:not(:disabled)").wait_for()
+    page.locator(".hm-foot").get_by_text("running").wait_for()
+
+
 def test_slow_page(page: Any, address: str) -> None:
     """After a long picture the page says what to do, draws cheaper ones, and goes on after a new hold."""
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
@@ -273,6 +292,26 @@ def test_typing(page: Any, address: str) -> None:
     assert page.evaluate(STAGE)
 
 
+def test_a_choice_keeps_the_focus(page: Any) -> None:
+    """Enter on a pattern chooses it, and the next key is still that button's."""
+    for name in ("SAE", "ISO"):
+        page.get_by_role("button", name=name).focus()
+        page.keyboard.press("Enter")
+        page.get_by_role("button", name=name, pressed=True).wait_for()
+        assert page.evaluate("document.activeElement.textContent") == name
+
+
+def test_skip_to_the_controls(chromium: Any, address: str) -> None:
+    """By keyboard the first link leads to the sticks, and the next Tab to the button that takes them."""
+    opened = open_page(chromium, address)
+    opened.keyboard.press("Tab")
+    assert opened.evaluate("document.activeElement.textContent") == "Skip to the controls"
+    opened.keyboard.press("Enter")
+    opened.keyboard.press("Tab")
+    assert "hm-take" in opened.evaluate("document.activeElement.className")
+    opened.close()
+
+
 @pytest.mark.parametrize(
     ("axis", "value", "name", "sign"), [(0, -1, SWING, 1), (1, -1, STICK, -1), (3, 1, BOOM, 1)]
 )
@@ -314,6 +353,15 @@ def test_mouse(page: Any, address: str) -> None:
     assert until(lambda: command(address) == {})
 
 
+def test_words_for_fingers(chromium: Any, address: str) -> None:
+    """Where there is no mouse, the page speaks of the sticks on the screen, not of keys."""
+    opened = open_page(chromium, address, has_touch=True, is_mobile=True)
+    for told, shown in ((HOLD, "drag a stick"), (AGAIN, "let go, then drag a stick")):
+        opened.evaluate(f"document.querySelector('.harvester-machine').machine.describe = () => '{told}'")
+        opened.locator(STATE).get_by_text(shown, exact=True).wait_for()
+    opened.close()
+
+
 def test_second_page(page: Any, chromium: Any, address: str) -> None:
     """A second page sees who drives and asks; closing the first is rest, and the second can take over."""
     page.get_by_role("button", name="Release controls").click()
@@ -325,5 +373,6 @@ def test_second_page(page: Any, chromium: Any, address: str) -> None:
     assert until(lambda: state(address)["asked"] != "")
     first.close()
     assert until(lambda: command(address) == {})
+    page.get_by_text("the controls are free").wait_for()
     page.get_by_role("button", name="Take controls").click()
     assert until(lambda: state(address)["role"] == "driving")

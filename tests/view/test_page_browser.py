@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from kit import shards
+from kit.driven_page import NO_WEBGL
 from kit.wait import LONG, until
 from matplotlib import image
 from numpy.typing import NDArray
@@ -49,8 +50,8 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     session.close()
 
 
-def page_of(chromium: Any, server: Server) -> Any:
-    """An open page that has drawn the machine; what it complains of and asks for is kept."""
+def page_of(chromium: Any, server: Server, blind: bool = False) -> Any:
+    """An open page that has drawn the machine; what it complains of and asks for is kept. blind: no WebGL."""
     context = chromium.new_context(viewport={"width": 1200, "height": 800}, accept_downloads=True)
     opened = context.new_page()
     opened.complaints, opened.hosts = [], set()
@@ -58,8 +59,11 @@ def page_of(chromium: Any, server: Server) -> Any:
     opened.on("pageerror", lambda error: opened.complaints.append(str(error)))
     context.on("request", lambda request: opened.hosts.add(urlsplit(request.url).netloc))
     opened.set_default_timeout(1e3 * LONG)
+    if blind:
+        opened.add_init_script(NO_WEBGL)
     opened.goto(server.url)
-    opened.wait_for_function(DRAWN, arg=1)
+    if not blind:
+        opened.wait_for_function(DRAWN, arg=1)
     return opened
 
 
@@ -260,7 +264,7 @@ def test_connection_comes_back(own: Any, server: Server) -> None:
     before = own.evaluate(CAMERA)
     for one in [*server._server.server_state.connections]:
         one.loop.call_soon_threadsafe(one.transport.abort)
-    own.get_by_text("no connection").wait_for()
+    own.get_by_text("no connection: trying again").first.wait_for()
     assert until(lambda: server.authority.status().driver == "")
     own.get_by_text("the connection was lost: take the controls again").wait_for()
     assert np.allclose(own.evaluate(CAMERA), before, atol=0.05)  # m; the tip creeps
@@ -269,6 +273,31 @@ def test_connection_comes_back(own: Any, server: Server) -> None:
     own.get_by_text("moving, ").wait_for()
     assert np.linalg.norm(np.subtract(own.evaluate(CAMERA), before)) > MOVED
     own.get_by_role("button", name="Training task").click()
+
+
+def test_without_webgl(chromium: Any, server: Server) -> None:
+    """In a browser without WebGL one line says so; gauges, charts and sticks work."""
+    blind = page_of(chromium, server, blind=True)
+    blind.get_by_text("no picture: this browser offers no WebGL").wait_for()
+    blind.wait_for_function("() => parseFloat(document.querySelector('.hm-gauge output').textContent) > 15")
+    assert blind.locator(".hm-chart").count() > 2
+    take(blind, server)
+    first = angle(server, "swing")
+    drive(blind, server, "a", lambda: angle(server, "swing") > first + MOVED)
+    assert blind.complaints == []
+    blind.context.close()
+    assert until(lambda: server.authority.status().driver == "")
+
+
+def test_a_view_keeps_the_focus(page: Any, server: Server) -> None:
+    """After a restart the next key is still that of the button of the view."""
+    button = page.locator(".hm-looks button").first
+    button.focus()
+    before = begin(server)
+    page.keyboard.press("Home")
+    assert until(lambda: begin(server) > before + APART / 2)
+    page.wait_for_function("() => document.querySelector('.harvester-machine').machine.source.time < 1")
+    assert page.evaluate("document.activeElement.closest('.hm-looks') !== null")
 
 
 def test_words_move_nothing(page: Any) -> None:
@@ -388,14 +417,29 @@ def test_replay(page: Any, server: Server) -> None:
     assert until(lambda: angle(server, "boom") > 0.3)
     server.session.machine.pause()  # a click may take longer than the file
     slider = page.get_by_role("slider", name="Time")
+    page.evaluate("""() => { const { source } = document.querySelector('.harvester-machine').machine;
+      source.begin = () => { throw new Error('the same description was sent again'); }; }""")
     slider.click(position={"x": 0.1 * slider.bounding_box()["width"], "y": 8})
     assert until(lambda: angle(server, "boom") < 0.3)
+    page.wait_for_function("() => document.querySelector('.harvester-machine').machine.source.time < 1")
+    page.evaluate("() => delete document.querySelector('.harvester-machine').machine.source.begin")
+    assert page.complaints == []
     server.session.machine.play()
     assert comes_to(server, "ended")
     page.get_by_text("end of the replay: press P to repeat it").wait_for()
     assert not server.session.machine.drives
     page.get_by_role("button", name="Live machine").click()
     assert until(lambda: server.session.machine.drives)
+
+
+def test_a_dialog_says_what_was_wrong(page: Any, server: Server) -> None:
+    """A file that is gone by now is refused in the dialog, which stays."""
+    page.get_by_role("button", name="Replay").click()
+    page.get_by_role("combobox", name="File").wait_for()
+    page.evaluate("document.querySelector('dialog[open] option').value = 'gone.csv'")
+    page.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
+    page.locator("dialog[open]").get_by_role("alert").get_by_text("gone.csv").wait_for()
+    assert not server.session.file
 
 
 def test_save(page: Any, server: Server, tmp_path: Path) -> None:

@@ -23,9 +23,21 @@ from orchestrator.ssp.load import assemble, load
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants
-from orchestrator.view.live import AHEAD, BIN, LOST, WINDOW, Credit, History, chosen, extremes, offered
+from orchestrator.view.live import (
+    AHEAD,
+    BIN,
+    LOST,
+    WINDOW,
+    Broadcast,
+    Credit,
+    History,
+    chosen,
+    extremes,
+    offered,
+)
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, columns
+from orchestrator.view.training import Training
 
 
 @given(
@@ -235,6 +247,23 @@ def test_replay_tells_what_it_knows() -> None:
     found = columns(machine)
     assert machine.latest().values[found["boom_angle"]] == 0.3
     assert "stick_angle" not in found
+
+
+def test_charts_of_a_replay(fmu_dir: Path) -> None:
+    """After a jump the charts show what the file has before that time."""
+    times = np.linspace(0, 60, 6001)
+    signals = {"manipulator.boom_angle": 0.2 + 0 * times, "swing.swing_speed": times}
+    replay = Replay(Trace(times, signals), playing=False)
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), (), lambda _: replay)
+    session._show(replay, "file")
+    broadcast = Broadcast(session, Training(session.machine, lambda: session.plan.description.task))
+    session.seek(50.0)
+    broadcast.look()
+    at = broadcast.history.names.index("swing_speed")
+    shown = {number: (first[at], second[at]) for number, first, second in broadcast.history.since(-1)}
+    # bins of 0.2 s, of which the first begins 20 s before
+    assert set(shown) == set(range(150, 251))
+    assert shown[200] == pytest.approx((40.0, 40.19))
 
 
 def test_port_in_use() -> None:

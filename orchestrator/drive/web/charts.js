@@ -74,6 +74,10 @@ export class Charts {
   recolour() {
     for (const chart of this.charts) chart.plot.redraw(false);
   }
+
+  close() {
+    for (const chart of this.charts) chart.close();
+  }
 }
 
 // A canvas that the processor draws, which uPlot cannot be asked for. Without a graphics card the other kind takes
@@ -99,7 +103,13 @@ class StripChart {
     this.host = make("div", { className: "hm-plot", role: "img", ariaLabel: `${chart.title} over the last ${WINDOW} s` });
     place.append(make("figure", { className: "hm-chart" }, heading, key, this.host));
     this.plot = plot(this.options(), [[], ...chart.curves.map(() => [])], this.host);
-    new ResizeObserver(() => this.fit()).observe(this.host);
+    this.observer = new ResizeObserver(() => this.fit());
+    this.observer.observe(this.host);
+  }
+
+  close() {
+    this.observer.disconnect();
+    this.plot.destroy();
   }
 
   fit() {

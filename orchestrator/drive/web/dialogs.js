@@ -1,4 +1,5 @@
-// Dialogs of `harvester view`: another machine, a result file. What there is to choose comes from the server.
+// Dialogs of `harvester view`: another machine, a result file. What there is to choose comes from the server; a dialog
+// stays until what was chosen is done, and says why it is not.
 import { make } from "drive/panels.js";
 
 export class Dialogs {
@@ -18,7 +19,13 @@ export class Dialogs {
   answer(answer) {
     if (answer.machines) this.machine(answer.machines);
     else if (answer.files) this.files(answer);
+    else if (answer.done) this.window?.close();
+    else if (answer.bad && this.window?.open) this.refuse(answer.text);
     else this.page.answer(answer);
+  }
+
+  refuse(text) {
+    [this.said.textContent, this.go.disabled] = [text, false];
   }
 
   // fields: label -> [names by value, the chosen value]; act: called with the values
@@ -31,11 +38,13 @@ export class Dialogs {
       return [label, select];
     });
     const go = make("button", { type: "button", textContent: text, onclick: () => {
-      window.close();
+      [this.said.textContent, go.disabled] = ["", true];
       act(Object.fromEntries(selects.map(([label, select]) => [label, select.value])));
     } });
     const close = make("button", { type: "button", textContent: "Close", onclick: () => window.close() });
-    window.append(make("p", { className: "hm-line" }, close, ...(text ? [go] : [])));
+    const said = make("p", { className: "hm-refused", role: "alert" });
+    window.append(said, make("p", { className: "hm-line" }, close, ...(text ? [go] : [])));
+    Object.assign(this, { window, go, said });
     window.addEventListener("close", () => window.remove());
     this.page.root.append(window);
     window.showModal();

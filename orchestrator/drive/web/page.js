@@ -9,8 +9,8 @@
 //
 // and a source of this browser `advance(seconds, read)` and `begin(angles)`, which the page calls.
 import { Charts } from "drive/charts.js";
-import { Levers, elsewhere } from "drive/levers.js";
-import { Gauges, Pace, Sliders, StatusLine, colour, make, notices, write } from "drive/panels.js";
+import { Levers, elsewhere, readGamepad } from "drive/levers.js";
+import { Gauges, Pace, Sliders, StatusLine, UNHEARD, colour, make, notices, write } from "drive/panels.js";
 import { Scene } from "drive/scene.js";
 import { TaskPanel, rings } from "drive/task.js";
 
@@ -25,6 +25,10 @@ const STANDING = { // banner for each state in which a shared machine does not m
   starting: "starting", paused: "paused: press P to continue", ended: "end of the replay: press P to repeat it",
   failed: "press Home to start again",
 };
+const TOUCH = [ // words about keys, and those for fingers
+  [/hold Space.*arrows/, "drag a stick"], [/release Space, then hold it again/, "let go, then drag a stick"],
+  [/press P/, 'press "Go on"'], [/press Home/, 'press "Start again"'],
+];
 const TAKE = { driving: "Release controls", watching: "Request controls", free: "Take controls" };
 const KEYS = [
   ["Space or Shift, held", "dead-man: the machine rests without it", "shared"],
@@ -58,15 +62,11 @@ export class Page {
   // names: signals of its sources
   fit(data, names) {
     // after an interruption of the connection it is the same machine: the view stays
-    if (!this.scene || JSON.stringify(data.scene) !== JSON.stringify(this.data.scene)) {
-      this.scene?.close();
-      this.scene = data.scene && new Scene(this.at("stage"), { ...data.scene }, Boolean(this.sources.replay?.ghost));
-    }
+    const drawing = JSON.stringify(data.scene);
+    if (drawing !== this.drawing) [this.drawing] = [drawing, this.draw(data.scene)];
     this.data = data;
-    this.root.classList.toggle("hm-flat", !this.scene);
-    this.at("looks").replaceChildren(...(this.scene?.views ?? []).map((name) =>
-      make("button", { type: "button", textContent: name, onclick: () => this.scene.look(name) })));
     this.gauges = new Gauges(this.at("panel"), data, names);
+    this.charts?.close();
     this.charts = new Charts(this.at("charts"), data.charts, names);
     const driven = this.sources.drive ?? this.sources.live;
     this.sliders = driven && new Sliders(this.at("sliders"), driven.sliders, (name, value) => this.slide(name, value), (name) => driven.input(name));
@@ -76,11 +76,27 @@ export class Page {
     this.jumped = -1;
   }
 
+  // the picture of a machine, with its views; without WebGL the page is that of a machine that has none
+  draw(scene) {
+    this.scene?.close();
+    [this.scene, this.blind] = [null, ""];
+    try {
+      this.scene = scene && new Scene(this.at("stage"), { ...scene }, Boolean(this.sources.replay?.ghost));
+    } catch (problem) {
+      this.blind = `no picture: ${problem.message}`;
+      console.warn(problem.message);
+    }
+    this.root.classList.toggle("hm-flat", !this.scene);
+    this.at("looks").replaceChildren(...(this.scene?.views ?? []).map((name) =>
+      make("button", { type: "button", textContent: name, onclick: () => this.scene.look(name) })));
+  }
+
   embed() {
     const { replay, drive } = this.sources;
     this.fit(this.data, (drive ?? replay).names);
-    this.scene.embed();
-    if (replay && !drive) this.at("stage").setAttribute("aria-label", "The machine in space; P pauses, Home starts again");
+    this.scene?.embed();
+    const keys = drive ? "Drive it with W A S D and the arrow keys; P pauses, Home starts again, Escape leaves." : "P pauses, Home starts again.";
+    this.at("stage").setAttribute("aria-label", `The machine in space. ${keys}`);
     this.choose(replay ? "replay" : drive.program ? "program" : "drive");
     this.at("modes").hidden = false;
     for (const button of this.root.querySelectorAll("[data-mode]")) {
@@ -145,9 +161,17 @@ export class Page {
     // after a click with the mouse the keys belong to the sticks again; after one by keyboard they stay there
     document.addEventListener("click", (event) => {
       const field = document.activeElement?.matches("input,textarea,select,[contenteditable]");
-      if (event.detail > 0 && this.shared && this.source.driving && !field && !document.querySelector("dialog[open]")) this.focus();
+      if (event.detail > 0 && this.steered(event.target) && !field && !document.querySelector("dialog[open]")) this.focus();
     });
+    for (const name of ["pointerdown", "keydown"]) this.at("pose").addEventListener(name, () => (this.pointed = name === "pointerdown"));
+    this.at("pose").addEventListener("change", () => this.pointed && this.focus());
     this.levers.onrelease = () => this.shared && this.source.driving && this.source.steer({ sticks: REST, deadMan: false });
+  }
+
+  // whether a click there is one of the driver: of a machine of one's own, on a button of its section
+  steered(target) {
+    if (this.shared) return this.source.driving;
+    return Boolean(this.sources.drive) && this.root.contains(target) && target.closest("button") !== null;
   }
 
   // whether keys move the sticks now
@@ -229,6 +253,7 @@ export class Page {
   choose(mode, angles = {}) {
     const before = this.mode;
     [this.mode, this.source] = [mode, this.sources[mode === "replay" ? "replay" : "drive"]];
+    if (mode === "replay" && this.failed) [this.failed, this.at("said").textContent] = [false, ""];
     if (mode !== "replay") this.source.program = mode === "program";
     for (const button of this.root.querySelectorAll("[data-mode]")) button.setAttribute("aria-pressed", String(button.dataset.mode === mode));
     this.at("time").hidden = this.at("ghost").hidden = mode !== "replay";
@@ -286,6 +311,14 @@ export class Page {
     requestAnimationFrame((next) => this.tick(next));
   }
 
+  // a gamepad whose dead-man is pressed starts a page that waits; seen: whether the machine is in sight
+  watchPad(seen) {
+    const { deadMan, note } = readGamepad();
+    write(this.at("note"), note);
+    if (seen && deadMan && this.padFree && !this.running) this.run(true);
+    this.padFree = !deadMan && document.hasFocus();
+  }
+
   // a gamepad takes over, as a key does
   gamepad(seconds) {
     const { sticks, deadMan } = this.levers.read(seconds);
@@ -307,15 +340,25 @@ export class Page {
     const now = performance.now();
     const hands = this.levers.read(Math.min(0.1, (now - this.beaten) / 1000));
     this.beaten = now;
-    const { driving } = this.source;
+    const { driving, live, alive } = this.source;
     this.source.steer(hands);
-    this.levers.show(driving ? hands.sticks : REST, this.source.status.live);
+    if (alive !== this.alive) this.connection(alive);
+    this.levers.show(driving ? hands.sticks : REST, live);
     const lamp = this.at("lamp").classList;
     lamp.toggle("hm-held", driving && hands.deadMan);
-    lamp.toggle("hm-live", this.source.status.live);
-    write(this.at("state"), this.describe());
+    lamp.toggle("hm-live", live);
+    write(this.at("state"), worded(this.describe()));
     write(this.at("note"), this.levers.note);
     if (this.said && now > this.said) [this.said, this.at("said").textContent] = [0, ""];
+  }
+
+  // the server is heard again, or no more: without it the toolbar does nothing
+  connection(alive) {
+    this.alive = alive;
+    if (!alive && document.activeElement?.closest(".hm-bar, .hm-hands")) this.focus();
+    for (const one of this.at("bar").querySelectorAll("button:not(.hm-help), input, select")) one.disabled = !alive;
+    this.told();
+    this.panels();
   }
 
   describe() {
@@ -325,19 +368,19 @@ export class Page {
     if (status.role === "watching") return `another page drives${refused ? ': press "Request controls"' : ""}`;
     if (status.role === "free" && refused && status.drives) return 'press "Take controls" first';
     if (status.role === "free") return lost ? "the connection was lost: take the controls again" : status.why;
-    if (status.mode && elsewhere(document.activeElement)) return "Esc: back to the sticks";
+    if (status.mode && !touched() && elsewhere(document.activeElement)) return "Esc: back to the sticks";
     if (late) return "too slow: release Space, then hold it again";
     return status.live ? "driving" : status.why;
   }
 
   told() {
-    const { status } = this.source;
+    const { status, alive, driving } = this.source;
     if (status.role === "driving" && this.role !== "driving") [this.levers.letGo(), this.focus()];
     this.role = status.role;
     write(this.at("take"), TAKE[status.role]);
-    this.at("take").disabled = !status.drives || !(status.modes.length || this.source.data?.inputs.length);
+    this.at("take").disabled = !alive || !status.drives || !(status.modes.length || this.source.data?.inputs.length);
     write(this.at("asked"), status.asked && status.role === "driving" ? "another page requests the controls" : "");
-    if (this.sliders) this.sliders.disabled = status.role !== "driving";
+    if (this.sliders) this.sliders.disabled = !driving;
     if (this.source.data) this.choices();
   }
 
@@ -382,7 +425,7 @@ export class Page {
   }
 
   get state() {
-    if (this.shared) return this.source.state;
+    if (this.shared) return this.source.alive ? this.source.state : UNHEARD;
     return this.failed ? "failed" : this.running ? "running" : "paused";
   }
 
@@ -399,13 +442,13 @@ export class Page {
     this.task?.show(status);
     this.scene?.mark(this.task?.open && status ? rings(this.data.task, status) : []);
     this.times();
-    this.pace.look(source.time, state === "running");
+    this.pace.look(source.time, state === "running", [this.mode, source.jumps, this.at("speed").value].join());
     const { timing, message, able } = { able: source.able, ...source.info };
     const { values, time, drives } = source;
     this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });
-    const standing = this.shared ? [message, STANDING[state] ?? ""] : [];
-    write(this.at("banner"), [...standing, ...notices(this.data.notices, values)].filter(Boolean).join("; "));
-    this.at("banner").classList.toggle("hm-bad", state === "failed");
+    const standing = !this.shared ? [] : state === UNHEARD ? [UNHEARD] : [message, STANDING[state] ?? ""];
+    write(this.at("banner"), [...standing, this.blind, ...notices(this.data.notices, values)].filter(Boolean).map(worded).join("; "));
+    this.at("banner").classList.toggle("hm-bad", state === "failed" || state === UNHEARD);
   }
 
   // name, state and time of what is shown
@@ -413,7 +456,7 @@ export class Page {
     const { source, state } = this;
     write(this.at("mode"), this.shared ? source.data.title : `${TITLES[this.mode]}${this.running ? "" : ", paused"}`);
     write(this.at("clock"), `${source.time.toFixed(1)} s`);
-    const goes = state === "running" || state === "starting";
+    const goes = ["running", "starting"].includes(this.shared ? source.state : state);
     write(this.at("pause"), goes ? "Pause" : this.began || this.shared ? "Go on" : "Start");
     if (!this.shared) this.at("save").disabled = this.mode === "replay" || !source.simulation.frames;
     if (this.shared) this.at("time").hidden = !source.span;
@@ -425,15 +468,19 @@ export class Page {
   choices() {
     const source = this.sources.drive ?? this.source;
     const { pattern, mode } = source;
-    const [modes, driver] = [this.shared ? source.status.modes : [], !this.shared || source.status.role !== "watching"];
+    const [modes, driver] = [this.shared ? source.status.modes : [], !this.shared || (source.alive && source.status.role !== "watching")];
     const key = JSON.stringify([pattern, mode, modes, driver, this.data.legends]);
     if (key === this.chosen) return;
     this.chosen = key;
-    const group = (place, names, chosen, act) => this.at(place).replaceChildren(...names.map((name) => {
-      const button = make("button", { type: "button", textContent: name, disabled: !driver, onclick: () => act(name) });
-      button.setAttribute("aria-pressed", String(name === chosen));
-      return button;
-    }));
+    const group = (place, names, chosen, act) => {
+      const buttons = [...this.at(place).children];
+      const same = buttons.map((one) => one.textContent).join() === names.join(); // then one of them may have the focus
+      if (!same) this.at(place).replaceChildren(...names.map((name) => make("button", { type: "button", textContent: name, onclick: () => act(name) })));
+      for (const button of this.at(place).children) {
+        button.disabled = !driver;
+        button.setAttribute("aria-pressed", String(button.textContent === chosen));
+      }
+    };
     const legend = this.data.legends[mode]?.[pattern];
     group("patterns", legend ? Object.keys(this.data.patterns) : [], pattern, (name) => this.pattern(name));
     group("drive-modes", modes.length > 1 ? modes : [], mode, (name) => source.do("choose", { mode: name }));
@@ -463,8 +510,12 @@ export class Page {
     };
     new IntersectionObserver(([entry]) => ((visible = entry.isIntersecting), update())).observe(this.at("stage"));
     document.addEventListener("visibilitychange", update);
+    if (this.sources.drive) setInterval(() => this.watchPad(visible), PANELS);
   }
 }
+
+const touched = () => matchMedia("(hover: none) and (pointer: coarse)").matches;
+const worded = (text) => (touched() ? TOUCH.reduce((now, [keys, fingers]) => now.replace(keys, fingers), text) : text);
 
 function download(name, text) {
   const href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));

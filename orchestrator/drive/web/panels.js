@@ -5,7 +5,8 @@ const SPAN = 2000; // ms over which the real-time factor is measured
 const MISSED = 0.005; // fraction of missed frames that is still good
 const FULL = 0.9; // fraction of the commanded speed that counts as full speed
 const DRIVEN = 0.5; // value, 0 to 1, above which a controller drives
-const TONES = { running: "good", failed: "bad" };
+export const UNHEARD = "no connection: trying again"; // state of a machine whose server is silent
+const TONES = { running: "good", failed: "bad", [UNHEARD]: "bad" };
 
 export const make = (tag, properties = {}, ...children) => {
   const { role, ariaLabel, ...others } = properties; // as attributes, since older browsers lack these properties
@@ -125,11 +126,13 @@ export class Sliders {
 // simulated over real time, over the last two seconds in which the machine ran
 export class Pace {
   constructor(now = () => performance.now()) {
-    [this.now, this.seen] = [now, []];
+    [this.now, this.seen, this.motion] = [now, [], ""];
   }
 
-  look(t, running) {
-    if (!running || (this.seen.length && t < this.seen[this.seen.length - 1][1])) this.seen = [];
+  // motion: another one, as after a jump or at another speed, is measured anew
+  look(t, running, motion = "") {
+    if (!running || motion !== this.motion || (this.seen.length && t < this.seen[this.seen.length - 1][1])) this.seen = [];
+    this.motion = motion;
     if (running) this.seen.push([this.now(), t]);
     while (this.seen.length && this.now() - this.seen[0][0] > SPAN) this.seen.shift();
   }

@@ -178,9 +178,10 @@ export function dark(element) {
 function rendererOf() {
   const canvas = document.createElement("canvas");
   const context = canvas.getContext("webgl2", { alpha: true, antialias: false });
-  const names = context?.getExtension("WEBGL_debug_renderer_info");
-  const name = names ? context.getParameter(names.UNMASKED_RENDERER_WEBGL) : context?.getParameter(context.RENDERER);
+  if (!context) throw new Error("this browser offers no WebGL");
+  const names = context.getExtension("WEBGL_debug_renderer_info");
+  const name = context.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : context.RENDERER);
   if (SOFTWARE.test(name ?? "")) return new THREE.WebGLRenderer({ canvas, context });
-  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  context.getExtension("WEBGL_lose_context")?.loseContext();
   return new THREE.WebGLRenderer({ antialias: true });
 }

@@ -26,6 +26,7 @@ export class SocketSource {
     if ("late" in data) this.late = data.late;
     if (data.late) this.onlate();
     if (data.hello) this.begin(data.hello);
+    if ("jump" in data) this.jump();
     for (const [number, first, second] of data.bins ?? []) this.history.put(number, first, second);
     if (data.frame) this.show(data.frame);
     if (data.info) {
@@ -43,7 +44,8 @@ export class SocketSource {
     this.opened = open;
     if (open) return;
     this.lost ||= this.status.role === "driving";
-    this.tell(FREE);
+    const { pattern, mode, modes } = this.status; // the same machine, until it says otherwise
+    this.tell({ ...FREE, pattern, mode, modes });
   }
 
   // the state of the controls
@@ -54,8 +56,13 @@ export class SocketSource {
 
   begin(hello) {
     [this.data, this.names, this.history] = [hello, new Set(hello.names), new History(hello.charts)];
-    this.jumps += 1;
     this.onhello();
+  }
+
+  // another part of the time of the same machine
+  jump() {
+    this.history.clear();
+    this.jumps += 1;
   }
 
   show([number, t, state, values]) {
@@ -71,6 +78,11 @@ export class SocketSource {
 
   get driving() {
     return this.status.role === "driving" && this.alive;
+  }
+
+  // whether the machine follows the sticks
+  get live() {
+    return this.status.live && this.alive;
   }
 
   // ---- for the operator
