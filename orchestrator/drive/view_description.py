@@ -26,8 +26,7 @@ from orchestrator.ssp.system import Port, System
 FILE = "view.toml"
 # Pa, gauge pressure; below it a gauge shows "cavitates": a cavity of some 2 mL (fmus/components/chamber.py)
 CAVITATION = -5e4
-MOST_GAUGES, MOST_CHARTS, MOST_SLIDERS = 24, 3, 24  # for a system without the file
-RANGE = 200.0  # range of its gauges, in the displayed unit
+MOST_GAUGES, MOST_CHARTS, MOST_SLIDERS = 24, 6, 24  # for a system without the file
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 
@@ -83,18 +82,21 @@ class DriveMode:
 
 @dataclass(frozen=True)
 class Gauge:
-    """One gauge: a signal in SI units, its label, the displayed unit, and the range of its bar."""
+    """One gauge: a signal in SI units, its label, the displayed unit, and the range of its bar.
+
+    high   None: the bar grows with the largest value that the page has seen
+    """
 
     name: str
     text: str
     unit: str
-    high: float
+    high: float | None = None
     low: float = 0.0
     digits: int = 1
 
     def __post_init__(self) -> None:
         parse_unit(self.unit, f"gauge {self.name}")
-        if not self.high > self.low:
+        if self.high is not None and not self.high > self.low:
             raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
     @property
@@ -284,11 +286,11 @@ def of_variables(system: System) -> ViewDescription:
     by_unit = dict[str, list[str]]()
     for bare, variable in [(n, v) for n, v in outputs.items() if v.is_real][:MOST_GAUGES]:
         by_unit.setdefault(_shown_unit(variable), []).append(bare)
-    ends = tuple(m * 10.0**k for k in range(-3, 7) for m in (1, 2, 5))
+    ends = tuple(m * 10.0**k for k in range(-3, 13) for m in (1, 2, 5))
     groups, charts = list[GaugeGroup](), list[Chart]()
     for unit, shown in by_unit.items():
         texts = [name.replace("_", " ") for name in shown]
-        lines = (Gauge(n, text, unit, RANGE, -RANGE) for n, text in zip(shown, texts, strict=True))
+        lines = (_gauge(n, text, unit, outputs[n]) for n, text in zip(shown, texts, strict=True))
         groups.append(GaugeGroup(unit, tuple(lines)))
         curves = tuple(map(ChartCurve, shown, texts, COLOURS))
         charts.append(Chart("Outputs", unit, curves, ends))
@@ -299,6 +301,15 @@ def of_variables(system: System) -> ViewDescription:
         axes.append(DrivenInput((s.name,), limit, s.rate, s.start))
     shown_charts = tuple(charts[:MOST_CHARTS])
     return ViewDescription(tuple(groups), shown_charts, axes=tuple(axes), sliders=sliders)
+
+
+def _gauge(name: str, text: str, unit: str, variable: FmuVariable) -> Gauge:
+    """From the declared minimum to the maximum if there are both, else without ends."""
+    low, high = (bound / parse_unit(unit).factor for bound in variable.bounds)
+    if not math.isfinite(high - low) or low >= high:
+        return Gauge(name, text, unit)
+    digits = max(0, 2 - math.floor(math.log10(max(-low, high))))  # three that count, as in panels.js
+    return Gauge(name, text, unit, high, low, digits)
 
 
 def _free_inputs(system: System) -> list[Port]:
