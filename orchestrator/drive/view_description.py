@@ -164,6 +164,11 @@ class Slider:
         if not self.high > self.low:
             raise Problem(f"slider {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
+    def driven(self, start: float) -> DrivenInput:
+        """The input that it sets, which rests at its start value [SI unit]."""
+        largest = max(abs(self.low), abs(self.high)) * parse_unit(self.unit).factor
+        return DrivenInput((self.name,), max(largest, abs(start)), self.rate, start)
+
 
 @dataclass(frozen=True)
 class Notice:
@@ -245,7 +250,10 @@ class ViewDescription:
         )
 
     def driven(self, system: System) -> Mapping[str, DrivenInput]:
-        """Inputs that an operator drives, by name. Raises `Problem` if none of those in the file exists."""
+        """Inputs that an operator drives, by name: those in the file, and the free inputs that have a slider.
+
+        Raises `Problem` if none of those in the file exists.
+        """
         inputs = {port.variable for port in system.ports("input")}
         named = [(next((n for n in a.name if n in inputs), None), a) for a in self.axes]
         axes = {name: driven for name, driven in named if name}
@@ -253,7 +261,9 @@ class ViewDescription:
             expected = f"expected an input to drive, such as {self.axes[0].name[-1]}"
             found = ", ".join(sorted(inputs)[:6]) or "none"
             raise Problem(f"{system.source or system.name}: {expected}, found {found}")
-        return axes
+        free = {port.variable: port for port in _free_inputs(system)}
+        slid = (s for s in self.sliders if s.name in free and s.name not in axes and s.rate > 0)
+        return axes | {s.name: s.driven(_start(system, free[s.name])) for s in slid}
 
     def watched(self, system: System) -> tuple[str, ...]:
         """`component.variable` of the shown outputs that the system has.
@@ -295,12 +305,7 @@ def of_variables(system: System) -> ViewDescription:
         curves = tuple(map(ChartCurve, shown, texts, COLOURS))
         charts.append(Chart("Outputs", unit, curves, ends))
     sliders = tuple(_slider(system, port) for port in _free_inputs(system)[:MOST_SLIDERS])
-    axes = []
-    for s in sliders:  # each goes from end to end within 1 s, and rests at its start value
-        limit = max(abs(s.low), abs(s.high), 1e-12) * parse_unit(s.unit).factor
-        axes.append(DrivenInput((s.name,), limit, s.rate, s.start))
-    shown_charts = tuple(charts[:MOST_CHARTS])
-    return ViewDescription(tuple(groups), shown_charts, axes=tuple(axes), sliders=sliders)
+    return ViewDescription(tuple(groups), tuple(charts[:MOST_CHARTS]), sliders=sliders)
 
 
 def _gauge(name: str, text: str, unit: str, variable: FmuVariable) -> Gauge:
@@ -321,10 +326,18 @@ def _free_inputs(system: System) -> list[Port]:
     return [port for port in free.values() if system.variable(port).is_real]
 
 
+def _start(system: System, port: Port) -> float:
+    """The start value of an input; 0 without one."""
+    start = float(system.components[port.component].value(port.variable))
+    return start if math.isfinite(start) else 0.0
+
+
 def _slider(system: System, port: Port) -> Slider:
-    """From the declared minimum to the maximum, else as far around the start value as it is large."""
-    variable, start = system.variable(port), system.components[port.component].value(port.variable)
-    start = float(start) if math.isfinite(float(start)) else 0.0
+    """From the declared minimum to the maximum, else as far around the start value as it is large.
+
+    It goes from end to end within 1 s.
+    """
+    variable, start = system.variable(port), _start(system, port)
     reach = 2 * abs(start) or variable.nominal or 1.0
     low, high = (
         bound if math.isfinite(bound) else start + sign * reach

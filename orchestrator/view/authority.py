@@ -173,7 +173,9 @@ class CommandGate:
             commanded = sticks.functions(deflections, described.patterns[self.pattern], CURVE)
             loads = {**self._loads(), **self._set()}
             values = sticks.commands(commanded, described.modes[self.mode], self.machine.axes, loads)
-            if sticks.uncommanded(values, self.machine.axes, frame.axes):
+            free = described.free(self.machine.axes)  # of no mode; such as a pressure, they may rest anywhere
+            others = {axis for axis in self.machine.axes if axis.rpartition(".")[2] in free}
+            if sticks.uncommanded(others | set(values), self.machine.axes, frame.axes):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
             self.machine.command(values)

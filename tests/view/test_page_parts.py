@@ -208,6 +208,16 @@ def test_a_machine_in_one_fmu(fmu_dir: Path) -> None:
     assert modes(found.description.modes, [axis.name for axis in found.setup.axes]) == ("levers",)
 
 
+@pytest.mark.parametrize("start", [20.7e6, 15e6])
+def test_a_free_input_with_a_slider(fmu_dir: Path, start: float) -> None:
+    """It can be set, as its slider has it, and rests at its start value; one of [[axes]] keeps its limits."""
+    choice = MachineChoice(fmu_dir / "harvester.fmu", set={"supply_pressure": str(start)})
+    axes = {axis.name: axis for axis in plan(choice).setup.axes}
+    pressure = axes["supply_pressure"]
+    assert (pressure.limit, pressure.rate, pressure.rest) == (25e6, 20e6, start)
+    assert axes["payload_mass"].limit == 1000
+
+
 def test_start_values(fmu_dir: Path) -> None:
     """Start values go to the machine; one that there is not, and a pose that is misspelt, are one line."""
     system, misspelt = fmu_dir / "harvester.ssp", {"manipulator.stick_lenght": "2.5"}
