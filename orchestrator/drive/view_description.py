@@ -26,8 +26,7 @@ from orchestrator.ssp.system import Port, System
 FILE = "view.toml"
 # Pa, gauge pressure; below it a gauge shows "cavitates": a cavity of some 2 mL (fmus/components/chamber.py)
 CAVITATION = -5e4
-MOST_GAUGES, MOST_CHARTS, MOST_SLIDERS = 24, 3, 24  # for a system without the file
-RANGE = 200.0  # range of its gauges, in the displayed unit
+MOST_GAUGES, MOST_CHARTS, MOST_SLIDERS = 24, 6, 24  # for a system without the file
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 
@@ -83,18 +82,21 @@ class DriveMode:
 
 @dataclass(frozen=True)
 class Gauge:
-    """One gauge: a signal in SI units, its label, the displayed unit, and the range of its bar."""
+    """One gauge: a signal in SI units, its label, the displayed unit, and the range of its bar.
+
+    high   None: the bar grows with the largest value that the page has seen
+    """
 
     name: str
     text: str
     unit: str
-    high: float
+    high: float | None = None
     low: float = 0.0
     digits: int = 1
 
     def __post_init__(self) -> None:
         parse_unit(self.unit, f"gauge {self.name}")
-        if not self.high > self.low:
+        if self.high is not None and not self.high > self.low:
             raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
     @property
@@ -161,6 +163,11 @@ class Slider:
         parse_unit(self.unit, f"slider {self.name}")
         if not self.high > self.low:
             raise Problem(f"slider {self.name}: expected an end above {self.low:g}, got {self.high:g}")
+
+    def driven(self, start: float) -> DrivenInput:
+        """The input that it sets, which rests at its start value [SI unit]."""
+        largest = max(abs(self.low), abs(self.high)) * parse_unit(self.unit).factor
+        return DrivenInput((self.name,), max(largest, abs(start)), self.rate, start)
 
 
 @dataclass(frozen=True)
@@ -243,7 +250,10 @@ class ViewDescription:
         )
 
     def driven(self, system: System) -> Mapping[str, DrivenInput]:
-        """Inputs that an operator drives, by name. Raises `Problem` if none of those in the file exists."""
+        """Inputs that an operator drives, by name: those in the file, and the free inputs that have a slider.
+
+        Raises `Problem` if none of those in the file exists.
+        """
         inputs = {port.variable for port in system.ports("input")}
         named = [(next((n for n in a.name if n in inputs), None), a) for a in self.axes]
         axes = {name: driven for name, driven in named if name}
@@ -251,7 +261,9 @@ class ViewDescription:
             expected = f"expected an input to drive, such as {self.axes[0].name[-1]}"
             found = ", ".join(sorted(inputs)[:6]) or "none"
             raise Problem(f"{system.source or system.name}: {expected}, found {found}")
-        return axes
+        free = {port.variable: port for port in _free_inputs(system)}
+        slid = (s for s in self.sliders if s.name in free and s.name not in axes and s.rate > 0)
+        return axes | {s.name: s.driven(_start(system, free[s.name])) for s in slid}
 
     def watched(self, system: System) -> tuple[str, ...]:
         """`component.variable` of the shown outputs that the system has.
@@ -284,21 +296,25 @@ def of_variables(system: System) -> ViewDescription:
     by_unit = dict[str, list[str]]()
     for bare, variable in [(n, v) for n, v in outputs.items() if v.is_real][:MOST_GAUGES]:
         by_unit.setdefault(_shown_unit(variable), []).append(bare)
-    ends = tuple(m * 10.0**k for k in range(-3, 7) for m in (1, 2, 5))
+    ends = tuple(m * 10.0**k for k in range(-3, 13) for m in (1, 2, 5))
     groups, charts = list[GaugeGroup](), list[Chart]()
     for unit, shown in by_unit.items():
         texts = [name.replace("_", " ") for name in shown]
-        lines = (Gauge(n, text, unit, RANGE, -RANGE) for n, text in zip(shown, texts, strict=True))
+        lines = (_gauge(n, text, unit, outputs[n]) for n, text in zip(shown, texts, strict=True))
         groups.append(GaugeGroup(unit, tuple(lines)))
         curves = tuple(map(ChartCurve, shown, texts, COLOURS))
         charts.append(Chart("Outputs", unit, curves, ends))
     sliders = tuple(_slider(system, port) for port in _free_inputs(system)[:MOST_SLIDERS])
-    axes = []
-    for s in sliders:  # each goes from end to end within 1 s, and rests at its start value
-        limit = max(abs(s.low), abs(s.high), 1e-12) * parse_unit(s.unit).factor
-        axes.append(DrivenInput((s.name,), limit, s.rate, s.start))
-    shown_charts = tuple(charts[:MOST_CHARTS])
-    return ViewDescription(tuple(groups), shown_charts, axes=tuple(axes), sliders=sliders)
+    return ViewDescription(tuple(groups), tuple(charts[:MOST_CHARTS]), sliders=sliders)
+
+
+def _gauge(name: str, text: str, unit: str, variable: FmuVariable) -> Gauge:
+    """From the declared minimum to the maximum if there are both, else without ends."""
+    low, high = (bound / parse_unit(unit).factor for bound in variable.bounds)
+    if not math.isfinite(high - low) or low >= high:
+        return Gauge(name, text, unit)
+    digits = max(0, 2 - math.floor(math.log10(max(-low, high))))  # three that count, as in panels.js
+    return Gauge(name, text, unit, high, low, digits)
 
 
 def _free_inputs(system: System) -> list[Port]:
@@ -310,10 +326,18 @@ def _free_inputs(system: System) -> list[Port]:
     return [port for port in free.values() if system.variable(port).is_real]
 
 
+def _start(system: System, port: Port) -> float:
+    """The start value of an input; 0 without one."""
+    start = float(system.components[port.component].value(port.variable))
+    return start if math.isfinite(start) else 0.0
+
+
 def _slider(system: System, port: Port) -> Slider:
-    """From the declared minimum to the maximum, else as far around the start value as it is large."""
-    variable, start = system.variable(port), system.components[port.component].value(port.variable)
-    start = float(start) if math.isfinite(float(start)) else 0.0
+    """From the declared minimum to the maximum, else as far around the start value as it is large.
+
+    It goes from end to end within 1 s.
+    """
+    variable, start = system.variable(port), _start(system, port)
     reach = 2 * abs(start) or variable.nominal or 1.0
     low, high = (
         bound if math.isfinite(bound) else start + sign * reach

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from orchestrator.base.text import grouped, jinja_environment, number, typeset
 from orchestrator.base.units import pretty
@@ -28,13 +29,14 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     content    variables of the template, besides `title` and `style`
 
     Templates can use the macros of `parts.html.j2`, and the filters number, typeset, pretty (units),
-    upper_first and groupby_order.
+    upper_first, groupby_order and breakable (a name, which may break after its dots and underscores).
     """
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
     environment.filters.update(
         number=lambda value, digits=3: typeset(number(value, digits)),
         typeset=typeset,
         pretty=pretty,
+        breakable=lambda name: Markup(re.sub(r"([._])(?=\w)", r"\1<wbr>", str(escape(name)))),
         upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",
         groupby_order=lambda rows, name: grouped(rows, attrgetter(name)).items(),
     )

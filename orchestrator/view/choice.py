@@ -65,7 +65,7 @@ def plan(choice: MachineChoice) -> ViewPlan:
     posed = parameter_sets.with_sets(system, sets).with_start(choice.set)
     description = view_description(loaded)
     scene = description.scene
-    driven = description.driven(system).items()
+    driven = description.driven(posed).items()
     axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven)
     setup = Setup(str(choice.system), axes, description.watched(system), choice.swap, sets, choice.set)
     return ViewPlan(choice, setup, description, parameters(scene, posed) if scene else None)

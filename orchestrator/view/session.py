@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -115,15 +115,22 @@ class Session:
         self.machine.play()
 
     @property
-    def _required(self) -> set[str]:
-        """A result file must have one of these: a value of a joint; without a drawing any shown signal."""
-        description = self.plan.description
-        return set(description.scene.signals if description.scene else description.shown)
+    def _required(self) -> tuple[set[str], int]:
+        """Names of which a result file must have so many: a value of a joint; without a drawing half of the
+        shown signals, so that a run of another machine with some equal names is none of this one."""
+        if scene := self.plan.description.scene:
+            return set(scene.signals), 1
+        shown = set(by_bare_name(self.plan.setup.signals))
+        return shown, max(1, math.ceil(len(shown) / 2))
+
+    def _fits(self, names: Iterable[str]) -> bool:
+        required, least = self._required
+        return len(required & set(names)) >= least
 
     def files(self) -> list[str]:
         """Names of the result files in the open folders that can be replayed."""
         results = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
-        return [name for name, path in results if self._required & set(by_bare_name(columns_of(path)))]
+        return [name for name, path in results if self._fits(by_bare_name(columns_of(path)))]
 
     def replay(self, name: str) -> None:
         """Show a result file of the open folders. The live machine is paused meanwhile."""
@@ -135,11 +142,12 @@ class Session:
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
         recording = Replay(trace)
-        if not self._required & set(columns(recording)):
-            full = by_bare_name(self.plan.setup.signals)
-            example = next((full[name] for name in full if name in self._required), "component.output")
+        if not self._fits(columns(recording)):
+            (required, least), full = self._required, by_bare_name(self.plan.setup.signals)
+            example = next((full[name] for name in full if name in required), "component.output")
             found = ", ".join(list(trace.signals)[:4]) or "none"
-            raise Problem(f"{path}: expected signals such as {example}, found {found}")
+            many = f"{least} or more " if least > 1 else ""
+            raise Problem(f"{path}: expected {many}signals such as {example}, found {found}")
         self._show(recording, name or path.name)
         self.machine.play()
 

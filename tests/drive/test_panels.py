@@ -58,6 +58,20 @@ def test_figures(script: Any) -> None:
     assert figure("tip_radial_velocity", -1e-4)["text"] == "0.00", "no minus sign at rest"
 
 
+def test_a_bar_without_ends_grows(script: Any) -> None:
+    """It includes all values so far, from zero until one is negative; three digits count."""
+    run = "a.reduce((ends, value) => m.grown(ends, value ?? NaN), { low: 0, high: 0.001, digits: 1 })"
+    for values, expected in (
+        ([1482, 3], (0, 2000, 0)),
+        ([0.004, None], (0, 0.005, 5)),
+        ([-104.1], (-200, 200, 0)),
+        ([30, -1], (-50, 50, 1)),
+        ([1000], (0, 1000, 0)),
+    ):
+        found = script("panels", run, values)
+        assert (found["low"], found["high"], found["digits"]) == pytest.approx(expected)
+
+
 @pytest.mark.parametrize(
     ("pressure", "expected"),
     [("-1e5", SCALE[0]), ("9e7", SCALE[-1]), ("NaN", UNKNOWN), ("Infinity", UNKNOWN)],
@@ -131,6 +145,17 @@ def test_history(script: Any) -> None:
     assert script("charts", f"(() => {{ {put} return h.curves(1).columns.a; }})()") == [5, -2], (
         "a bin that has grown"
     )
+
+
+def test_a_rise_has_no_stairs(script: Any) -> None:
+    """A value that only rises is drawn as it is, whatever the bins."""
+    run = """(() => { const h = new m.History([{ curves: [{ name: 'a' }] }], a);
+      for (let k = 0; k < 1000; k++) h.add(0.01 * k, { a: 0.01 * k });
+      return h.curves(10); })()"""
+    for width in (0.1, 0.2):
+        found = script("charts", run, width)
+        # s; the last sample of a bin is drawn up to one sample beside its time
+        assert found["columns"]["a"] == pytest.approx([10 + t for t in found["time"]], abs=0.011)
 
 
 def test_the_axis_of_time_is_in_seconds(script: Any) -> None:

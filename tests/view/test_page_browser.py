@@ -336,6 +336,60 @@ def test_payload(page: Any, server: Server) -> None:
     put("0")
 
 
+OUTSIDE = """() => {
+  const side = document.querySelector('.hm-side').getBoundingClientRect();
+  return [...document.querySelectorAll('.hm-gauge, .hm-chart, .hm-plot canvas')]
+    .filter((one) => one.getBoundingClientRect().bottom > side.bottom).length; }"""
+
+
+@pytest.mark.parametrize(("size", "picture"), [((1280, 800), 500), ((1440, 900), 590), ((1366, 650), 347)])
+def test_gauges_and_charts_are_in_sight(page: Any, size: tuple[int, int], picture: int) -> None:
+    """Gauges and all charts are in sight beside a large picture; in a low window the third chart is below."""
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    page.wait_for_function(f"() => ({OUTSIDE})() <= {2 if size[1] < 800 else 0}")
+    assert page.locator(".hm-scene").bounding_box()["height"] >= picture
+    page.set_viewport_size({"width": 1200, "height": 800})
+
+
+def test_dialogs_fit_a_phone(page: Any) -> None:
+    """Each choice is as a whole inside the dialog."""
+    page.set_viewport_size({"width": 360, "height": 800})
+    page.get_by_role("button", name="Machine", exact=True).click()
+    dialog = page.locator("dialog[open]")
+    dialog.locator("select").first.wait_for()
+    box = dialog.bounding_box()
+    for one in dialog.locator("select").all():
+        found = one.bounding_box()
+        assert found["x"] > box["x"]
+        assert found["x"] + found["width"] < box["x"] + box["width"]
+    close_windows(page)
+    page.set_viewport_size({"width": 1200, "height": 800})
+
+
+RING = """() => { const [canvas, one] = [document.createElement('canvas'), document.activeElement];
+  const context = canvas.getContext('2d');
+  const light = (colour) => { context.fillStyle = colour; context.fillRect(0, 0, 1, 1);
+    const linear = [...context.getImageData(0, 0, 1, 1).data.slice(0, 3)].map((c) => c / 255)
+      .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4));
+    return 0.05 + 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]; };
+  const ring = getComputedStyle(one);
+  const around = getComputedStyle(one.closest('.harvester-machine')).backgroundColor;
+  const [a, b] = [light(ring.outlineColor), light(around)];
+  return [ring.outlineStyle, Math.max(a, b) / Math.min(a, b)]; }"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_focus_is_seen(page: Any, scheme: str) -> None:
+    """The ring around what has the focus differs from what is around it by 3:1 (WCAG 1.4.11)."""
+    page.emulate_media(color_scheme=scheme)
+    page.get_by_role("button", name="Keys").focus()
+    page.keyboard.press("Shift+Tab")
+    style, contrast = page.evaluate(RING)
+    page.emulate_media(color_scheme=None)
+    assert style == "solid"
+    assert contrast >= 3
+
+
 def test_only_what_changes_is_drawn(page: Any) -> None:
     """Sticks that rest are not written, and the processor draws the charts: without a graphics card, either
     would cost more than the picture of the machine."""

@@ -160,6 +160,9 @@ def test_a_machine_without_a_description(bench: System, tmp_path: Path) -> None:
     assert set(found.description.curves) <= set(lines) == {p.rpartition(".")[2] for p in found.setup.signals}
     assert (found.parameters, dict(found.description.modes)) == (None, {})
     assert len(lines) <= len(bench.ports("output"))
+    assert len(found.description.charts) == min(6, len({line.unit for line in lines.values()}))
+    limits = {n: bench.variable(bench.port(f"swing.{n}")).bounds for n in lines}
+    assert all((lines[n].high is None) == (not np.isfinite(limits[n]).all()) for n in lines)
     sliders = {slider.name: slider for slider in found.description.sliders}
     axes = {axis.name: axis for axis in found.setup.axes}
     assert set(sliders) == set(axes)
@@ -217,6 +220,16 @@ def test_a_machine_in_one_fmu(fmu_dir: Path) -> None:
     assert modes(found.description.modes, [axis.name for axis in found.setup.axes]) == ("levers",)
 
 
+@pytest.mark.parametrize("start", [20.7e6, 15e6])
+def test_a_free_input_with_a_slider(fmu_dir: Path, start: float) -> None:
+    """It can be set, as its slider has it, and rests at its start value; one of [[axes]] keeps its limits."""
+    choice = MachineChoice(fmu_dir / "harvester.fmu", set={"supply_pressure": str(start)})
+    axes = {axis.name: axis for axis in plan(choice).setup.axes}
+    pressure = axes["supply_pressure"]
+    assert (pressure.limit, pressure.rate, pressure.rest) == (25e6, 20e6, start)
+    assert axes["payload_mass"].limit == 1000
+
+
 def test_start_values(fmu_dir: Path) -> None:
     """Start values go to the machine; one that there is not, and a pose that is misspelt, are one line."""
     system, misspelt = fmu_dir / "harvester.ssp", {"manipulator.stick_lenght": "2.5"}
@@ -238,6 +251,20 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
     replay = Replay(Trace(np.arange(2.0), still))
     session = Session(MachineChoice(fmu_dir / "harvester.ssp"), [tmp_path], lambda _: replay)
     assert session.files() == ["a.csv", "b.parquet", "cut.csv"]
+
+
+def test_another_machine_is_not_replayed(bench: System, tmp_path: Path) -> None:
+    """Without a drawing, a run with some of the names is none of this machine; half of the signals are."""
+    path = write_ssp(bench, tmp_path / "bench.ssp")
+    shown = [name.rpartition(".")[2] for name in plan(MachineChoice(path)).setup.signals]
+    for file, names in (("few.csv", shown[:3]), ("half.csv", shown[: (len(shown) + 1) // 2])):
+        write_trace(Trace(np.arange(2.0), {f"x.{n}": np.zeros(2) for n in names}), tmp_path / file)
+    replay = Replay(Trace(np.arange(2.0), {}))
+    session = Session(MachineChoice(path), [tmp_path], lambda _: replay)
+    assert session.files() == ["half.csv"]
+    assert f"expected {(len(shown) + 1) // 2} or more signals such as swing." in problem(
+        lambda: session.replay("few.csv")
+    )
 
 
 def test_replay_tells_what_it_knows() -> None:

@@ -311,6 +311,13 @@ def test_change_of_mode_waits_for_the_other_one(desk: Desk, mode: str, left: str
     assert desk.hold(station)
 
 
+def test_an_input_that_rests_elsewhere(desk: Desk) -> None:
+    """A pressure that no stick drives rests at its own value, and hinders no stick."""
+    desk.machine.axes = (*LEVERS, "supply_pressure")
+    desk.machine.still = {"supply_pressure": 20e6}
+    assert desk.hold_anew(desk.driver())
+
+
 def test_replay(desk: Desk) -> None:
     """What cannot be driven gives nobody the controls."""
     desk.machine.drives = False

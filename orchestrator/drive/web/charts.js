@@ -4,11 +4,12 @@ import { make } from "drive/panels.js";
 
 export const WINDOW = 20; // s of simulated time
 export const BIN = 0.2; // s
-const HEIGHT = 132; // px
+const LAST = 0.95; // share of a bin, of which the samples are 10 ms apart, before the last one
 const FONT = '11px system-ui, "Segoe UI", sans-serif';
 
 export class History {
-  constructor(charts) {
+  constructor(charts, bin = BIN) {
+    this.bin = bin;
     this.names = [...new Set(charts.flatMap((chart) => chart.curves.map((curve) => curve.name)))];
     this.clear();
   }
@@ -19,7 +20,7 @@ export class History {
 
   // one sample; those of a restart begin anew
   add(t, values) {
-    const number = Math.floor(t / BIN + 1e-9);
+    const number = Math.floor(t / this.bin + 1e-9);
     if (number < this.last) this.clear();
     this.last = number;
     if (!this.bins.has(number)) this.bins.set(number, this.names.map(() => ({ low: Infinity, high: -Infinity, lowAt: t, highAt: t })));
@@ -28,7 +29,7 @@ export class History {
       if (value < bin.low) [bin.low, bin.lowAt] = [value, t];
       if (value > bin.high) [bin.high, bin.highAt] = [value, t];
     });
-    const oldest = number - Math.round(WINDOW / BIN);
+    const oldest = number - Math.round(WINDOW / this.bin);
     for (const key of this.bins.keys()) if (key < oldest) this.bins.delete(key);
   }
 
@@ -36,14 +37,14 @@ export class History {
   put(number, first, second) {
     this.bins.delete(number);
     const named = (row) => Object.fromEntries(this.names.map((name, k) => [name, row[k] ?? NaN]));
-    this.add(number * BIN, named(first));
-    this.add((number + 0.5) * BIN, named(second));
+    this.add(number * this.bin, named(first));
+    this.add((number + 0.5) * this.bin, named(second));
   }
 
-  // two points for each bin, relative to the end
+  // two points for each bin, its begin and its last sample: a value that only rises is a straight line, without stairs
   curves(end) {
     const numbers = [...this.bins.keys()].sort((a, b) => a - b);
-    const time = numbers.flatMap((number) => [number * BIN - end, Math.min((number + 0.5) * BIN - end, 0)]);
+    const time = numbers.flatMap((number) => [number * this.bin - end, Math.min((number + LAST) * this.bin - end, 0)]);
     const pair = ({ low, high, lowAt, highAt }) => (high < low ? [null, null] : lowAt <= highAt ? [low, high] : [high, low]);
     const columns = this.names.map((name, k) => [name, numbers.flatMap((number) => pair(this.bins.get(number)[k]))]);
     return { time, columns: Object.fromEntries(columns) };
@@ -99,9 +100,9 @@ class StripChart {
     [this.chart, this.high] = [chart, chart.ends[0]];
     const heading = make("p", { className: "hm-title", textContent: `${chart.title} [${chart.unit}]` });
     const line = ({ dashed, colour }) => make("i", { style: `border-top: 2px ${dashed ? "dashed" : "solid"} ${colour}` });
-    const key = make("div", { className: "hm-key" }, ...chart.curves.map((curve) => make("span", {}, line(curve), curve.text)));
+    const key = make("div", { className: "hm-key" }, heading, ...chart.curves.map((curve) => make("span", {}, line(curve), curve.text)));
     this.host = make("div", { className: "hm-plot", role: "img", ariaLabel: `${chart.title} over the last ${WINDOW} s` });
-    place.append(make("figure", { className: "hm-chart" }, heading, key, this.host));
+    place.append(make("figure", { className: "hm-chart" }, key, this.host));
     this.plot = plot(this.options(), [[], ...chart.curves.map(() => [])], this.host);
     this.observer = new ResizeObserver(() => this.fit());
     this.observer.observe(this.host);
@@ -113,8 +114,8 @@ class StripChart {
   }
 
   fit() {
-    const width = this.host.clientWidth;
-    if (width && width !== this.plot.width) this.plot.setSize({ width, height: HEIGHT });
+    const { clientWidth: width, clientHeight: height } = this.host;
+    if (width && (width !== this.plot.width || height !== this.plot.height)) this.plot.setSize({ width, height });
   }
 
   options() {
@@ -125,7 +126,7 @@ class StripChart {
     const low = () => (both ? -this.high : 0);
     const minus = (value) => String(value).replace("-", "−");
     return {
-      width: this.host.clientWidth || 300, height: HEIGHT, padding: [6, 14, 0, 0], legend: { show: false }, cursor: { show: false },
+      width: this.host.clientWidth || 300, height: this.host.clientHeight || 132, padding: [6, 14, 0, 0], legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, range: [-WINDOW, 0] }, y: { range: () => [low(), this.high] } },
       series: [{}, ...curves.map((curve) => ({
         stroke: curve.colour, width: 1.5, dash: curve.dashed ? [4, 3] : undefined, points: { show: false },

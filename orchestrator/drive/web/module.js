@@ -7,6 +7,7 @@ import { sample } from "drive/recording.js";
 import { Attempts } from "drive/task.js";
 
 const BUDGET = 24; // ms of simulation for one picture; beyond it the machine is slower than real time
+const BIN = 0.1; // s, of the charts; two points each, of about a pixel
 const LONGEST = 60000; // frames of saved commands, 10 min
 
 export class Simulation {
@@ -108,7 +109,7 @@ export class ModuleSource {
   constructor(simulation, data) {
     [this.simulation, this.data, this.fmu] = [simulation, data, data.fmu];
     this.names = new Set(this.fmu.outputs);
-    this.history = new History(data.charts);
+    this.history = new History(data.charts, BIN);
     this.task = new Attempts(data.task);
     [this.program, this.jumps, this.due, this.carried] = [Boolean(this.fmu.program), 0, 0, 0];
     [this.pattern, this.mode, this.drives] = [Object.keys(data.patterns)[0] ?? "", this.fmu.mode, true];

@@ -31,13 +31,16 @@ const TOUCH = [ // words about keys, and those for fingers
 ];
 const TAKE = { driving: "Release controls", watching: "Request controls", free: "Take controls" };
 const KEYS = [
-  ["Space or Shift, held", "dead-man: the machine rests without it", "shared"],
-  ["W A S D", "left stick"], ["Arrows or I J K L", "right stick"], ["P", "pause or go on"], ["Home", "start again"],
-  ["Esc", "from a button or field back to the sticks", "shared"],
+  ["Space or Shift, held", "dead-man: the machine rests without it", "shared", "sticks"],
+  ["W A S D", "left stick", "sticks"], ["Arrows or I J K L", "right stick", "sticks"],
+  ["P", "pause or go on"], ["Home", "start again"],
+  ["Esc", "from a button or field back to the sticks", "shared", "sticks"],
   ["Esc", "from a button or field to the picture, and from the picture to the page", "own"],
-  ["Gamepad", "both sticks; a bumper is the dead-man"], ["Touch or mouse", "drag the sticks; holding one is the dead-man"],
-  ["Drag in the picture", "rotate the view"], ["Wheel", "zoom", "shared"], ["Right button, drag", "shift the view"],
-];
+  ["Gamepad", "both sticks; a bumper is the dead-man", "sticks"],
+  ["Touch or mouse", "drag the sticks; holding one is the dead-man", "sticks"],
+  ["Drag in the picture", "rotate the view", "picture"], ["Wheel", "zoom", "shared", "picture"],
+  ["Right button, drag", "shift the view", "picture"],
+]; // and what there must be
 const HOW = "Take the controls, hold the dead-man, then move a stick. Release the dead-man and the machine rests.";
 
 export class Page {
@@ -152,10 +155,7 @@ export class Page {
       this.panels();
     });
     this.at("take").addEventListener("click", () => this.source.do(this.source.driving ? "release" : "take"));
-    this.at("help").addEventListener("click", () => this.at("window").showModal());
-    const meant = KEYS.filter(([, , only]) => !only || only === (this.shared ? "shared" : "own"));
-    this.at("list").append(...meant.flatMap(([key, meaning]) => [make("dt", { textContent: key }), make("dd", { textContent: meaning })]));
-    this.at("how").textContent = this.shared ? HOW : "";
+    this.at("help").addEventListener("click", () => this.help());
     this.at("stage").addEventListener("pointerdown", () => this.focus());
     (this.shared ? document : this.root).addEventListener("keydown", (event) => this.key(event));
     // after a click with the mouse the keys belong to the sticks again; after one by keyboard they stay there
@@ -172,6 +172,16 @@ export class Page {
   steered(target) {
     if (this.shared) return this.source.driving;
     return Boolean(this.sources.drive) && this.root.contains(target) && target.closest("button") !== null;
+  }
+
+  // the window with the keys of what there is
+  help() {
+    const sticks = Object.keys(this.data?.legends ?? {}).length > 0;
+    const is = { shared: this.shared, own: !this.shared, sticks, picture: Boolean(this.scene) };
+    const meant = KEYS.filter(([, , ...needs]) => needs.every((one) => is[one]));
+    this.at("list").replaceChildren(...meant.flatMap(([key, meaning]) => [make("dt", { textContent: key }), make("dd", { textContent: meaning })]));
+    this.at("how").textContent = this.shared && sticks ? HOW : "";
+    this.at("window").showModal();
   }
 
   // whether keys move the sticks now

@@ -4,6 +4,7 @@
 const SPAN = 2000; // ms over which the real-time factor is measured
 const MISSED = 0.005; // fraction of missed frames that is still good
 const FULL = 0.9; // fraction of the commanded speed that counts as full speed
+const LEAST = { low: 0, high: 1e-3, digits: 1 }; // of a bar that grows, in the displayed unit
 const DRIVEN = 0.5; // value, 0 to 1, above which a controller drives
 export const UNHEARD = "no connection: trying again"; // state of a machine whose server is silent
 const TONES = { running: "good", failed: "bad", [UNHEARD]: "bad" };
@@ -37,6 +38,16 @@ export function figure(gauge, value, cavitation) {
   return { text, begin, end, warning: gauge.coloured && value < cavitation ? "cavitates" : "" };
 }
 
+// Ends of a bar that grows: all values so far are between them. From zero, until one is negative, to 1, 2 or 5 times a
+// power of ten; so many digits that three count.
+export function grown(ends, shown) {
+  if (!Number.isFinite(shown) || (shown <= ends.high && shown >= ends.low)) return ends;
+  const peak = Math.max(ends.high, Math.abs(shown));
+  const power = 10 ** Math.floor(Math.log10(peak));
+  const high = [1, 2, 5, 10].map((one) => one * power).find((one) => one >= peak * (1 - 1e-9));
+  return { low: ends.low < 0 || shown < 0 ? -high : 0, high, digits: Math.max(0, 2 - Math.floor(Math.log10(high))) };
+}
+
 export class Gauges {
   constructor(place, data, names) {
     [this.data, this.lines] = [data, []];
@@ -56,17 +67,28 @@ export class Gauges {
   line(gauge) {
     const [bar, output] = [make("i"), make("output", { textContent: "–" })];
     const unit = make("small", { textContent: gauge.unit });
-    const track = make("div", { className: "hm-track" }, bar);
-    if (gauge.low < 0) track.append(make("b", { style: `left: ${(-100 * gauge.low) / (gauge.high - gauge.low)}%` }));
+    const zero = make("b");
+    const track = make("div", { className: "hm-track" }, bar, zero);
     const row = make("div", { className: "hm-gauge" }, make("span", { textContent: gauge.text, title: gauge.text }), track, output, unit);
-    this.lines.push({ gauge, bar, output, unit, row });
+    const line = { gauge, bar, output, unit, row, zero };
+    this.fit(line, gauge.high === null ? LEAST : gauge);
+    this.lines.push(line);
     return row;
   }
 
+  fit(line, ends) {
+    if (ends === line.ends) return;
+    const { low, high } = (line.ends = ends);
+    line.zero.hidden = low >= 0;
+    line.zero.style.left = `${(-100 * low) / (high - low)}%`;
+  }
+
   show(values) {
-    for (const { gauge, bar, output, unit, row } of this.lines) {
+    for (const line of this.lines) {
+      const { gauge, bar, output, unit, row } = line;
       const value = values[gauge.name] ?? NaN;
-      const { text, begin, end, warning } = figure(gauge, value, this.data.cavitation);
+      if (gauge.high === null) this.fit(line, grown(line.ends, value * gauge.factor));
+      const { text, begin, end, warning } = figure({ ...gauge, ...line.ends }, value, this.data.cavitation);
       write(output, text);
       bar.style.transform = `translateX(${(100 * begin).toFixed(1)}%) scaleX(${(end - begin).toFixed(3)})`;
       row.classList.toggle("hm-cavitates", Boolean(warning));
