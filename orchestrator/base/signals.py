@@ -1,6 +1,9 @@
-"""Measures of the samples of one signal: whether it moves, its range, its root mean square."""
+"""Names of signals, and measures of the samples of one signal: whether it moves, its range, its RMS."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
+from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +12,23 @@ Array = NDArray[np.float64]
 CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
 CONSTANT_OF_NOMINAL = 1e-6  # the same over a nominal value
 TINY = 1e-150  # magnitudes whose squares leave the range of a float count as zero
+
+
+def bare_name(signal: str) -> str:
+    """The name of a signal without its component: `boom_angle` of `manipulator.boom_angle`."""
+    return signal.rpartition(".")[2]
+
+
+def matching(names: Collection[str], pattern: str) -> list[str]:
+    """The signals that a name or a pattern selects, with * and ? as in file names.
+
+    A pattern without a dot matches names without their component: `boom_*` selects manipulator.boom_angle,
+    but not boom_stick.stick_force. A pattern with a dot matches component.variable: `boom_stick.*`.
+    """
+    if pattern in names:
+        return [pattern]
+    whole = "." in pattern
+    return [name for name in names if fnmatchcase(name if whole else bare_name(name), pattern)]
 
 
 def moves(signal: Array, recording: Array | None = None) -> bool:

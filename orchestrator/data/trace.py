@@ -7,7 +7,6 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 
 from __future__ import annotations
 
-import fnmatch
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,6 +22,7 @@ from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require
 from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 
@@ -130,8 +130,9 @@ class Trace(Mapping[str, Array]):
     ) -> Figure:
         """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
 
-        patterns      names of signals with or without component, or patterns such as `*.swing_pressure_*`,
-                      or lists of them; default: up to six signals of each of four quantities
+        patterns      names of signals with or without component, patterns such as `boom_*_pressure` or, with
+                      a dot for component.variable, `swing.*`, or lists of them; default: up to six signals
+                      of each of four quantities
         start, stop   time window [s]; default: all
         others        label -> further traces or results, with other line styles; `label`: that of this one
         band          half width of a band around signals of this trace, in their units
@@ -153,7 +154,7 @@ class Trace(Mapping[str, Array]):
         return draw(signal_figure(curves, units, title, below, around))
 
     def chosen(self, patterns: Sequence[str] = ()) -> list[str]:
-        """The signals that patterns name, with or without component; default: those of a figure.
+        """The signals that names and patterns select, see `matching`; default: those of a figure.
 
         Raises Problem if a pattern names none.
         """
@@ -163,12 +164,7 @@ class Trace(Mapping[str, Array]):
             return default_signals(self.signals, self.units)
         names: dict[str, None] = {}
         for pattern in patterns:
-            if pattern in self.signals:
-                names[pattern] = None
-                continue
-            bare = [name for name in self.signals if fnmatch.fnmatchcase(name.rpartition(".")[2], pattern)]
-            matches = fnmatch.filter(self.signals, pattern) or bare
-            names |= dict.fromkeys(matches or [self._only(pattern)])
+            names |= dict.fromkeys(matching(self.signals, pattern) or [self._only(pattern)])
         return list(names)
 
     def window(self, start: Seconds = None, stop: Seconds = None) -> Self:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.signals import matching
 from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import (
     IDENTITY,
@@ -394,14 +394,15 @@ class System:
     def without(self, *patterns: str) -> System:
         """The system without the connections whose target, such as `b.force_rate`, matches a pattern.
 
-        patterns   with * and ? as in file names: "*_rate" matches every input whose name ends in _rate
+        patterns   names and patterns, see `matching`: "*_rate" matches every input whose name ends in _rate
         """
         targets = [str(c.target) for c in self.connections]
-        for pattern in patterns:
-            if not any(fnmatchcase(target, pattern) for target in targets):
+        selected = {pattern: matching(targets, pattern) for pattern in patterns}
+        for pattern, matches in selected.items():
+            if not matches:
                 hint = suggest(pattern, targets) or f"; connected are {', '.join(targets[:8]) or 'none'}"
                 raise Problem(f"cut {pattern}: no connected input matches{hint}")
-        cut = [t for t in targets if any(fnmatchcase(t, pattern) for pattern in patterns)]
+        cut = [t for t in targets if any(t in matches for matches in selected.values())]
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
         notes = (
             (f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}",)
