@@ -8,6 +8,8 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base.errors import UnknownSignal
+
 Array = NDArray[np.float64]
 CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
 CONSTANT_OF_NOMINAL = 1e-6  # the same over a nominal value
@@ -29,6 +31,18 @@ def matching(names: Collection[str], pattern: str) -> list[str]:
         return [pattern]
     whole = "." in pattern
     return [name for name in names if fnmatchcase(name if whole else bare_name(name), pattern)]
+
+
+def found(names: Collection[str], name: object, among: str = "the run") -> str:
+    """The signal of a name, which may lack the component if only one signal has it; raises UnknownSignal.
+
+    among   what has the signals, for the message
+    """
+    if isinstance(name, str):
+        same = [name] if name in names else [other for other in names if bare_name(other) == name]
+        if len(same) == 1:
+            return same[0]
+    raise UnknownSignal(name, names, among=among)
 
 
 def moves(signal: Array, recording: Array | None = None) -> bool:

@@ -22,7 +22,7 @@ from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.signals import matching
+from orchestrator.base.signals import found, matching
 from orchestrator.base.text import first_names
 from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 
@@ -58,16 +58,20 @@ class Trace(Mapping[str, Array]):
 
         A name may lack the component if only one signal has it.
         """
-        if not isinstance(key, str):
-            return self._with({name: self.signals[name] for name in (self.chosen(key) if key else ())})
-        return self.signals[key if key in self.signals else self._only(key)]
+        if isinstance(key, str):
+            return self.signals[key if key in self.signals else self._only(key)]
+        names = list(key) if isinstance(key, Iterable) else [key]
+        for name in names:
+            if not isinstance(name, str):
+                raise UnknownSignal(name, self.signals, hint=", or a list of names and patterns")
+        return self._with({name: self.signals[name] for name in (self.chosen(names) if names else ())})
 
     def _only(self, variable: str) -> str:
         """The one signal of this variable; raises UnknownSignal."""
-        same = [name for name in self.signals if name.rpartition(".")[2] == variable]
-        if len(same) != 1:
-            raise UnknownSignal(variable, same or self.signals)
-        return same[0]
+        if {*"*?["} & {*variable} and matching(self.signals, variable):
+            hint = f'; a pattern goes in a list: result[["{variable}"]]'
+            raise UnknownSignal(variable, self.signals, hint=hint)
+        return found(self.signals, variable)
 
     def _with(self, signals: Mapping[str, Array], time: Array | None = None) -> Self:
         """Some of these signals with other samples, at these times."""

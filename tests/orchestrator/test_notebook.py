@@ -66,7 +66,13 @@ def test_a_trace_is_a_mapping_of_names(trace, result):
     assert list(trace[["b.*", "angle"]]) == ["b.speed", "a.angle"]
     assert trace[["angle"]].units == trace.units
     assert not trace[[]]
-    problem(lambda: trace["speed"], r"^no signal speed in the run; did you mean a.speed, b.speed\?$")
+    problem(lambda: trace["speed"], r"^speed is in 2 components: a.speed, b.speed$")
+    told = r'^no signal a\.\* in the run; a pattern goes in a list: result\[\["a\.\*"\]\]$'
+    problem(lambda: trace["a.*"], told)
+    for key in (0, None, 1.5, [0], slice(2)):
+        told = r"^expected the name of a signal, or a list of names and patterns, got (0|None|1.5|slice\()"
+        problem(lambda key=key: trace[key], told)
+    assert 0 not in trace
     assert result["boom_angle"] is result.trace["manipulator.boom_angle"]
     assert len(result) == len(result.trace)
     assert "boom_angle" in result
