@@ -36,18 +36,34 @@ METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 JUMP = 1e-6  # s, in which a scenario goes from one row to the next one with the same time
 
 
+class Units(dict[str, str]):
+    """Name -> unit of each signal that has one; as in a `Trace`, unique names may lack the component."""
+
+    def __init__(self, units: Mapping[str, str] | Iterable[tuple[str, str]], signals: Iterable[str] = ()):
+        """signals: names of all signals; the unit of one without a unit is empty."""
+        super().__init__(units)
+        self._signals = tuple(signals)
+
+    def __missing__(self, name: str) -> str:
+        return self.get(found(self._signals, name), "")
+
+
 @dataclass(frozen=True, repr=False)
 class Trace(Mapping[str, Array]):
     """Signals over a common, strictly increasing time axis, in SI units: a mapping of names to values.
 
     time      shape (n,) [s]
     signals   name -> shape (n,); the names in a run are `component.variable`
-    units     name -> unit as written in the FMU or in the metadata of the file; empty without a unit
+    units     name -> unit as written in the FMU or in the metadata of the file; empty without a unit; a name
+              may lack the component here, too
     """
 
     time: NDArray[np.float64]
     signals: Mapping[str, NDArray[np.float64]]
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "units", Units(self.units, self.signals))
 
     @overload
     def __getitem__(self, key: str) -> Array: ...

@@ -65,6 +65,9 @@ def test_a_trace_is_a_mapping_of_names(trace, result):
     assert trace["angle"] is trace["a.angle"] is dict(trace)["a.angle"]
     assert list(trace[["b.*", "angle"]]) == ["b.speed", "a.angle"]
     assert trace[["angle"]].units == trace.units
+    assert trace.units["angle"] == trace.units["a.angle"] == result.units["boom_angle"] == "rad"
+    assert trace.units["a.speed"] == ""
+    problem(lambda: trace.units["speed"], r"^speed is in 2 components: a.speed, b.speed$")
     assert not trace[[]]
     problem(lambda: trace["speed"], r"^speed is in 2 components: a.speed, b.speed$")
     told = r'^no signal a\.\* in the run; a pattern goes in a list: result\[\["a\.\*"\]\]$'
