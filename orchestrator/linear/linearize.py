@@ -17,7 +17,7 @@ from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
 from orchestrator.linear.steady_state import find_steady_state
 from orchestrator.ssp.parameter_sets import with_sets
-from orchestrator.ssp.plausible import doubtful_starts, with_doubts
+from orchestrator.ssp.plausible import doubtful_starts, doubts_told, with_doubts
 from orchestrator.ssp.provenance import built_notes
 from orchestrator.ssp.system import Port, System
 
@@ -128,7 +128,8 @@ def linearize(
     start = full.start or 0.0
     plant = CutPlant(cut)
     try:
-        plant.start((start, start + EXPERIMENT_LENGTH))
+        with doubts_told(cut.system):
+            plant.start((start, start + EXPERIMENT_LENGTH))
         warnings = with_doubts(full, doubtful_starts(cut.system)).warnings
         notes = built_notes(full) + warnings + cut.notes + plant.notes
         if time is None:
