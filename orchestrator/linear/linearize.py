@@ -15,7 +15,7 @@ from orchestrator.engine.run import ScenarioSource, opened, run
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
-from orchestrator.linear.steady_state import find_steady_state
+from orchestrator.linear.steady_state import find_steady_state, moving_positions
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_starts, doubts_told, with_doubts
 from orchestrator.ssp.provenance import built_notes
@@ -138,7 +138,8 @@ def linearize(
             settle_at_time(plant, full.with_start(start_values), scenario, time, step)
         if steady:
             notes += find_steady_state(plant, speeds)
-        return _result(plant, ports, start if time is None else time, notes)
+        model = _result(plant, ports, start if time is None else time, notes)
+        return replace(model, moving=moving_positions(plant, speeds)) if speeds else model
     finally:
         plant.close()
 
