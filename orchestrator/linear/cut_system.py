@@ -95,15 +95,21 @@ def matching_outputs(system: System, patterns: Sequence[str] = ()) -> list[Port]
     return [p for p in ports if not patterns or any(str(p) in matches for matches in selected.values())]
 
 
-def _name_list(names: Sequence[str]) -> str:
+def _name_list(names: Sequence[str], kind: str = "outputs") -> str:
     """A list of names, or of the first of many, for a message."""
     if len(names) <= MAX_LISTED:
         return f"; there are {', '.join(names) or 'none'}"
-    return f"; there are {len(names)} outputs, such as {', '.join(names[:MAX_LISTED])}"
+    return f"; there are {len(names)} {kind}, such as {', '.join(names[:MAX_LISTED])}"
 
 
 def _inlet(system: System, name: str) -> Inlet:
     """The input with a name, which must be a continuous input."""
+    if not system.has(name):
+        ports = [*_effective(system, system.ports("input"))]
+        names = [*dict.fromkeys([*system.inputs, *(p.variable for p in ports), *map(str, ports)])]
+        raise Problem(
+            f"--input: unknown variable {name!r}{suggest(name, names) or _name_list(names, 'inputs')}"
+        )
     targets = system.targets(name)
     for port, _ in targets:
         variable, interface = system.variable(port), system.components[port.component].interface

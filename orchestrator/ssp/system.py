@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -180,12 +180,15 @@ class System:
         names = (name for name in sorted(archive.names()) if name.startswith(prefix))
         return {name.removeprefix(prefix): archive.member(name) for name in names}
 
-    def port(self, name: str) -> Port:
-        """The port that `component.variable` names; both parts may contain dots."""
+    def port(self, name: str, others: Iterable[str] = ()) -> Port:
+        """The port that `component.variable` names; both parts may contain dots.
+
+        others   further names that are accepted, for the message
+        """
         port = self._find(name)
         if port is None:
             suggestion = (
-                suggest(name, self.names())
+                suggest(name, [*others, *self.names()])
                 or f"; expected one of {', '.join(self.components)}, a dot and a name"
             )
             raise Problem(f"unknown variable {name!r}{suggestion}")
@@ -214,7 +217,8 @@ class System:
         if len(units) > 1:
             with_units = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in inputs)
             raise Problem(f"{name}: expected inputs with one unit, got {with_units}")
-        return tuple((port, self._conversion(port)) for port in inputs or [self.port(name)])
+        others = dict.fromkeys([*self.inputs, *self.shared, *(p.variable for p in self.ports("input"))])
+        return tuple((port, self._conversion(port)) for port in inputs or [self.port(name, others)])
 
     def _inputs(self, name: str) -> list[Port]:
         """The component inputs of one name."""
