@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any
 
 MAX_COMPARED, MAX_COMPARABLE = 20_000, 200  # names and their characters that are compared, in 1 s
+MAX_LISTED = 8  # signals in a message
 MAX_LINE = 2000  # characters of a message; values in damaged files can have millions
 
 
@@ -61,10 +62,23 @@ class UnknownSignal(Problem, KeyError):
         """In another process a plain Problem."""
         return Problem, self.args
 
-    def __init__(self, name: str, names: Iterable[str], where: str = "") -> None:
-        names = list(names)
-        hint = suggest(name, names) or f"; there are {', '.join(sorted(names)[:8]) or 'none'}"
-        super().__init__(f"{where}no signal {name} in the run{hint}")
+    def __init__(
+        self, name: object, names: Iterable[str], where: str = "", among: str = "the run", hint: str = ""
+    ) -> None:
+        """where: file and item; among: what has no such signal; hint: in place of similar names."""
+        super().__init__(f"{where}{_unknown(name, list(names), among, hint)}")
+
+
+def _unknown(name: object, names: Sequence[str], among: str, hint: str) -> str:
+    """Why a key selects no signal."""
+    if not isinstance(name, str):
+        return f"expected the name of a signal{hint}, got {name!r}"
+    same = sorted(n for n in names if n.rpartition(".")[2] == name)
+    if len(same) > 1:
+        more = ", ..." if len(same) > MAX_LISTED else ""
+        return f"{name} is in {len(same)} components: {', '.join(same[:MAX_LISTED])}{more}"
+    hint = hint or suggest(name, names) or f"; there are {', '.join(sorted(names)[:MAX_LISTED]) or 'none'}"
+    return f"no signal {name} in {among}{hint}"
 
 
 def suggest(name: str, names: Iterable[str]) -> str:

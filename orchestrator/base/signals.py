@@ -1,14 +1,48 @@
-"""Measures of the samples of one signal: whether it moves, its range, its root mean square."""
+"""Names of signals, and measures of the samples of one signal: whether it moves, its range, its RMS."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from fnmatch import fnmatchcase
+
 import numpy as np
 from numpy.typing import NDArray
+
+from orchestrator.base.errors import UnknownSignal
 
 Array = NDArray[np.float64]
 CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
 CONSTANT_OF_NOMINAL = 1e-6  # the same over a nominal value
 TINY = 1e-150  # magnitudes whose squares leave the range of a float count as zero
+
+
+def bare_name(signal: str) -> str:
+    """The name of a signal without its component: `boom_angle` of `manipulator.boom_angle`."""
+    return signal.rpartition(".")[2]
+
+
+def matching(names: Collection[str], pattern: str) -> list[str]:
+    """The signals that a name or a pattern selects, with * and ? as in file names.
+
+    A pattern without a dot matches names without their component: `boom_*` selects manipulator.boom_angle,
+    but not boom_stick.stick_force. A pattern with a dot matches component.variable: `boom_stick.*`.
+    """
+    if pattern in names:
+        return [pattern]
+    whole = "." in pattern
+    return [name for name in names if fnmatchcase(name if whole else bare_name(name), pattern)]
+
+
+def found(names: Collection[str], name: object, among: str = "the run") -> str:
+    """The signal of a name, which may lack the component if only one signal has it; raises UnknownSignal.
+
+    among   what has the signals, for the message
+    """
+    if isinstance(name, str):
+        same = [name] if name in names else [other for other in names if bare_name(other) == name]
+        if len(same) == 1:
+            return same[0]
+    raise UnknownSignal(name, names, among=among)
 
 
 def moves(signal: Array, recording: Array | None = None) -> bool:

@@ -216,6 +216,7 @@ def quantity(unit: str) -> str:
 # another common unit. NEAR: factor between usual magnitudes of one quantity.
 FAR, NEAR = 1000.0, 5.0
 LIKELY = FAR / NEAR**2
+JOINT = 0.1  # [rad], least usual angle of a joint: any angle up to half a turn is near in deg
 COMMON = (
     *("bar", "MPa", "kPa", "GPa", "psi", "Pa", "mm", "cm", "m", "km", "mm2", "cm2", "L", "cm3"),
     *("L/min", "L/s", "cm3/rev", "g", "kg", "t", "kg/L", "ms", "s", "deg", "mrad", "deg/s", "rpm"),
@@ -255,14 +256,19 @@ def doubts(peaks: Iterable[tuple[str, float, str, Sequence[float]]]) -> Iterator
 
 
 def _meant(size: float, unit: str, low: float, high: float) -> str:
-    """The unit in which a magnitude is the nearest to the usual ones; empty if it is near in none."""
+    """The unit in which a magnitude is the nearest to the usual ones; empty if it is near in none.
+
+    Half a turn is as near as any other angle of a joint.
+    """
     distances: dict[str, float] = {}
     for other in dict.fromkeys([reader_unit(unit), *COMMON]):
         try:
             there = size * factor_and_offset(other, unit, "")[0]
         except Problem:
             continue
-        if other != unit and low / NEAR <= there <= high * NEAR:
+        if (unit, other) == ("rad", "deg") and high >= JOINT and low / NEAR <= there <= pi:
+            distances[other] = 1.0
+        elif other != unit and low / NEAR <= there <= high * NEAR:
             distances[other] = max(1.0, there / high, low / there)
     return min(distances, key=distances.__getitem__, default="")
 

@@ -86,8 +86,8 @@ def compare(
 
     traces    Two or more traces (.csv, .parquet, .mat).
     against   Trace to compare with; default: the first TRACE.
-    signals   Signals to show, such as '*_pressure*'; default: speeds, pressures and angles. The summary
-              covers all signals.
+    signals   Signals to show, such as '*_pressure*', or with component 'boom_stick.*'; default: speeds,
+              pressures and angles. The summary covers all signals.
     start     Start of the time window [s]; default: start of the overlap.
     stop      End of the time window [s]; default: end of the overlap.
     out       Folder of comparison.html, .png and .json.
@@ -116,8 +116,8 @@ def plot(
 
     files     Traces (.csv, .parquet, .mat) of one or several runs, or measurements with a .toml; default: the
               newest trace in build.
-    signals   Signals to draw, such as '*_pressure' or boom_angle; default: up to six signals of each of four
-              quantities.
+    signals   Signals to draw, such as boom_angle, 'boom_*' or, with component, 'boom_stick.*'; default: up to
+              six signals of each of four quantities.
     start     Start of the time window [s]; default: all.
     stop      End of the time window [s]; default: all.
     out       File of the picture (.png, .svg); default: a window, or build/plot.png without a display.

@@ -38,8 +38,8 @@ def convergence(
     masters     Names of masters (jacobi, gauss-seidel, hermite, interface-jacobian), labels of settings such
                 as 'hermite 2 passes', or patterns of labels such as '*order 1', separated by commas; default:
                 all.
-    signals     Signals whose error is computed, such as '*_pressure*', one table for each; default: speeds
-                and pressures.
+    signals     Signals whose error is computed, such as '*_pressure' or, with component, 'boom_stick.*', one
+                table for each; default: speeds and pressures.
     repeats     Number of times that each run is timed, at least 1; the median is reported.
     out         Folder of the tables and figures.
     """

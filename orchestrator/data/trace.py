@@ -7,7 +7,6 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 
 from __future__ import annotations
 
-import fnmatch
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,6 +22,7 @@ from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require
 from orchestrator.base.options import Seconds, seconds
+from orchestrator.base.signals import found, matching
 from orchestrator.base.text import first_names
 from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 
@@ -36,18 +36,34 @@ METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 JUMP = 1e-6  # s, in which a scenario goes from one row to the next one with the same time
 
 
+class Units(dict[str, str]):
+    """Name -> unit of each signal that has one; as in a `Trace`, unique names may lack the component."""
+
+    def __init__(self, units: Mapping[str, str] | Iterable[tuple[str, str]], signals: Iterable[str] = ()):
+        """signals: names of all signals; the unit of one without a unit is empty."""
+        super().__init__(units)
+        self._signals = tuple(signals)
+
+    def __missing__(self, name: str) -> str:
+        return self.get(found(self._signals, name), "")
+
+
 @dataclass(frozen=True, repr=False)
 class Trace(Mapping[str, Array]):
     """Signals over a common, strictly increasing time axis, in SI units: a mapping of names to values.
 
     time      shape (n,) [s]
     signals   name -> shape (n,); the names in a run are `component.variable`
-    units     name -> unit as written in the FMU or in the metadata of the file; empty without a unit
+    units     name -> unit as written in the FMU or in the metadata of the file; empty without a unit; a name
+              may lack the component here, too
     """
 
     time: NDArray[np.float64]
     signals: Mapping[str, NDArray[np.float64]]
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "units", Units(self.units, self.signals))
 
     @overload
     def __getitem__(self, key: str) -> Array: ...
@@ -58,16 +74,20 @@ class Trace(Mapping[str, Array]):
 
         A name may lack the component if only one signal has it.
         """
-        if not isinstance(key, str):
-            return self._with({name: self.signals[name] for name in (self.chosen(key) if key else ())})
-        return self.signals[key if key in self.signals else self._only(key)]
+        if isinstance(key, str):
+            return self.signals[key if key in self.signals else self._only(key)]
+        names = list(key) if isinstance(key, Iterable) else [key]
+        for name in names:
+            if not isinstance(name, str):
+                raise UnknownSignal(name, self.signals, hint=", or a list of names and patterns")
+        return self._with({name: self.signals[name] for name in (self.chosen(names) if names else ())})
 
     def _only(self, variable: str) -> str:
         """The one signal of this variable; raises UnknownSignal."""
-        same = [name for name in self.signals if name.rpartition(".")[2] == variable]
-        if len(same) != 1:
-            raise UnknownSignal(variable, same or self.signals)
-        return same[0]
+        if {*"*?["} & {*variable} and matching(self.signals, variable):
+            hint = f'; a pattern goes in a list: result[["{variable}"]]'
+            raise UnknownSignal(variable, self.signals, hint=hint)
+        return found(self.signals, variable)
 
     def _with(self, signals: Mapping[str, Array], time: Array | None = None) -> Self:
         """Some of these signals with other samples, at these times."""
@@ -130,8 +150,9 @@ class Trace(Mapping[str, Array]):
     ) -> Figure:
         """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
 
-        patterns      names of signals with or without component, or patterns such as `*.swing_pressure_*`,
-                      or lists of them; default: up to six signals of each of four quantities
+        patterns      names of signals with or without component, patterns such as `boom_*_pressure` or, with
+                      a dot for component.variable, `swing.*`, or lists of them; default: up to six signals
+                      of each of four quantities
         start, stop   time window [s]; default: all
         others        label -> further traces or results, with other line styles; `label`: that of this one
         band          half width of a band around signals of this trace, in their units
@@ -153,7 +174,7 @@ class Trace(Mapping[str, Array]):
         return draw(signal_figure(curves, units, title, below, around))
 
     def chosen(self, patterns: Sequence[str] = ()) -> list[str]:
-        """The signals that patterns name, with or without component; default: those of a figure.
+        """The signals that names and patterns select, see `matching`; default: those of a figure.
 
         Raises Problem if a pattern names none.
         """
@@ -163,12 +184,7 @@ class Trace(Mapping[str, Array]):
             return default_signals(self.signals, self.units)
         names: dict[str, None] = {}
         for pattern in patterns:
-            if pattern in self.signals:
-                names[pattern] = None
-                continue
-            bare = [name for name in self.signals if fnmatch.fnmatchcase(name.rpartition(".")[2], pattern)]
-            matches = fnmatch.filter(self.signals, pattern) or bare
-            names |= dict.fromkeys(matches or [self._only(pattern)])
+            names |= dict.fromkeys(matching(self.signals, pattern) or [self._only(pattern)])
         return list(names)
 
     def window(self, start: Seconds = None, stop: Seconds = None) -> Self:

@@ -33,7 +33,7 @@ from orchestrator.base.files import Location, csv_header
 from orchestrator.base.processes import check_room
 from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
-from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, check_suffix, read_trace
+from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, Units, check_suffix, read_trace
 
 Array = NDArray[np.float64]
 Points = tuple[Array, Array, NDArray[np.int32]]  # times, Real and Integer values
@@ -198,7 +198,7 @@ class TraceInMemory(TraceSink):
 class TraceOnDisk(Trace):
     """A trace in a file, which is read at the first use of its samples."""
 
-    def __init__(self, read: Callable[[], Trace], units: Mapping[str, str]) -> None:
+    def __init__(self, read: Callable[[], Trace], units: Units) -> None:
         self.__dict__.update(units=units, read=read)
 
     @cached_property
@@ -283,7 +283,8 @@ class TraceFile(TraceSink):
     def trace(self) -> Trace:
         """All rows: those in memory, or, if they are too many, those in the file when they are needed."""
         complete = self._kept.rows == self.rows
-        return self._kept.trace if complete else TraceOnDisk(self._read, self.layout.units)
+        units = Units(self.layout.units, self.layout.names)
+        return self._kept.trace if complete else TraceOnDisk(self._read, units)
 
     def _read(self) -> Trace:
         self.close()

@@ -14,11 +14,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Execution
@@ -277,11 +277,12 @@ def estimates_errors(system: System) -> bool:
 def decisive_signals(system: System, patterns: Sequence[str] = ()) -> list[str]:
     """The outputs that match; without patterns the velocities of power bonds, else all outputs."""
     names = [str(p) for p in system.ports("output") if system.variable(p).is_continuous]
-    for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in names):
+    selected = {pattern: matching(names, pattern) for pattern in patterns}
+    for pattern, matches in selected.items():
+        if not matches:
             raise Problem(f"accuracy of {pattern}: expected continuous outputs of the system, found none")
     if patterns:
-        return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+        return [name for name in names if any(name in matches for matches in selected.values())]
     units = {bond.flow: system.variable(bond.flow).unit for bond in find_bonds(system)}
     speeds = {port for port, unit in units.items() if unit and unit.dimension in (VELOCITY, ANGULAR_VELOCITY)}
     sources = {str(c.source) for c in system.connections if c.target in speeds}

@@ -30,8 +30,8 @@ class SystemArguments(TypedDict, total=False):
                  component sets all inputs of this name (supply_pressure) or a parameter that components share
                  (boom_stroke). Unit: that of `harvester signals`, or given, such as
                  supply.pressure_setting=180bar.
-    cut          Remove the connections to the inputs COMPONENT.VARIABLE that match, such as '*_rate';
-                 default: none.
+    cut          Remove the connections to the inputs that match: '*_rate' matches the variable, and with a
+                 dot 'swing.*_rate' COMPONENT.VARIABLE; default: none.
     """
 
     swap: Swaps
@@ -71,8 +71,8 @@ class AccuracyArguments(TypedDict, total=False):
     accuracy      Largest RMS error over the range of a signal, such as 1e-3: master, step and FMU tolerance
                   follow from it. Default of the commands, if neither options nor the system choose master or
                   step, and all FMUs have directional derivatives: 1e-3, validate: 1e-4.
-    accuracy_of   With `accuracy`: the outputs COMPONENT.VARIABLE that it applies to, such as '*_speed';
-                  default: the velocities of power bonds, else all outputs.
+    accuracy_of   With `accuracy`: the outputs that it applies to, such as '*_speed', or with component
+                  'manipulator.*_speed'; default: the velocities of power bonds, else all outputs.
     """
 
     accuracy: Annotated[float | None, Kind("ERROR")]
@@ -177,7 +177,7 @@ class LinearArguments(SystemArguments, total=False):
 
     inputs    Input of the linear model, COMPONENT.VARIABLE or all inputs with this name; its connection is
               removed; default: the inputs of the system, and the inputs that are connected to operator_input.
-    outputs   Outputs COMPONENT.VARIABLE that match, such as '*_angle'; default: all.
+    outputs   Outputs that match, such as '*_angle', or with component 'manipulator.*'; default: all.
     steady    Linearize at the steady state with the joint angles of the operating point; all other states are
               computed.
     speeds    With `steady`: constant speed of a joint [rad/s], such as boom=0.1; default: 0.

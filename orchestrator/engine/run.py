@@ -49,7 +49,13 @@ from orchestrator.ssp.coupling import Coupling, take_coupling
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets
-from orchestrator.ssp.plausible import doubtful_columns, doubtful_end, doubtful_starts, with_doubts
+from orchestrator.ssp.plausible import (
+    doubtful_columns,
+    doubtful_end,
+    doubtful_starts,
+    doubts_told,
+    with_doubts,
+)
 from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
@@ -265,7 +271,7 @@ def prepare(
 
 def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
     """Run a job, in a process of its own or in this one; the rows go to `sink`."""
-    with ProgressBar(times.stop - times.start, job.execution.progress) as bar:
+    with ProgressBar(times.stop - times.start, job.execution.progress) as bar, doubts_told(job.system):
 
         def between(t: float) -> None:
             bar.update(t - times.start)

@@ -15,10 +15,11 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orchestrator.base.errors import Problem, UnknownSignal
+from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
+from orchestrator.base.signals import found
 from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
@@ -64,9 +65,7 @@ class BatchResult:
         return f"{head}\nsignals: {first_names(self.signals)}"
 
     def __getitem__(self, name: str) -> Array:
-        if name not in self.signals:
-            raise UnknownSignal(name, self.signals)
-        return self.signals[name]
+        return self.signals[found(self.signals, name)]
 
     def trace(self, machine: int) -> Trace:
         """The signals of one machine, up to its failure."""

@@ -1,10 +1,10 @@
 """Inputs and outputs of a linear model, and the system without the connections to these inputs."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.signals import matching
 from orchestrator.fmi.interface import FmuInterface
 from orchestrator.monolithic.plant import Plant
 from orchestrator.ssp.system import Inlet, Port, System
@@ -86,27 +86,30 @@ def matching_outputs(system: System, patterns: Sequence[str] = ()) -> list[Port]
     """The continuous outputs that match one of the patterns; all without patterns."""
     ports = [p for p in system.ports("output") if system.variable(p).is_continuous]
     names = [str(p) for p in ports]
-    for pattern in patterns:
-        if not any(map(_fits(pattern), names)):
+    selected = {pattern: matching(names, pattern) for pattern in patterns}
+    for pattern, matches in selected.items():
+        if not matches:
             raise Problem(
                 f"--output {pattern}: no output matches{suggest(pattern, names) or _name_list(names)}"
             )
-    return [p for p in ports if not patterns or any(_fits(x)(str(p)) for x in patterns)]
+    return [p for p in ports if not patterns or any(str(p) in matches for matches in selected.values())]
 
 
-def _name_list(names: Sequence[str]) -> str:
+def _name_list(names: Sequence[str], kind: str = "outputs") -> str:
     """A list of names, or of the first of many, for a message."""
     if len(names) <= MAX_LISTED:
         return f"; there are {', '.join(names) or 'none'}"
-    return f"; there are {len(names)} outputs, such as {', '.join(names[:MAX_LISTED])}"
-
-
-def _fits(pattern: str) -> Callable[[str], bool]:
-    return lambda name: fnmatchcase(name, pattern) or fnmatchcase(name.rpartition(".")[2], pattern)
+    return f"; there are {len(names)} {kind}, such as {', '.join(names[:MAX_LISTED])}"
 
 
 def _inlet(system: System, name: str) -> Inlet:
     """The input with a name, which must be a continuous input."""
+    if not system.has(name):
+        ports = [*_effective(system, system.ports("input"))]
+        names = [*dict.fromkeys([*system.inputs, *(p.variable for p in ports), *map(str, ports)])]
+        raise Problem(
+            f"--input: unknown variable {name!r}{suggest(name, names) or _name_list(names, 'inputs')}"
+        )
     targets = system.targets(name)
     for port, _ in targets:
         variable, interface = system.variable(port), system.components[port.component].interface

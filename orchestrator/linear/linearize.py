@@ -15,9 +15,9 @@ from orchestrator.engine.run import ScenarioSource, opened, run
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
-from orchestrator.linear.steady_state import find_steady_state
+from orchestrator.linear.steady_state import find_steady_state, moving_positions
 from orchestrator.ssp.parameter_sets import with_sets
-from orchestrator.ssp.plausible import doubtful_starts, with_doubts
+from orchestrator.ssp.plausible import doubtful_starts, doubts_told, with_doubts
 from orchestrator.ssp.provenance import built_notes
 from orchestrator.ssp.system import Port, System
 
@@ -128,7 +128,8 @@ def linearize(
     start = full.start or 0.0
     plant = CutPlant(cut)
     try:
-        plant.start((start, start + EXPERIMENT_LENGTH))
+        with doubts_told(cut.system):
+            plant.start((start, start + EXPERIMENT_LENGTH))
         warnings = with_doubts(full, doubtful_starts(cut.system)).warnings
         notes = built_notes(full) + warnings + cut.notes + plant.notes
         if time is None:
@@ -137,7 +138,8 @@ def linearize(
             settle_at_time(plant, full.with_start(start_values), scenario, time, step)
         if steady:
             notes += find_steady_state(plant, speeds)
-        return _result(plant, ports, start if time is None else time, notes)
+        model = _result(plant, ports, start if time is None else time, notes)
+        return replace(model, moving=moving_positions(plant, speeds)) if speeds else model
     finally:
         plant.close()
 

@@ -33,6 +33,7 @@ class LinearModel:
 
     f0      state derivatives at the operating point, zero in a steady state
     time    of the operating point [s]
+    moving  names of the positions whose constant speed was asked for
     notes   remarks for the user
     """
 
@@ -50,6 +51,7 @@ class LinearModel:
     f0: Array
     time: float = 0.0
     notes: tuple[str, ...] = field(default=())
+    moving: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         lines = (shorten(line, 120, placeholder=" ...") for line in self.text().splitlines()[:4])
@@ -119,13 +121,16 @@ Linear = LinearModel  # old name, kept for compatibility
 
 
 def _operating_point(linear: LinearModel) -> list[str]:
-    """Input values, and the up to three states with the largest relative rates."""
+    """Input values, the up to three states with the largest relative rates, and the given speeds."""
     inputs = [f"{i.name} = {_value(v, i)}{_unit(i)}" for i, v in zip(linear.inputs, linear.u0, strict=True)]
-    rates = _relative_rates(linear)
-    fastest = [(linear.states[i], linear.f0[i]) for i in np.argsort(-rates)[:3] if rates[i] > STEADY_RATE]
-    changes = [f"{state.name} changes by {rate:.3g}{_unit(state)} per s" for state, rate in fastest]
+    moving = [state.name in linear.moving for state in linear.states]
+    rates = np.where(moving, 0.0, _relative_rates(linear))
+    fastest = [i for i in np.argsort(-rates)[:3] if rates[i] > STEADY_RATE]
+    texts = [f"{f:.3g}{_unit(s)} per s" for s, f in zip(linear.states, linear.f0, strict=True)]
+    changes = [f"{linear.states[i].name} changes by {texts[i]}" for i in fastest]
+    speeds = "".join(f"; {linear.states[i].name} moves at {texts[i]}" for i in np.flatnonzero(moving))
     steady = f"not a steady state: {', '.join(changes)}" if changes else "steady state"
-    return [f"inputs: {', '.join(inputs) or 'none'}", steady]
+    return [f"inputs: {', '.join(inputs) or 'none'}", f"{steady}{speeds}"]
 
 
 def _relative_rates(linear: LinearModel) -> Array:

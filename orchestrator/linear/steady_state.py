@@ -258,6 +258,12 @@ def find_steady_state(plant: CutPlant, speeds: Mapping[str, float] | None = None
     return _notes(plant, joints, idle, search.free)
 
 
+def moving_positions(plant: CutPlant, speeds: Mapping[str, float]) -> tuple[str, ...]:
+    """The positions of the joints whose speed is not zero."""
+    joints = _joints(plant, plant.matrices())
+    return tuple(str(plant.states[joints[name].position]) for name, speed in speeds.items() if speed)
+
+
 def _joints(plant: CutPlant, m: Matrices) -> dict[str, HeldJoint]:
     """The joints, by the first word of their names."""
     inputs = [inlet.name.rpartition(".")[2] for inlet in plant.cut.inputs]

@@ -42,6 +42,7 @@ from orchestrator.fmi.messages import LogMessage
 from orchestrator.monolithic.plant import Plant
 from orchestrator.monolithic.tight import FMU_TOLERANCE, first_step, tightened
 from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.plausible import doubts_told
 from orchestrator.ssp.system import Inlet, System
 
 SOLVER = "none, all FMUs as one ODE (CVODE)"  # on the card, in place of a master
@@ -182,7 +183,8 @@ class _Integration:
         began, plant, times = wall_time.perf_counter(), self.plant, self.times
         system = plant.system
         driven = self.scenario.initial(system, times.start) if self.scenario else {}
-        plant.start((times.start, times.stop), driven)
+        with doubts_told(system):
+            plant.start((times.start, times.stop), driven)
         if self.scenario:
             plant.drive(self.scenario)
         check_room(times.rows, len([*plant.outputs, *plant.inputs, *plant.states, *self._discrete]))

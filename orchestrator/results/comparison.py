@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.signals import span
+from orchestrator.base.signals import matching, span
 from orchestrator.base.text import brief, first_names, percentage
 from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
@@ -37,11 +36,19 @@ class Run:
     __repr__ = brief
 
 
+EXPECTED = 'compare: expected a list of files, or results with names such as {"a": one, "b": other}'
+
+
 def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Path | None = None) -> list[Run]:
     """Read the runs of files, or of a mapping with traces, results and files; `more`: a further file."""
+    if isinstance(sources, str | Path | Trace | Result):
+        raise Problem(f"{EXPECTED}, got one {type(sources).__name__}")
     if isinstance(sources, Mapping):
         labelled: Mapping[str, Source] = sources
     else:
+        for source in sources:
+            if not isinstance(source, str | Path):
+                raise Problem(f"{EXPECTED}, got a list with a {type(source).__name__}")
         files = [Path(s) for s in sources]
         labelled = _labelled(files)
         if more is not None and str(more) not in labelled:
@@ -67,6 +74,8 @@ def _run(label: str, source: Source) -> Run:
         return Run(label, source.trace, metadata(source))
     if isinstance(source, Trace):
         return Run(label, source)
+    if not isinstance(source, str | Path):
+        raise Problem(f"compare: {label}: expected a file, a Trace or a Result, got {type(source).__name__}")
     path = Path(source)
     if path.suffix.lower() != ".parquet" and path.with_suffix(".toml").is_file():
         return Run(label, read_recording(path).without_gaps(), None, str(path))
@@ -131,19 +140,33 @@ class Comparison:
         return {group: [row.signal for row in rows] for group, rows in groups.items()}
 
     def worst(self, label: str, quantity: str) -> ValidatedSignal | None:
-        """The signal of a quantity with the largest NRMSE, of those that are not at rest in both runs.
+        """The signal of a quantity with the largest NRMSE; None if all are at rest in both runs.
 
         If the reference is at rest, NRMSE is over the range of the other run, and CONSTANT is a note.
+        Raises Problem for an unknown run or quantity.
         """
-        rows = self.against[label].groups.get(quantity, [])
+        rows = self._rows(label, quantity)
         ranges = [span(values) for row in rows for values in (row.reference, row.simulation)]
         least = max(AT_REST * max(ranges, default=0.0), FLOOR)
         moving = [moved for row in rows if (moved := _moving(row, least))]
         return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
 
+    def _rows(self, label: str, quantity: str) -> list[ValidatedSignal]:
+        """The signals of a quantity in the comparison with a run."""
+        if label not in self.against:
+            others = first_names(self.against, 8)
+            if label == self.reference.label:
+                raise Problem(f"run {label!r} is the reference; it is compared with {others}")
+            raise Problem(f"no run {label!r}{suggest(label, self.against) or f'; there are {others}'}")
+        groups = self.against[label].groups
+        if quantity not in groups:
+            hint = suggest(quantity, groups) or f"; there are {', '.join(groups)}"
+            raise Problem(f"no quantity {quantity!r}{hint}")
+        return groups[quantity]
+
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, including signals at rest."""
-        rows = self.against[label].groups[quantity]
+        rows = self._rows(label, quantity)
         unit = rows[0].unit
         return max(rows, key=lambda r: r.metrics.maximum_error * factor_and_offset(r.unit, unit, r.signal)[0])
 
@@ -294,13 +317,13 @@ def _common(runs: Sequence[Run], reference: Run) -> list[str]:
 
 def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str]) -> tuple[str, ...]:
     """The signals to show."""
-    requested = tuple(patterns)
-    for pattern in requested:
-        if not any(fnmatchcase(name, pattern) for name in common):
+    selected = {pattern: matching(common, pattern) for pattern in patterns}
+    for pattern, matches in selected.items():
+        if not matches:
             near = suggest(pattern, common) or f"; there are {first_names(common, 3)}"
             raise Problem(f"compare: signals {pattern}: no common signal matches{near}")
-    if requested:
-        return tuple(name for name in common if any(fnmatchcase(name, p) for p in requested))
+    if selected:
+        return tuple(name for name in common if any(name in matches for matches in selected.values()))
     units, inputs = runs[0].trace.units, {n for run in runs if run.metadata for n in run.metadata.inputs}
     outputs = [name for name in common if name not in inputs]
     default = [n for q in DEFAULT_QUANTITIES for n in outputs if quantity(units.get(n, "")) == q]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -20,6 +19,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.options import declarations
 from orchestrator.base.progress import doing
+from orchestrator.base.signals import matching
 from orchestrator.base.units import convert
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, fill_gaps, read_recording
@@ -76,8 +76,9 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
 
     also   patterns of further signals that are played, such as a measured supply pressure
     """
-    for pattern in also:
-        if not any(fnmatchcase(name, pattern) for name in reference.signals):
+    selected = {pattern: matching(reference.signals, pattern) for pattern in also}
+    for pattern, matches in selected.items():
+        if not matches:
             names = ", ".join(reference.signals)
             raise Problem(f"--play {pattern}: expected a signal of {reference.source}: {names}")
     inputs = {str(p) for p in system.ports("input")}
@@ -88,7 +89,7 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
     for name in reference.signals:
         # a system of one FMU has only one component
         port = name if others else str(Port(first, name.partition(".")[2]))
-        requested = any(fnmatchcase(name, pattern) for pattern in also)
+        requested = any(name in matches for matches in selected.values())
         if requested and port not in inputs:
             raise Problem(f"--play: expected an input of {system.name}, got {name}")
         if port not in external and not requested:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
+from orchestrator.base.signals import found
 from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
@@ -141,7 +142,9 @@ class Validation:
         return f"{outcome}: {inside} of {count} signals within their limits"
 
     def __getitem__(self, signal: str) -> ValidatedSignal:
-        return next(row for row in self.rows if row.signal == signal)
+        """The row of a signal, whose name may lack the component as in a `Trace`; raises UnknownSignal."""
+        rows = {row.signal: row for row in self.rows}
+        return rows[found(rows, signal, "the validation")]
 
 
 def validate(

@@ -7,12 +7,14 @@ nominal value at all, a start value of 0 or 1 is regarded as a placeholder, and 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from orchestrator.base.errors import Problem, one_line
 from orchestrator.base.units import LinearTransformation, doubt, doubts, factor_and_offset
 from orchestrator.ssp.system import Port, System, coerce
 
@@ -58,6 +60,17 @@ def doubtful_starts(system: System) -> Iterator[str]:
             if isinstance(value, float) and (variable, value) not in told:
                 told.add((variable, value))
                 yield doubtful(system, Port(component.name, variable), value)
+
+
+@contextmanager
+def doubts_told(system: System) -> Iterator[None]:
+    """Add the doubtful start values to a Problem of FMUs that refuse them: there is no card to tell them."""
+    try:
+        yield
+    except Problem as problem:
+        doubts = dict.fromkeys(filter(None, doubtful_starts(system)))
+        problem.args = (one_line("; ".join((str(problem), *doubts))),)
+        raise
 
 
 def doubtful_columns(

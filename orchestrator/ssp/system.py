@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.signals import matching
 from orchestrator.base.text import brief, first_names, grouped
 from orchestrator.base.units import (
     IDENTITY,
@@ -180,12 +180,15 @@ class System:
         names = (name for name in sorted(archive.names()) if name.startswith(prefix))
         return {name.removeprefix(prefix): archive.member(name) for name in names}
 
-    def port(self, name: str) -> Port:
-        """The port that `component.variable` names; both parts may contain dots."""
+    def port(self, name: str, others: Iterable[str] = ()) -> Port:
+        """The port that `component.variable` names; both parts may contain dots.
+
+        others   further names that are accepted, for the message
+        """
         port = self._find(name)
         if port is None:
             suggestion = (
-                suggest(name, self.names())
+                suggest(name, [*others, *self.names()])
                 or f"; expected one of {', '.join(self.components)}, a dot and a name"
             )
             raise Problem(f"unknown variable {name!r}{suggestion}")
@@ -214,7 +217,8 @@ class System:
         if len(units) > 1:
             with_units = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in inputs)
             raise Problem(f"{name}: expected inputs with one unit, got {with_units}")
-        return tuple((port, self._conversion(port)) for port in inputs or [self.port(name)])
+        others = dict.fromkeys([*self.inputs, *self.shared, *(p.variable for p in self.ports("input"))])
+        return tuple((port, self._conversion(port)) for port in inputs or [self.port(name, others)])
 
     def _inputs(self, name: str) -> list[Port]:
         """The component inputs of one name."""
@@ -394,14 +398,15 @@ class System:
     def without(self, *patterns: str) -> System:
         """The system without the connections whose target, such as `b.force_rate`, matches a pattern.
 
-        patterns   with * and ? as in file names: "*_rate" matches every input whose name ends in _rate
+        patterns   names and patterns, see `matching`: "*_rate" matches every input whose name ends in _rate
         """
         targets = [str(c.target) for c in self.connections]
-        for pattern in patterns:
-            if not any(fnmatchcase(target, pattern) for target in targets):
+        selected = {pattern: matching(targets, pattern) for pattern in patterns}
+        for pattern, matches in selected.items():
+            if not matches:
                 hint = suggest(pattern, targets) or f"; connected are {', '.join(targets[:8]) or 'none'}"
                 raise Problem(f"cut {pattern}: no connected input matches{hint}")
-        cut = [t for t in targets if any(fnmatchcase(t, pattern) for pattern in patterns)]
+        cut = [t for t in targets if any(t in matches for matches in selected.values())]
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
         notes = (
             (f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}",)

@@ -75,6 +75,8 @@ def by_hand(ssp, folder, linear):
 def test_the_matrices_are_those_made_by_hand(fmu_dir, tmp_path, speeds):
     """At rest and with every valve open, each entry of A, B, C and D."""
     linear = linearize(fmu_dir / "harvester.ssp", parameters=["folded"], steady=True, speeds=speeds)
+    moves = "".join(f"; manipulator.{joint}_angle moves at {v:g} rad per s" for joint, v in speeds.items())
+    assert linear.text().splitlines()[2] == f"steady state{moves}"
     (a, b, c, d), x, y = by_hand(fmu_dir / "harvester.ssp", tmp_path, linear)
     i, j = [x.index(s.name) for s in linear.states], [y.index(s.name) for s in linear.outputs]
     assert len(i) == len(x)

@@ -187,3 +187,6 @@ def test_the_text_names_the_three_fastest_states_and_what_is_not_stable():
         "not a steady state: b changes by 1 m per s, c changes by 2 m per s, a changes by 1 m per s",
         "unstable: divergence of a; marginally stable: integrator of b",
     ]
+    moving = replace(model, moving=("b",)).text().splitlines()[2]  # a speed that was asked for
+    changes = "c changes by 2 m per s, a changes by 1 m per s, d changes by 3 m per s"
+    assert moving == f"not a steady state: {changes}; b moves at 1 m per s"

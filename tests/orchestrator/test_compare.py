@@ -59,6 +59,26 @@ def test_numbers_are_those_of_the_errors():
     assert found.quantities() == {"speed": ["arm.speed", "arm.rest"], "pressure": ["pump.pressure"]}
 
 
+def test_an_unknown_run_or_quantity_is_told():
+    """With those that there are; so is what is no run at all."""
+    found = compare({"a": trace(), "usual": trace(0.02)})
+    told = {
+        ("usual", "presure"): r"^no quantity 'presure'; did you mean pressure\?$",
+        ("usual", "?"): r"^no quantity '\?'; there are speed, pressure$",
+        ("usul", "speed"): r"^no run 'usul'; did you mean usual\?$",
+        ("c", "speed"): r"^no run 'c'; there are usual$",
+        ("a", "speed"): r"^run 'a' is the reference; it is compared with usual$",
+    }
+    for wrong, line in told.items():
+        problem(lambda wrong=wrong: found.worst(*wrong), line)
+        problem(lambda wrong=wrong: found.largest(*wrong), line)
+    told = r'^compare: expected a list of files, or results with names such as \{"a": one, "b": other\}, got '
+    problem(lambda: compare([trace(), trace()]), told + "a list with a Trace$")
+    problem(lambda: compare(trace()), told + "one Trace$")
+    told = r"^compare: b: expected a file, a Trace or a Result, got int$"
+    problem(lambda: compare({"a": trace(), "b": 1}), told)
+
+
 def test_a_signal_at_rest_is_not_the_worst():
     """Its error over its range has no meaning; the error itself is printed."""
     noise = 1e-6 * np.sin(50 * TIME)

@@ -65,11 +65,33 @@ def test_a_trace_is_a_mapping_of_names(trace, result):
     assert trace["angle"] is trace["a.angle"] is dict(trace)["a.angle"]
     assert list(trace[["b.*", "angle"]]) == ["b.speed", "a.angle"]
     assert trace[["angle"]].units == trace.units
+    assert trace.units["angle"] == trace.units["a.angle"] == result.units["boom_angle"] == "rad"
+    assert trace.units["a.speed"] == ""
+    problem(lambda: trace.units["speed"], r"^speed is in 2 components: a.speed, b.speed$")
     assert not trace[[]]
-    problem(lambda: trace["speed"], r"^no signal speed in the run; did you mean a.speed, b.speed\?$")
+    problem(lambda: trace["speed"], r"^speed is in 2 components: a.speed, b.speed$")
+    told = r'^no signal a\.\* in the run; a pattern goes in a list: result\[\["a\.\*"\]\]$'
+    problem(lambda: trace["a.*"], told)
+    for key in (0, None, 1.5, [0], slice(2)):
+        told = r"^expected the name of a signal, or a list of names and patterns, got (0|None|1.5|slice\()"
+        problem(lambda key=key: trace[key], told)
+    assert 0 not in trace
     assert result["boom_angle"] is result.trace["manipulator.boom_angle"]
-    assert len(result[["boom_*"]]) < len(result) == len(result.trace)
+    assert len(result) == len(result.trace)
     assert "boom_angle" in result
+
+
+def test_a_pattern_without_a_dot_does_not_see_the_component(result):
+    """So `boom_*` selects no signal of the stick, whose component is boom_stick; one with a dot sees it."""
+    boom = list(result[["boom_*"]])
+    assert {"manipulator.boom_angle", "boom_stick.boom_force"} <= {*boom}
+    assert all(name.rpartition(".")[2].startswith("boom_") for name in boom)
+    assert "boom_stick.stick_force" in result[["boom_stick.*"]]
+    assert list(result[["*"]]) == list(result)
+    bare = Trace(np.arange(2.0), {"boom_u": np.zeros(2), "boom.v": np.zeros(2), "x[1]": np.ones(2)})
+    assert list(bare[["boom*", "x[1]"]]) == ["boom_u", "x[1]"]
+    for chosen in (compare({"a": bare, "b": bare}, signals="boom*").signals, bare.chosen(["boom*"])):
+        assert list(chosen) == ["boom_u"]
 
 
 def test_units_go_with_the_values(trace, result, tmp_path, monkeypatch):

@@ -138,6 +138,17 @@ def test_what_cannot_be_compared_is_refused(trace: Trace) -> None:
         validate(trace, reference)
 
 
+def test_a_row_is_found_by_its_name_with_or_without_component(trace: Trace) -> None:
+    """An unknown name is told with a similar one, and a name that two components have with both."""
+    found = validate(trace, trace, rate=False)
+    assert found["angle"] is found["shaft.angle"]
+    with pytest.raises(Problem, match=r"^no signal angel in the validation; did you mean shaft\.angle\?$"):
+        found["angel"]
+    two = Trace(trace.time, {"a.x": trace.time, "b.x": trace.time})
+    with pytest.raises(KeyError, match=r"^x is in 2 components: a\.x, b\.x$"):
+        validate(two, two, rate=False)["x"]
+
+
 def test_missing_unit_of_the_run_is_said() -> None:
     """A run without unit is taken in the unit of the reference, and a note says so."""
     run = Trace(np.array([0.0, 1.0]), {"a.x": np.array([0.0, 2.0])})

@@ -2,15 +2,17 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from kit import shards
 from kit.every import MACHINES
+from kit.mistakes import problem
 
 from fmus.identification.recordings.reading import doubtful
 from fmus.machine.build import parts_with_parameters
-from orchestrator import batch, compare, linearize, load, read_recording, read_trace, run, validate
+from orchestrator import batch, compare, linearize, load, read_recording, read_trace, reference, run, validate
 from orchestrator.__main__ import main
 from orchestrator.base import files
 from orchestrator.base.errors import Problem
@@ -109,6 +111,18 @@ def test_studies_batches_and_linear_models_warn_as_well(systems, built):
     assert sum("did you mean 0.3 t?" in note for note in notes) == 1
     notes = linearize(systems[""], set={"manipulator.head_mass": 0.35}).notes
     assert sum("did you mean 0.35 t?" in note for note in notes) == 1
+
+
+@pytest.mark.parametrize("name", ["initial_boom_angle=90", "initial_stick_angle=-60"])
+def test_an_fmu_that_refuses_a_value_does_not_hide_the_doubt(systems, name):
+    """In a run, in one process or two, in a reference and in a linear model: in the line of the error."""
+    name, value = name.split("=")
+    values = {f"manipulator.{name}": float(value)}
+    told = (
+        rf"is violated at t = 0 s: .*, expected > 0; .*{name} = .* rad, usually .*did you mean {value} deg\?$"
+    )
+    for call in (run, partial(run, isolate=False), reference, linearize):
+        problem(lambda call=call: call(systems[""], set=values), told)
 
 
 def test_a_recording_in_another_unit_is_doubtful(systems):
@@ -218,6 +232,9 @@ def test_a_command_that_is_replaced_is_not_recorded(experiments):
         (20.0, "bar", [2e7], "x = 20 bar, usually about 2e+07 bar; is the unit right?"),
         (2e7, "bar", [200.0], "x = 2e+07 bar, usually about 200 bar; did you mean 2e+07 Pa?"),
         (-40.0, "rad", [0.5], "x = -40 rad, usually about 0.5 rad; did you mean -40 deg?"),
+        (90.0, "rad", [0.2], "x = 90 rad, usually about 0.2 rad; did you mean 90 deg?"),
+        (200.0, "rad", [0.2], "x = 200 rad, usually about 0.2 rad; did you mean 200 mrad?"),
+        (20.0, "rad", [0.02], "x = 20 rad, usually about 0.02 rad; did you mean 20 mrad?"),
         (1e6, "furlong", [1.0], "x = 1e+06 furlong, usually about 1 furlong; is the unit right?"),
         (0.0, "Pa", [2e7], ""),
         (np.inf, "Pa", [2e7], ""),

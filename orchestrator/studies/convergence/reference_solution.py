@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
-from orchestrator.base.signals import rms, span
+from orchestrator.base.signals import matching, rms, span
 from orchestrator.base.text import grouped
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
@@ -187,11 +186,10 @@ def default_signals(system: System, patterns: Sequence[str] = ()) -> list[str]:
 
 def _matching(pattern: str, names: Iterable[str]) -> list[str]:
     signals = list(names)
-    matching = [name for name in signals if fnmatchcase(name, pattern)]
-    if not matching:
+    if not (matches := matching(signals, pattern)):
         near = suggest(pattern, signals) or f"; there are {', '.join(signals[:6]) or 'none'}"
         raise Problem(f"signals {pattern}: no signal matches{near}")
-    return matching
+    return matches
 
 
 def _without_rest(recording: Recording, groups: Mapping[str, Sequence[str]]) -> ReferenceSolution:
