@@ -40,7 +40,13 @@ from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
 from orchestrator.drive import drawing, score, sticks
 from orchestrator.drive.scene import Values, parameters, pose_names, start
-from orchestrator.drive.view_description import CAVITATION, ViewDescription, by_bare_name, view_description
+from orchestrator.drive.view_description import (
+    CAVITATION,
+    ViewDescription,
+    by_bare_name,
+    scale,
+    view_description,
+)
 from orchestrator.fmi.interface import FmuInterface
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import VENDOR
@@ -214,8 +220,9 @@ def page_data(description: ViewDescription, values: Values | None) -> dict[str, 
 
 
 def _shown(part: Any) -> dict[str, Any]:
-    """A gauge, chart or slider, with the factor from SI to its displayed unit."""
-    return asdict(part) | {"factor": 1 / parse_unit(part.unit).factor}
+    """A gauge, chart or slider, with the factors from the FMU's unit to the displayed and the SI unit."""
+    si = parse_unit(part.fmu_unit).factor if part.fmu_unit else 1.0
+    return asdict(part) | {"factor": scale(part.unit, part.fmu_unit), "si": si}
 
 
 def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str, Any]:
@@ -261,7 +268,8 @@ def _axis(
     """An input that the page sets: its limits, its start value, and the input for its slope."""
     driven = next((a for a in description.axes if name in a.name), None)
     slider = next((s for s in description.sliders if s.name == name), None)
-    rate = slider.rate if slider else driven.rate if driven else 0.0
+    moved = driven or (slider.driven(0.0) if slider else None)
+    rate = (slider and slider.rate) or (moved.rate if moved else 0.0)
     limit = driven.limit if driven and not slider else None
     slope, start = rates.get(name, ""), _start(interface, name)
     return {"name": name, "start": start, "limit": limit, "rate": rate, "slope": slope}

@@ -17,7 +17,7 @@ from typing import Annotated
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
-from orchestrator.base.units import parse_unit, reader_unit
+from orchestrator.base.units import factor_and_offset, parse_unit, reader_unit
 from orchestrator.drive.scene import Scene
 from orchestrator.drive.score import NO_TASK, Task
 from orchestrator.fmi.description import FmuVariable
@@ -82,9 +82,10 @@ class DriveMode:
 
 @dataclass(frozen=True)
 class Gauge:
-    """One gauge: a signal in SI units, its label, the displayed unit, and the range of its bar.
+    """One gauge: a signal, its label, the displayed unit, and the range of its bar.
 
-    high   None: the bar grows with the largest value that the page has seen
+    high       None: the bar grows with the largest value that the page has seen
+    fmu_unit   unit of the values; default: the SI unit
     """
 
     name: str
@@ -93,9 +94,10 @@ class Gauge:
     high: float | None = None
     low: float = 0.0
     digits: int = 1
+    fmu_unit: str = ""
 
     def __post_init__(self) -> None:
-        parse_unit(self.unit, f"gauge {self.name}")
+        scale(self.unit, self.fmu_unit, f"gauge {self.name}")
         if self.high is not None and not self.high > self.low:
             raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
@@ -115,7 +117,7 @@ class GaugeGroup:
 
 @dataclass(frozen=True)
 class ChartCurve:
-    """One curve: a signal in SI units. dashed: the second of a pair."""
+    """One curve: a signal. dashed: the second of a pair."""
 
     name: str
     text: str
@@ -127,8 +129,9 @@ class ChartCurve:
 class Chart:
     """Curves over time.
 
-    ends   possible upper ends of the axis; the first that includes all values is used
-    both   True: the axis is symmetric; False: it begins at zero
+    ends       possible upper ends of the axis; the first that includes all values is used
+    both       True: the axis is symmetric; False: it begins at zero
+    fmu_unit   unit of the values of all signals; default: the SI unit
     """
 
     title: str
@@ -136,18 +139,20 @@ class Chart:
     curves: tuple[ChartCurve, ...]
     ends: Annotated[tuple[float, ...], SOME]
     both: bool = True
+    fmu_unit: str = ""
 
     def __post_init__(self) -> None:
-        parse_unit(self.unit, f"chart {self.title}")
+        scale(self.unit, self.fmu_unit, f"chart {self.title}")
 
 
 @dataclass(frozen=True)
 class Slider:
-    """A slider of the machine on a page: an input, or a tunable parameter, in SI units.
+    """A slider of the machine on a page: an input, or a tunable parameter.
 
-    unit         displayed unit; low, high and step are in this unit
-    rate         largest change of an input per second [SI unit/s]
-    start        value at the beginning
+    unit       displayed unit; low, high and step are in this unit
+    rate       largest change of an input per second, in its unit; default: from end to end in 1 s
+    start      value at the beginning
+    fmu_unit   unit of rate and start; default: the SI unit
     """
 
     name: str
@@ -158,16 +163,23 @@ class Slider:
     step: float
     rate: float = 0.0
     start: float = 0.0
+    fmu_unit: str = ""
 
     def __post_init__(self) -> None:
-        parse_unit(self.unit, f"slider {self.name}")
+        scale(self.unit, self.fmu_unit, f"slider {self.name}")
         if not self.high > self.low:
             raise Problem(f"slider {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Lowest and highest value, in the unit of the FMU."""
+        factor = scale(self.unit, self.fmu_unit)
+        return self.low / factor, self.high / factor
+
     def driven(self, start: float) -> DrivenInput:
-        """The input that it sets, which rests at its start value [SI unit]."""
-        largest = max(abs(self.low), abs(self.high)) * parse_unit(self.unit).factor
-        return DrivenInput((self.name,), max(largest, abs(start)), self.rate, start)
+        """The input that it sets, which rests at its start value; all in the unit of the FMU."""
+        low, high = self.ends
+        return DrivenInput((self.name,), max(abs(low), abs(high), abs(start)), self.rate or high - low, start)
 
 
 @dataclass(frozen=True)
@@ -262,7 +274,7 @@ class ViewDescription:
             found = ", ".join(sorted(inputs)[:6]) or "none"
             raise Problem(f"{system.source or system.name}: {expected}, found {found}")
         free = {port.variable: port for port in _free_inputs(system)}
-        slid = (s for s in self.sliders if s.name in free and s.name not in axes and s.rate > 0)
+        slid = (s for s in self.sliders if s.name in free and s.name not in axes)
         return axes | {s.name: s.driven(_start(system, free[s.name])) for s in slid}
 
     def watched(self, system: System) -> tuple[str, ...]:
@@ -293,28 +305,29 @@ def of_variables(system: System) -> ViewDescription:
     """Gauges for the real outputs, grouped by unit, charts of the first, and sliders for the free inputs."""
     names = by_bare_name(str(port) for port in system.ports("output"))
     outputs = {bare: system.variable(system.port(name)) for bare, name in names.items()}
-    by_unit = dict[str, list[str]]()
+    by_unit = dict[tuple[str, str], list[str]]()
     for bare, variable in [(n, v) for n, v in outputs.items() if v.is_real][:MOST_GAUGES]:
-        by_unit.setdefault(_shown_unit(variable), []).append(bare)
+        by_unit.setdefault(_units(variable), []).append(bare)
     ends = tuple(m * 10.0**k for k in range(-3, 13) for m in (1, 2, 5))
     groups, charts = list[GaugeGroup](), list[Chart]()
-    for unit, shown in by_unit.items():
+    for (unit, fmu_unit), shown in by_unit.items():
         texts = [name.replace("_", " ") for name in shown]
-        lines = (_gauge(n, text, unit, outputs[n]) for n, text in zip(shown, texts, strict=True))
+        lines = (_gauge(n, text, outputs[n]) for n, text in zip(shown, texts, strict=True))
         groups.append(GaugeGroup(unit, tuple(lines)))
         curves = tuple(map(ChartCurve, shown, texts, COLOURS))
-        charts.append(Chart("Outputs", unit, curves, ends))
+        charts.append(Chart("Outputs", unit, curves, ends, fmu_unit=fmu_unit))
     sliders = tuple(_slider(system, port) for port in _free_inputs(system)[:MOST_SLIDERS])
     return ViewDescription(tuple(groups), tuple(charts[:MOST_CHARTS]), sliders=sliders)
 
 
-def _gauge(name: str, text: str, unit: str, variable: FmuVariable) -> Gauge:
+def _gauge(name: str, text: str, variable: FmuVariable) -> Gauge:
     """From the declared minimum to the maximum if there are both, else without ends."""
-    low, high = (bound / parse_unit(unit).factor for bound in variable.bounds)
+    unit, fmu_unit = _units(variable)
+    low, high = (bound * scale(unit, fmu_unit) for bound in variable.bounds)
     if not math.isfinite(high - low) or low >= high:
-        return Gauge(name, text, unit)
+        return Gauge(name, text, unit, fmu_unit=fmu_unit)
     digits = max(0, 2 - math.floor(math.log10(max(-low, high))))  # three that count, as in panels.js
-    return Gauge(name, text, unit, high, low, digits)
+    return Gauge(name, text, unit, high, low, digits, fmu_unit)
 
 
 def _free_inputs(system: System) -> list[Port]:
@@ -345,21 +358,27 @@ def _slider(system: System, port: Port) -> Slider:
     )
     if not low < high:
         low, high = start - reach, start + reach
-    unit = _shown_unit(variable)
-    factor = 1 / parse_unit(unit).factor
+    unit, fmu_unit = _units(variable)
+    factor = scale(unit, fmu_unit)
     step = 10.0 ** math.floor(math.log10(factor * (high - low) / 200))
     text = port.variable.replace("_", " ")
-    return Slider(port.variable, text, unit, factor * low, factor * high, step, high - low, start)
+    return Slider(port.variable, text, unit, factor * low, factor * high, step, high - low, start, fmu_unit)
 
 
-def _shown_unit(variable: FmuVariable) -> str:
-    """The displayed unit; "1" for an unknown unit."""
+def _units(variable: FmuVariable) -> tuple[str, str]:
+    """The displayed unit, and that of the FMU; "1" for an unknown unit."""
     unit = variable.unit.name if variable.unit else "1"
     try:
         parse_unit(unit)
     except Problem:
-        return "1"
-    return reader_unit(unit)
+        return "1", "1"
+    shown = reader_unit(unit)
+    return (unit, unit) if parse_unit(shown).offset != parse_unit(unit).offset else (shown, unit)
+
+
+def scale(unit: str, fmu_unit: str, context: str = "") -> float:
+    """Factor from the unit of the FMU, or the SI unit, to the displayed unit; raises `Problem`."""
+    return factor_and_offset(fmu_unit, unit, context)[0] if fmu_unit else 1 / parse_unit(unit, context).factor
 
 
 def by_bare_name(names: Iterable[str]) -> Mapping[str, str]:

@@ -71,6 +71,7 @@ class OperatorStation:
     heard      time of that message [s]
     held       True if the dead-man was held in that message
     armed      True if the dead-man was released since the driver took over and since the last fault
+    tasked     True if the page shows the training task, whose load the head has while this page drives
     counts     number of messages: "accepted", "refused", "old", "flood"
     """
 
@@ -79,6 +80,7 @@ class OperatorStation:
     heard: float = float("-inf")
     held: bool = False
     armed: bool = False
+    tasked: bool = False
     bucket: TokenBucket = field(default_factory=TokenBucket)
     counts: Counter[str] = field(default_factory=Counter)
 
@@ -186,11 +188,13 @@ class CommandGate:
         return True
 
     def set(self, name: object, value: object) -> None:
-        """Set an input. Raises `Problem` for one that the machine or a stick does not leave to others."""
-        names = sorted(self._described().free(self.machine.axes))
+        """Set an input, within the ends of its slider. Raises `Problem` for one that is not free."""
+        described = self._described()
+        names = sorted(described.free(self.machine.axes))
         if not isinstance(name, str) or name not in names:
             raise Problem(f"input: expected one of {', '.join(names) or 'none'}, found {ascii(name)[:60]}")
-        self.values[name] = finite(value, name)
+        ends = next((s.ends for s in described.sliders if s.name == name), (-math.inf, math.inf))
+        self.values[name] = min(max(finite(value, name), ends[0]), ends[1])
 
     def keep(self) -> None:
         """Command again the inputs that are set or loaded, while the sticks rest."""
@@ -244,8 +248,10 @@ class ControlAuthority:
         clock: Clock = time.monotonic,
         loads: Loads = dict,
     ) -> None:
-        """loads: values of inputs that no stick drives, such as the payload of the training task."""
-        self.machine, self._gate = machine, CommandGate(machine, described, clock, loads)
+        """loads: values of inputs that no stick drives, such as the payload of the training task; they apply
+        while the driver's page shows it."""
+        self.machine = machine
+        self._gate = CommandGate(machine, described, clock, lambda: loads() if self._tasked else {})
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self.stations: list[OperatorStation] = []
         self._names = itertools.count(1)
@@ -253,6 +259,10 @@ class ControlAuthority:
         self._asked: OperatorStation | None = None
         # the station that drove before; the reason concerns it alone
         self._last: OperatorStation | None = None
+
+    @property
+    def _tasked(self) -> bool:
+        return self._driver is not None and self._driver.tasked
 
     def join(self) -> OperatorStation:
         """Add a station for a new connection."""

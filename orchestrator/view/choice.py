@@ -46,12 +46,14 @@ class ViewPlan:
     """The setup that follows from a choice, its view description and parameters.
 
     parameters   of the drawn machine; None if the system does not describe a drawing
+    begin        time at the start [s]
     """
 
     choice: MachineChoice
     setup: Setup
     description: ViewDescription
     parameters: Values | None
+    begin: float = 0.0
 
 
 def plan(choice: MachineChoice) -> ViewPlan:
@@ -68,7 +70,9 @@ def plan(choice: MachineChoice) -> ViewPlan:
     driven = description.driven(posed).items()
     axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven)
     setup = Setup(str(choice.system), axes, description.watched(system), choice.swap, sets, choice.set)
-    return ViewPlan(choice, setup, description, parameters(scene, posed) if scene else None)
+    return ViewPlan(
+        choice, setup, description, parameters(scene, posed) if scene else None, loaded.start or 0.0
+    )
 
 
 def poses(system: Path) -> tuple[str, ...]:

@@ -238,7 +238,7 @@ class OpenPage:
         self.authority, self.training, self._broadcast = pages.authority, pages.training, pages.broadcast
         self.station: OperatorStation = pages.authority.join()
         self.credit = Credit()
-        self._task_shown, self._action = False, asyncio.Lock()
+        self._action = asyncio.Lock()
         self._running = set[asyncio.Task[None]]()
         self.answers: list[dict[str, Any]] = []
 
@@ -358,9 +358,8 @@ class OpenPage:
 
     async def save(self) -> None:
         path = await asyncio.to_thread(self.session.save)
-        command = self.session.repeated(path)
-        again = f"; the same drive: {command}" if command else ""
-        self.answer(f"saved: {path}{again}", href=f"/result/{quote(path.name)}")
+        told = "; ".join(filter(None, (f"saved: {path}", self.session.repeated(path))))
+        self.answer(told, href=f"/result/{quote(path.name)}")
 
     async def files(self) -> None:
         files = await asyncio.to_thread(self.session.files)
@@ -383,14 +382,14 @@ class OpenPage:
 
     def show_task(self, on: bool) -> None:
         """Show or hide the training task on this page. A driver who hides it drops its load."""
-        if on == self._task_shown:
+        if on == self.station.tasked:
             return
-        self._task_shown = on
-        dropped = {} if on else {name: 0.0 for name, load in self.training.loads().items() if load}
+        self.station.tasked = on
+        loads = () if on else [name for name, load in self.training.loads().items() if load]
         (self.training.open if on else self.training.close)()
-        if self.authority.status(self.station).role == "driving" and not self.training.shown:
-            for name, none in dropped.items():
-                self.authority.set(self.station, name, none)
+        if self.authority.status(self.station).role == "driving":
+            for name in loads:
+                self.authority.set(self.station, name, 0.0)
 
 
 ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {

@@ -170,7 +170,8 @@ class Session:
     def save(self, machine: Machine | None = None) -> Path:
         """Save the session, or that of another machine, as a result file in the first folder.
 
-        What was driven is beside it, as a scenario (`drive_of`); a replay has none.
+        What was driven is beside it, as a scenario (`drive_of`), unless it is a replay, or its beginning is
+        no longer in memory.
         """
         if not self.folders:
             raise Problem("save: no folder for results is open")
@@ -180,14 +181,16 @@ class Session:
             raise Problem("save: nothing has been recorded yet")
         stamp = time.strftime("%Y%m%d-%H%M%S")
         path = write_trace(trace, self.folders[0] / f"session-{stamp}.parquet")
-        if machine.drives and machine.axes:
+        if machine.drives and machine.axes and trace.time[0] <= self.plan.begin + 1e-9:  # rounding
             write_trace(trace.select(machine.axes), drive_of(path))
         return path
 
     def repeated(self, saved: Path) -> str:
-        """The command that repeats a saved session; empty for a replay."""
+        """How to repeat a saved session; empty for a replay."""
         drive = drive_of(saved)
-        return self.plan.choice.command(str(drive)) if drive.is_file() else ""
+        if drive.is_file():
+            return f"the same drive: {self.plan.choice.command(str(drive))}"
+        return "its beginning is no longer in memory, so it cannot be repeated" if self.machine.drives else ""
 
     def close(self) -> None:
         """Close all machines."""

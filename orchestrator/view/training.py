@@ -29,7 +29,7 @@ class Training:
         """declared: the task of the current machine."""
         self.task, self.table = declared(), list[dict[str, Any]]()
         self._machine, self._declared, self._source = machine, declared, _source(machine)
-        self._number, self._open = -1, 0
+        self._number, self._open, self._loaded = -1, 0, False
         self._clear(self.task.exercises[0])
 
     def open(self) -> None:
@@ -42,6 +42,7 @@ class Training:
     def close(self) -> None:
         """A page hides the task. While no page shows it, nothing is recorded."""
         self._open = max(0, self._open - 1)
+        self._loaded &= self.shown
 
     @property
     def shown(self) -> bool:
@@ -93,8 +94,10 @@ class Training:
         }
 
     def loads(self) -> dict[str, float]:
-        """Input -> its value: the load of the head while a page shows the task."""
-        return {self.task.load: self._progress.load} if self.task.load and self._open else {}
+        """Input -> its value: the load of the task, and none from its end on."""
+        load = self._progress.load if self._open else 0.0
+        self._loaded |= load > 0
+        return {self.task.load: load} if self.task.load and self._loaded else {}
 
     def write(self, path: Path) -> Path:
         """Write the table as CSV."""

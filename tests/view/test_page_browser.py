@@ -2,6 +2,8 @@
 
 import io
 import shlex
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -496,11 +498,10 @@ def test_a_dialog_says_what_was_wrong(page: Any, server: Server) -> None:
     assert not server.session.file
 
 
-def test_save(page: Any, server: Server, tmp_path: Path) -> None:
+def test_save(page: Any, tmp_path: Path) -> None:
     """The session comes as a file that can be read, with the axes and the signals; the page says how to run
     the same drive, which comes to the same angles."""
     from orchestrator.data.trace import read_trace
-    from orchestrator.engine.run import run
 
     with page.expect_download() as loaded:
         page.get_by_role("button", name="Save the drive").click()
@@ -508,23 +509,21 @@ def test_save(page: Any, server: Server, tmp_path: Path) -> None:
     assert {"boom_command", "manipulator.boom_angle"} <= set(found.signals)
     said = page.get_by_role("alert").get_by_text("the same drive: ").inner_text()
     words = shlex.split(said.partition("the same drive: ")[2])
-    system, scenario = words[2], words[words.index("--scenario") + 1]
-    assert system == str(server.session.plan.choice.system)
-    swap = server.session.plan.choice.swap
-    result = run(
-        system,
-        scenario,
-        stop=float(found.time[-1]),
-        swap=swap,
-        parameters=server.session.plan.setup.parameters,
-    )
+    out = tmp_path / "again.csv"
+    words += ["--stop", str(found.time[-1]), "--out", str(out)]
+    subprocess.run([sys.executable, "-m", "orchestrator", *words[1:]], check=True, capture_output=True)
+    result = read_trace(out)
     for joint in ("swing", "boom", "stick"):
         name = f"manipulator.{joint}_angle"
         # frame by frame, the solvers of the FMUs begin anew
         np.testing.assert_allclose(result[name][-1], found[name][-1], atol=1e-4)
 
 
-def test_help(page: Any) -> None:
-    """The map of the keys opens over the page."""
+def test_help(page: Any, server: Server) -> None:
+    """The map of the keys opens over the page; after it the keys belong to the sticks of a driver."""
+    take(page, server)
+    page.locator(".hm-state").get_by_text("hold Space").wait_for()
     page.get_by_role("button", name="Keys").click()
     page.locator("dialog").get_by_text("the machine rests without it").wait_for()
+    page.locator("dialog").get_by_role("button", name="Close").click()
+    page.wait_for_function("() => document.activeElement.classList.contains('hm-stage')")

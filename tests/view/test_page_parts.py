@@ -1,10 +1,13 @@
 """What the server of the page is made of: history, frames to slow pages, choices, files."""
 
 import math
+import shlex
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +16,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from kit.mistakes import problem
 
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
+from orchestrator.drive import page
+from orchestrator.drive import view_description as described
 from orchestrator.drive.sticks import modes
-from orchestrator.drive.view_description import by_bare_name, view_description
+from orchestrator.drive.view_description import Slider, by_bare_name, view_description
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.ssp.load import assemble, load
@@ -228,6 +233,38 @@ def test_a_free_input_with_a_slider(fmu_dir: Path, start: float) -> None:
     pressure = axes["supply_pressure"]
     assert (pressure.limit, pressure.rate, pressure.rest) == (25e6, 20e6, start)
     assert axes["payload_mass"].limit == 1000
+
+
+def test_units_of_an_fmu(bench: System) -> None:
+    """Values of an FMU in bar are shown in bar, in ends, steps and factors, not divided by 1e5 once more."""
+    own = bench.variable(bench.port("swing.swing_pressure_a"))
+    assert own.unit is not None
+    declared = {**own.attributes, "unit": "bar", "min": "0", "max": "400"}
+    variable = replace(own, unit=replace(own.unit, name="bar"), attributes=declared)
+    gauge = page._shown(described._gauge("p", "p", variable))
+    assert (gauge["unit"], gauge["high"], gauge["factor"], gauge["si"]) == ("bar", 400.0, 1.0, 1e5)
+    slider = Slider("p", "p", "bar", 6.0, 250.0, 1.0, fmu_unit="kPa")
+    assert slider.ends == pytest.approx((600.0, 25000.0))
+    assert slider.driven(0.0).limit == pytest.approx(25000.0)
+    assert slider.driven(0.0).rate == pytest.approx(24400.0), "from end to end in 1 s"
+
+
+@pytest.mark.parametrize("begin", [0.0, 10.0])
+def test_the_beginning_of_a_drive(fmu_dir: Path, tmp_path: Path, begin: float) -> None:
+    """A drive can be repeated by the command that is told, unless its beginning is no longer in memory."""
+    trace = Trace(begin + np.arange(3.0), {"u": np.zeros(3), "a.x": np.ones(3)})
+    live: Any = SimpleNamespace(drives=True, axes=("u",), signals=("a.x",), trace=lambda: trace)
+    choice = MachineChoice(fmu_dir / "harvester.ssp", "reach", {"swing": "detailed"})
+    session = Session(choice, [folder := tmp_path / "my results"], lambda _: live)
+    told = session.repeated(session.save())
+    if begin:
+        assert told == "its beginning is no longer in memory, so it cannot be repeated"
+        assert not list(folder.glob("drive-*"))
+        return
+    (drive,) = folder.glob("drive-*.csv")
+    assert list(read_trace(drive).signals) == ["u"]
+    words = ["harvester", "run", str(choice.system), "--scenario", str(drive), "--pose", "reach"]
+    assert shlex.split(told.removeprefix("the same drive: ")) == [*words, "--swap", "swing=detailed"]
 
 
 def test_start_values(fmu_dir: Path) -> None:

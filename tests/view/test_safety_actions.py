@@ -138,20 +138,16 @@ def test_actions_count_for_the_limit_of_messages(room: Room) -> None:
 
 
 def test_a_hidden_task_drops_its_load(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The load that the task has put into the head goes with the last panel, if that is the driver's."""
+    """The load that the task has put into the head goes with the driver's panel, not with another one."""
     room.machine.axes = (*LEVERS, "manipulator.payload_mass")
     training = room.driver.training
     monkeypatch.setattr(training, "loads", lambda: {"payload_mass": 200.0} if training.shown else {})
-    for page in (room.driver, room.watcher):
-        room.ask(page, "task", what="show", value=True)
-    room.ask(room.driver, "task", what="show", value=False)
-    room.say()
-    assert "manipulator.payload_mass" not in room.machine.commands[-1], "the other page still shows the task"
-    room.ask(room.watcher, "task", what="show", value=False)
-    room.say()
-    assert "manipulator.payload_mass" not in room.machine.commands[-1], "a watcher drops nothing"
-    room.ask(room.driver, "task", what="show", value=True)
-    room.ask(room.driver, "task", what="show", value=False)
+    for value in (True, False):
+        room.ask(room.watcher, "task", what="show", value=value)
+        room.say()
+        assert "manipulator.payload_mass" not in room.machine.commands[-1]
+    for page, value in ((room.watcher, True), (room.driver, True), (room.driver, False)):
+        room.ask(page, "task", what="show", value=value)
     room.say()
     assert room.machine.commands[-1]["manipulator.payload_mass"] == 0.0
 

@@ -13,6 +13,7 @@ export class Dialogs {
       this.live,
     );
     this.source.onanswer = (answer) => this.answer(answer);
+    page.onlost = () => this.window?.open && this.refuse("no connection");
     setInterval(() => (this.live.hidden = !this.source.span), 250);
   }
 

@@ -10,6 +10,9 @@ const BUDGET = 24; // ms of simulation for one picture; beyond it the machine is
 const BIN = 0.1; // s, of the charts; two points each, of about a pixel
 const LONGEST = 60000; // frames of saved commands, 10 min
 
+// a word of a command for a shell
+const quoted = (word) => (/^[\w./=+-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
+
 export class Simulation {
   constructor(fmu, data) {
     [this.fmu, this.data, this.axes] = [fmu, data, data.axes];
@@ -94,8 +97,8 @@ export class Simulation {
 
   // the command that repeats the drive with this scenario
   command(scenario) {
-    const sets = Object.entries(this.begun).map(([name, value]) => ` --set ${this.data.component}.${name}=${value}`);
-    return `harvester run ${this.data.file} --scenario ${scenario}${sets.join("")}`;
+    const sets = Object.entries(this.begun).flatMap(([name, value]) => ["--set", `${this.data.component}.${name}=${value}`]);
+    return ["harvester", "run", this.data.file, "--scenario", scenario, ...sets].map(quoted).join(" ");
   }
 }
 
@@ -125,9 +128,10 @@ export class ModuleSource {
   }
 
   begin(angles = {}) {
+    this.task.again();
+    this.carry();
     this.simulation.begin(angles);
     this.history.clear();
-    this.task.again();
     [this.jumps, this.due] = [this.jumps + 1, 0];
     this.read();
   }

@@ -50,6 +50,7 @@ export class Page {
     this.at = (name) => root.querySelector(`.hm-${name}`);
     this.shared = Boolean(sources.live);
     [this.running, this.pace, this.line] = [false, new Pace(), new StatusLine(this.at("cells"))];
+    this.onlost = () => {}; // of a dialog that waits for an answer
     [this.refused, this.said, this.jumped, this.slowed] = [-Infinity, 0, -1, false];
     for (const one of root.querySelectorAll(this.shared ? ".hm-own" : ".hm-shared")) one.hidden = true;
     root.classList.toggle("hm-full", this.shared);
@@ -159,10 +160,12 @@ export class Page {
     this.at("stage").addEventListener("pointerdown", () => this.focus());
     (this.shared ? document : this.root).addEventListener("keydown", (event) => this.key(event));
     // after a click with the mouse the keys belong to the sticks again; after one by keyboard they stay there
-    document.addEventListener("click", (event) => {
+    const opened = () => document.querySelector("dialog[open]");
+    const clicked = ({ target, detail }) => {
       const field = document.activeElement?.matches("input,textarea,select,[contenteditable]");
-      if (event.detail > 0 && this.steered(event.target) && !field && !document.querySelector("dialog[open]")) this.focus();
-    });
+      if (detail > 0 && this.steered(target) && !field && !opened()) this.focus();
+    };
+    document.addEventListener("click", (event) => (opened() ? setTimeout(clicked, 0, event) : clicked(event))); // it may close
     for (const name of ["pointerdown", "keydown"]) this.at("pose").addEventListener(name, () => (this.pointed = name === "pointerdown"));
     this.at("pose").addEventListener("change", () => this.pointed && this.focus());
     this.levers.onrelease = () => this.shared && this.source.driving && this.source.steer({ sticks: REST, deadMan: false });
@@ -359,7 +362,12 @@ export class Page {
     lamp.toggle("hm-live", live);
     write(this.at("state"), worded(this.describe()));
     write(this.at("note"), this.levers.note);
-    if (this.said && now > this.said) [this.said, this.at("said").textContent] = [0, ""];
+    this.forget();
+  }
+
+  // what was said, after its time
+  forget() {
+    if (this.said && performance.now() > this.said && !this.failed) [this.said, this.at("said").textContent] = [0, ""];
   }
 
   // the server is heard again, or no more: without it the toolbar does nothing
@@ -369,6 +377,7 @@ export class Page {
     for (const one of this.at("bar").querySelectorAll("button:not(.hm-help), input, select")) one.disabled = !alive;
     this.told();
     this.panels();
+    if (!alive) this.onlost();
   }
 
   describe() {
@@ -399,14 +408,14 @@ export class Page {
     const { simulation } = this.source;
     if (simulation.lost) return this.answer({ text: simulation.lost, bad: true });
     download("drive.csv", simulation.csv());
-    this.answer({ text: `the same drive: ${simulation.command("drive.csv")}` });
+    this.answer({ text: `the same drive: ${simulation.command("drive.csv")}`, stays: KEPT });
   }
 
-  // to an action: a line, and a file of the server to keep
-  answer({ text, bad, href }) {
+  // to an action: a line, for how many ms, and a file of the server to keep
+  answer({ text, bad, href, stays = href ? KEPT : SAID }) {
     this.at("said").textContent = text;
     this.at("said").classList.toggle("hm-bad", Boolean(bad));
-    this.said = performance.now() + (href ? KEPT : SAID);
+    this.said = performance.now() + stays;
     if (href) make("a", { href, download: "" }).click();
   }
 
@@ -443,6 +452,7 @@ export class Page {
     const { source, state } = this;
     if (!this.gauges) return;
     this.shown = performance.now();
+    this.forget();
     this.gauges.show(source.values);
     this.charts.show(source.curves(), this.slowed);
     this.sliders?.show();

@@ -35,7 +35,7 @@ export function figure(gauge, value, cavitation) {
   if (!Number.isFinite(shown)) return { text: "–", begin: share(0), end: share(0), warning: "" };
   const [begin, end] = [share(0), share(shown)].sort((a, b) => a - b);
   const text = shown.toFixed(gauge.digits).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−");
-  return { text, begin, end, warning: gauge.coloured && value < cavitation ? "cavitates" : "" };
+  return { text, begin, end, warning: gauge.coloured && value * (gauge.si ?? 1) < cavitation ? "cavitates" : "" };
 }
 
 // Ends of a bar that grows: all values so far are between them. From zero, until one is negative, to 1, 2 or 5 times a
@@ -93,7 +93,7 @@ export class Gauges {
       bar.style.transform = `translateX(${(100 * begin).toFixed(1)}%) scaleX(${(end - begin).toFixed(3)})`;
       row.classList.toggle("hm-cavitates", Boolean(warning));
       write(unit, warning || gauge.unit);
-      if (gauge.coloured) bar.style.background = colour(this.data, value);
+      if (gauge.coloured) bar.style.background = colour(this.data, value * gauge.si);
     }
   }
 }
