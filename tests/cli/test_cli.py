@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.mistakes import refused, table
+from kit.mistakes import problem, refused, table
 
 from fmus.machine.build import data
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.poses import POSES
 from orchestrator import read_trace
 from orchestrator.__main__ import main
+from orchestrator.base.files import require
 
 
 def test_build_makes_the_machine(built):
@@ -129,6 +130,23 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
     printed = refused(capsys, arguments)
     assert printed.startswith("harvester: ")
     assert told in printed
+
+
+def test_only_a_similar_file_is_proposed(tmp_path, monkeypatch):
+    """Of the same kind with most letters in common, or of another kind with the same name."""
+    monkeypatch.chdir(tmp_path)
+    Path("build").mkdir()
+    for name in ("other.csv", "open.csv"):
+        Path("build", name).touch()
+    told = {
+        name: problem(lambda name=name: require(name, (".csv", ".parquet"))).removeprefix(f"{name}: ")
+        for name in ("nowhere.csv", "nope.parquet", "othr.parquet", "othr.csv", "othr", "other.parquet")
+    }
+    assert {name for name, text in told.items() if text == "no such file"} == {
+        "nowhere.csv", "nope.parquet", "othr.parquet"
+    }  # fmt: skip
+    meant = f"no such file; did you mean {Path('build/other.csv')}?"
+    assert {text for text in told.values() if text != "no such file"} == {meant}
 
 
 @pytest.mark.parametrize("command", ["run", "validate"])
