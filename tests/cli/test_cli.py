@@ -42,6 +42,7 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)  # the scenario has its commands to 1e-9 V
 
 
+@pytest.mark.usefixtures("here")
 def test_parameters_of_one_source(capsys):
     """Only those, and how many of all they are."""
     assert main(["parameters", "--source", "paper"]) == 0
@@ -78,6 +79,7 @@ def test_signals_are_listed(capsys, fmu_dir):
     ]
 
 
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator", "operator_input"])
 def test_parameters_are_printed_with_their_sources(capsys, only):
     """One subsystem, or those of the machine; the words for the sources are explained."""
