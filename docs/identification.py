@@ -144,6 +144,9 @@ def payloads(found: Mapping[str, Identified]) -> Iterator[str]:
         cells = [cell for result in (tared, loaded) for cell in value(result.others[0])[:2]]
         rows.append((machine, *cells))
     yield table(("rig", "with tare [kg]", "95 % interval", "without tare [kg]", "95 % interval"), rows)
+    (weighed,) = (r for r in found["detailed"].results if r.procedure == "weighing")
+    (model,) = (f.sentence for f in weighed.findings if f.fault == "model")
+    yield f"\nOn the detailed machine {model.removeprefix('weighing: ')}, and `identify` warns."
 
 
 def refined(found: Identified) -> str:

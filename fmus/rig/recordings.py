@@ -31,7 +31,7 @@ CHANGE = "pressure of the return line recorded; 4 bar in that of the detailed ma
 LIMITS = {"angle": 0.01, "pressure": 0.1}  # NRMSE by group, for `harvester validate` on test recordings
 # signal -> other signals with the same sensor: both drives have the same supply and return line
 SHARED = {f"swing.{line}_pressure": (f"boom_stick.{line}_pressure",) for line in ("supply", "tank")}
-SECONDS = {"lumped": 30, "detailed": 180}  # machine -> computing time of all experiments [s], roughly
+SECONDS = {"lumped": 25, "detailed": 180}  # machine -> processor time of all experiments [s], roughly
 MANY = 4  # experiments that are worth the start of a process
 README = "README.md"
 HEADING = "# Recordings of the virtual test rig"
@@ -51,10 +51,9 @@ def write_all(
     _check_folder(out)
     start = perf_counter()
     processes = min(processes, len(EXPERIMENTS) // MANY)
-    seconds = SECONDS[machine] / max(1, processes)
-    report(
-        f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}; takes about {seconds:.0f} s"
-    )
+    report(f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}")
+    cores = f" on {processes} cores" * (processes > 1)
+    report(f"  takes about {SECONDS[machine]} s of processor time{cores}")
     (out / README).write_text(readme(machine, seed), encoding="utf-8", newline="\n")
     with mapping(processes) as each:
         for line in each(partial(_write_named, out, machine, seed), EXPERIMENTS):

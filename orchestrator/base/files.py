@@ -483,6 +483,9 @@ def find(given: str | Path, suffixes: tuple[str, ...], folder: str | Path = "") 
     return path
 
 
+SIMILAR = 0.8  # of 1: two words of eight letters that share six
+
+
 def tell_once(text: str) -> None:
     """Tell what was assumed about a file, once per process, on standard error."""
     if text not in _told:
@@ -500,10 +503,15 @@ def require(given: str | Path, suffixes: tuple[str, ...], context: str = "") -> 
     path = find(given, suffixes)
     if path.exists():
         return path
-    known = {PurePosixPath(key).stem: PurePosixPath(key).stem for key in _shipped(path.name, suffixes)}
-    for folder in (DEFAULT_SYSTEM.parent, path.parent):
-        known |= {p.stem: str(p) for p in sorted(folder.glob("*")) if p.suffix in suffixes}
-    similar = [known[stem] for stem in get_close_matches(path.stem, known)]
+    shipped = {Path(key): PurePosixPath(key).stem for key in _shipped(path.name, suffixes)}
+    there = {p: str(p) for folder in (DEFAULT_SYSTEM.parent, path.parent) for p in sorted(folder.glob("*"))}
+    alike = (path.suffix,) if path.suffix in suffixes else suffixes
+    known = {
+        file.stem: text
+        for file, text in {**shipped, **there}.items()
+        if file.suffix in (suffixes if file.stem == path.stem else alike)
+    }
+    similar = [known[stem] for stem in get_close_matches(path.stem, known, cutoff=SIMILAR)]
     build = f"; build it with: {BUILD_COMMAND}" if path == DEFAULT_SYSTEM else ""
     hint = f"; did you mean {', '.join(similar)}?" if similar else ""
     raise Problem(f"{context or path}: no such file{build or hint}")

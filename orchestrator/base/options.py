@@ -119,13 +119,13 @@ class Declared:
             if number < self.kind.least or number > self.kind.most:
                 raise ValueError
         except (TypeError, ValueError, OverflowError, Problem):
-            unit = f" of {UNITS[self.kind.unit]}" if self.kind.unit else ""
+            expected = EXPECTED.get(self.kind.unit) or f"a {'whole ' * (self.numeric is int)}number"
             limits = {
                 f"at least {self.kind.least:g}": self.kind.least,
                 f"at most {self.kind.most:.0f}": self.kind.most,
             }
             told = "".join(f", {text}" for text, limit in limits.items() if abs(limit) < inf)
-            raise ValueError(f"a {'whole ' * (self.numeric is int)}number{unit}{told}") from None
+            raise ValueError(f"{expected}{told}") from None
         return number
 
     def _parsed(self, text: str) -> Any:
@@ -142,7 +142,7 @@ class Declared:
         return float(f"{factor * float(number) + offset:.15g}")  # 0.3 ms is 0.0003 s
 
 
-UNITS = {"s": "seconds", "GB": "GB"}
+EXPECTED = {"s": "a number of seconds or a time such as 500ms or 5min", "GB": "a number of GB"}
 
 
 @cache

@@ -12,7 +12,7 @@ from typing import Any
 
 from orchestrator.base.errors import Problem
 
-NUMBER = 8  # bytes of a float64; a CSV file has up to 24 characters for it, and rarely less than 8
+FLOAT64 = 8  # bytes of a number in memory
 
 
 def available_cores() -> int:
@@ -56,15 +56,18 @@ def resident_memory(process: int) -> float:
     return float(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
-def size_text(rows: int, signals: int) -> str:
-    """How much the rows of a trace are, in words."""
-    return f"{rows:.3g} points of {signals} signals, {NUMBER * rows * (signals + 1) / 1e9:.2g} GB"
+def size_text(rows: int, signals: int, number: int = FLOAT64) -> str:
+    """How much the rows of a trace are, in words; number: bytes of each number."""
+    return f"{rows:.3g} points of {signals} signals, {number * rows * (signals + 1) / 1e9:.2g} GB"
 
 
-def check_room(rows: int, signals: int, folder: Path | None = None) -> None:
-    """Refuse rows that do not fit on the disk of a folder, or into memory if there is none."""
+def check_room(rows: int, signals: int, folder: Path | None = None, number: int = FLOAT64) -> None:
+    """Refuse rows that do not fit on the disk of a folder, or into memory if there is none.
+
+    number   bytes of each number there
+    """
     free = shutil.disk_usage(folder).free if folder else machine_memory()
-    if NUMBER * rows * (signals + 1) > free:
+    if number * rows * (signals + 1) > free:
         where = f"on the disk of {folder}" if folder else "into memory"
-        advice = "choose a longer record step or stop earlier"
-        raise Problem(f"{size_text(rows, signals)}, do not fit {where}, {free / 1e9:.2g} GB; {advice}")
+        size, advice = size_text(rows, signals, number), "choose a longer record step or stop earlier"
+        raise Problem(f"{size}, do not fit {where}, {free / 1e9:.2g} GB; {advice}")

@@ -40,6 +40,8 @@ def variants(
     from fmus.machine.tables import variant_lines, variant_names
 
     if not (cost or combinations):
+        if system:
+            raise Problem(f"variants {system}: a system is only read with --cost or --combinations")
         print("\n".join(variant_lines({})))
         print("To measure the cost of each variant on this computer: harvester variants --cost")
         return True

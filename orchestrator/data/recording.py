@@ -16,6 +16,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import require, write_columns
 from orchestrator.base.units import convert, parse_unit, si_unit
@@ -98,6 +99,7 @@ class Recording(Trace):
     criteria     presentation and limit of each signal in a comparison
     start, stop  limits of the evaluated window [s]
     metadata     the table [reference] of the description: title, kind, origin, solver, date, change ...
+    description  the TOML file that describes the columns, if there is one
     """
 
     source: Path = Path("recording")
@@ -112,6 +114,7 @@ class Recording(Trace):
     start: float = -math.inf
     stop: float = math.inf
     metadata: Mapping[str, str | float] = field(default_factory=dict)
+    description: Path | None = None
 
     def _only(self, variable: str) -> NoReturn:
         """A recording has no short names."""
@@ -126,6 +129,12 @@ class Recording(Trace):
     def heading(self) -> str:
         """The title in the description, or else the name of the file."""
         return str(self.metadata.get("title", self.source.name))
+
+    def place(self, name: str) -> str:
+        """File and table with the unit of a signal, as the beginning of a message."""
+        if self.description:
+            return f"{self.description}: signals.{toml.quote_key(name)}"
+        return f"{self.source}: {name}"
 
     def sensor(self, name: str) -> Sensor:
         """The instrument of a signal; without properties if the description contains none."""
@@ -211,6 +220,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         start=description.time.start,
         stop=description.time.stop,
         metadata={key: value for key, value in about.items() if value not in ("", None)},
+        description=description_file,
     )
 
 

@@ -248,7 +248,8 @@ class TraceFile(TraceSink):
 
         Raises Problem if the rows do not fit on the disk.
         """
-        check_room(rows, len(layout.names), next(p for p in self.path.absolute().parents if p.is_dir()))
+        folder = next(p for p in self.path.absolute().parents if p.is_dir())
+        check_room(rows, len(layout.names), folder, self.number_size)
         self.accept(layout)
         super().begin(layout, rows)
         self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))
@@ -258,6 +259,11 @@ class TraceFile(TraceSink):
             remove_partial(self.partial)
             make = FORMATS[self.path.suffix.lower()]
             self._format = make(self.partial, layout.names, layout.units)
+
+    @property
+    def number_size(self) -> int:
+        """Bytes that a number takes on the disk until the file is complete, on average of a long run."""
+        return FORMATS[self.path.suffix.lower()].number_size
 
     def append(self, times: Array, values: Array) -> None:
         """Write rows; if the disk is full, the file ends with the last row that fits."""
@@ -336,6 +342,8 @@ class _Csv:
     sha256   of the partial file
     """
 
+    number_size = 15  # the machine's runs have 14.4 to 15.5 characters, with the comma
+
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         del units
         self._path, self._size, self._digest, self.end = path, 0, hashlib.sha256(), float("nan")
@@ -387,6 +395,7 @@ class _Parquet:
     ignore files in it whose names begin with an underscore, such as the mark by which a run knows its folder.
     """
 
+    number_size = 13  # 6.6 in the parts, and as much in the whole file before they are removed
     sha256 = ""
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
@@ -470,6 +479,8 @@ class _Mat(_Csv):
     The struct `units` has the same fields, with texts. The text `run` is JSON: the origin, and `names`, the
     signals in their order -> their names in the file, which differ for what is no name in MATLAB.
     """
+
+    number_size = _Csv.number_size + 5  # the rows are in a CSV file until the whole file is complete
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         super().__init__(path, names, units)

@@ -170,11 +170,12 @@ class AccuracySearch:
         error = math.hypot(error, INSIDE * self.settings.tolerance)
         known = result.card.errors_of_inputs or previous is not None
         if known and error <= self.settings.experience.accepted * self.accuracy:
-            reached = f"estimated RMS error {error:.1e} of the range in run {self.runs}"
+            last = f" in run {self.runs}" * (self.runs > 1)
+            reached = f"estimated RMS error {error:.1e} of the range{last}"
             if jumping := [name for name in self._causes if _jumps(result.trace, name)]:
                 reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
             tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
-            goal = f"accuracy {self.accuracy:g} of {first_names(self.decisive, 1)}"
+            goal = f"accuracy {self.accuracy:g} of {first_names(self.decisive)}"
             return result.noted(f"{goal}: {reached}, {tolerance}")
         self._continue(error if known else math.inf, result)
         return None

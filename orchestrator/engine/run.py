@@ -436,7 +436,7 @@ class _Output:
 
         def accept(layout: RowLayout) -> None:
             if times.steps >= MANY_STEPS:
-                rows = size_text(times.rows, len(layout.names))
+                rows = size_text(times.rows, len(layout.names), self._file.number_size)
                 tell_once(f"note: {times.steps:.3g} steps of {times.step:g} s up to {times.stop:g} s, {rows}")
             self._accept(job.system, times, layout)
 

@@ -213,7 +213,8 @@ def _other_experiment(reference: Run, run: Run) -> str:
     time = a.time[(a.time >= b.time[0]) & (a.time <= b.time[-1])]
     at = {n: (np.interp(time, a.time, a[n]), np.interp(time, b.time, b[n])) for n in common if n in b.signals}
     differ = [name for name, values in at.items() if _differ(*values)]
-    if differ := [n for n in differ if n.removesuffix("_rate") == n or n.removesuffix("_rate") not in differ]:
+    # the rate of a command tells nothing more, and is 0 where its connection was cut
+    if differ := [n for n in differ if n.removesuffix("_rate") == n or n.removesuffix("_rate") not in at]:
         differences.append(f"other commands ({first_names(differ, 3)})")
     poses = [n for n in a.signals if n in b.signals and quantity(a.units.get(n, "")) in ("angle", "position")]
     if moved := [n for n in poses if n not in sources and abs(a[n][0] - b[n][0]) > OTHER_START]:

@@ -96,7 +96,9 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
             continue
         unit = system.unit(system.port(port))
         target = unit.name if unit else reference.file_units.get(name, reference.units[name])
-        columns[port] = convert(fill_gaps(reference, name), reference.units[name], target, name)
+        columns[port] = convert(
+            fill_gaps(reference, name), reference.units[name], target, reference.place(name)
+        )
     return Trace(reference.time, columns) if columns else None
 
 
@@ -313,8 +315,9 @@ def validate_system(
         other = f"which may have another scenario than {scenario}"
         notes.append(f"no --reference given: judged against {against.heading}, {other}")
     if reference and not scenario:
-        taken = f"{', '.join(commands.signals)} is taken from the reference" if commands else ""
-        notes.append(f"no --scenario given: {taken or 'the inputs are those of the system'}")
+        inputs = list(commands.signals) if commands else []
+        taken = f"{', '.join(inputs)} {'are' if len(inputs) > 1 else 'is'} taken from the reference"
+        notes.append(f"no --scenario given: {taken if inputs else 'the inputs are those of the system'}")
     notes.append(another_model(result.system, against))
     if missing := _lost(result.system, against, result.trace):
         names = ", ".join(sorted(missing))

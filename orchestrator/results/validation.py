@@ -198,7 +198,7 @@ def check_comparable(run: Trace, reference: Recording) -> None:
             raise UnknownSignal(name, run.signals, f"{reference.source}: ")
         if unit := run.units.get(name, ""):  # a refusal contains the unit that the user wrote
             unit_of_file = reference.file_units.get(name, reference.units[name])
-            factor_and_offset(unit_of_file, unit, f"{reference.source}: {name}")
+            factor_and_offset(unit_of_file, unit, reference.place(name))
     common_grid(run.time, reference)
 
 

@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.mistakes import refused, table
+from kit.mistakes import problem, refused, table
 
 from fmus.machine.build import data
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.poses import POSES
 from orchestrator import read_trace
 from orchestrator.__main__ import main
+from orchestrator.base.files import require
 
 
 def test_build_makes_the_machine(built):
@@ -41,6 +42,7 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)  # the scenario has its commands to 1e-9 V
 
 
+@pytest.mark.usefixtures("here")
 def test_parameters_of_one_source(capsys):
     """Only those, and how many of all they are."""
     assert main(["parameters", "--source", "paper"]) == 0
@@ -77,6 +79,7 @@ def test_signals_are_listed(capsys, fmu_dir):
     ]
 
 
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator", "operator_input"])
 def test_parameters_are_printed_with_their_sources(capsys, only):
     """One subsystem, or those of the machine; the words for the sources are explained."""
@@ -129,6 +132,23 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
     printed = refused(capsys, arguments)
     assert printed.startswith("harvester: ")
     assert told in printed
+
+
+def test_only_a_similar_file_is_proposed(tmp_path, monkeypatch):
+    """Of the same kind with most letters in common, or of another kind with the same name."""
+    monkeypatch.chdir(tmp_path)
+    Path("build").mkdir()
+    for name in ("other.csv", "open.csv"):
+        Path("build", name).touch()
+    told = {
+        name: problem(lambda name=name: require(name, (".csv", ".parquet"))).removeprefix(f"{name}: ")
+        for name in ("nowhere.csv", "nope.parquet", "othr.parquet", "othr.csv", "othr", "other.parquet")
+    }
+    assert {name for name, text in told.items() if text == "no such file"} == {
+        "nowhere.csv", "nope.parquet", "othr.parquet"
+    }  # fmt: skip
+    meant = f"no such file; did you mean {Path('build/other.csv')}?"
+    assert {text for text in told.values() if text != "no such file"} == {meant}
 
 
 @pytest.mark.parametrize("command", ["run", "validate"])

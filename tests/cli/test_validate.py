@@ -49,7 +49,7 @@ def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
     """In the terminal and in the report, whose title is not that of the project's own validation."""
     assert main(["validate", "--reference", own_reference(), "--stop", "0.2"]) == 0
     commands = "swing.swing_command, boom_stick.boom_command, boom_stick.stick_command"
-    note = f"no --scenario given: {commands} is taken from the reference"
+    note = f"no --scenario given: {commands} are taken from the reference"
     assert f"note: {note}" in capsys.readouterr().out
     assert note in Path("build/report.json").read_text(encoding="utf-8")
     title = "<title>harvester against Work cycle, monolithic solution"

@@ -3,13 +3,14 @@
     ```shell                    every line is a command that ends with status 0, or N after `# status N`
     ```python                   goes on from the python blocks before it
     ```python title="a.py"      is written to that file (any language)
-    ```text                     what the block before it prints; `...` stands for anything
+    ```text                     what the block before it prints; `...` stands for anything in its line, and
+                                a line of `...` alone for any lines
 
 In a tutorial indented blocks are shown, not run; in a `Page` those of commands are run. What cannot run has a
 mark in front: `<!-- not run: REASON -->`, or of some lines only `<!-- not run: `harvester view`, REASON -->`.
 
-Shown numbers hold to 1 %, or to one of the last digit after the point:
-other compilers round otherwise, and no shown number should depend on more.
+Whole numbers are counts and hold exactly. Other shown numbers hold to 1 %, or to one of the last digit after
+the point: other compilers round otherwise, and no shown number should depend on more.
 """
 
 import contextlib
@@ -31,7 +32,10 @@ from markdown_it import MarkdownIt
 TITLE = re.compile(r'title="([^"]+)"')
 STATUS = re.compile(r"\s+#.*\bstatus (\d+)\b.*$")
 PIECE = re.compile(
-    r"(?P<any>\s*\.\.\.\s*)|(?P<number>(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.]*\.\w))|(?P<space>\s+)"
+    r"(?P<lines>(?:\A|\s*\n)[ \t]*\.\.\.[ \t]*(?:\n\s*|\Z))"
+    r"|(?P<any>[ \t]*\.\.\.[ \t]*)"
+    r"|(?P<number>(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.]*\.\w))"
+    r"|(?P<space>\s+)"
 )
 OWN = 0.01  # share by which a number may differ
 
@@ -199,12 +203,19 @@ def difference(shown: str, printed: str) -> str:
     return "; ".join(far)
 
 
-PATTERNS: Mapping[str, str] = {"any": ".*?", "number": r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)", "space": r"\s+"}
+PATTERNS: Mapping[str, str] = {
+    "lines": ".*?",
+    "any": r"[^\n]*?",
+    "number": r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)",
+    "space": r"\s+",
+}
 
 
 def near(shown: str, printed: str) -> bool:
-    """Are two numbers equal to 1 %, or to one of the last digit shown after the point?"""
+    """Are whole numbers equal, others to 1 % or to one of the last digit shown after the point?"""
     digits, _, exponent = shown.partition("e")
     places = len(digits.partition(".")[2])
+    if not places and not exponent:
+        return float(shown) == float(printed)
     last = 10.0 ** (int(exponent or 0) - places) if places else 0.0
     return abs(float(shown) - float(printed)) <= max(OWN * abs(float(shown)), 1.001 * last)

@@ -61,7 +61,7 @@ def test_an_unknown_option_is_a_type_error_with_the_nearest_name(function):
     [
         ({"master": "jakobi"}, "master: expected one of jacobi, gauss-seidel, hermite, interface-jacobian"),
         ({"error_estimate": "slow"}, "error_estimate: expected one of fast, True, False, got 'slow'"),
-        ({"stop": "2 kg"}, "stop: expected a number of seconds, got '2 kg'"),
+        ({"stop": "2 kg"}, "stop: expected a number of seconds or a time such as 500ms or 5min, got '2 kg'"),
         ({"order": 1.5}, "order: expected a whole number, got 1.5"),
         ({"isolate": "no"}, "isolate: expected True or False, got 'no'"),
         ({"memory_limit": 2e9}, "memory_limit: expected a number of GB, at most 1000000, got 2000000000.0"),

@@ -104,8 +104,9 @@ def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
         read_recording(path)
 
 
-def test_missing_and_empty_files(tmp_path: Path) -> None:
+def test_missing_and_empty_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A missing file, a folder, a missing meta file, one without signals, a CSV without numbers are named."""
+    monkeypatch.chdir(tmp_path)  # which has no folder build
     csv, toml = tmp_path / "a.csv", tmp_path / "a.toml"
 
     def line(path: Path = csv) -> str:

@@ -44,6 +44,9 @@ def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, cap
     printed = capsys.readouterr().out
     assert "quasistatic" in printed
     assert printed.endswith("on this computer: harvester variants --cost\n")
+    assert main(["variants", "foo"]) == 2
+    told = capsys.readouterr()
+    assert told == ("", "harvester: variants foo: a system is only read with --cost or --combinations\n")
     for option in ("--cost", "--combinations"):
         assert main(["variants", option]) == 2
         assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err

@@ -344,6 +344,6 @@ def test_command_line_tells_a_mistake_in_one_line(tmp_path):
     """A missing manoeuvre is named in one line on standard error."""
     command = [sys.executable, str(EXAMPLE / "run.py"), "--out", str(tmp_path), "--manoeuvre", "nowhere.csv"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path, check=False)
     assert done.returncode == 1
     assert done.stderr == "error: nowhere.csv: no such file\n"

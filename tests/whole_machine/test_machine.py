@@ -13,6 +13,7 @@ from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
 from fmus.parameters import values
 from orchestrator import Problem, run
+from orchestrator.data.trace_writer import RowLayout, TraceFile
 
 BOOM_STICK, MANIPULATOR = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "manipulator"))
 SUPPLY = values(SUBSYSTEMS["swing"]).u["supply_pressure"]
@@ -266,3 +267,17 @@ def test_the_work_cycle_moves_like_a_harvester(cycle):
     commands = ["swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"]
     active = sum(np.abs(cycle[name]) > BOOM_STICK["valve_dead_band"] for name in commands)
     assert np.mean(active >= 2) > 0.3  # two or three functions at once for a third of the time
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_the_bytes_of_a_number_in_a_file_are_those_announced(cycle, tmp_path, suffix):
+    """All that is on the disk when a file is complete, with the rows until then."""
+    stop = 2000  # rows, 10 s
+    file = TraceFile(tmp_path / f"t{suffix}")
+    file.begin(RowLayout(tuple(cycle.signals), cycle.units))
+    file.append(cycle.time[:stop], np.column_stack([values[:stop] for values in cycle.signals.values()]))
+    file.close()
+    file.finish()
+    size = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    # other runs of the machine differ by up to a tenth: a command at rest has few digits
+    assert size / (stop * (len(cycle.signals) + 1)) == pytest.approx(file.number_size, rel=0.1)

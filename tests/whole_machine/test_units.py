@@ -202,6 +202,10 @@ def test_another_experiment_is_told_before_the_tables(systems, experiments):
     (told,) = compare({"boom": experiments["boom"], "moved": moved}).experiments
     assert "another start (manipulator.swing_angle" in told
     assert compare({"boom": experiments["boom"], "heavy": experiments["heavy"]}).experiments == ()
+    cut = run(systems[""], cut=["*_command_rate"], stop=2.7, isolate=False)
+    assert experiments["cycle"].trace["boom_stick.boom_command_rate"].any()
+    assert not cut.trace["boom_stick.boom_command_rate"].any()
+    assert compare({"cycle": experiments["cycle"], "cut": cut}).experiments == ()
 
 
 def test_a_signal_that_hardly_moves_is_not_ranked_by_noise(experiments):

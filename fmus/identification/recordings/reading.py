@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
@@ -61,7 +62,7 @@ def read_folder(folder: Path | str) -> list[Recording]:
     descriptions = sorted(folder.glob("*.toml"))
     experiments = [path for path in descriptions if "experiment" in toml.read(path, path.read_bytes()).data]
     if not experiments:
-        others = ", ".join(path.name for path in _data_files(folder)[:3])
+        others = first_names((path.name for path in _data_files(folder)), 3)
         got = f"none, only {others}" if others else "none"
         raise Problem(f"{folder}: expected .toml files with a table [experiment], got {got}")
     return [read(path) for path in experiments]

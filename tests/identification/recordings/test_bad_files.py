@@ -107,4 +107,7 @@ def test_files_that_are_not_there(csv):
     refused(csv, "a.toml", "describes the columns", "no such file")
     with pytest.raises(Problem, match=r"\.toml files with a table \[experiment\], got none, only a\.csv"):
         read_folder(csv.parent)
+    for number in range(17):
+        csv.with_name(f"b{number:02}.csv").touch()
+    problem(lambda: read_folder(csv.parent), "got none, only a.csv, a.mat, b00.csv and 16 more")
     problem(lambda: read_folder(csv), "expected a folder of recordings, got a file")
