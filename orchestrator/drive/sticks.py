@@ -28,6 +28,7 @@ from types import MappingProxyType
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.signals import bare_name
 from orchestrator.drive.view_description import DriveMode, Pattern
 
 
@@ -147,7 +148,7 @@ NO_LOADS: Mapping[str, float] = MappingProxyType({})
 
 def modes(declared: Mapping[str, DriveMode], axes: Sequence[str]) -> tuple[str, ...]:
     """Names of the modes in which a machine with these axes can be driven."""
-    inputs = {_bare(name) for name in axes}
+    inputs = {bare_name(name) for name in axes}
     return tuple(name for name, mode in declared.items() if mode.drives(inputs))
 
 
@@ -165,7 +166,7 @@ def commands(
     for function, driven in mode.full.items():
         share = commanded.get(function, 0.0)
         values |= {name: full * share + 0.0 for name, full in driven.items()}  # no -0
-    return {name: values[_bare(name)] for name in axes if _bare(name) in values}
+    return {name: values[bare_name(name)] for name in axes if bare_name(name) in values}
 
 
 def uncommanded(
@@ -174,8 +175,4 @@ def uncommanded(
     """Is an axis of another mode still away from zero? Then the previous mode has not come to rest."""
     driven = {name for mode in declared for part in (mode.constant, *mode.full.values()) for name in part}
     others = ((name, value) for name, value in zip(axes, values, strict=True) if name not in commanded)
-    return any(value != 0 and _bare(name) in driven for name, value in others)
-
-
-def _bare(name: str) -> str:
-    return name.rpartition(".")[2]
+    return any(value != 0 and bare_name(name) in driven for name, value in others)

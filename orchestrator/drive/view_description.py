@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.signals import bare_name
 from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import factor_and_offset, parse_unit, reader_unit
@@ -244,7 +245,7 @@ class ViewDescription:
     def free(self, axes: Iterable[str]) -> list[str]:
         """Bare names of the axes that no mode of the sticks drives."""
         driven = {name for mode in self.modes.values() for name in mode.inputs}
-        return [bare for bare in (axis.rpartition(".")[2] for axis in axes) if bare not in driven]
+        return [bare for bare in map(bare_name, axes) if bare not in driven]
 
     @property
     def curves(self) -> tuple[str, ...]:

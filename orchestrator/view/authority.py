@@ -24,6 +24,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import bare_name
 from orchestrator.drive import sticks
 from orchestrator.drive.sticks import Message, ResponseCurve, StickAxes, parse
 from orchestrator.drive.view_description import ViewDescription
@@ -213,7 +214,7 @@ class CommandGate:
 
     def _keep(self) -> None:
         """Command only the inputs that are set or loaded."""
-        values, bare = self._loaded(), {axis: axis.rpartition(".")[2] for axis in self.machine.axes}
+        values, bare = self._loaded(), {axis: bare_name(axis) for axis in self.machine.axes}
         try:
             self.machine.command({axis: values[name] for axis, name in bare.items() if name in values})
         except Exception:

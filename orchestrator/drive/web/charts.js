@@ -4,7 +4,7 @@ import { make } from "drive/panels.js";
 
 export const WINDOW = 20; // s of simulated time
 export const BIN = 0.2; // s
-const LAST = 0.95; // share of a bin, of which the samples are 10 ms apart, before the last one
+const FRAME = 0.01; // s between two samples, as FRAME in page.py
 const FONT = '11px system-ui, "Segoe UI", sans-serif';
 
 export class History {
@@ -44,7 +44,7 @@ export class History {
   // two points for each bin, its begin and its last sample: a value that only rises is a straight line, without stairs
   curves(end) {
     const numbers = [...this.bins.keys()].sort((a, b) => a - b);
-    const time = numbers.flatMap((number) => [number * this.bin - end, Math.min((number + LAST) * this.bin - end, 0)]);
+    const time = numbers.flatMap((number) => [number * this.bin - end, Math.min((number + 1) * this.bin - FRAME - end, 0)]);
     const pair = ({ low, high, lowAt, highAt }) => (high < low ? [null, null] : lowAt <= highAt ? [low, high] : [high, low]);
     const columns = this.names.map((name, k) => [name, numbers.flatMap((number) => pair(this.bins.get(number)[k]))]);
     return { time, columns: Object.fromEntries(columns) };
