@@ -212,5 +212,6 @@ ENGINE_PUMP = variant(
     observe=observe,
     initial=initial,
     require=require,
+    step=rail.STEP,
     validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the supply line",
 )

@@ -274,5 +274,6 @@ LOAD_SENSING = variant(
     observe=observe,
     initial=initial,
     require=require,
+    step=rail.STEP,
     validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the lines",
 )
