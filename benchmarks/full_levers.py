@@ -91,7 +91,7 @@ def _nrmse(values: np.ndarray, truth: np.ndarray) -> float:
 
 
 def _lost_flow(result: Result) -> float:
-    """Mean flow of the pumps that goes neither to the drives nor elsewhere, over the mean flow of the pumps."""
+    """Mean flow of the pumps that goes nowhere, over their mean flow."""
     pumps = [n for n in result if n.startswith("supply.pump") and n.endswith("_flow")]
     if not pumps:
         return 0.0
@@ -119,9 +119,8 @@ def main() -> int:
     given = vars(parser.parse_args())
     options = {n: v for n in ("master", "step", "guard", "order") if (v := given[n]) is not None}
     worst = 0.0
-    print(
-        "|drives|supply|cases|speed|flow of the pumps|energy|above 1 %|steps of 1 ms|\n|---|---|--:|--:|--:|--:|--:|--:|"
-    )
+    print("|drives|supply|cases|speed|flow of the pumps|energy|above 1 %|steps of 1 ms|")
+    print("|---|---|--:|--:|--:|--:|--:|--:|")
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for drives, supply in product(given["drives"], given["supply"]):
             run_cases = list(cases(drives, supply, tuple(given["ramps"])))

@@ -196,7 +196,7 @@ class EnergyMonitor:
     def __init__(self, network: Network, varying: Collection[Port], bonds: Sequence[Bond]) -> None:
         """varying: the inputs that the master varies inside a step."""
         ports = [p for b in bonds for p in (b.effort, b.flow)]
-        self._network, self._bonds = network, bonds
+        self._network, self.bonds = network, bonds
         self.indices = network.reals.indices(ports)
         self.varied = np.array([p in varying for p in ports], dtype=np.uint8)
         self._read = sorted((p for p in ports if p not in varying), key=lambda p: p.component)
@@ -221,6 +221,12 @@ class EnergyMonitor:
             input_reads=binding.program(calls),
         )
 
+    @property
+    def energies_array(self) -> Array:
+        """Residual, sum of its magnitude, exchanged energy of each bond until now [J], shape (3, bonds)."""
+        return self.sums * [bond.scale for bond in self.bonds]
+
     def energies(self) -> list[BondEnergy]:
         """The energies of all bonds until now."""
-        return [BondEnergy(b.name, *(b.scale * self.sums[:, i])) for i, b in enumerate(self._bonds)]
+        pairs = zip(self.bonds, self.energies_array.T, strict=True)
+        return [BondEnergy(bond.name, *sums) for bond, sums in pairs]

@@ -195,8 +195,8 @@ BAND, NEARBY = 2.0, 5
 NO_EXCHANGE = 1e-9  # of the largest exchange of a bond,
 NO_EXCHANGE_ENERGY = 1e-12  # or [J]
 SMALL_EXCHANGE = 1e-2  # of the largest exchange of a bond: below it a relative residual has no meaning
-# A result is not reliable if the energy error of a bond, over the exchanged energy, or the estimated RMS error
-# of a signal of a bond, over its range or LEAST_RANGE of its nominal value, is above UNRELIABLE.
+# A result is not reliable if the energy error of a bond, over the exchanged energy, or the estimated RMS
+# error of a signal of a bond, over its range or LEAST_RANGE of its nominal value, is above UNRELIABLE.
 UNRELIABLE, LEAST_RANGE = 0.05, 1e-3
 CAUSE = 0.1  # relative residual above which the coupling is the likely cause of a failure
 
@@ -408,8 +408,8 @@ def unreliable_errors(errors: Sequence[SignalError], system: System) -> list[str
         return []
     worst = max(large.values())
     return [
-        f"estimated error of the coupling: RMS {worst:.1%} of the range of {first_names(large)}; the result is"
-        " not reliable, take shorter steps"
+        f"estimated error of the coupling: RMS {worst:.1%} of the range of {first_names(large)}; the result"
+        " is not reliable, take shorter steps"
     ]
 
 

@@ -43,8 +43,8 @@ class BatchResult:
 
     time      shape (m,) [s]
     signals   name -> shape (n, m); NaN after the end of a machine that ended early
-    status    of each machine: "ok", "unreliable" (the error of the coupling is too large), "early" (an FMU asked
-              for the end), "failed" or "interrupted", shape (n,)
+    status    of each machine: "ok", "unreliable" (the error of the coupling is too large), "early" (an FMU
+              asked for the end), "failed" or "interrupted", shape (n,)
     reasons   why the status of each machine is not "ok"; empty if it is
     units     name -> unit of the FMU
     notes     remarks, such as why the machines ran one by one

@@ -155,7 +155,7 @@ class MachineProcess:
             with suppress(AttributeError, OSError):  # a hanging FMU keeps no core from others
                 os.sched_setscheduler(self.worker.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
             return "failed", f"the machine has not answered for {silent:.0f} s {self.worker.where}"
-        return status.state, ""
+        return status.state, str(_details(status).get("unreliable", ""))
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:

@@ -127,7 +127,7 @@ class Frame:
     axes       values of the axes after limits, shape (axes,)
     values     values of the signals, shape (signals,)
     state      "starting", "running", "paused", "ended" (a replay at its end), "failed"
-    message    reason of a failure, else empty
+    message    reason of a failure, or why the motion is not reliable, else empty
     """
 
     number: int

@@ -21,11 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
 from orchestrator.engine.job import Execution, Job, Record, with_default_guard
 from orchestrator.engine.open_job import opened
+from orchestrator.engine.recorder import EnergyMonitor
+from orchestrator.engine.result import SMALL_EXCHANGE, UNRELIABLE, energies_above
 from orchestrator.engine.scenario import ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
@@ -42,6 +45,7 @@ from orchestrator.worker.main import Channel
 GRACE = 2.0  # [s] for the last frame and for closing the FMUs
 POLL = 0.01  # [s] between two readings of the command while the machine is paused
 LOAD_SPAN = 1.0  # [s] over which the load is averaged
+RECENT = 1.0  # [s] in which the energies before fade to a third
 NEVER = 1 << 40  # steps: more than any session has
 
 
@@ -61,7 +65,7 @@ def main(channel: Channel) -> None:
             with shared.writing() as status:
                 status["last"] = task.first
             shared.set_state("paused", json.dumps(details))
-            _loop(stepper, task, shared, json.dumps(details), channel.ended)
+            _loop(stepper, task, shared, details, channel.ended)
         shared.set_state("ended", json.dumps(details))
     except Exception as problem:
         message = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
@@ -69,7 +73,9 @@ def main(channel: Channel) -> None:
     channel.ended.wait()
 
 
-def _loop(stepper: FrameStepper, task: Task, shared: SharedState, details: str, ended: Event) -> None:
+def _loop(
+    stepper: FrameStepper, task: Task, shared: SharedState, details: dict[str, Any], ended: Event
+) -> None:
     """Make one frame after the other, each when it is due, until the parent ends."""
     setup, clock, number = task.setup, DeadlineClock(), task.first
     limiter, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
@@ -87,7 +93,7 @@ def _loop(stepper: FrameStepper, task: Task, shared: SharedState, details: str, 
         commanded, length = watchdog.commanded(command, began), setup.frame / command.speed
         if command.playing != running:
             running = command.playing
-            shared.set_state("running" if running else "paused", details)
+            shared.set_state("running" if running else "paused", json.dumps(details))
             clock.begin(length)
         elif running:
             now = stepper.axes
@@ -95,6 +101,10 @@ def _loop(stepper: FrameStepper, task: Task, shared: SharedState, details: str, 
             number += 1
             shared.write_frame(number, stepper.t, stepper.axes, stepper.values)
             _publish(shared, number, clock, began, length)
+            if (doubt := stepper.unreliable) != (before := details.get("unreliable", "")):
+                details["unreliable"] = doubt
+                details["notes"] += [f"at t = {stepper.t:.3g} s: {doubt}"] if doubt and not before else []
+                shared.set_state("running", json.dumps(details))
             clock.done(length)
 
 
@@ -195,6 +205,28 @@ class LatestValues(TraceSink):
             self.values[:] = self.layout.values(reals[-1:], integers[-1:])[0]
 
 
+class RecentEnergies:
+    """Energy errors of the coupling over the last seconds: those before fade."""
+
+    def __init__(self, monitor: EnergyMonitor) -> None:
+        self._monitor, self._t = monitor, -inf
+        self._before = self._recent = np.zeros(monitor.energies_array.shape)
+        self._most = 0.0
+
+    def doubt(self, t: float) -> str:
+        """Why the motion is not reliable at t [s]; empty if it is. Call it once per frame."""
+        sums, monitor = self._monitor.energies_array, self._monitor
+        self._recent = self._recent * np.exp((self._t - t) / RECENT) + (sums - self._before)
+        self._before, self._t = sums, t
+        residual, _, exchanged = self._recent
+        self._most = max(self._most, float(exchanged.max(initial=0.0)))
+        # at rest nearly nothing is exchanged, and no error matters
+        above = energies_above(residual, exchanged) & (exchanged > SMALL_EXCHANGE * self._most)
+        names = [bond.name for bond, is_above in zip(monitor.bonds, above, strict=True) if is_above]
+        error = f"energy error of the coupling above {UNRELIABLE:.0%} of what {first_names(names)} exchanged"
+        return f"{error}; the motion is not reliable, take shorter steps" if names else ""
+
+
 class FrameStepper:
     """Steps a system of FMUs frame by frame.
 
@@ -203,7 +235,10 @@ class FrameStepper:
     values   values of the signals at t, shape (signals,)
     units    units of axes and signals, without those that have none
     notes    remarks on the run
+    unreliable   why the motion is not reliable at t, in one line; empty if it is
     """
+
+    unreliable = ""
 
     def __init__(self, setup: Setup) -> None:
         """Raises Problem for a mistake in the setup."""
@@ -225,7 +260,7 @@ class FrameStepper:
             system = driven.released(system)
         self._times = times
         self.units = _units(system, setup)
-        job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution())
+        job = Job(system, driven, coupling, Record(setup.signals), Execution())
         latest = LatestValues()
         with ExitStack() as stack:
             self._loop = stack.enter_context(opened(job, times, latest))
@@ -233,6 +268,7 @@ class FrameStepper:
             suggested = system.suggestion.notes(setup.step is not None)
             self.notes = (*system.notes, *system.warnings, *suggested, *self._loop.network.notes)
             self._exit = stack.pop_all()
+        self._energies = RecentEnergies(self._loop.energy)
         self.values = latest.values[: len(setup.signals)]
 
     def advance(self, axes: Array) -> None:
@@ -244,6 +280,7 @@ class FrameStepper:
             self._loop.advance()
         self.t = state.t
         self.axes[:] = axes
+        self.unreliable = self._energies.doubt(self.t)
 
     def close(self) -> None:
         """Free the FMUs. May be repeated."""

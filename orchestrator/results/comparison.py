@@ -127,7 +127,10 @@ class Comparison:
 
     def __repr__(self) -> str:
         start, stop = self.window
-        lines = [*self.unreliable, f"Comparison with {self.reference.label}, {start:g} to {stop:g} s; largest NRMSE:"]
+        lines = [
+            *self.unreliable,
+            f"Comparison with {self.reference.label}, {start:g} to {stop:g} s; largest NRMSE:",
+        ]
         for label in list(self.against)[:4]:
             rows = {q: row for q in self.quantities() if (row := self.worst(label, q))}
             worst = sorted(rows.values(), key=lambda row: -(row.metrics.nrmse or 0.0))[:3]

@@ -128,7 +128,7 @@ def _panel(comparison: Comparison, shown: Sequence[tuple[Run, str, Style]], name
 
 
 def text(comparison: Comparison) -> str:
-    """Runs that are not reliable, other experiments, cost of each run, worst signal of each quantity, the chosen signals, and notes."""
+    """Runs that are not reliable, other experiments, cost of each run, worst and chosen signals, notes."""
     parts = [[f"warning: {text}" for text in (*comparison.unreliable, *comparison.experiments)]]
     parts += [[*(table.lines() if table.rows else ()), *below] for table, below in tables(comparison)]
     parts += [[f"note: {note}" for note in _notes(comparison)]]

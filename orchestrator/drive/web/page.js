@@ -468,7 +468,7 @@ export class Page {
     this.line.show({ state, time, values, slowed: this.data.slowed, drives, timing, message, able, factor: this.pace.factor });
     const standing = !this.shared ? [] : state === UNHEARD ? [UNHEARD] : [message, STANDING[state] ?? ""];
     write(this.at("banner"), [...standing, this.blind, ...notices(this.data.notices, values)].filter(Boolean).map(worded).join("; "));
-    this.at("banner").classList.toggle("hm-bad", state === "failed" || state === UNHEARD);
+    this.at("banner").classList.toggle("hm-bad", state === "failed" || state === UNHEARD || Boolean(this.shared && message));
   }
 
   // name, state and time of what is shown

@@ -191,7 +191,7 @@ export function cells({ state, time, factor, values, slowed, drives, timing, abl
     line.push(["missed", `${timing.missed} of ${timing.frames} (${(100 * fraction).toFixed(2)} %)`, fraction < MISSED ? "good" : "bad"]);
     line.push(["latency", `${median} ms, 99 % ${most}, worst ${worst}`, ""], ["load", `${(100 * timing.load).toFixed(0)} %`, ""]);
   }
-  return message ? [...line, ["", message, state === "failed" ? "bad" : ""]] : line;
+  return message ? [...line, ["", message, "bad"]] : line;
 }
 
 export class StatusLine {

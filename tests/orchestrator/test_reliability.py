@@ -1,0 +1,174 @@
+"""When a result is not reliable, and that each kind of result says so: runs, files, comparisons, batches."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator import Trace, batch, compare, run
+from orchestrator.__main__ import main
+from orchestrator.engine.job import with_default_guard
+from orchestrator.engine.result import (
+    BondEnergy,
+    Card,
+    SignalError,
+    bonds_above,
+    energies_above,
+    metadata,
+    read_metadata,
+    unreliable_energies,
+    unreliable_errors,
+)
+from orchestrator.ssp.coupling import GUARD_TOLERANCE
+from orchestrator.ssp.write import write_ssp
+
+ROUGH = {"master": "jacobi", "step": 0.02, "stop": 1.0}  # a delay of 0.02 s feeds the spring with energy
+
+
+@pytest.fixture(scope="module")
+def rough(bounce):
+    """A result that is not reliable."""
+    return run(bounce(False), **ROUGH)
+
+
+# ---- the limits
+
+
+@pytest.mark.parametrize(("share", "above"), [(0.049, False), (-0.049, False), (0.051, True), (-0.051, True)])
+def test_an_energy_error_of_a_twentieth_is_the_limit(share, above):
+    """Of what the bond has exchanged, of either sign."""
+    bonds = [BondEnergy("good", 0.0, 1.0, 500.0), BondEnergy("it", 200.0 * share, 50.0, 200.0)]
+    assert [b.name for b in bonds_above(bonds, 0.05)] == ["it"] * above
+    assert len(unreliable_energies(bonds)) == above
+
+
+@pytest.mark.parametrize(("exchanged", "counts"), [(0.99, False), (1.01, True), (0.0, False)])
+def test_a_bond_that_hardly_exchanges_energy_does_not_count(exchanged, counts):
+    """Less than a hundredth of the largest exchange; a bond alone counts whatever it exchanges."""
+    small = BondEnergy("small", 0.5 * exchanged, 1.0, exchanged)
+    assert len(unreliable_energies([BondEnergy("large", 0.0, 0.0, 100.0), small])) == counts
+    assert len(unreliable_energies([small])) == (exchanged > 0)
+    assert unreliable_energies([]) == []
+
+
+def test_machines_are_judged_one_by_one():
+    """Shape (bonds, machines): the largest exchange is that of the same machine."""
+    residual = np.array([[0.0, 0.0], [1.0, 1.0]])
+    exchanged = np.array([[1e4, 10.0], [10.0, 10.0]])
+    assert energies_above(residual, exchanged).tolist() == [[False, False], [False, True]]
+
+
+@pytest.mark.parametrize(("rms", "told"), [(0.049, False), (0.051, True)])
+def test_an_estimated_error_of_a_twentieth_of_the_range_is_the_limit(bounce, rms, told):
+    """Of a signal that feeds a bond; other signals do not count."""
+    system = bounce(False)
+    error = SignalError("spring.force", largest=2 * rms, rms=rms, change=2 * rms * 1000.0)
+    assert len(unreliable_errors([error], system)) == told
+    assert not unreliable_errors([SignalError("mass.x", 2.0, 1.0, change=2.0)], system)
+
+
+def test_an_error_is_relative_to_a_thousandth_of_the_nominal_value_at_least():
+    """A range of 1 Pa of a pressure of 1e7 Pa does not count: its floor is 1e4 Pa."""
+    error = SignalError("p", largest=1.0, rms=0.5, change=1.0)
+    assert error.relative_rms(None) == error.relative_rms(1e3) == 0.5
+    assert error.relative_rms(1e7) == pytest.approx(0.5 * 1.0 / 1e4, rel=1e-12)  # rounding
+    assert SignalError("p", 0.0, 0.0).relative_rms(1.0) == 0.0
+
+
+# ---- each kind of result
+
+
+def test_a_run_says_that_it_is_not_reliable(rough, bounce):
+    """In its card, notes, text and metadata; a fine run does not."""
+    (reason,) = rough.card.unreliable
+    assert reason == rough.card.warnings[0] == rough.notes[0]
+    assert not rough.reliable
+    assert "not reliable" in repr(rough).splitlines()[0]
+    assert f"warning: {reason}" in rough.card.text()
+    assert metadata(rough).unreliable == (reason,)
+    fine = run(bounce(False), **ROUGH | {"step": 1e-4})
+    assert fine.reliable
+    assert not fine.card.warnings
+    assert "not reliable" not in repr(fine)
+
+
+def test_a_reason_is_told_once(rough):
+    """Also if it is found twice."""
+    assert rough.card.doubted(*rough.card.unreliable) == rough.card
+    assert Card("jacobi", 1e-3, 1e-3, 1, 1.0, 1.0).doubted("a", "b").warnings == ("a", "b")
+
+
+def test_a_further_run_tells_it_too(bounce):
+    """An estimate by half the step adds a reason of its own."""
+    result = run(bounce(False), **ROUGH, error_estimate=True)
+    assert any(reason.startswith("estimated error of the coupling") for reason in result.card.unreliable)
+
+
+def test_the_command_has_a_status_of_its_own(bounce, tmp_path, capsys):
+    """Status 3, and the metadata next to the trace; `compare` begins with it."""
+    ssp = write_ssp(bounce(False), tmp_path / "it.ssp")
+    out = tmp_path / "rough.csv"
+    options = ["--master", "jacobi", "--stop", "1"]
+    assert main(["run", str(ssp), "--out", str(out), "--step", "0.02", *options]) == 3
+    assert main(["run", str(ssp), "--out", str(tmp_path / "fine.csv"), "--step", "1e-4", *options]) == 0
+    stored = read_metadata(out)
+    assert stored is not None
+    assert len(stored.unreliable) == 1
+    assert json.loads(out.with_name("rough.run.json").read_text())["unreliable"] == [*stored.unreliable]
+    capsys.readouterr()
+    files = [str(out), str(tmp_path / "fine.csv")]
+    assert main(["compare", *files, "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.startswith("warning: rough: energy error of the coupling")
+    assert "Rough: energy error" in (tmp_path / "comparison.html").read_text()
+
+
+def test_a_comparison_says_it_in_its_first_line(rough, bounce):
+    """Of results, too; a trace without metadata says nothing."""
+    fine = run(bounce(False), **ROUGH | {"step": 1e-4})
+    compared = compare({"fine": fine, "rough": rough})
+    assert repr(compared).startswith("rough: energy error of the coupling")
+    bare = Trace(rough.time, rough.trace.signals, rough.units)
+    assert not compare({"fine": fine, "bare": bare}).unreliable
+
+
+def test_machines_one_by_one_have_a_status_of_their_own(bounce):
+    """Not "ok", with the reason; a note says of how many machines."""
+    result = batch(bounce(False), {"mass.spring": [0.0, 1.0]}, record="mass.x", lanes=False, **ROUGH)
+    assert result.status.tolist() == ["unreliable"] * 2
+    assert all("not reliable" in reason for reason in result.reasons)
+    assert result.notes[0].startswith("2 of 2 machines: energy error of the coupling")
+    assert np.isfinite(result["mass.x"]).all()
+
+
+# ---- the guard by what FMUs suggest
+
+
+def suggesting(bounce, step, **able):
+    """The oscillator, whose mass suggests a step."""
+    system = bounce(False)
+    mass = system.components["mass"]
+    interface = replace(mass.interface, step=step, rollback=True, variable_step=True)
+    spring = system.components["spring"]
+    other = replace(spring.interface, rollback=able.get("rollback", True), variable_step=True)
+    parts = {"mass": replace(mass, interface=interface), "spring": replace(spring, interface=other)}
+    return replace(system, components=parts)
+
+
+def test_a_step_above_a_suggested_one_is_guarded(bounce):
+    """Of an FMU, with a note; not if the user has chosen a guard or adaptive steps, or the step is short."""
+    system = suggesting(bounce, 2.5e-4)
+    guarded = with_default_guard(system, 1e-3)
+    assert guarded.coupling.guard == GUARD_TOLERANCE
+    assert guarded.notes[-1].startswith("mass suggests steps of 0.00025 s: those of 0.001 s are divided")
+    assert with_default_guard(system, 2.5e-4) is system
+    for chosen in ({"guard": 0.0}, {"guard": 1e-3}, {"adaptive": 1e-3}, {"master": "hermite"}):
+        assert with_default_guard(coupled := system.coupled(chosen), 1e-3) is coupled
+    assert with_default_guard(suggesting(bounce, None), 1.0).coupling is None
+
+
+def test_steps_that_cannot_be_divided_are_told(bounce):
+    """An FMU that cannot go back leaves only a note."""
+    found = with_default_guard(suggesting(bounce, 2.5e-4, rollback=False), 1e-3)
+    assert found.coupling is None
+    assert found.notes[-1] == "mass suggests steps of 0.00025 s; this run has steps of 0.001 s"
