@@ -127,6 +127,43 @@ def test_extrapolation_is_exact_for_polynomials_of_its_degree(c, step, h, degree
     close(at(found, h), at(c, h), 10 * magnitude)
 
 
+@given(cubics, lengths, numbers)
+def test_a_prediction_is_the_cubic_through_thirds_and_errs_by_a_quarter_in_the_mean(c, h, error):
+    """Its error grows as t^3: the deviation is the mean of the source less that of the input.
+
+    If the source has stepped, its value there is the end, with the same value, slope and bend at the start.
+    """
+    s = Input(value=c[0])
+    s.predict(*(at(c, k * h / 3) - c[0] for k in (1, 2, 3)), h)
+    magnitude = 200 * size(c, h) + 10 * abs(error)  # coefficients of the thirds are up to 45
+    for k, (found, true) in enumerate(zip(tuple(s.c), c, strict=True)):
+        close(found * h**k, true * h**k, magnitude)
+    source = (*c[:3], c[3] + error / h**3)
+    s.struct.value_end = at(source, h)
+    close(s.deviation(h, 0), mean(c, h) - mean(source, h), magnitude)
+    before = tuple(s.c)
+    s.end_at_source(h)
+    assert tuple(s.c)[:3] == before[:3]
+    close(at(s.c, h), s.value_end, magnitude)
+
+
+@given(st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_between_two_ends_an_input_errs_by_less_than_its_deviation(before, h):
+    """From a source of one degree more: t^2, t^3, t^4, whose largest errors are those of Hermite's remainder.
+
+    The deviation is once, about twice and four times that.
+    """
+    largest = {1: h**2 / 4, 2: 4 * h**3 / 27, 3: h**4 / 16}
+    times = {1: 1.0, 2: 27 / 16 * (h + 1.5 * before) / (h + before), 3: 4.0}
+    for degree in (1, 2, 3):
+        power = degree + 1
+        s = Input(slope_before=power * (-before) ** degree, chord_before=-((-before) ** power) / before)
+        s.struct.value_end, s.struct.slope_end = h**power, power * h**degree
+        s.interpolate(degree, h, before)
+        # rounding: the extrapolation is up to 64
+        assert abs(s.deviation(h, 0)) == pytest.approx(times[degree] * largest[degree], rel=1e-12)
+
+
 @given(cubics, lengths, lengths)
 def test_shifting_counts_time_from_elsewhere(c, by, s):
     """u(by + s) is the shifted polynomial at s; by 0, without substeps, it is the same bit for bit."""
@@ -212,3 +249,36 @@ def test_corners_of_autonomous_sources_and_the_largest_magnitude():
     assert (s.value_end, s.magnitude(), s.relative(2.0)) == (0.0, 8.0, 0.25)
     still = Input()
     assert still.relative(1.0) == 0.0  # the start: nothing was ever there to compare with
+    small = Input(scale=1e-3)
+    assert small.relative(-2e-3) == 2.0
+
+
+@pytest.mark.parametrize("at_start", [True, False])
+@pytest.mark.parametrize(("share", "line"), [(0.99, True), (1.01, False)])
+def test_an_end_with_the_slope_of_the_chord_up_to_1e_6_makes_a_line(at_start, share, line):
+    """Relative to the sum of the magnitudes of three slopes: the chord's 1, this one's and the other's 2."""
+    slopes = 1.0 + share * 4e-6, -2.0
+    slope, slope_end = slopes if at_start else slopes[::-1]
+    s = Input(autonomous=True, value_end=0.5, slope=slope, slope_end=slope_end)
+    s.interpolate(3, 0.5, 1.0)
+    assert (tuple(s.c) == (0.0, 1.0, 0.0, 0.0)) == line
+    call("input_true_course", ctypes.byref(s.struct), 0.5, course := vector((9.0,) * 4))
+    assert tuple(course) == tuple(s.c)
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_the_past_of_the_start_is_a_straight_line(order):
+    """Or a constant if there is no slope yet; nothing is corrected there."""
+    for slope, known in ((3.0, 3.0), (float("nan"), 0.0)):
+        s = Input(order=order)
+        s.begin(2.0, slope)
+        assert tuple(s.c) == (2.0, known, 0.0, 0.0)
+        s.extrapolate(0.5, 0.0)
+        s.correct(0.5, 0.0)
+        assert tuple(s.c) == (2.0, known if order else 0.0, 0.0, 0.0)
+        assert (s.expected, s.correction) == (at(s.c, 0.5), 0.0)
+        s.set_end(4.0, 5.0, 0.5, 0.0, 0.0)
+        s.interpolate(3, 0.5, 0.0)  # without a slope at the beginning: the line between both ends
+        assert (tuple(s.c) == (2.0, 4.0, 0.0, 0.0)) == (known == 0.0)
+        s.accept(0.5)
+        assert (s.slope_before, s.chord_before) == ((3.0, 4.0) if known else (5.0, 5.0))
