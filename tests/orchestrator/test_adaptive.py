@@ -128,7 +128,7 @@ PUSH = Trace(np.array([0.0, 0.499, 0.501, 1.0]), {"a.u": np.array([0.0, 0.0, 50.
 
 @pytest.fixture
 def integrals(fmus):
-    """An integrator fed by the integral of a push, which cannot be extrapolated; and where none can go back."""
+    """An integrator fed by that of a push, which cannot be extrapolated; and where none can go back."""
     parts = (fmus.make("fails", f"jump_{len(a)}", interpolates=True, able=a) for a in ({}, STUCK))
     return [assemble({"a": part, "b": part}, ["a.y -> b.u"]) for part in parts]
 
@@ -141,7 +141,7 @@ def test_the_first_step_is_a_thousandth_of_the_given_one_where_it_cannot_be_repe
 
 
 def test_bad_steps(integrals):
-    """They are repeated, counted and not recorded; where an FMU cannot go back only the next step is shorter."""
+    """They are repeated, counted, not recorded; where an FMU cannot go back only the next step is shorter."""
     result, stuck = (run(s, PUSH, master=Coupling("jacobi", adaptive=1e-3)) for s in integrals)
     assert result.card.repeated > 0
     assert f"{result.card.repeated} repeated" in result.card.text()

@@ -45,7 +45,7 @@ class Input:
     def __init__(self, **fields):
         self.struct = CouplingInput(
             **{"factor": 1.0, "source_component": 1, "fmu_degree": 3, "requested_degree": 3}
-            | {"source_slope": ctypes.addressof(SLOPE), "history_order": 3}
+            | {"source_slope": ctypes.addressof(SLOPE), "slopes_known": 2}
             | fields
         )
 
@@ -273,6 +273,7 @@ def test_the_past_of_the_start_is_a_straight_line(order):
         s = Input(order=order)
         s.begin(2.0, slope)
         assert tuple(s.c) == (2.0, known, 0.0, 0.0)
+        points = [s.slopes_known]
         s.extrapolate(0.5, 0.0)
         s.correct(0.5, 0.0)
         assert tuple(s.c) == (2.0, known if order else 0.0, 0.0, 0.0)
@@ -282,3 +283,7 @@ def test_the_past_of_the_start_is_a_straight_line(order):
         assert (tuple(s.c) == (2.0, 4.0, 0.0, 0.0)) == (known == 0.0)
         s.accept(0.5)
         assert (s.slope_before, s.chord_before) == ((3.0, 4.0) if known else (5.0, 5.0))
+        for _ in range(2):
+            points.append(s.slopes_known)
+            s.accept(0.5)
+        assert points == ([1, 2, 2] if known else [0, 1, 2])

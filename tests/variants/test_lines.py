@@ -133,7 +133,7 @@ def test_the_adviser_asks_for_no_lump_too_many(length, bandwidth, error):
 
 @pytest.mark.parametrize("n", range(1, 20))
 def test_what_n_lumps_just_reach_takes_n(n):
-    """The bandwidth at which the error of n lumps is 1 - sin(1): rounding of the quotient asks for no more."""
+    """The bandwidth at which n lumps err by 1 - sin(1): rounding of the quotient asks for no more."""
     bandwidth = 2 * n * SPEED / (2 * math.pi * LENGTH)
     for more, lumps in ((1.0, n), (1 + 1e-9, n + 1), (0.49, math.ceil(0.49 * n))):
         assert lumps_needed(LENGTH, BORE, more * bandwidth, 1 - math.sin(1), oil(1e-12)) == lumps
