@@ -67,7 +67,9 @@ def count(values):
 # ---- what is solved
 
 
-@pytest.mark.parametrize(("nominal", "history"), [(None, []), (100.0, []), (None, [100.0]), (1.0, [-100.0])])
+@pytest.mark.parametrize(
+    ("nominal", "history"), [(None, []), (100.0, []), (None, [100.0]), (1.0, [-1.0, -100])]
+)
 @pytest.mark.parametrize("share", [0.99, 1.01])
 def test_a_residual_of_1e_10_of_the_magnitude_is_a_solution(nominal, history, share):
     """The magnitude of an input is its nominal value or the largest until now; below it nothing moves."""
@@ -75,6 +77,7 @@ def test_a_residual_of_1e_10_of_the_magnitude_is_a_solution(nominal, history, sh
     for value in [*history, 1.0]:
         p.value = value
         p.solve()
+        assert p.u[0] == value  # a linear loop, whose slope is 0
     change = share * 1e-10 * (100.0 if history or nominal == 100.0 else 1.0)
     p.value = 1.0 + change
     p.solve()
@@ -82,18 +85,26 @@ def test_a_residual_of_1e_10_of_the_magnitude_is_a_solution(nominal, history, sh
     assert p.u[0] == pytest.approx(1.0 if share < 1 else 1.0 + change, abs=1e-15)
 
 
+@pytest.mark.parametrize("beside", [0.0, 1e6])
 @pytest.mark.parametrize(("share", "solved"), [(0.99, True), (1.01, False)])
-def test_a_step_is_halved_nine_times_at_most(share, solved):
+def test_a_step_is_halved_nine_times_at_most(share, solved, beside):
     """r = -1 + 2 u + c u^2 / 4 at u = 0: the full step to 1/2 leaves c/16, one of f = 2^-9 less than the
     residual before if f + c f^2 / 16 < 2. With a larger c the direction is taken to be wrong.
+
+    An input of another magnitude, for which the full step is right, does not decide.
     """
     f = 2.0**-9
     c = share * 16 * (2 - f) / f**2
-    p = Looped(lambda u: 1 - u - c * u**2 / 4, slope=lambda u: -1 - c * u / 2, nominal=[1e-6])
+    p = Looped(
+        lambda u, _: (1 - u - c * u**2 / 4, beside),
+        (0.0, 0.0),
+        lambda u, _: np.diag([-1 - c * u / 2, 0.0]),
+        [1e-6, 1e6],
+    )
     if solved:
         p.solve()
         # of the root of the parabola, whose residual is 1e-10 of 1, its magnitude, and whose slope is large
-        assert p.u[0] == pytest.approx((np.sqrt(4 + c) - 2) / (c / 2), rel=1e-6)
+        assert p.u == pytest.approx([(np.sqrt(4 + c) - 2) / (c / 2), beside], rel=1e-6)
     else:
         problem(p.solve, r"no solution at t = 0 s: p\.u0 is set to 0 and would become 1")
 
@@ -141,6 +152,27 @@ def test_the_jacobian_is_kept_while_a_step_leaves_a_thousandth(share, renewals):
     p.solve()
     assert p.u[0] == pytest.approx(value / (1 - slope), rel=1e-10)
     assert jacobians() == renewals
+
+
+@pytest.mark.parametrize("kept", ["from before", "in the same solution"])
+def test_a_kept_jacobian_that_does_not_reduce_the_residual_is_made_anew(kept):
+    """The residual falls where it had risen; no part of a step in the old direction would reduce it."""
+    rising, falling = (lambda _: 1.0), (lambda u: 2 * u - 1.0005)  # r = u - 1, 1.0005 - u
+    if kept == "from before":
+        p = Looped(rising, slope=lambda _: 0.0)
+        p.solve()
+        p.g, p.slope = falling, lambda _: 2.0
+    else:  # it rises up to 1, where a step from 0 leads, and leaves 5e-4
+        p = Looped(lambda u: rising(u) if u < 0.9 else falling(u), slope=lambda u: 0.0 if u < 0.9 else 2.0)
+    jacobians = count(p.directions)
+    p.solve()
+    assert p.u[0] == pytest.approx(1.0005, rel=1e-10)  # the residual
+    assert jacobians() == (1 if kept == "from before" else 3)  # one to compare with a difference
+
+
+def test_an_infinite_output_is_no_solution():
+    """Although it is equal to itself."""
+    problem(Looped(lambda _: np.inf).solve, r"no solution at t = 0 s: p\.y0 is inf")
 
 
 @pytest.mark.parametrize("magnitude", [1e-3, 1.0, 1e6])
