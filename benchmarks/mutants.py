@@ -53,9 +53,10 @@ ROOMS = {
         *("tests/equations", "tests/variants"),
     )),
     "engine": Room("orchestrator/engine/native", "*.c", (
-        *(ORCHESTRATOR + f"test_{n}.py" for n in ("coupling_input", "masters", "hermite", "orders", "loops")),
-        *(ORCHESTRATOR + f"test_{n}.py" for n in ("error_estimate", "adaptive", "interface_jacobian")),
-        *(ORCHESTRATOR + f"test_{n}.py" for n in ("engine_parts", "error_sections", "joined_system")),
+        *(ORCHESTRATOR + f"test_{n}.py" for n in ("coupling_input", "newton", "engine_parts", "masters")),
+        *(ORCHESTRATOR + f"test_{n}.py" for n in ("hermite", "orders", "loops", "error_estimate")),
+        *(ORCHESTRATOR + f"test_{n}.py" for n in ("adaptive", "interface_jacobian", "error_sections")),
+        *(ORCHESTRATOR + f"test_{n}.py" for n in ("joined_system", "simulation_loop", "energy")),
         *("tests/monolithic", "tests/orchestrator"),
     )),
     "linear": Room("orchestrator/linear", "*.py", (

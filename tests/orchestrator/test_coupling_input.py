@@ -129,6 +129,18 @@ def test_extrapolation_is_exact_for_polynomials_of_its_degree(c, step, h, degree
     close(at(found, h), at(c, h), 10 * magnitude)
 
 
+@given(cubics, lengths)
+def test_a_driven_input_is_a_line_that_errs_by_what_it_leaves_out_in_the_middle(c, h):
+    """Between the values at both ends; a parabola through all three is farthest from it there."""
+    value, slope, middle, end = c
+    s = Input(value=value, slope=slope)
+    s.drive(middle, end, h)
+    magnitude = abs(value) + abs(middle) + abs(end)
+    close(at(s.c, h), end, magnitude)
+    assert (s.c[0], *s.c[2:]) == (value, 0.0, 0.0)
+    close(s.deviation(h, 0), middle - (value + end) / 2, magnitude)
+
+
 @given(cubics, lengths, numbers)
 def test_a_prediction_is_the_cubic_through_thirds_and_errs_by_a_quarter_in_the_mean(c, h, error):
     """Its error grows as t^3: the deviation is the mean of the source less that of the input.
