@@ -104,8 +104,9 @@ def test_projections_keep_mean_and_moment(c, h):
 def test_interpolation_passes_through_its_data(c, h, degree):
     """The only polynomial of its degree with both values, the slope at the beginning, and that at the end."""
     value, slope, value1, slope1 = c
-    s = Input(value=value, slope=slope, value_end=value1, slope_end=slope1)
+    s = Input(value=value, slope=slope, value_end=value1, slope_end=slope1, correction=1.0)
     s.interpolate(degree, h, 1.0)
+    assert s.correction == 0.0  # that was of another step
     found, magnitude = tuple(s.c), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
     assert not any(found[degree + 1 :])
     close(at(found, 0.0), value, magnitude)
@@ -147,11 +148,12 @@ def test_a_prediction_is_the_cubic_through_thirds_and_errs_by_a_quarter_in_the_m
 
     If the source has stepped, its value there is the end, with the same value, slope and bend at the start.
     """
-    s = Input(value=c[0])
+    s = Input(value=c[0], correction=1.0)
     s.predict(*(at(c, k * h / 3) - c[0] for k in (1, 2, 3)), h)
     magnitude = 200 * size(c, h) + 10 * abs(error)  # coefficients of the thirds are up to 45
     for k, (found, true) in enumerate(zip(tuple(s.c), c, strict=True)):
         close(found * h**k, true * h**k, magnitude)
+    assert s.correction == 0.0  # that was of another step
     source = (*c[:3], c[3] + error / h**3)
     s.struct.value_end = at(source, h)
     close(s.deviation(h, 0), mean(c, h) - mean(source, h), magnitude)
@@ -273,11 +275,18 @@ def test_an_end_with_the_slope_of_the_chord_up_to_1e_6_makes_a_line(at_start, sh
     """Relative to the sum of the magnitudes of three slopes: the chord's 1, this one's and the other's 2."""
     slopes = 1.0 + share * 4e-6, -2.0
     slope, slope_end = slopes if at_start else slopes[::-1]
-    s = Input(autonomous=True, value_end=0.5, slope=slope, slope_end=slope_end)
+    s = Input(autonomous=True, value=3.0, value_end=3.5, slope=slope, slope_end=slope_end)
     s.interpolate(3, 0.5, 1.0)
-    assert (tuple(s.c) == (0.0, 1.0, 0.0, 0.0)) == line
+    assert (tuple(s.c) == (3.0, 1.0, 0.0, 0.0)) == line
     call("input_true_course", ctypes.byref(s.struct), 0.5, course := vector((9.0,) * 4))
     assert tuple(course) == tuple(s.c)
+
+
+def test_a_free_source_that_has_stopped_is_foreseen():
+    """From the end of its motion on it is a line, whatever it did before."""
+    s = Input(autonomous=True, value=2.0, value_end=2.0, slope_before=1.0, chord_before=1.0)
+    s.interpolate(3, 0.5, 0.5)
+    assert s.deviation(0.5, 0) == 0.0
 
 
 @pytest.mark.parametrize("order", range(4))
