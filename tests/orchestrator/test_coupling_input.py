@@ -251,7 +251,10 @@ def test_the_deficit_of_the_mean_is_corrected(c, order, before, h):
     s, t, (step, _) = watched(c, lengths, order=order)
     s.extrapolate(h, step)
     s.correct(h, step)
-    close(mean(s.c, h), mean(shifted(c, t), h), 10 ** (2 + order // 2) * size(c, sum(lengths)))
+    magnitude = 10 ** (2 + order // 2) * size(c, sum(lengths))
+    close(mean(s.c, h), mean(shifted(c, t), h), magnitude)
+    s.find_deficit(h)
+    close(s.deficit, s.correction, magnitude)  # what the next step is corrected by in turn
 
 
 def test_corners_of_autonomous_sources_and_the_largest_magnitude():
@@ -281,6 +284,23 @@ def test_an_end_with_the_slope_of_the_chord_up_to_1e_6_makes_a_line(at_start, sh
     assert (tuple(s.c) == (3.0, 1.0, 0.0, 0.0)) == line
     call("input_true_course", ctypes.byref(s.struct), 0.5, course := vector((9.0,) * 4))
     assert tuple(course) == tuple(s.c)
+
+
+def test_an_input_takes_the_numbers_of_another_but_not_its_wires():
+    """Of the machines that are chosen."""
+    fields = [name for name, _ in CouplingInput._fields_]
+    numbers, wires = fields[: fields.index("source_slope")], fields[fields.index("source_slope") :]
+
+    def read(s, names):
+        return [tuple(x) if hasattr(x := getattr(s.struct, name), "__len__") else x for name in names]
+
+    one, other = Input(order=1, target=4, value=1.0), Input(source_slope=None, order=2, weight=3.0, value=2.0)
+    before, wiring = read(one, numbers), read(one, wires)
+    for machines, expected in ((0, before), (1, read(other, numbers))):
+        one.replace(ctypes.byref(other.struct), machines)
+        assert read(one, numbers) == expected
+        assert read(one, wires) == wiring
+    assert expected != before
 
 
 def test_a_free_source_that_has_stopped_is_foreseen():
