@@ -18,8 +18,11 @@ class Looped:
     directions   along which it was differentiated
     """
 
-    def __init__(self, g, u=(0.0,), slope=None, nominal=None):
-        """slope: the Jacobian that it gives at u; nominal: values of its inputs."""
+    def __init__(self, g, u=(0.0,), slope=None, nominal=None, passes=0):
+        """slope: the Jacobian that it gives at u; nominal: values of its inputs.
+
+        passes: how often values are copied, because it does not declare what depends on what; 0: it does
+        """
         self.g, self.u, self.slope = g, np.array(u, float), slope
         self.visited, self.directions, self.log = [], [], SimpleNamespace(time=0.0)
         kinds = [SimpleNamespace(function_type="Real", nominal=n) for n in nominal or self.u * 0]
@@ -27,7 +30,7 @@ class Looped:
         both = {name: kind for pair, kind in zip(names, kinds, strict=True) for name in pair}
         self.interface = SimpleNamespace(variables=both, directional_derivatives=slope is not None)
         wires = tuple(Connection(Port("p", y), Port("p", u)) for u, y in names)
-        cycle = DependencyCycle(wires, declared=True, rounds=1, discrete=None, passes=0, text="loop")
+        cycle = DependencyCycle(wires, not passes, rounds=1, discrete=None, passes=passes, text="loop")
         self.solve = solver({"p": self}, cycle)
 
     def reader(self, names, into):
@@ -91,16 +94,13 @@ def test_a_step_is_halved_nine_times_at_most(share, solved, beside):
     """r = -1 + 2 u + c u^2 / 4 at u = 0: the full step to 1/2 leaves c/16, one of f = 2^-9 less than the
     residual before if f + c f^2 / 16 < 2. With a larger c the direction is taken to be wrong.
 
-    An input of another magnitude, for which the full step is right, does not decide.
+    An input of another magnitude, for which the full step is right, does not decide; nor what it was before.
     """
     f = 2.0**-9
     c = share * 16 * (2 - f) / f**2
-    p = Looped(
-        lambda u, _: (1 - u - c * u**2 / 4, beside),
-        (0.0, 0.0),
-        lambda u, _: np.diag([-1 - c * u / 2, 0.0]),
-        [1e-6, 1e6],
-    )
+    p = Looped(lambda u, _: (-u, 1.0), (0.0, 0.0), lambda u, _: np.diag([-1 - c * u / 2, 0.0]), [1e-6, 1e-6])
+    p.solve()
+    p.g = lambda u, _: (1 - u - c * u**2 / 4, beside)
     if solved:
         p.solve()
         # of the root of the parabola, whose residual is 1e-10 of 1, its magnitude, and whose slope is large
@@ -207,3 +207,36 @@ def test_derivatives_may_differ_from_differences_by_a_tenth(row, share, used):
     exact = np.linalg.solve(np.eye(2) - slopes, scales)
     np.testing.assert_allclose(p.u / scales, exact / scales, rtol=0, atol=1e-9)  # residual: 1e-10 of them
     assert (len(p.directions) > 2) == used  # two to compare
+
+
+# ---- dependencies that are not declared
+
+
+def test_values_that_do_not_depend_on_themselves_are_copied():
+    """In a chain of two each copy makes one more right; nothing is differentiated after the start."""
+    p = Looped(lambda a, b: (3.0 + 0 * b, 2.0 * a), [0.0, 0.0], lambda *_: np.eye(2), passes=2)
+    p.solve()
+    (first, second), start = p.visited[1:3], (0.0, 0.0)
+    assert p.visited == [start, first, second, start, (3.0, 0.0), (3.0, 6.0)]
+    assert {first, second} == {(1e-6, 0.0), (0.0, 1e-6)}  # differences
+    p.solve()
+    assert p.visited[6:] == [(3.0, 6.0)]
+    assert p.directions == []
+
+
+def test_a_loop_is_found_at_the_start_or_when_copies_do_not_settle():
+    """Then it is solved from where it was, and from the beginning in later steps."""
+    p = Looped(lambda u: 3 * u + 1, slope=lambda _: 0.0, passes=2)
+    p.solve()
+    assert p.u[0] == pytest.approx(-0.5, rel=1e-10)  # the residual
+    late = Looped(lambda _: 4.0, slope=lambda _: 0.0, passes=2)
+    late.solve()
+    late.g, seen = lambda u: 3 * u + 1, count(late.visited)
+    late.solve()
+    assert [x for (x,) in late.visited[-seen() :][:4]] == [4.0, 13.0, 40.0, 4.0]
+    assert late.u[0] == pytest.approx(-0.5, rel=1e-10)
+    late.g, seen = lambda u: 3 * u + 2, count(late.visited)
+    late.solve()
+    assert late.u[0] == pytest.approx(-1.0, rel=1e-10)
+    assert seen() == 2
+    assert p.directions == late.directions == []  # slopes of what is not declared are not believed
