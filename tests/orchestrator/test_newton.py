@@ -226,9 +226,10 @@ def test_values_that_do_not_depend_on_themselves_are_copied():
 
 def test_a_loop_is_found_at_the_start_or_when_copies_do_not_settle():
     """Then it is solved from where it was, and from the beginning in later steps."""
-    p = Looped(lambda u: 3 * u + 1, slope=lambda _: 0.0, passes=2)
+    p = Looped(lambda a, b: (1.0 + 0 * a, 3 * b + 1), [0.0, 0.0], lambda *_: np.eye(2), passes=2)
     p.solve()
-    assert p.u[0] == pytest.approx(-0.5, rel=1e-10)  # the residual
+    assert p.u == pytest.approx([1.0, -0.5], rel=1e-10)  # the residual
+    assert (1.0, 1.0) not in p.visited  # nothing was copied
     late = Looped(lambda _: 4.0, slope=lambda _: 0.0, passes=2)
     late.solve()
     late.g, seen = lambda u: 3 * u + 1, count(late.visited)
