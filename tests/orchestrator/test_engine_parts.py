@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.polynomial import Legendre, Polynomial
 
 from orchestrator.base.compiler import host, shared_library
 from orchestrator.engine.c_library import Binding, recipe
@@ -77,6 +78,50 @@ def test_a_table_is_read_at_any_time_in_any_order(scenario):
         # rounding
         assert value == pytest.approx(1e3 * np.interp(t, times, column) + 7.0, rel=1e-12, abs=1e-9)
         assert rate == pytest.approx(1e3 * slope, rel=1e-12)
+
+
+# ---- the inputs of an FMU over a part of a step
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize(("begin", "last"), [(0.0, False), (0.0, True), (0.2, False), (0.2, True)])
+def test_an_fmu_gets_the_nearest_polynomial_that_it_can_follow(degree, begin, last):
+    """Value and derivatives at the start of the part; one that follows no cubic the line, or the constant,
+    nearest to it over the part. The ends of a whole step are kept for its energy.
+    """
+    length, binding = 0.3, Binding()
+    courses = [Polynomial([1.0, -2.0, 3.0, -5.0]), Polynomial([4.0, 0.5, -1.0, 2.0])]
+    inputs = binding.array(binding.h.CouplingInput, [()] * 3)
+    for k, (s, course) in enumerate(zip(inputs[1:], courses, strict=True)):
+        s.c[:] = course.coef
+        s.fmu_degree, s.requested_degree, s.target = degree, 3, 2 - k
+    values, derivatives, ends = np.zeros(2), np.zeros(6), np.zeros((2, 3))
+    component = binding.h.Component(
+        first_input=1, input_count=2, sets_values=1, values=binding.at(values),
+        derivatives=binding.at(derivatives),
+    )  # fmt: skip
+    simulation = binding.h.Simulation(
+        inputs=binding.pointer(inputs), input_ends=binding.at(ends), real_count=3
+    )
+
+    def call(name, *arguments):
+        assert getattr(everything(), name)(ctypes.byref(simulation), ctypes.byref(component), *arguments) == 0
+
+    call("component_set_inputs", ctypes.c_double(begin), ctypes.c_double(length), int(last))
+    # Legendre's polynomials are orthogonal over the part: the first terms are the nearest polynomial
+    parts = [
+        course.convert(kind=Legendre, domain=[begin, begin + length]).truncate(degree + 1)
+        for course in courses
+    ]
+    expected = [[part.deriv(k)(begin) for k in range(degree + 1)] for part in parts]
+    near = {"rel": 1e-12, "abs": 1e-12}  # rounding
+    assert values == pytest.approx([e[0] for e in expected], **near)
+    assert derivatives[: 2 * degree] == pytest.approx([d for e in expected for d in e[1:]], **near)
+    assert not derivatives[2 * degree :].any()
+    kept = np.zeros((2, 3))
+    kept[0, [2, 1]] = [e[0] for e in expected] if begin == 0.0 else 0.0
+    kept[1, [2, 1]] = [part(begin + length) for part in parts] if last else 0.0
+    assert ends == pytest.approx(kept, **near)
 
 
 # ---- the error of a step
