@@ -126,14 +126,23 @@ def test_a_corner_beside_an_output_time_makes_no_tiny_step(pushed):
 PUSH = Trace(np.array([0.0, 0.499, 0.501, 1.0]), {"a.u": np.array([0.0, 0.0, 50.0, 50.0])})
 
 
-def test_bad_steps(fmus):
-    """They are repeated, counted and not recorded; where an FMU cannot go back only the next step is shorter.
-
-    An integrator is fed by the integral of a push, which cannot be extrapolated.
-    """
+@pytest.fixture
+def integrals(fmus):
+    """An integrator fed by that of a push, which cannot be extrapolated; and where none can go back."""
     parts = (fmus.make("fails", f"jump_{len(a)}", interpolates=True, able=a) for a in ({}, STUCK))
-    systems = (assemble({"a": part, "b": part}, ["a.y -> b.u"]) for part in parts)
-    result, stuck = (run(s, PUSH, master=Coupling("jacobi", adaptive=1e-3)) for s in systems)
+    return [assemble({"a": part, "b": part}, ["a.y -> b.u"]) for part in parts]
+
+
+def test_the_first_step_is_a_thousandth_of_the_given_one_where_it_cannot_be_repeated(integrals):
+    """A step of the given length that turned out too long could not be taken back."""
+    coupling = Coupling("jacobi", adaptive=1e-3)
+    first = [run(s, PUSH, master=coupling, step=0.05, stop=0.2).trace.time[1] for s in integrals]
+    assert first == pytest.approx([0.05, 5e-5], rel=1e-15)  # one product
+
+
+def test_bad_steps(integrals):
+    """They are repeated, counted, not recorded; where an FMU cannot go back only the next step is shorter."""
+    result, stuck = (run(s, PUSH, master=Coupling("jacobi", adaptive=1e-3)) for s in integrals)
     assert result.card.repeated > 0
     assert f"{result.card.repeated} repeated" in result.card.text()
     assert len(result.trace.time) == result.card.steps + 1

@@ -1,9 +1,10 @@
 """Polynomials over a step: what projections keep, what interpolation and extrapolation are exact for."""
 
 import ctypes
+import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from orchestrator.engine.c_library import engine_h, library
@@ -45,7 +46,7 @@ class Input:
     def __init__(self, **fields):
         self.struct = CouplingInput(
             **{"factor": 1.0, "source_component": 1, "fmu_degree": 3, "requested_degree": 3}
-            | {"source_slope": ctypes.addressof(SLOPE), "history_order": 3}
+            | {"source_slope": ctypes.addressof(SLOPE), "slopes_known": 2}
             | fields
         )
 
@@ -82,6 +83,8 @@ def moment(c, h):
     return sum(x * h ** (k + 2) / (k + 2) for k, x in enumerate(c))
 
 
+@example((1.0, 2.0, 1.0, 0.0), 2.0)
+@example((1.0, 2.0, 0.0, 1.0), 2.0)
 @given(cubics, lengths)
 def test_projections_keep_mean_and_moment(c, h):
     """A polynomial of lower degree has the mean of the cubic; the line also that of s u(s): it is nearest.
@@ -102,8 +105,9 @@ def test_projections_keep_mean_and_moment(c, h):
 def test_interpolation_passes_through_its_data(c, h, degree):
     """The only polynomial of its degree with both values, the slope at the beginning, and that at the end."""
     value, slope, value1, slope1 = c
-    s = Input(value=value, slope=slope, value_end=value1, slope_end=slope1)
+    s = Input(value=value, slope=slope, value_end=value1, slope_end=slope1, correction=1.0)
     s.interpolate(degree, h, 1.0)
+    assert s.correction == 0.0  # that was of another step
     found, magnitude = tuple(s.c), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
     assert not any(found[degree + 1 :])
     close(at(found, 0.0), value, magnitude)
@@ -125,6 +129,56 @@ def test_extrapolation_is_exact_for_polynomials_of_its_degree(c, step, h, degree
     # differences over the step before are rounded in units of the magnitude there
     magnitude = size(c, max(h, step)) * max(1.0, h / step) ** degree
     close(at(found, h), at(c, h), 10 * magnitude)
+
+
+@given(cubics, lengths)
+def test_a_driven_input_is_a_line_that_errs_by_what_it_leaves_out_in_the_middle(c, h):
+    """Between the values at both ends; a parabola through all three is farthest from it there."""
+    value, slope, middle, end = c
+    s = Input(value=value, slope=slope)
+    s.drive(middle, end, h)
+    magnitude = abs(value) + abs(middle) + abs(end)
+    close(at(s.c, h), end, magnitude)
+    assert (s.c[0], *s.c[2:]) == (value, 0.0, 0.0)
+    close(s.deviation(h, 0), middle - (value + end) / 2, magnitude)
+
+
+@given(cubics, lengths, numbers)
+def test_a_prediction_is_the_cubic_through_thirds_and_errs_by_a_quarter_in_the_mean(c, h, error):
+    """Its error grows as t^3: the deviation is the mean of the source less that of the input.
+
+    If the source has stepped, its value there is the end, with the same value, slope and bend at the start.
+    """
+    s = Input(value=c[0], correction=1.0)
+    s.predict(*(at(c, k * h / 3) - c[0] for k in (1, 2, 3)), h)
+    magnitude = 200 * size(c, h) + 10 * abs(error)  # coefficients of the thirds are up to 45
+    for k, (found, true) in enumerate(zip(tuple(s.c), c, strict=True)):
+        close(found * h**k, true * h**k, magnitude)
+    assert s.correction == 0.0  # that was of another step
+    source = (*c[:3], c[3] + error / h**3)
+    s.struct.value_end = at(source, h)
+    close(s.deviation(h, 0), mean(c, h) - mean(source, h), magnitude)
+    before = tuple(s.c)
+    s.end_at_source(h)
+    assert tuple(s.c)[:3] == before[:3]
+    close(at(s.c, h), s.value_end, magnitude)
+
+
+@given(st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_between_two_ends_an_input_errs_by_less_than_its_deviation(before, h):
+    """From a source of one degree more: t^2, t^3, t^4, whose largest errors are those of Hermite's remainder.
+
+    The deviation is once, about twice and four times that.
+    """
+    largest = {1: h**2 / 4, 2: 4 * h**3 / 27, 3: h**4 / 16}
+    times = {1: 1.0, 2: 27 / 16 * (h + 1.5 * before) / (h + before), 3: 4.0}
+    for degree in (1, 2, 3):
+        power = degree + 1
+        s = Input(slope_before=power * (-before) ** degree, chord_before=-((-before) ** power) / before)
+        s.struct.value_end, s.struct.slope_end = h**power, power * h**degree
+        s.interpolate(degree, h, before)
+        # rounding: the extrapolation is up to 64
+        assert abs(s.deviation(h, 0)) == pytest.approx(times[degree] * largest[degree], rel=1e-12)
 
 
 @given(cubics, lengths, lengths)
@@ -149,7 +203,7 @@ def watched(c, lengths, order=0, slopes=True, degree=3):
     t, steps = 0.0, (0.0, 0.0)
     for n, h in enumerate(lengths):
         s.extrapolate(h, steps[0])
-        s.set_end(at(c, t + h), slope_at(c, t + h), h, *steps)
+        s.set_end(at(c, t + h), slope_at(c, t + h) if slopes else math.nan, h, *steps)
         if n < len(lengths) - 1:
             s.find_deficit(h)
             s.accept(h)
@@ -197,7 +251,10 @@ def test_the_deficit_of_the_mean_is_corrected(c, order, before, h):
     s, t, (step, _) = watched(c, lengths, order=order)
     s.extrapolate(h, step)
     s.correct(h, step)
-    close(mean(s.c, h), mean(shifted(c, t), h), 10 ** (2 + order // 2) * size(c, sum(lengths)))
+    magnitude = 10 ** (2 + order // 2) * size(c, sum(lengths))
+    close(mean(s.c, h), mean(shifted(c, t), h), magnitude)
+    s.find_deficit(h)
+    close(s.deficit, s.correction, magnitude)  # what the next step is corrected by in turn
 
 
 def test_corners_of_autonomous_sources_and_the_largest_magnitude():
@@ -212,3 +269,65 @@ def test_corners_of_autonomous_sources_and_the_largest_magnitude():
     assert (s.value_end, s.magnitude(), s.relative(2.0)) == (0.0, 8.0, 0.25)
     still = Input()
     assert still.relative(1.0) == 0.0  # the start: nothing was ever there to compare with
+    small = Input(scale=1e-3)
+    assert small.relative(-2e-3) == 2.0
+
+
+@pytest.mark.parametrize("at_start", [True, False])
+@pytest.mark.parametrize(("share", "line"), [(0.99, True), (1.01, False)])
+def test_an_end_with_the_slope_of_the_chord_up_to_1e_6_makes_a_line(at_start, share, line):
+    """Relative to the sum of the magnitudes of three slopes: the chord's 1, this one's and the other's 2."""
+    slopes = 1.0 + share * 4e-6, -2.0
+    slope, slope_end = slopes if at_start else slopes[::-1]
+    s = Input(autonomous=True, value=3.0, value_end=3.5, slope=slope, slope_end=slope_end)
+    s.interpolate(3, 0.5, 1.0)
+    assert (tuple(s.c) == (3.0, 1.0, 0.0, 0.0)) == line
+    call("input_true_course", ctypes.byref(s.struct), 0.5, course := vector((9.0,) * 4))
+    assert tuple(course) == tuple(s.c)
+
+
+def test_an_input_takes_the_numbers_of_another_but_not_its_wires():
+    """Of the machines that are chosen."""
+    fields = [name for name, _ in CouplingInput._fields_]
+    numbers, wires = fields[: fields.index("source_slope")], fields[fields.index("source_slope") :]
+
+    def read(s, names):
+        return [tuple(x) if hasattr(x := getattr(s.struct, name), "__len__") else x for name in names]
+
+    one, other = Input(order=1, target=4, value=1.0), Input(source_slope=None, order=2, weight=3.0, value=2.0)
+    before, wiring = read(one, numbers), read(one, wires)
+    for machines, expected in ((0, before), (1, read(other, numbers))):
+        one.replace(ctypes.byref(other.struct), machines)
+        assert read(one, numbers) == expected
+        assert read(one, wires) == wiring
+    assert expected != before
+
+
+def test_a_free_source_that_has_stopped_is_foreseen():
+    """From the end of its motion on it is a line, whatever it did before."""
+    s = Input(autonomous=True, value=2.0, value_end=2.0, slope_before=1.0, chord_before=1.0)
+    s.interpolate(3, 0.5, 0.5)
+    assert s.deviation(0.5, 0) == 0.0
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_the_past_of_the_start_is_a_straight_line(order):
+    """Or a constant if there is no slope yet; nothing is corrected there."""
+    for slope, known in ((3.0, 3.0), (math.nan, 0.0)):
+        s = Input(order=order)
+        s.begin(2.0, slope)
+        assert tuple(s.c) == (2.0, known, 0.0, 0.0)
+        points = [s.slopes_known]
+        s.extrapolate(0.5, 0.0)
+        s.correct(0.5, 0.0)
+        assert tuple(s.c) == (2.0, known if order else 0.0, 0.0, 0.0)
+        assert (s.expected, s.correction) == (at(s.c, 0.5), 0.0)
+        s.set_end(4.0, 5.0, 0.5, 0.0, 0.0)
+        s.interpolate(3, 0.5, 0.0)  # without a slope at the beginning: the line between both ends
+        assert (tuple(s.c) == (2.0, 4.0, 0.0, 0.0)) == (known == 0.0)
+        s.accept(0.5)
+        assert (s.slope_before, s.chord_before) == ((3.0, 4.0) if known else (5.0, 5.0))
+        for _ in range(2):
+            points.append(s.slopes_known)
+            s.accept(0.5)
+        assert points == ([1, 2, 2] if known else [0, 1, 2])

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.polynomial import Legendre, Polynomial
 
 from orchestrator.base.compiler import host, shared_library
 from orchestrator.engine.c_library import Binding, recipe
@@ -16,7 +17,8 @@ def everything():
     """The engine with all its functions visible."""
     name, code, arguments = recipe(host())
     engine = ctypes.CDLL(str(shared_library(name, code, [a for a in arguments if "visibility" not in a])))
-    engine.seconds.restype = ctypes.c_double
+    for name in ("seconds", "step_error", "power_error"):
+        getattr(engine, name).restype = ctypes.c_double
     return engine
 
 
@@ -76,3 +78,112 @@ def test_a_table_is_read_at_any_time_in_any_order(scenario):
         # rounding
         assert value == pytest.approx(1e3 * np.interp(t, times, column) + 7.0, rel=1e-12, abs=1e-9)
         assert rate == pytest.approx(1e3 * slope, rel=1e-12)
+
+
+# ---- the inputs of an FMU over a part of a step
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize(("begin", "last"), [(0.0, False), (0.0, True), (0.2, False), (0.2, True)])
+def test_an_fmu_gets_the_nearest_polynomial_that_it_can_follow(degree, begin, last):
+    """Value and derivatives at the start of the part; one that follows no cubic the line, or the constant,
+    nearest to it over the part. The ends of a whole step are kept for its energy.
+    """
+    length, binding = 0.3, Binding()
+    courses = [Polynomial([1.0, -2.0, 3.0, -5.0]), Polynomial([4.0, 0.5, -1.0, 2.0])]
+    inputs = binding.array(binding.h.CouplingInput, [()] * 3)
+    for k, (s, course) in enumerate(zip(inputs[1:], courses, strict=True)):
+        s.c[:] = course.coef
+        s.fmu_degree, s.requested_degree, s.target = degree, 3, 2 - k
+    values, derivatives, ends = np.zeros(2), np.zeros(6), np.zeros((2, 3))
+    component = binding.h.Component(
+        first_input=1, input_count=2, sets_values=1, values=binding.at(values),
+        derivatives=binding.at(derivatives),
+    )  # fmt: skip
+    simulation = binding.h.Simulation(
+        inputs=binding.pointer(inputs), input_ends=binding.at(ends), real_count=3
+    )
+
+    def call(name, *arguments):
+        assert getattr(everything(), name)(ctypes.byref(simulation), ctypes.byref(component), *arguments) == 0
+
+    call("component_set_inputs", ctypes.c_double(begin), ctypes.c_double(length), int(last))
+    # Legendre's polynomials are orthogonal over the part: the first terms are the nearest polynomial
+    parts = [
+        course.convert(kind=Legendre, domain=[begin, begin + length]).truncate(degree + 1)
+        for course in courses
+    ]
+    expected = [[part.deriv(k)(begin) for k in range(degree + 1)] for part in parts]
+    near = {"rel": 1e-12, "abs": 1e-12}  # rounding
+    assert values == pytest.approx([e[0] for e in expected], **near)
+    assert derivatives[: 2 * degree] == pytest.approx([d for e in expected for d in e[1:]], **near)
+    assert not derivatives[2 * degree :].any()
+    kept = np.zeros((2, 3))
+    kept[0, [2, 1]] = [e[0] for e in expected] if begin == 0.0 else 0.0
+    kept[1, [2, 1]] = [part(begin + length) for part in parts] if last else 0.0
+    assert ends == pytest.approx(kept, **near)
+
+
+# ---- the error of a step
+
+
+class Step:
+    """Inputs that a step of half a second has held, except for one that a scenario drives."""
+
+    h = 0.5
+
+    def __init__(self, ways, driven=(0.0, 0.0, 0.0), bonds=()):
+        """ways: (value, slope, value at the end) of each source; driven: begin, middle, end."""
+        h = ctypes.c_double(self.h)
+        self.binding = Binding()
+        self.inputs = self.binding.array(self.binding.h.CouplingInput, [()] * (len(ways) + 1))
+        for s, (value, slope, end) in zip(self.inputs, ways, strict=False):
+            s.source_component, s.slope, s.slope_end = 1, slope, slope
+            everything().input_begin(ctypes.byref(s), ctypes.c_double(value), ctypes.c_double(0.0))
+            s.slope, s.slope_end, s.value_end = slope, slope, end
+            everything().input_extrapolate(ctypes.byref(s), h, h)
+        last = self.inputs[len(ways)]
+        last.source_component, last.value = self.binding.h.DRIVEN, driven[0]
+        everything().input_drive(ctypes.byref(last), *map(ctypes.c_double, driven[1:]), h)
+        self.bonds = np.array(bonds, np.int32).ravel()
+
+    def error(self, kind, passes=1, **plan):
+        """step_error or power_error, with what the plan of the master says."""
+        simulation = self.binding.h.Simulation(
+            inputs=self.binding.pointer(self.inputs), input_count=len(self.inputs), passes=passes,
+            bonds=self.binding.at(self.bonds), bond_count=len(self.bonds) // 2, **plan,
+        )  # fmt: skip
+        return getattr(everything(), f"{kind}_error")(ctypes.byref(simulation), ctypes.c_double(self.h))
+
+
+def test_the_error_of_a_step_is_that_of_its_worst_input():
+    """A held line is off by its way, or half of it in the mean; a driven one by what a line leaves out.
+
+    After repetition it is also what a further pass would change, and all of it relative to the magnitude.
+    """
+    lines = [(1.0, 4.0, 3.0), (-8.0, 2.0, -7.0)]
+    step = Step(lines)
+    assert step.error("step") == pytest.approx(2 / 3, rel=1e-15)  # rounding
+    assert step.error("step", corrected=1) == pytest.approx(1 / 3, rel=1e-15)
+    for corrected in (0, 1):
+        driven = Step(lines, driven=(1.0, 5.0, 3.0))
+        assert driven.error("step", corrected=corrected) == pytest.approx((5 - 2) / 3, rel=1e-15)
+    for s in step.inputs:
+        s.expected = s.value_end  # as foreseen
+    assert step.error("step", passes=1) == 0.0
+    assert step.error("step", passes=2) == pytest.approx(2 / 3, rel=1e-15)
+
+
+def test_the_error_of_power_is_that_of_the_energy_which_held_inputs_make():
+    """The trapezoidal rule for effort and flow as the parts see them: h/2 (F1 v0 - F0 v1) in a step.
+
+    That by h/2 is relative to the largest effort times the largest flow.
+    """
+    effort, flow, rest = (0.3, 0.0, 0.5), (0.2, 0.0, -0.1), (0.0, 0.0, 0.0)
+    expected = (0.5 * 0.2 - 0.3 * -0.1) / (0.5 * 0.2)
+    step = Step([rest, flow, effort, (0.1, 0.0, 0.1), rest], bonds=[(3, 0), (2, 1), (0, 4)])
+    assert step.error("power") == pytest.approx(expected, rel=1e-15)  # rounding
+    for s in step.inputs:
+        s.expected = s.value_end
+    assert step.error("power", passes=1) == 0.0
+    assert step.error("power", passes=2) == pytest.approx(expected, rel=1e-15)

@@ -27,7 +27,8 @@ class Estimate(LinearSystem):
         binding = self.binding = Binding()
         h = binding.h
         self.source = binding.array(h.CouplingInput, [h.CouplingInput(source_slope=binding.at(self.slope))])
-        self.source[0].fmu_degree = self.source[0].requested_degree = self.source[0].history_order = 3
+        self.source[0].fmu_degree = self.source[0].requested_degree = 3
+        self.source[0].slopes_known = 2
         self.input = binding.array(h.ErrorInput, [h.ErrorInput(substeps=1)])
         names = "e stages factors w middle defects lengths diagonal starts"
         self.state = h.ErrorPropagation(

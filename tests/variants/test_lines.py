@@ -131,6 +131,14 @@ def test_the_adviser_asks_for_no_lump_too_many(length, bandwidth, error):
         assert 1 - math.sin(t) / t > error
 
 
+@pytest.mark.parametrize("n", range(1, 20))
+def test_what_n_lumps_just_reach_takes_n(n):
+    """The bandwidth at which n lumps err by 1 - sin(1): rounding of the quotient asks for no more."""
+    bandwidth = 2 * n * SPEED / (2 * math.pi * LENGTH)
+    for more, lumps in ((1.0, n), (1 + 1e-9, n + 1), (0.49, math.ceil(0.49 * n))):
+        assert lumps_needed(LENGTH, BORE, more * bandwidth, 1 - math.sin(1), oil(1e-12)) == lumps
+
+
 def test_a_narrow_bore_needs_more_lumps():
     """Viscosity slows the waves: of two lines of the same length the narrow one has the shorter waves."""
     fluid = oil(MU)
@@ -197,6 +205,34 @@ def test_the_adviser_holds_at_real_ends():
     found = found[(found > 0.7 * exact[0]) & (found < 1.1 * exact[-1])]
     assert exact[-1] < 150.0  # Hz: the bandwidth is 75
     assert np.abs(found / exact - 1).max() < 0.05
+
+
+# ---- cavities
+
+
+@pytest.mark.parametrize("lumps", [1, 3])
+def test_oil_that_flows_out_leaves_as_much_room(lumps):
+    """In minus out is the growth of what is compressed in the line, less the growth of its cavities."""
+    one = pipe()
+    names = hose.state_names("first", "last", "inner", "", lumps, False)
+    x = {name: ca.SX.sym(name) for name in names.all()}
+    state = names.apply(x.get)
+    content = one.volume * sum(state.pressures) / lumps / BETA - hose.cavity_volume(state)
+    rates = ca.vertcat(*hose.rates(one, state, 0.0, 0.0).all())
+    symbols = ca.vertcat(*x.values())
+    growth = ca.Function("growth", [symbols], [ca.jtimes(content, symbols, rates)])
+    flows = [1e-3, *[4e-4, -2e-4][: lumps - 1], -5e-4]
+    cavitating = [-45e3, -30e3, 1e5][:lumps]
+    # rounding of flows and of exp(5)
+    assert float(growth([*flows, *cavitating])) == pytest.approx(1.5e-3, rel=1e-12)
+
+
+def test_a_line_of_one_pressure_has_the_cavity_of_one_volume():
+    """At the vapour pressure C_ref dP, 5e-9 m3, e^3 times as much 15 kPa below, however many lumps."""
+    for n in (1, 2, 5):
+        for pressure, volume in ((-20e3, 5e-9), (-35e3, math.e**3 * 5e-9)):
+            found = float(hose.cavity_volume(hose.LineState((), (pressure,) * n, ())))
+            assert found == pytest.approx(volume, rel=1e-13)  # rounding
 
 
 # ---- water hammer

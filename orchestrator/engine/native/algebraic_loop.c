@@ -57,7 +57,7 @@ static int differentiate(Simulation *sim, const AlgebraicLoop *p, const LoopMemb
     return CONTINUE;
 }
 
-/* Leaves the FMU with changed inputs, but u and y unchanged. */
+/* Leaves the FMU, and y, with changed inputs, but u unchanged. */
 static int difference(Simulation *sim, const AlgebraicLoop *p, const LoopMember *m) {
     double *y = p->y + m->first_output, *y0 = m->derivative.result;
     memcpy(y0, y, (size_t)m->output_count * sizeof *y);
@@ -71,7 +71,6 @@ static int difference(Simulation *sim, const AlgebraicLoop *p, const LoopMember 
             p->sensitivity[(m->first_output + i) * p->input_count + j] = (y[i] - y0[i]) / du;
         p->u[j] = u;
     }
-    memcpy(y, y0, (size_t)m->output_count * sizeof *y);
     return CONTINUE;
 }
 

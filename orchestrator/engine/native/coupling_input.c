@@ -116,7 +116,7 @@ static void interpolate_all(CouplingInput *s, int degree, Real h, Real length) {
 
 /* Interpolates between both ends of the step, along a straight line where the source is one. */
 void input_interpolate(CouplingInput *s, int32_t degree, Real h, Real length) {
-    if (degree == 1 || !s->history_order) {
+    if (degree == 1 || !s->slopes_known) {
         interpolate_all(s, 1, h, length);
         return;
     }
@@ -150,8 +150,8 @@ void input_correct(CouplingInput *s, Real h, Real length) {
 /* Sets the value and the slope of the source at the start of the run. Some FMUs give NaN for slopes before their first
  * step. */
 void input_begin(CouplingInput *s, Real value, Real slope) {
-    s->history_order = s->source_slope && any(is_finite(slope));
-    s->value = value, s->slope = s->history_order ? where(is_finite(slope), slope, 0.0) : 0.0;
+    s->slopes_known = s->source_slope && any(is_finite(slope));
+    s->value = value, s->slope = s->slopes_known ? where(is_finite(slope), slope, 0.0) : 0.0;
     s->slope_before = s->chord_before = s->slope;
     s->scale = larger(s->scale, fabs(value));
     cubic(s->c, value, s->slope, 0.0, 0.0);
@@ -193,11 +193,11 @@ void input_find_deficit(CouplingInput *s, Real h) {
  * a straight line. */
 void input_accept(CouplingInput *s, Real h) {
     s->chord_earlier = s->chord_before;
-    s->chord_before = s->history_order ? (s->value_end - s->value) / h : s->slope_end;
-    s->slope_before = s->history_order ? s->slope : s->slope_end;
+    s->chord_before = s->slopes_known ? (s->value_end - s->value) / h : s->slope_end;
+    s->slope_before = s->slopes_known ? s->slope : s->slope_end;
     s->slope = s->slope_end;
     s->value = s->value_end;
-    s->history_order = s->history_order ? 3 : 1;
+    s->slopes_known = s->slopes_known ? 2 : 1;
     s->scale = larger(s->scale, fabs(s->value));
 }
 

@@ -232,7 +232,7 @@ typedef struct CouplingInput {
     int32_t autonomous;       /* the source has no inputs: its slope may jump, but no further pass changes it */
     int32_t in_loop;          /* the source is in an algebraic loop: computed when all components have stepped */
     int32_t predicted;        /* linear_prediction.c makes the polynomial */
-    int32_t history_order;    /* order of extrapolation that the past allows: 0 (no slope yet), 1 (one slope) or 3 */
+    int32_t slopes_known;     /* successive points up to the beginning of the step that have a slope: 0, 1 or 2 */
     int32_t next_fed;         /* the next input that the same component feeds, or -1 */
 } CouplingInput;
 

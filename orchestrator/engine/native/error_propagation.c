@@ -80,7 +80,7 @@ static void note_step(const CouplingInput *s, ErrorInput *p, double h, int halve
     step->third = course[DEGREE], step->bend = fabs(s->slope_end - s->slope) / h;
     if (s->source_slope)
         p->usual_slope = larger(SLOPE_FADING * p->usual_slope, larger(fabs(s->slope), fabs(s->slope_end)));
-    step->smooth = s->source_slope && !s->autonomous && s->history_order > 1;
+    step->smooth = s->source_slope && !s->autonomous && s->slopes_known > 1;
     step->measured = halved && !s->in_loop;
     step->off_cubic = polynomial_value(course, 0.5 * h) - polynomial_value(s->c, 0.5 * h);
     step->off_source = step->measured ? s->middle - polynomial_value(s->c, 0.5 * h) : step->off_cubic;
