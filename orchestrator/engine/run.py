@@ -174,13 +174,7 @@ class Request:
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
         system = with_sets(system, self.parameters).with_start(self.set)
         system = replace(system, notes=system.notes + built_notes(system))
-        trace, driving, label = None, None, "scenario"
-        if isinstance(scenario, str | Path):
-            scenario = find(scenario, SUFFIXES)
-        if isinstance(scenario, Path | Location):
-            trace, label = read_trace(scenario, jumps=True), str(scenario)
-        elif scenario is not None:
-            trace = as_trace(scenario, "scenario", jumps=True)
+        (scenario, trace, label), driving = scenario_trace(scenario), None
         if trace is not None:
             driving = drive(system, trace, label)
             system = driving.released(system)
@@ -200,6 +194,15 @@ class Request:
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
         return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
+
+
+def scenario_trace(scenario: ScenarioSource) -> tuple[ScenarioSource, Trace | None, str]:
+    """The scenario, with the file that was found, its trace if there is one, and its name in messages."""
+    if isinstance(scenario, str | Path):
+        scenario = find(scenario, SUFFIXES)
+    if isinstance(scenario, Path | Location):
+        return scenario, read_trace(scenario, jumps=True), str(scenario)
+    return scenario, None if scenario is None else as_trace(scenario, "scenario", jumps=True), "scenario"
 
 
 def requested(

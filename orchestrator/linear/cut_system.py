@@ -37,12 +37,15 @@ class CutPlant(Plant):
         self.cut = cut
 
 
-def cut_at_inputs(system: System, names: Sequence[str] = (), steady: bool = False) -> CutSystem:
+def cut_at_inputs(
+    system: System, names: Sequence[str] = (), steady: bool = False, released: System | None = None
+) -> CutSystem:
     """Make inputs of the linear model and remove the connections to them.
 
     names    inputs, in the notation of `System.targets`; default: all inputs of the system, and the inputs
              connected to components without inputs, such as an operator
     steady   add the default inputs, which a steady state needs to hold the joints
+    released the system without the connections that a scenario replaces
     """
     requested = tuple(_inlet(system, name) for name in dict.fromkeys(names)) or _default_inputs(system)
     targets = {port for inlet in requested for port, _ in inlet.targets}
@@ -59,12 +62,12 @@ def cut_at_inputs(system: System, names: Sequence[str] = (), steady: bool = Fals
     for port, rate in system.rate_ports.items():
         if port in ports and rate_only(system.components[rate.component].interface, rate.variable):
             cut_targets.add(rate)
-    cut_sources = {c.source.component for c in system.connections if c.target in cut_targets}
-    connections = tuple(c for c in system.connections if c.target not in cut_targets)
+    connections = tuple(c for c in (released or system).connections if c.target not in cut_targets)
+    cut_sources = {c.source.component for c in system.connections if c not in connections}
     unused = sorted(cut_sources - {c.source.component for c in connections})
     components = {name: c for name, c in system.components.items() if name not in unused}
     connections = tuple(c for c in connections if c.target.component in components)
-    reason = "because they are connected only to inputs of the linear model"
+    reason = "because they are connected only to inputs of the linear model or of the scenario"
     notes = (f"components left out, {reason}: {', '.join(unused)}",) if unused else ()
     system = replace(system, components=components, connections=connections)
     return CutSystem(system, inlets, len(requested), notes)

@@ -11,7 +11,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.options import chosen, documented
 from orchestrator.data.table import Array
 from orchestrator.engine.arguments import LinearArguments
-from orchestrator.engine.run import ScenarioSource, opened, run
+from orchestrator.engine.run import ScenarioSource, opened, run, scenario_trace
+from orchestrator.engine.scenario import drive
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
@@ -117,7 +118,9 @@ def linearize(
         )
     if speeds and not steady:
         raise Problem("--speed: expected --steady as well, got --speed alone")
-    cut = cut_at_inputs(full, given.get("inputs", ()), steady)
+    _, trace, label = scenario_trace(scenario)
+    released = drive(full, trace, label).released(full) if trace is not None else full
+    cut = cut_at_inputs(full, given.get("inputs", ()), steady, released)
     if time is not None:
         _refuse_connected(full, start_values, "--scenario sets the input in the run")
     _refuse_connected(cut.system, start_values, "--input with the same name removes the connection")

@@ -16,6 +16,10 @@ band do not show where it opens. The search is therefore a transient with the jo
 which each input acts against the acceleration of its joint (pseudo-transient continuation: C. T. Kelley and
 D. E. Keyes 1998, SIAM J. Numer. Anal. 35(2) 508-523). The steps grow, and Newton's method is tried after long
 steps.
+
+Behind a check valve the pressure rises with the input in milliseconds and falls by leakage in hours, so an
+input that acts at once overshoots again and again. An integral controller that is slower than all modes of a
+stable plant settles (E. J. Davison 1976, IEEE Trans. Autom. Control 21(1) 35-47): joints at rest get one.
 """
 
 import math
@@ -100,8 +104,8 @@ class SteadyEquations:
         return jacobian / scale[:, None], scale
 
     def worst(self) -> str:
-        """The state with the largest relative rate."""
-        relative = np.abs(self.residual / self.matrix()[1])
+        """The state with the largest rate relative to its nominal value."""
+        relative = np.abs(self.residual / self.plant.nominal[self.rows])
         return str(self.plant.states[self.rows[int(np.argmax(relative))]])
 
     def solve(self) -> bool:
@@ -139,13 +143,16 @@ class SteadyEquations:
         return None
 
 
-FIRST_STEP, SHORTEST_STEP, MAX_STEPS = 1e-4, 1e-9, 600  # steps of the transient [s], their number
+FIRST_STEP, SHORTEST_STEP = 1e-4, 1e-9  # [s], steps of the transient
 LONG_STEP = 10.0  # [s], shortest step after which Newton's method is tried
 MAX_TIME = 1e9  # [s], length of the transient
 RAMP_TIME = 0.5  # [s] until the joints have their speeds
-LAGS = (0.005, 0.02, 0.1)  # [s], tried in turn: inputs change by nominal / lag at full acceleration
+# [s], inputs change by nominal / lag at full acceleration of their joints. At rest lags are tried in turn,
+# each with a number of steps; the long ones are for oil behind check valves, which leaks away in hours.
+MOVING_LAG, RESTING_LAGS = 0.005, {0.005: 600, 1e3: 1200, 1e4: 1200}
 JERK_TIME = 0.005  # [s], T of the control law of the inputs
-TEST_INPUT, TEST_TIME = 0.3, 0.5  # relative to nominal, and [s]: step of an input to find its sign
+# relative to nominal, [s], number of steps: step of an input to find its sign
+TEST_INPUT, TEST_TIME, TEST_STEPS = 0.3, 0.5, 600
 MAX_INPUT_STEP = 0.05  # relative to nominal, largest change of an input in one step
 # Norm of the next correction over the norm of the step: a step is repeated above the first value, and the
 # following step is longer below the second one.
@@ -160,9 +167,10 @@ class Search(SteadyEquations):
         start = self.plant.x.copy(), self.plant.u
         signs = np.array([self._sign(joint, *start) for joint in self.joints])
         joint_speeds = {joint.speed: speeds.get(joint.name, 0.0) for joint in self.joints}
-        for lag in LAGS:
+        for resting, steps in RESTING_LAGS.items():
+            lags = [MOVING_LAG if joint_speeds[joint.speed] else resting for joint in self.joints]
             self.evaluate(*start)
-            for _ in self._settle(signs / lag, joint_speeds, MAX_TIME):
+            for _ in self._settle(signs / lags, joint_speeds, MAX_TIME, steps):
                 if self.solve():
                     return True
         return False
@@ -180,8 +188,10 @@ class Search(SteadyEquations):
             accelerations.append(float(self.plant.f[joint.speed]))
         return float(np.sign(accelerations[0] - accelerations[1]))
 
-    def _settle(self, push: Array, speeds: Mapping[int, float], until: float) -> Iterator[float]:
-        """Integrate the transient until a time [s]; yield the time after each long step.
+    def _settle(
+        self, push: Array, speeds: Mapping[int, float], until: float, steps: int = TEST_STEPS
+    ) -> Iterator[float]:
+        """Integrate the transient until a time [s], in at most `steps` steps; yield the time after long ones.
 
         push     signed rate of each input, relative to nominal, at full acceleration of its joint [1/s]
         speeds   index of a speed -> its value, reached by a ramp
@@ -191,7 +201,7 @@ class Search(SteadyEquations):
         """
         x, u, h, t = self.plant.x.copy(), self.plant.u, FIRST_STEP, 0.0
         limit = self.nominal[len(self.states) :]
-        for _ in range(MAX_STEPS):
+        for _ in range(steps):
             law, jacobian = self._law(push)
             implicit = np.eye(len(jacobian)) / h - jacobian
             change = np.asarray(np.linalg.solve(implicit, law @ self.residual), np.float64)

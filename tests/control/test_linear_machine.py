@@ -24,6 +24,8 @@ MACHINES = {
     "quasistatic": {"swing": "quasistatic", "boom_stick": "quasistatic"},
     "pumped": PUMPED,
     "load_sensing": {"supply": "load_sensing"},
+    "compensated": {"swing": "compensated", "boom_stick": "compensated"},
+    "today": {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"},
     "all": {**DETAILED, **PUMPED},
 }
 SPEEDS = (("swing", 0.3), ("boom", -0.1), ("stick", 0.2))

@@ -54,6 +54,18 @@ def test_a_command_beyond_its_range_is_told(fmu_dir):
     assert any(note.startswith(told) for note in linear.notes)
 
 
+def test_a_scenario_drives_inputs_that_are_no_inputs_of_the_model(fmu_dir):
+    """The boom is at rest in the scenario and moves in the work cycle: its valve is closed in the model."""
+    system, held = fmu_dir / "harvester.ssp", {"time": [0.0, 2.5], "swing_command": [2.0, 2.0]}
+    still = {"boom_command": [0.0, 0.0], "stick_command": [0.0, 0.0]}
+    point = {"scenario": held | still, "time": 1.5, "outputs": ["swing.*", "boom_stick.*"]}
+    one = linearize(system, inputs=["swing_command"], **point)
+    every = linearize(system, inputs=["swing_command", "boom_command", "stick_command"], **point)
+    assert [s.name for s in one.states] == [s.name for s in every.states]
+    np.testing.assert_array_equal(one.a, every.a)
+    np.testing.assert_array_equal(one.y0, every.y0)
+
+
 def test_a_flow_that_settles_at_once_is_not_told_as_moving(fmu_dir):
     """At the start flows are 0.03 % of their size off and settle in microseconds; pressures do move."""
     linear = linearize(fmu_dir / "harvester.ssp", parameters=["reach"])
