@@ -134,7 +134,7 @@ def speed_rate(d: DieselEngine, speed: Scalar, torque: Scalar, load: Scalar) -> 
     return (torque - engine_friction(d, speed) - load) / d.inertia
 
 
-def fuel_torque_rate(d: DieselEngine, speed: Scalar, torque: Scalar) -> Scalar:
+def torque_rate(d: DieselEngine, speed: Scalar, torque: Scalar) -> Scalar:
     """dT/dt [N.m/s] of the torque of the injected fuel."""
     return (governor_torque(d, speed) - torque) / d.lag
 
@@ -164,6 +164,11 @@ def at_viscosity(d: Pump, ratio: Scalar) -> Pump:
 def displaced(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:
     """Displacement s D f [m3/rad] of a stroke."""
     return stroke * d.displacement * s_curve(speed / _PUMPING_SPEED)
+
+
+def suction_flow(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:
+    """Flow x [m3/s] from the tank."""
+    return displaced(d, stroke, speed) * speed
 
 
 def pump_friction(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:

@@ -155,7 +155,7 @@ def outlet(
     return Outlet(
         pump,
         *(capacitance, pressure, rise),
-        suction=engine_and_pump.displaced(pump, stroke, x.engine_speed) * x.engine_speed,
+        suction=engine_and_pump.suction_flow(pump, stroke, x.engine_speed),
         leakage=pump.leakage * rise,
         delivered=engine_and_pump.check_flow(pressure, x.supply_pressure, resistance, p.check_opening),
         torque=engine_and_pump.torque(pump, stroke, x.engine_speed, rise),
@@ -185,7 +185,7 @@ def shaft_rate(
     heat = taken + dissipated_power(outlets, leakage, x, p) - _engine_heat(x, p)
     return {
         "engine_speed": engine_and_pump.speed_rate(engine, speed, _engine_torque(x, p), load),
-        "engine_fuel_torque": engine_and_pump.fuel_torque_rate(engine, speed, x.engine_fuel_torque),
+        "engine_fuel_torque": engine_and_pump.torque_rate(engine, speed, x.engine_fuel_torque),
         "tank_pressure": chamber.pressure_rate(x.tank_pressure, net, p.return_capacitance),
         "oil_temperature": (heat - cooling_power(x, p)) / p.heat_capacity,
         "reservoir_volume": _into_tank(x, p) + drained,
