@@ -202,6 +202,8 @@ class Subsystem:
                without one. In Model Exchange no solver steps over it
     terminals  ports
     numbers    content of a parameters.toml (`parameters.read`), for a subsystem that has no such file
+    step       longest communication step [s] at which its ports are exchanged without an error that matters:
+               the FMU suggests no longer one
     stiff      whether modes are much faster than the motion; if not, an explicit method is tried first
     part, variant   component of a system, and the name of this variant of it (`family`)
     validity   range of validity, in one line
@@ -226,6 +228,7 @@ class Subsystem:
     next_event: Callable[[Any, Any, Any], Scalar] = no_event
     numbers: Mapping[str, Mapping[str, Any]] | None = None
     terminals: tuple[Terminal, ...] = ()
+    step: float = math.inf
     stiff: bool = True
     part: str = ""
     variant: str = ""

@@ -43,6 +43,7 @@ def packages(
 ) -> dict[int, Files]:
     """FMI version -> files of the FMU without binaries, by path; step, stop: default experiment [s]."""
     interface = interface_of(sub, values or parameters.values(sub, derive=False))
+    step = min(step, sub.step)
     compiled = [main_source(sub.name)]
     printed, structure = printed_equations(interface), unknowns(interface)
     drafts: dict[int, dict[str, str]] = {}  # both versions have one GUID, which depends on these files

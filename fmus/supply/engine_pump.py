@@ -206,5 +206,6 @@ ENGINE_PUMP = variant(
     observe=observe,
     initial=initial,
     require=require,
-    validity="engine above 800 rpm (idle); mean flows: no ripple of the pistons, no waves in the supply line",
+    step=rail.STEP,
+    validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the supply line",
 )

@@ -263,5 +263,6 @@ LOAD_SENSING = variant(
     observe=observe,
     initial=initial,
     require=require,
-    validity="engine above 800 rpm (idle); mean flows: no ripple of the pistons, no waves in the lines",
+    step=rail.STEP,
+    validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the lines",
 )

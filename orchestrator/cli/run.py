@@ -8,6 +8,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
 from orchestrator.engine.arguments import CommandArguments, LinearArguments, ReferenceArguments
 
+NOT_RELIABLE = 3  # exit status
+
 
 @command
 def run(
@@ -15,8 +17,10 @@ def run(
     scenario: Scenario = None,
     out: File = BUILD / "trace.csv",
     **options: Unpack[CommandArguments],
-) -> None:
+) -> int:
     """Co-simulate a system and record its signals.
+
+    The exit status is 3 if the error of the coupling is so large that the result is not reliable.
 
     out   File for the trace (.csv, .parquet, .mat).
     """
@@ -28,6 +32,7 @@ def run(
 
     result, line = run_to_file(file, scenario, out, default_accuracy=1e-3, **options)
     print(f"{result.card.text()}\n\n{line}")
+    return 0 if result.reliable else NOT_RELIABLE
 
 
 @command

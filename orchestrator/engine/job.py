@@ -10,12 +10,21 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.processes import machine_memory
+from orchestrator.base.text import first_names
+from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import TraceSink
-from orchestrator.engine.result import BondEnergy, Card, EstimatedError
+from orchestrator.engine.result import (
+    BondEnergy,
+    Card,
+    EstimatedError,
+    relative_errors,
+    unreliable_energies,
+    unreliable_errors,
+)
 from orchestrator.engine.scenario import Scenario
-from orchestrator.engine.time_grid import Grid
+from orchestrator.engine.time_grid import SAME_TIME, Grid, step_length
 from orchestrator.fmi.messages import Log
-from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.coupling import GUARD_TOLERANCE, Coupling
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
 from orchestrator.worker.process import WorkerLimits
@@ -165,13 +174,14 @@ class Job:
     execution: Execution = Execution()
     provenance: Provenance = field(default_factory=Provenance)
 
-    def card(self, times: Grid, end: RunEnd, sink: TraceSink) -> Card:
-        """The accuracy card of a run that has ended."""
+    def card(self, times: Grid, end: RunEnd, sink: TraceSink, trace: Trace) -> Card:
+        """The accuracy card of a run that has ended, with this trace."""
         adaptive, simulated = self.coupling.adaptive, end.t - times.start
         interfaces = {name: component.interface for name, component in self.system.components.items()}
         left_out = (f"{n}: {i.unsupported_note}" for n, i in interfaces.items() if i.unsupported)
         same = ("steps", "passes", "repeated", "lengths", "wall", "bonds", "inside")
-        return Card(
+        errors = relative_errors(end.errors, trace, self.system.nominals)
+        card = Card(
             master=self.coupling.text,
             step=times.step if adaptive is None else simulated / max(end.steps, 1),
             record_step=times.every * times.step if not times.free else 0.0,
@@ -179,8 +189,11 @@ class Job:
             adaptive=adaptive,
             warnings=(*self.system.warnings, *(line for log in end.logs for line in log.warnings(sink))),
             notes=(*self.system.notes, *left_out, *end.notes),
+            errors=errors,
+            errors_of_inputs=bool(end.errors),
             **{name: getattr(end, name) for name in same},
         )
+        return card.doubted(*unreliable_energies(end.bonds), *unreliable_errors(errors, self.system))
 
     def stricter(self) -> Job:
         """The same adaptive run at a tenth of its tolerance."""
@@ -194,3 +207,26 @@ def guarded(system: System, coupling: Coupling) -> bool:
     """Are steps with too large an error divided? All components need rollback and steps of any length."""
     interfaces = [component.interface for component in system.components.values()]
     return coupling.guard_tolerance > 0 and all(i.rollback and i.variable_step for i in interfaces)
+
+
+def with_default_guard(system: System, step: float | None) -> System:
+    """The system with a guard if an FMU suggests a shorter step than that of the run, unless one is chosen.
+
+    step   of the run [s]; None: the suggested one
+    """
+    coupling = system.coupling or Coupling()
+    if coupling.guard is not None or coupling.estimates_error:
+        return system
+    length, interfaces = step_length(system, step), {n: c.interface for n, c in system.components.items()}
+    shorter = [n for n, i in interfaces.items() if i.step and i.step < length * (1.0 - SAME_TIME)]
+    if not shorter:
+        return system
+    least = min(interfaces[n].step or length for n in shorter)
+    note = f"{first_names(shorter)} suggests steps of {least:g} s"
+    guard = replace(coupling, guard=GUARD_TOLERANCE)
+    if not guarded(system, guard):
+        return replace(system, notes=(*system.notes, f"{note}; this run has steps of {length:g} s"))
+    note += (
+        f": those of {length:g} s are divided where an input is off by more than {GUARD_TOLERANCE:g} (guard)"
+    )
+    return replace(system, suggestion=replace(system.suggestion, coupling=guard), notes=(*system.notes, note))

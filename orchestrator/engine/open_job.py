@@ -172,7 +172,7 @@ def _rollback_notes(job: Job) -> tuple[str, ...]:
     return (f"adaptive steps with too large an error are not repeated: {cause}",)
 
 
-def _bonds(job: Job, network: Network) -> list[Bond]:
+def bonds_of(job: Job, network: Network) -> list[Bond]:
     """The requested bonds; default: those from units whose two inputs influence their components."""
     if job.record.bonds is None:
         influences = network.is_influential
@@ -259,7 +259,7 @@ class SimulationLoop:
         self._inputs = inputs = CouplingInputs(network, plan)
         prediction = LinearPrediction(network, inputs, plan, plan.prediction) if plan.prediction else None
         self._initialise(job)
-        self.energy = EnergyMonitor(network, inputs.varying, _bonds(job, network))
+        self.energy = EnergyMonitor(network, inputs.varying, bonds_of(job, network))
         self.recorder = Recorder(network, times, sink, selected)
         self._control = step_control(job, inputs, times)
         self._components = [*network.components.values()]

@@ -216,6 +216,7 @@ class EnergyMonitor:
             first += len(names)
         binding.simulation.energy = binding.h.EnergyMonitor(
             **binding.all_at(self, "indices varied read_indices read_values start used_start used_end sums"),
+            set_indices=binding.at(self.indices),
             count=len(self.indices),
             input_reads=binding.program(calls),
         )

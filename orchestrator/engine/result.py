@@ -20,12 +20,13 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.options import Seconds
 from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, rms
-from orchestrator.base.text import TextTable, grouped
-from orchestrator.data.table import SUFFIXES
+from orchestrator.base.text import TextTable, first_names, grouped
+from orchestrator.data.table import SUFFIXES, Array
 from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.power_bonds import find_bonds
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import System
 
@@ -69,7 +70,9 @@ class Result(Mapping[str, NDArray[np.float64]]):
     def noted(self, *notes: str, errors: tuple[SignalError, ...] | None = None) -> Result:
         """This result with further notes, and with other estimates of errors, on its card."""
         card = replace(self.card, notes=(*self.card.notes, *notes))
-        return replace(self, card=card if errors is None else replace(card, errors=errors))
+        if errors is not None:
+            card = replace(card, errors=errors).doubted(*unreliable_errors(errors, self.system))
+        return replace(self, card=card)
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -95,9 +98,20 @@ class Result(Mapping[str, NDArray[np.float64]]):
     def __len__(self) -> int:
         return len(self.trace)
 
+    @property
+    def reliable(self) -> bool:
+        """False if an error of the coupling is so large that the result must not be used."""
+        return not self.card.unreliable
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The warnings and notes of the card."""
+        return (*self.card.warnings, *self.card.notes)
+
     def __repr__(self) -> str:
         end = "" if self.complete else ", ended early"
-        counts = {"warning": len(self.card.all_warnings), "note": len(self.card.notes)}
+        end += "" if self.reliable else ", not reliable"
+        counts = {"warning": len(self.card.warnings), "note": len(self.card.notes)}
         remarks = [f"{n} {word}{'s' * (n > 1)}" for word, n in counts.items() if n]
         last = f"\n{' and '.join(remarks)}: print(result.card.text())" if remarks else ""
         return f"Result of {self.system.name}{end}: {self.trace.extent}\n{self.card!r}{last}"
@@ -181,7 +195,9 @@ BAND, NEARBY = 2.0, 5
 NO_EXCHANGE = 1e-9  # of the largest exchange of a bond,
 NO_EXCHANGE_ENERGY = 1e-12  # or [J]
 SMALL_EXCHANGE = 1e-2  # of the largest exchange of a bond: below it a relative residual has no meaning
-UNRELIABLE = 0.05  # relative residual above which a result is not reliable
+# A result is not reliable if the energy error of a bond, over the exchanged energy, or the estimated RMS error
+# of a signal of a bond, over its range or LEAST_RANGE of its nominal value, is above UNRELIABLE.
+UNRELIABLE, LEAST_RANGE = 0.05, 1e-3
 CAUSE = 0.1  # relative residual above which the coupling is the likely cause of a failure
 
 
@@ -233,6 +249,11 @@ class SignalError:
     unit: str = ""
     change: float = 0.0
 
+    def relative_rms(self, nominal: float | None) -> float:
+        """The RMS error over the range, or over a part of the nominal value if that is larger."""
+        span = self.change / self.largest if self.largest else 0.0
+        return self.rms * span / max(span, LEAST_RANGE * abs(nominal or 0.0)) if span else 0.0
+
 
 @dataclass(frozen=True, repr=False)
 class Card:
@@ -245,6 +266,7 @@ class Card:
     repeated      number of rejected steps
     lengths       shortest and longest step
     adaptive      tolerance of an adaptive run; None: all steps are equal
+    unreliable    why the result is not reliable, also in `warnings`; empty if it is
     inside        component -> wall time in its steps; the remaining wall time is coupling and recording
     errors        of signals; errors_of_inputs: estimated during the run, else changes in further runs
     """
@@ -265,6 +287,12 @@ class Card:
     lengths: tuple[float, float] = (0.0, 0.0)
     adaptive: float | None = None
     errors_of_inputs: bool = False
+    unreliable: tuple[str, ...] = ()
+
+    def doubted(self, *reasons: str) -> Card:
+        """This card with reasons why the result is not reliable."""
+        new = tuple(reason for reason in reasons if reason not in self.unreliable)
+        return replace(self, unreliable=(*self.unreliable, *new), warnings=(*new, *self.warnings))
 
     @property
     def real_time_factor(self) -> float:
@@ -276,11 +304,6 @@ class Card:
         """The largest change of a signal in each unit."""
         groups = grouped(self.errors, lambda e: e.unit).values()
         return [max(errors, key=lambda e: e.change) for errors in groups]
-
-    @property
-    def all_warnings(self) -> list[str]:
-        """`warnings`, after those about energy errors of the coupling."""
-        return [*self._unreliable(), *self.warnings]
 
     def __repr__(self) -> str:
         return "\n".join(self._speed())
@@ -318,23 +341,9 @@ class Card:
         rows = [_error_row(e)[:columns] for e in worst]
         return ["", title, *TextTable(head[:columns], rows).lines()]
 
-    def _bonds_above(self, limit: float) -> list[BondEnergy]:
-        """The bonds whose relative energy error exceeds `limit`."""
-        most = max((b.exchanged for b in self.bonds), default=0.0)
-        relevant = [b for b in self.bonds if b.exchanged >= SMALL_EXCHANGE * most > 0]
-        return [b for b in relevant if abs(b.relative) > limit]
-
-    def _unreliable(self) -> list[str]:
-        """A warning for each bond whose energy error is too large for a reliable result."""
-        return [
-            f"energy error of the coupling: {b.relative:+.1%} of what {b.name} exchanged; the result is not"
-            " reliable, take shorter steps"
-            for b in self._bonds_above(UNRELIABLE)
-        ]
-
     def likely_cause(self) -> str:
         """The coupling, for the message of a failed run, if a bond has a large energy error; else empty."""
-        worst = max(self._bonds_above(CAUSE), key=lambda b: abs(b.relative), default=None)
+        worst = max(bonds_above(self.bonds, CAUSE), key=lambda b: abs(b.relative), default=None)
         if worst is None:
             return ""
         error = f"energy error {worst.relative:+.0%} of the energy exchanged by {worst.name}"
@@ -362,8 +371,46 @@ class Card:
             lines += ["", "no power bond exchanges energy"]
         lines += self._error_lines() if self.errors else []
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
-        lines += ["", *(f"warning: {w}" for w in warnings)] if (warnings := self.all_warnings) else []
+        lines += ["", *(f"warning: {w}" for w in self.warnings)] if self.warnings else []
         return "\n".join(lines)
+
+
+def bonds_above(bonds: Sequence[BondEnergy], limit: float) -> list[BondEnergy]:
+    """The bonds whose relative energy error exceeds `limit`."""
+    residual, exchanged = np.array([(b.residual, b.exchanged) for b in bonds]).reshape(-1, 2).T
+    return [b for b, above in zip(bonds, energies_above(residual, exchanged, limit), strict=True) if above]
+
+
+def energies_above(residual: Array, exchanged: Array, limit: float = UNRELIABLE) -> NDArray[np.bool_]:
+    """Where energy errors [J] exceed `limit` of the exchanged energies [J], both of the shape (bonds, ...).
+
+    A bond that exchanges less than SMALL_EXCHANGE of the largest exchange does not count.
+    """
+    relevant = (exchanged >= SMALL_EXCHANGE * np.max(exchanged, axis=0, initial=0.0)) & (exchanged > 0)
+    return np.asarray(relevant & (np.abs(residual) > limit * exchanged))
+
+
+def unreliable_energies(bonds: Sequence[BondEnergy]) -> list[str]:
+    """A line for each bond whose energy error is too large for a reliable result."""
+    return [
+        f"energy error of the coupling: {b.relative:+.1%} of what {b.name} exchanged; the result is not"
+        " reliable, take shorter steps"
+        for b in bonds_above(bonds, UNRELIABLE)
+    ]
+
+
+def unreliable_errors(errors: Sequence[SignalError], system: System) -> list[str]:
+    """A line on the signals of power bonds whose estimated errors are too large for a reliable result."""
+    ports, nominals = {p for b in find_bonds(system) for p in (b.effort, b.flow)}, system.nominals
+    names = {str(c.source) for c in system.connections if c.target in ports}
+    shares = {e.name: e.relative_rms(nominals.get(e.name)) for e in errors if e.name in names}
+    if not (large := {name: share for name, share in shares.items() if share > UNRELIABLE}):
+        return []
+    worst = max(large.values())
+    return [
+        f"estimated error of the coupling: RMS {worst:.1%} of the range of {first_names(large)}; the result is"
+        " not reliable, take shorter steps"
+    ]
 
 
 def compare(
@@ -445,7 +492,7 @@ class RunMetadata:
     given                                the user's options that differ from the defaults
     units                                units of the signals; `inputs`: signals that are inputs of components
     provenance                           files with checksums, values that differ from the shipped ones
-    warnings                             those of the card
+    warnings, unreliable                 those of the card
     sources                              signals of `inputs` that no other component with inputs computes
     nominals                             nominal values that the FMUs declare for the signals
     """
@@ -469,6 +516,7 @@ class RunMetadata:
     lengths: tuple[float, float] = (0.0, 0.0)
     provenance: Provenance = field(default_factory=Provenance)
     warnings: tuple[str, ...] = ()
+    unreliable: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     nominals: Mapping[str, float] = field(default_factory=dict)
 
@@ -481,7 +529,7 @@ class RunMetadata:
 # members of a card that are metadata, too
 OF_CARD = (
     *("master", "step", "simulated", "wall", "inside"),
-    *("steps", "passes", "repeated", "lengths", "warnings"),
+    *("steps", "passes", "repeated", "lengths", "warnings", "unreliable"),
 )
 
 
@@ -553,7 +601,7 @@ def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
         data = json.loads(text)
         digest = data.pop("sha256")
         data.pop("names", None)  # of a MATLAB file
-        tuples = {name: tuple(data.get(name, ())) for name in ("inputs", "warnings", "sources")}
+        tuples = {name: tuple(data.get(name, ())) for name in ("inputs", "warnings", "unreliable", "sources")}
         origins = Provenance.of(data.get("provenance", {}))
         return RunMetadata(**{**data, **tuples, "provenance": origins}), digest
     except (ValueError, KeyError, TypeError, AttributeError) as error:

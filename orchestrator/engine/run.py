@@ -25,7 +25,15 @@ from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, 
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.isolated import run_isolated, start_process
-from orchestrator.engine.job import Execution, Job, Record, RunEnd, guarded, open_slave
+from orchestrator.engine.job import (
+    Execution,
+    Job,
+    Record,
+    RunEnd,
+    guarded,
+    open_slave,
+    with_default_guard,
+)
 from orchestrator.engine.result import (
     Card,
     Interrupted,
@@ -34,7 +42,6 @@ from orchestrator.engine.result import (
     changes,
     metadata_file,
     metadata_text,
-    relative_errors,
 )
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import (
@@ -183,6 +190,7 @@ class Request:
             if self.execution.progress and (doubt := doubtful_end(system, trace, label)):
                 tell_once(f"warning: {doubt}")  # before a long run, not only on its card
             system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
+        system = with_default_guard(system, self.step)
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
         divides = coupling.adaptive is not None or guarded(system, coupling)
@@ -287,10 +295,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
     """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
     trace = sink.trace
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
-    card = job.card(times, outcome, sink)
-    if outcome.errors:
-        errors = relative_errors(outcome.errors, trace, job.system.nominals)
-        card = replace(card, errors=errors, errors_of_inputs=True)
+    card = job.card(times, outcome, sink, trace)
     result = Result(
         job.system,
         trace,

@@ -29,7 +29,7 @@ from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, NotInLanes
-from orchestrator.lanes.group import FAILED, OK, Ended, Group, Lanes
+from orchestrator.lanes.group import FAILED, NOT_RELIABLE, OK, Ended, Group, Lanes
 from orchestrator.lanes.one_by_one import run_one_by_one
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
@@ -43,8 +43,9 @@ class BatchResult:
 
     time      shape (m,) [s]
     signals   name -> shape (n, m); NaN after the end of a machine that ended early
-    status    of each machine: "ok", "early" (an FMU asked for the end), "failed" or "interrupted", shape (n,)
-    reasons   why each machine ended early; empty if it did not
+    status    of each machine: "ok", "unreliable" (the error of the coupling is too large), "early" (an FMU asked
+              for the end), "failed" or "interrupted", shape (n,)
+    reasons   why the status of each machine is not "ok"; empty if it is
     units     name -> unit of the FMU
     notes     remarks, such as why the machines ran one by one
     wall      wall time of the simulation [s]
@@ -127,7 +128,9 @@ def batch(
     def result(ended: Mapping[int, Ended], notes: tuple[str, ...]) -> BatchResult:
         status = np.array([ended[i].status if i in ended else OK for i in range(count)])
         reasons = [ended[i].reason if i in ended else "" for i in range(count)]
-        every = (*job.system.notes, *warnings, *times.notes, *notes)
+        doubted = [i for i in range(count) if status[i] == NOT_RELIABLE]
+        told = [f"{len(doubted)} of {count} machines: {reasons[doubted[0]]}"] if doubted else []
+        every = (*told, *job.system.notes, *warnings, *times.notes, *notes)
         wall = time.perf_counter() - began
         return BatchResult(recorded_times(times), arrays, status, reasons, units, every, wall)
 

@@ -34,7 +34,8 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
 
     An episode is terminated if `ends` says so or the machine has failed: `info["reason"]` says why, and the
     observation is the last one before. It is truncated after its duration. The next step starts the machine
-    again and ignores its action.
+    again and ignores its action. `info["reason"]` also says of which machines, the mask `info["unreliable"]`,
+    the error of the coupling is too large since their start.
 
     from orchestrator.lanes.environment import MachinesEnv
 
@@ -61,6 +62,7 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         interval: float = 0.05,
         duration: float = 20.0,
         vary: Limits | None = None,
+        truncate_unreliable: bool = False,
         **options: Unpack[MachinesArguments],
     ) -> None:
         """Raises NotInLanes if the system has other than native FMUs, or the compiler is missing.
@@ -70,6 +72,7 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         interval       control interval, a multiple of the communication step, whose default is 1e-3 [s]
         duration       of an episode [s]
         vary           parameters or start values that are drawn at each start of a machine, uniformly
+        truncate_unreliable   truncate the episodes of machines that are not reliable
         options        those of `batch`, without a time span
         """
         step = options["step"] = float(chosen(MachinesArguments, options, "MachinesEnv").get("step", STEP))
@@ -80,6 +83,7 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
             raise Problem(f"duration: expected at least one interval of {interval:g} s, got {duration:g} s")
         self._machines = Machines(system, num_envs, [*actions], observations, **options)
         self._reward, self._ends, self._vary = reward, ends, dict(vary or {})
+        self._truncates_unreliable = truncate_unreliable
         limits = actions if isinstance(actions, Mapping) else {}
         self.num_envs, self.spec = num_envs, None
         self.single_action_space = _box([limits.get(n) or self._declared(n, True) for n in actions])
@@ -115,9 +119,17 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         self._seen = np.where(failed[:, None], self._seen, signals)
         terminated = failed if self._ends is None else failed | self._ends(self._seen)
         terminated, truncated = terminated & ~fresh, self._count >= self._last
+        reasons = np.array(self._machines.reasons)
+        unreliable = (reasons != "") & ~failed & ~fresh
+        if self._truncates_unreliable:
+            truncated = truncated | unreliable
         rewards = np.where(fresh, 0.0, self._reward(self._seen, actions))
         self._over = np.logical_or(terminated, truncated)
-        info = {"reason": np.array(self._machines.reasons), "_reason": failed} if np.any(failed) else {}
+        info: dict[str, Any] = {}
+        if (told := failed | unreliable).any():
+            info = {"reason": reasons, "_reason": told}
+        if unreliable.any():
+            info |= {"unreliable": unreliable, "_unreliable": unreliable}
         return self._seen.copy(), rewards, terminated, truncated, info
 
     def _start(self, mask: NDArray[np.bool_]) -> Array:

@@ -21,7 +21,9 @@ from orchestrator.data.table import Array
 from orchestrator.engine.job import Job
 from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
 from orchestrator.engine.network import Network
-from orchestrator.engine.open_job import step_control
+from orchestrator.engine.open_job import bonds_of, step_control
+from orchestrator.engine.recorder import EnergyMonitor
+from orchestrator.engine.result import BondEnergy, energies_above, unreliable_energies
 from orchestrator.engine.scenario import DrivenInputs
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, NotInLanes, compiled_model, header, machines_library
@@ -31,12 +33,15 @@ MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
 ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
-OK, EARLY, FAILED = "ok", "early", "failed"
+OK, EARLY, FAILED, NOT_RELIABLE = "ok", "early", "failed", "unreliable"
 
 
 @dataclass(frozen=True)
 class Ended:
-    """Why and when [s] a machine ended early; status: EARLY if an FMU asked for it, else FAILED."""
+    """Why a machine ended early, or is not reliable, and when it ended [s].
+
+    status   EARLY if an FMU asked for the end, NOT_RELIABLE if the machine came to its end, else FAILED
+    """
 
     status: str
     reason: str
@@ -132,6 +137,12 @@ class Lanes:
             self.plan = MASTERS[job.coupling.master](self.system, job.coupling)
             self._inputs = CouplingInputs(self._network, self.plan)
             self.control = step_control(job, self._inputs, times)
+            self.bonds = bonds_of(job, self._network)
+            monitor = EnergyMonitor(self._network, self._inputs.varying, self.bonds)
+            ends = np.array([self._input(p)[1] for b in self.bonds for p in (b.effort, b.flow)], np.int64)
+            indices = {"indices": monitor.indices, "read_indices": monitor.indices, "set_indices": ends}
+            self._energy = {name: self.at(array) for name, array in indices.items()}
+            self._energy |= {"varied": self.at(monitor.varied), "count": len(ends)}
             self.inputs, self.slopes = self._coupling_inputs()
             self._make_programs()
             self.driven, self.scenario = self._scenario()
@@ -155,6 +166,8 @@ class Lanes:
         signals = [h.Signal(self.index[p.component], self.reference(p)) for p in self.signals]
         group.signals, group.signal_count = self._array(h.Signal, signals), len(signals)
         group.every = times.every
+        for name, value in self._energy.items():
+            setattr(sim.energy, name, value)
         sim.exchange, sim.initial_rounds = self.exchange, self._network.order.count + 1
         sim.component_count, sim.input_count = len(self.models), len(self.inputs)
         sim.order, sim.degree = self.at(np.array(plan.order, np.int32)), plan.degree
@@ -364,14 +377,28 @@ class Group:
         self._sim.has_stepped = self._has_stepped.ctypes.data
         self._scenario: Any = None
         if lanes.driven:  # the inputs that the scenario drives, and memory for commands in its place
-            self._ends = vectors(2, lanes.driven)
+            self._driven_ends = vectors(2, lanes.driven)
             self._commands = vectors(lanes.scenario["width"])
             self._scenario_memory = aligned(ctypes.sizeof(h.Scenario))
             self._scenario = h.Scenario.from_buffer(self._scenario_memory)
             for name, value in lanes.scenario.items():
                 setattr(self._scenario, name, value)
-            self._scenario.at_end, self._scenario.at_midpoint = (ends.ctypes.data for ends in self._ends)
+            self._scenario.at_end, self._scenario.at_midpoint = (
+                ends.ctypes.data for ends in self._driven_ends
+            )
             self._sim.scenario = ctypes.addressof(self._scenario)
+        # of the energy monitor: memory for values, and sums of each bond, shape (3, bonds, lanes)
+        self._scales = np.array([bond.scale for bond in lanes.bonds]).reshape(-1, 1)
+        count, memory = len(lanes.bonds), self._instances.memory.size // (8 * LANES)
+        self._energy, self._sums, self._ends = (
+            vectors(3, 2 * count + 1),
+            vectors(3, count),
+            vectors(2, memory),
+        )
+        for name, array in zip(("start", "used_start", "used_end"), self._energy, strict=True):
+            setattr(self._sim.energy, name, array.ctypes.data)
+        self._sim.energy.sums, self._sim.energy.read_values = self._sums.ctypes.data, base
+        self._sim.input_ends, self._sim.real_count = self._ends.ctypes.data, memory
         self._time, self._alive = np.ctypeslib.as_array(self._sim.t), np.ctypeslib.as_array(self._sim.alive)
         self._length = np.ctypeslib.as_array(self._sim.length)
 
@@ -383,7 +410,7 @@ class Group:
         for port, array in values.items():
             self._instances.set(port, array)
         self._inputs[:] = self._template
-        self._time[:] = self._length[:] = 0.0
+        self._time[:] = self._length[:] = self._sums[:] = 0.0
         self._alive[:] = -1
         ctypes.memset(self._failures, 0, ctypes.sizeof(self._failures))
         self._step_sizes = self.lanes.step_sizes()
@@ -438,7 +465,7 @@ class Group:
     def run(
         self, first: int, values: Mapping[Port, Array], rows: Sequence[Array], count: int
     ) -> dict[int, Ended]:
-        """Simulate the machines from `first` on; returns those that ended early.
+        """Simulate the machines from `first` on; returns those that ended early or are not reliable.
 
         values   of all machines, shape (count,)
         rows     one array for each signal of all machines, shape (count, points), which is filled
@@ -451,9 +478,25 @@ class Group:
         self.record(first, rows, count)
         self.begin()
         self.advance(self.lanes.times.steps)
-        return {first + lane: ended for lane, ended in self.ended() if first + lane < count}
+        return {first + lane: ended for lane, ended in self.doubted().items() if first + lane < count}
 
     # ---- failures
+
+    def doubted(self) -> dict[int, Ended]:
+        """The machines that have failed or are not reliable, by lane."""
+        found, (residual, _, exchanged) = dict(self.ended()), self._sums * self._scales
+        for lane in np.flatnonzero(energies_above(residual, exchanged).any(axis=0)).tolist():
+            lines = unreliable_energies(self.energies(lane))
+            found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines), self._time[lane]))
+        return found
+
+    def energies(self, lane: int) -> list[BondEnergy]:
+        """The energies of all bonds of a machine until now."""
+        sums = self._sums[:, :, lane].T
+        return [
+            BondEnergy(b.name, *(b.scale * of_bond))
+            for b, of_bond in zip(self.lanes.bonds, sums, strict=True)
+        ]
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""

@@ -121,8 +121,8 @@ class Machines:
 
     @property
     def reasons(self) -> list[str]:
-        """Why each machine has failed; empty if it has not."""
-        found = [dict(group.ended()) for group in self._groups]
+        """Why each machine has failed, or is not reliable since its start; empty if neither."""
+        found = [group.doubted() for group in self._groups]
         places = (divmod(machine, LANES) for machine in range(self.count))
         return [found[k][lane].reason if lane in found[k] else "" for k, lane in places]
 

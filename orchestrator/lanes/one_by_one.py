@@ -17,7 +17,7 @@ from orchestrator.engine.isolated import run_isolated
 from orchestrator.engine.job import ENDS_EARLY, Job, Record
 from orchestrator.engine.run import finished
 from orchestrator.engine.time_grid import Grid
-from orchestrator.lanes.group import EARLY, FAILED, Ended
+from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, Ended
 from orchestrator.ssp.system import Port, System
 
 SAME_TIME = 1e-6  # relative to the step: a point of a run is one of the result
@@ -33,7 +33,7 @@ def run_one_by_one(
     points: Array,
     workers: int,
 ) -> dict[int, Ended]:
-    """Simulate n machines in processes; returns those that ended early.
+    """Simulate n machines in processes; returns those that ended early or are not reliable.
 
     values   of all machines, shape (n,), in the unit of the FMU
     rows     one array for each signal of all machines, shape (n, points), which is filled
@@ -49,7 +49,7 @@ def run_one_by_one(
 
     with temporary_folder("batch-", "the FMUs") as folder:
         (system,), originals = unpacked([job.system], folder)
-        record = Record([*map(str, signals)], job.record.step, ())
+        record = Record([*map(str, signals)], job.record.step)
 
         def work() -> None:
             for machine in machines:
@@ -85,8 +85,9 @@ def _simulate(
             recorded = np.abs(trace.time[:count] - points[:count]) < SAME_TIME * times.step
             for row, name in zip(rows, job.record.signals or (), strict=True):
                 row[:count][recorded] = trace[name][:count][recorded]
-    reason = early_end(result.card.notes)
-    return Ended(EARLY, reason, outcome.t) if reason else None
+    if reason := early_end(result.card.notes):
+        return Ended(EARLY, reason, outcome.t)
+    return Ended(NOT_RELIABLE, "; ".join(result.card.unreliable), outcome.t) if not result.reliable else None
 
 
 def early_end(notes: Sequence[str]) -> str:

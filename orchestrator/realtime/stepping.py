@@ -24,7 +24,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
-from orchestrator.engine.job import Execution, Job, Record
+from orchestrator.engine.job import Execution, Job, Record, with_default_guard
 from orchestrator.engine.open_job import opened
 from orchestrator.engine.scenario import ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
@@ -210,7 +210,7 @@ class FrameStepper:
         setup.check()
         system = with_sets(with_swaps(load(setup.system), setup.swap), setup.parameters)
         system = system.with_start(setup.set)
-        system = with_doubts(system, doubtful_starts(system))
+        system = with_default_guard(with_doubts(system, doubtful_starts(system)), setup.step)
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
         times, self._steps = _grid(system, coupling, setup)

@@ -119,9 +119,15 @@ class Comparison:
     notes: tuple[str, ...] = ()
     experiments: tuple[str, ...] = ()
 
+    @property
+    def unreliable(self) -> tuple[str, ...]:
+        """Why runs are not reliable, with their labels."""
+        told = ((run, run.metadata.unreliable) for run in self.runs if run.metadata)
+        return tuple(f"{run.label}: {reason}" for run, reasons in told for reason in reasons)
+
     def __repr__(self) -> str:
         start, stop = self.window
-        lines = [f"Comparison with {self.reference.label}, {start:g} to {stop:g} s; largest NRMSE:"]
+        lines = [*self.unreliable, f"Comparison with {self.reference.label}, {start:g} to {stop:g} s; largest NRMSE:"]
         for label in list(self.against)[:4]:
             rows = {q: row for q in self.quantities() if (row := self.worst(label, q))}
             worst = sorted(rows.values(), key=lambda row: -(row.metrics.nrmse or 0.0))[:3]

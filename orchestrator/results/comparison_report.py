@@ -128,8 +128,8 @@ def _panel(comparison: Comparison, shown: Sequence[tuple[Run, str, Style]], name
 
 
 def text(comparison: Comparison) -> str:
-    """Other experiments, cost of each run, worst signal of each quantity, the chosen signals, and notes."""
-    parts = [[f"warning: {text}" for text in comparison.experiments]]
+    """Runs that are not reliable, other experiments, cost of each run, worst signal of each quantity, the chosen signals, and notes."""
+    parts = [[f"warning: {text}" for text in (*comparison.unreliable, *comparison.experiments)]]
     parts += [[*(table.lines() if table.rows else ()), *below] for table, below in tables(comparison)]
     parts += [[f"note: {note}" for note in _notes(comparison)]]
     return "\n\n".join("\n".join(part) for part in parts if part)
@@ -326,6 +326,7 @@ def as_dict(comparison: Comparison) -> Mapping[str, Any]:
         },
         "notes": list(comparison.notes),
         "experiments": list(comparison.experiments),
+        "unreliable": list(comparison.unreliable),
     }
 
 

@@ -28,7 +28,7 @@ from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit, grouped
 from orchestrator.lanes.compiled import LANES
-from orchestrator.lanes.group import EARLY, FAILED, OK
+from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, OK
 from orchestrator.studies import design, processes, store
 from orchestrator.studies.analysis.output_samples import without_numbers
 from orchestrator.studies.cases import Sample, Unit, doubts, resolve
@@ -202,10 +202,11 @@ def progress() -> Iterator[Watch]:
 def summary(results: store.Results) -> str:
     """Number of runs of each status, range of the outputs, and reasons of failures."""
     counts = results.table["status"].value_counts()
-    statuses = ", ".join(f"{counts[status]} {status}" for status in (OK, EARLY, FAILED) if status in counts)
-    rows = []
+    words = (OK, NOT_RELIABLE, EARLY, FAILED)
+    statuses = ", ".join(f"{counts[status]} {status}" for status in words if status in counts)
+    valid, rows = results.table[results.table["status"] != NOT_RELIABLE], []
     for output in results.study.outputs:
-        column = results.table[output.column]
+        column = valid[output.column]
         unit = display_unit(output.unit, column.abs().max())
         values = (f"{v * unit.factor:.5g}" for v in (column.min(), column.mean(), column.max()))
         rows.append((output.name, *values, unit.display))
@@ -215,14 +216,18 @@ def summary(results: store.Results) -> str:
 
 
 def _reasons(results: store.Results) -> list[str]:
-    """Failures by reason; reasons that differ only in their numbers are one, shown by its first run."""
-    reasons = results.table.loc[results.table["status"] == FAILED, "reason"]
+    """Failures, and runs that are not reliable, by reason.
+
+    Reasons that differ only in their numbers are one, shown by its first run.
+    """
+    status = results.table["status"]
+    reasons = results.table.loc[status.isin((FAILED, NOT_RELIABLE)), "reason"]
     same = reasons.groupby(without_numbers(reasons), sort=False)
     groups = sorted((group for _, group in same), key=len, reverse=True)
     lines = []
     for group in groups[:REASONS]:
         example = ", such as" if group.nunique() > 1 else ""
-        lines.append(f"{len(group)} failed{example}: {group.iloc[0]}")
+        lines.append(f"{len(group)} {status[group.index[0]]}{example}: {group.iloc[0]}")
     if len(groups) > REASONS:
         lines.append(f"... and for {len(groups) - REASONS} other reasons")
     return ["", *lines] if lines else []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,11 +11,12 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
+from orchestrator.engine.result import BondEnergy, bonds_above
 from orchestrator.engine.run import prepare, run
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import LANES
-from orchestrator.lanes.group import EARLY, FAILED, OK, Group, Lanes
+from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, OK, Group, Lanes
 from orchestrator.lanes.one_by_one import early_end
 from orchestrator.studies.cases import Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
@@ -27,7 +28,10 @@ NAN = float("nan")
 class RunOutcome:
     """The stored results of a run.
 
-    status   ok, early (an FMU requested the end of the run), or failed
+    status   ok, unreliable (the error of the coupling is too large), early (an FMU requested the end of the
+             run), or failed
+    energy_error   largest energy error of the coupling over the energy that its bond exchanged; NaN if the
+                   run failed
     reason   why the status is not ok, in one line
     outputs  shape (outputs,); NaN if the run failed or the window contains no point
     bands    signals at `band_times`, shape (signals, times); None if the run failed or no signal is stored
@@ -42,6 +46,7 @@ class RunOutcome:
     bands: Array | None = None
     start: float = 0.0
     wall: float = 0.0
+    energy_error: float = NAN
 
 
 def failed(study: Study, run: int, reason: str) -> RunOutcome:
@@ -67,9 +72,14 @@ def _in_lanes(study: Study, case: StudyCase, unit: Unit) -> dict[int, RunOutcome
     ended = group.run(0, values, rows, len(unit))
     time = recorded_times(times)
     signals = dict(zip(map(str, group.lanes.signals), rows, strict=True))
-    complete = {sample.run: i for i, sample in enumerate(unit) if i not in ended}
-    of = {run: {name: values[i] for name, values in signals.items()} for run, i in complete.items()}
-    return {run: _outcome(study, case, run, time, found) for run, found in of.items()}
+    found = {}
+    for i, sample in enumerate(unit):
+        if i in ended and ended[i].status != NOT_RELIABLE:
+            continue
+        values_of = {name: values[i] for name, values in signals.items()}
+        outcome = _outcome(study, case, sample.run, time, values_of)
+        found[sample.run] = _judged(outcome, group.energies(i), ended[i].reason if i in ended else "")
+    return found
 
 
 def group_size(study: Study, case: StudyCase) -> int:
@@ -101,7 +111,6 @@ def _options(study: Study, case: StudyCase) -> dict[str, Any]:
         "stop": study.stop,
         "record": list(dict.fromkeys(str(signal(case.system, o.signal)) for o in study.outputs)),
         "record_step": study.record_step,
-        "bonds": (),
         "isolate": False,  # the process of the study is one already
     }
 
@@ -111,11 +120,19 @@ def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
     try:
         result = run(case.system, case.scenario, set=sample.factors, **_options(study, case))
         found = _outcome(study, case, sample.run, result.trace.time, result.trace.signals)
+        found = _judged(found, result.card.bonds, "; ".join(result.card.unreliable))
         reason = early_end(result.card.notes)
         return replace(found, status=EARLY, reason=reason) if reason else found
     except Exception as error:  # a defect ends this run only
         kind = "" if isinstance(error, Problem) else f"{type(error).__name__}: "
         return failed(study, sample.run, f"{kind}{error}")
+
+
+def _judged(outcome: RunOutcome, bonds: Sequence[BondEnergy], unreliable: str) -> RunOutcome:
+    """An outcome with its energy error, and why it is not reliable; empty if it is."""
+    error = max((abs(b.relative) for b in bonds_above(bonds, 0.0)), default=0.0)
+    status = NOT_RELIABLE if unreliable else outcome.status
+    return replace(outcome, status=status, reason=unreliable or outcome.reason, energy_error=error)
 
 
 def _outcome(

@@ -6,7 +6,8 @@
     parts/         finished batches while the study runs, and afterwards if a limit has stopped a run; the
                    name of each file has a checksum of its content
     bands.parquet  signals stored over time, for the bands of the report: run, time [s], a column per signal
-    runs.parquet   one row per run: run, status, reason, then the columns that `study` lists
+    runs.parquet   one row per run: run, status, reason, energy_error (largest energy error of the coupling,
+                   over the energy that its bond exchanged), then the columns that `study` lists
     log.csv        run, status and wall time [s]; not part of the results
     report.html, analysis.json   the analysis, written by orchestrator/studies/report
 
@@ -184,6 +185,7 @@ class Store:
         columns = {name: pa.array([getattr(r, name) for r in batch], kind) for name, kind in kinds.items()}
         for i, output in enumerate(self.study.outputs):
             columns[output.column] = pa.array([float(r.outputs[i]) for r in batch], pa.float64())
+        columns["energy_error"] = pa.array([r.energy_error for r in batch], pa.float64())
         columns["start"] = pa.array([r.start for r in batch], pa.float64())
         for i, name in enumerate(self.study.bands):
             lists = [np.empty(0) if r.bands is None else r.bands[i] for r in batch]
@@ -203,7 +205,7 @@ class Store:
         """Write the results; `inputs`: columns with samples and start values, in the order of the runs."""
         if self.study.bands:
             put(self.folder / "bands.parquet", self._write_bands)
-        names = ["run", "status", "reason", *(o.column for o in self.study.outputs)]
+        names = ["run", "status", "reason", "energy_error", *(o.column for o in self.study.outputs)]
         runs = pa.concat_tables([_read(file, names) for file in self._files()]).sort_by("run")
         runs = pa.table({**{name: runs[name] for name in names}, **inputs})
         units = {**units, **{o.column: o.unit for o in self.study.outputs}}

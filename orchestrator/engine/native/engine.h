@@ -277,7 +277,7 @@ typedef struct Scenario { /* a table of columns over time, linear between the sa
 } Scenario;
 
 typedef struct EnergyMonitor { /* of power bonds: efforts and flows alternate in the arrays */
-    const int64_t *indices, *read_indices;
+    const int64_t *indices, *set_indices, *read_indices; /* of the inputs; of the values that were set, and read back */
     const uint8_t *varied; /* by the master; the others are read back */
     const Real *read_values;
     Real *start;                    /* true values at the start of the step */

@@ -42,7 +42,7 @@ static int store_used_inputs(Simulation *sim) {
     const int verdict = m->count ? execute(sim, &m->input_reads) : CONTINUE;
     for (int32_t i = 0; i < m->count && !verdict; i++) {
         const int64_t k = m->indices[i];
-        m->used_start[i] = m->varied[i] ? sim->input_ends[k] : sim->reals[k];
+        m->used_start[i] = m->varied[i] ? sim->input_ends[k] : sim->reals[m->set_indices[i]];
         m->used_end[i] = m->varied[i] ? sim->input_ends[sim->real_count + k] : m->read_values[m->read_indices[i]];
     }
     return verdict;
@@ -50,18 +50,19 @@ static int store_used_inputs(Simulation *sim) {
 
 static Real residual(const Real *truth, const Real *used) { return truth[0] * used[1] - used[0] * truth[1]; }
 
-/* Adds the energies of the step, by the trapezoidal rule. */
-static void add_energy(Simulation *sim, Real h) {
+/* Adds the energies of the step of some machines, by the trapezoidal rule. */
+static void add_energy(Simulation *sim, Real h, Mask machines) {
     EnergyMonitor *m = &sim->energy;
     const int32_t bonds = m->count / 2;
     for (int32_t i = 0; i < bonds; i++) {
         Real *start = m->start + 2 * i;
         const Real end[] = {sim->reals[m->indices[2 * i]], sim->reals[m->indices[2 * i + 1]]};
         const Real error = 0.5 * h * (residual(start, m->used_start + 2 * i) + residual(end, m->used_end + 2 * i));
-        m->sums[i] += error;
-        m->sums[bonds + i] += fabs(error);
-        m->sums[2 * bonds + i] += 0.5 * h * (fabs(start[0] * start[1]) + fabs(end[0] * end[1]));
-        memcpy((void *)start, end, sizeof end);
+        const Real exchanged = 0.5 * h * (fabs(start[0] * start[1]) + fabs(end[0] * end[1]));
+        m->sums[i] += where(machines, error, 0.0);
+        m->sums[bonds + i] += where(machines, fabs(error), 0.0);
+        m->sums[2 * bonds + i] += where(machines, exchanged, 0.0);
+        for (int j = 0; j < 2; j++) start[j] = where(machines, end[j], start[j]);
     }
 }
 
@@ -123,7 +124,7 @@ static int accept(Simulation *sim, Real h, Mask machines) {
         accept_input(&sim->inputs[i], h, machines);
     }
     if (sim->prediction) prediction_accept(sim->prediction, h);
-    add_energy(sim, h);
+    add_energy(sim, h, machines);
     sim->length_before = where(machines, sim->length, sim->length_before);
     sim->length = where(machines, h, sim->length);
     return CONTINUE;

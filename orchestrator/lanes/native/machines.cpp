@@ -250,6 +250,10 @@ EXPORT int32_t group_adopt(void *group, const void *other, const int64_t *lanes)
     }
     for (int k = 0; k < sim->component_count; k++) g->models[k]->adopt(g->instances[k], from->instances[k], machines);
     for (int i = 0; i < sim->input_count; i++) input_replace(&sim->inputs[i], &from->sim.inputs[i], machines);
+    EnergyMonitor *energy = &sim->energy;
+    for (int i = 0; i < energy->count; i++)
+        energy->start[i] = where(machines, from->sim.energy.start[i], energy->start[i]);
+    for (int i = 0; i < 3 * energy->count / 2; i++) energy->sums[i] = where(machines, 0.0, energy->sums[i]);
     sim->alive = (sim->alive && !machines) || (from->sim.alive && machines);
     machines_move(sim, sim->alive);
     return any(sim->alive);
