@@ -123,7 +123,7 @@ def test_the_card_tells_when_the_engine_stalled(system, bench):
     speed, time = done.trace["supply.engine_speed"], done.trace.time
     assert speed.min() >= 0
     for name, limit, end in (("idle", IDLE, ""), ("stall", STALL, ": the engine has stalled and does not")):
-        (line,) = (w for w in done.card.all_warnings if f"engine_speed_below_{name} = " in w)
+        (line,) = (w for w in done.card.warnings if f"engine_speed_below_{name} = " in w)
         found = re.match(rf"supply: \S+ = (\S+) rad/s at t = (\S+) s is above 0 rad/s{end}", line)
         crossed = np.argmax(speed < limit)
         assert float(found[2]) == pytest.approx(time[crossed])
