@@ -47,6 +47,7 @@ class Quantity:
                  start value; other FMUs in a system may lack the signal
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
     warn_below   inputs and outputs: value below which it logs a warning likewise
+    meaning      inputs and outputs: what a value beyond its limit means, as the end of the warning
     group        parameters only: heading in documentation; default: heading of the previous parameter
     value        parameter or start value, for a subsystem without parameters.toml
     listed       parameters only, with a name such as point_3: description of the list points in
@@ -67,9 +68,10 @@ class Quantity:
     value: float | None = None
     listed: str = ""
     optional: str = ""
+    meaning: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("unit", "text", "group", "listed", "optional"):
+        for name in ("unit", "text", "group", "listed", "optional", "meaning"):
             if not isinstance(getattr(self, name), str):
                 raise Problem(f"Quantity: {name}: expected text, found {getattr(self, name)!r}")
         for name in ("nominal", "minimum", "maximum", "warn_above", "warn_below", "absolute", "value"):
@@ -100,6 +102,7 @@ class Quantity:
             text=self.text.replace("{}", owner),
             listed=self.listed.replace("{}", owner),
             optional=self.optional.replace("{}", owner),
+            meaning=self.meaning.replace("{}", owner),
             group=heading[:1].upper() + heading[1:],
             rate=self.rate and f"{prefix}_{self.rate}",
         )

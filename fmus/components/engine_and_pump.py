@@ -2,27 +2,33 @@
 
 **The engine** is a torque source:
 
-    J w'     = T - T_f(w) - T_load                T: torque of the combustion
-    tau T'   = (T_net + T_f) lim(z) - T           follows the injected fuel
+    J w'     = b(w) T - T_f(w) - T_load           T: torque of the injected fuel, b: share that burns
+    tau T'   = (T_net + T_f) lim(z) - T
+    b(w)     = sigma((w - w_s) / (w_i - w_s))     1 above the idle speed w_i, 0 below the stall speed w_s
     T_net(w) = T_r (1 + r (1 - y^2))        y = (w - w_p) / (w_r - w_p)
     T_f(w)   = d(w) c_0 + c_1 w                   friction and pumping losses
     z        = (T_f + T_net (w_0 - w) / (w_0 - w_r)) / (T_net + T_f)
 
-lim limits z to 0 ... 1 (`smooth.unit_limited`), d is the rounded sign (`smooth.direction`). At full fuel the
-net torque is a parabola: T_r at the rated speed w_r, maximum (1 + r) T_r at the speed w_p. The governor is
-proportional: from full fuel at w_r the net torque falls to zero at the no-load speed w_0. The fuel is never
-negative. The speed stays positive, because the braking torques (friction, pumps behind check valves) vanish
-at standstill.
+lim limits z to 0 ... 1 (`smooth.unit_limited`), d is the rounded sign (`smooth.direction`), sigma a step
+(`smooth.s_curve`). At full fuel above w_i the net torque is a parabola: T_r at the rated speed w_r, maximum
+(1 + r) T_r at the speed w_p. The governor is proportional: from full fuel at w_r the net torque falls to zero
+at the no-load speed w_0. The fuel is never negative.
+
+**Stall.** If the compression is too slow, the fuel does not ignite. Between w_i and w_s the net torque at
+full fuel, b (T_net + T_f) - T_f, falls below zero. At w_s and below all torques brake, whatever the governor
+does, so a stalled engine coasts to standstill. There all torques are zero: it stays, and its speed is never
+negative. The shape of b is an assumption.
 
 References: Heywood, Internal Combustion Engine Fundamentals, 1988, ch. 13 (friction); Guzzella and Onder,
 Introduction to Modeling and Control of Internal Combustion Engine Systems, 2010, sec. 2.5 (mean values).
-Valid for the mean torque over a cycle, above about 800 rpm; no turbocharger lag, no smoke limit, no stall.
+Valid for the mean torque over a cycle, above idle speed; no turbocharger lag, no smoke limit, no starter.
 
 **A pump** has a swash plate, which the compensator moves:
 
-    x      = s D w                         flow from the tank, s: stroke relative to the full stroke
+    x      = s D f(w) w                    flow from the tank, s: stroke relative to the full stroke
     q      = x - k (p - P_t)               flow into the outlet line, k: leakage to the case
-    T      = s D dp + d(w) c_f D m(dp) + c_v w       torque on the shaft, dp = p - P_t
+    T      = s D f(w) dp + d(w) c_f D m(dp) + c_v w       torque on the shaft, dp = p - P_t
+    f(w)   = sigma(w / w_f)                1 above w_f = 10 rad/s, 0 at standstill
     s'     = r / sqrt(1 + (r / r_max)^2),     r = (s_target - s) / tau
     s_target = lim((P_set - p) / band)
 
@@ -34,6 +40,8 @@ lag tau, limited by the speed of the control piston: r_max = 1/t_on for increasi
 stroke. As s_target is within 0 ... 1, so is s for any p. Smoothing: s_target is above the straight line by
 rounding^2 / (4 s), which raises the dead head by band rounding^2 / (4 s_0) with the stroke s_0 that covers
 the leakage (a thousandth of the band for s_0 = 2.5 %), and is rounded at full stroke.
+The pressure behind a check valve does not turn a shaft at standstill: static friction and the compression in
+the cylinders hold it. f stands for that. It is in flow and torque, so it takes no energy.
 
 **Several regulators** move the swash plate of a load-sensing pump. P_set is then the pressure of the
 load-sensing line plus a margin, and the lowest of three strokes counts:
@@ -54,12 +62,13 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from fmus.contract import Group, Quantity, Scalar
-from fmus.smooth import direction, lowest, positive, ramp, unit_limited, unit_limited_inverse
+from fmus.smooth import direction, lowest, positive, ramp, s_curve, unit_limited, unit_limited_inverse
 
 _ROUNDING = 0.02  # fraction of full fuel over which both limits of the fuel are rounded
 _SPEED_ROUNDING = 1.0  # rad/s, far below idle speed; below, the dry friction falls to zero
 _LEAST_TORQUE = 0.1  # fraction of the rated torque: lower bound of the parabola outside its range
-ITERATIONS = 12  # of `idle_speed`; each gains two digits, because torques depend little on the speed
+_PUMPING_SPEED = 10.0  # w_f [rad/s], far below the stall speed
+ITERATIONS = 12  # of `governed_speed`; each gains two digits, because torques depend little on the speed
 _BEYOND = 2.0  # stroke at which the hyperbola of the power limit ends; above 1 it limits nothing
 # of the drag at 20 mPa.s, D C_v mu of a measured pump of 107 cm3/rev, C_v = 23 500 (Pourmovahed, Beachley and
 # Fronczak, J. Dynamic Systems, Measurement, and Control 114 (1992) 160), over c_v; the rest is churning
@@ -79,12 +88,19 @@ class DieselEngine(Group):
         "N.m", "Friction torque of the engine, independent of speed", 10.0, minimum=0.0
     )
     viscous_friction: Scalar = Quantity("N.m.s/rad", "Friction torque of the engine per speed", minimum=0.0)
+    idle_speed: Scalar = Quantity("rad/s", "Lowest speed at which all fuel burns", 100.0, minimum=1.0)
+    stall_speed: Scalar = Quantity("rad/s", "Speed at and below which no fuel burns", 100.0, minimum=1.0)
     inertia: Scalar = Quantity("kg.m2", "Moment of inertia of engine, flywheel and pumps", minimum=1e-3)
     lag: Scalar = Quantity("s", "Time constant of the torque after the governor", 0.1, minimum=1e-6)
 
 
+def burning_share(d: DieselEngine, speed: Scalar) -> Scalar:
+    """Share b of the injected fuel that burns."""
+    return s_curve((speed - d.stall_speed) / (d.idle_speed - d.stall_speed))
+
+
 def net_torque(d: DieselEngine, speed: Scalar) -> Scalar:
-    """Torque [N.m] at the shaft at full fuel."""
+    """Torque [N.m] at the shaft at full fuel, above idle speed."""
     y = (speed - d.peak_speed) / (d.rated_speed - d.peak_speed)
     return d.rated_torque * ca.fmax(1 + d.torque_rise * (1 - y**2), _LEAST_TORQUE)
 
@@ -95,14 +111,14 @@ def engine_friction(d: DieselEngine, speed: Scalar) -> Scalar:
 
 
 def governor_torque(d: DieselEngine, speed: Scalar) -> Scalar:
-    """Combustion torque [N.m] that the governor commands."""
+    """Torque [N.m] of the fuel that the governor commands."""
     net = net_torque(d, speed)
     friction = ca.fmax(engine_friction(d, speed), 0)  # a trial speed may be negative
     z = (friction + net * (d.no_load_speed - speed) / (d.no_load_speed - d.rated_speed)) / (net + friction)
     return (net + friction) * unit_limited(z, _ROUNDING)
 
 
-def idle_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
+def governed_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
     """One fixed-point iteration for the steady speed [rad/s] under a load [N.m], from a guess.
 
     The result is in the range of the governor, also for an engine that is too weak.
@@ -114,12 +130,12 @@ def idle_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
 
 
 def speed_rate(d: DieselEngine, speed: Scalar, torque: Scalar, load: Scalar) -> Scalar:
-    """dw/dt [rad/s2] with a torque of the combustion and a load [N.m]."""
+    """dw/dt [rad/s2] with a torque of the combustion, b T, and a load [N.m]."""
     return (torque - engine_friction(d, speed) - load) / d.inertia
 
 
 def torque_rate(d: DieselEngine, speed: Scalar, torque: Scalar) -> Scalar:
-    """dT/dt [N.m/s] of the combustion torque."""
+    """dT/dt [N.m/s] of the torque of the injected fuel."""
     return (governor_torque(d, speed) - torque) / d.lag
 
 
@@ -145,9 +161,14 @@ def at_viscosity(d: Pump, ratio: Scalar) -> Pump:
     return replace(d, leakage=d.leakage / ratio, viscous_friction=drag)
 
 
+def displaced(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:
+    """Displacement s D f [m3/rad] of a stroke."""
+    return stroke * d.displacement * s_curve(speed / _PUMPING_SPEED)
+
+
 def suction_flow(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:
     """Flow x [m3/s] from the tank."""
-    return stroke * d.displacement * speed
+    return displaced(d, stroke, speed) * speed
 
 
 def pump_friction(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
@@ -158,7 +179,7 @@ def pump_friction(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
 
 def torque(d: Pump, stroke: Scalar, speed: Scalar, rise: Scalar) -> Scalar:
     """Torque T [N.m] on the shaft."""
-    return stroke * d.displacement * rise + pump_friction(d, speed, rise)
+    return displaced(d, stroke, speed) * rise + pump_friction(d, speed, rise)
 
 
 def loss(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:

@@ -307,7 +307,8 @@ def _row(inputs: Sequence[str], v: Variable) -> str:
     above = q.warn_above if v.watched and q.warn_above is not None else math.inf
     below = q.warn_below if v.watched and q.warn_below is not None else -math.inf
     literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale, above, below))
-    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}}}"
+    meaning = string(f": {q.meaning}" if q.meaning else "")
+    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {meaning}}}"
 
 
 def string(text: str) -> str:

@@ -231,7 +231,8 @@ def _remarks(v: Variable) -> Iterable[str]:
         yield f"without it {v.quantity.optional}"
     for where, limit in (("above", v.quantity.warn_above), ("below", v.quantity.warn_below)):
         if limit is not None:
-            yield f"warning {where} {printed(limit)} {pretty(v.quantity.unit)}"
+            meaning = f": {v.quantity.meaning}" if v.quantity.meaning else ""
+            yield f"warning {where} {printed(limit)} {pretty(v.quantity.unit)}{meaning}"
 
 
 def _bounds(low: float | None, high: float | None) -> str:

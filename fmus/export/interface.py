@@ -114,6 +114,7 @@ def variable_groups(
         output = outputs.get(name)
         if output is not None and output.watched:
             q = replace(q, warn_above=output.warn_above, warn_below=output.warn_below)
+            q = replace(q, meaning=output.meaning)
         if name in calculated:
             return Variable(name, "CALCULATED_STATE", q, None, output=output is not None)
         return Variable(name, "STATE", q, values.x[name], output=output is not None)

@@ -3,17 +3,17 @@
     C_p p_i' = x_i - k (p_i - P_t) - q_i         outlet line of pump i = 1, 2
     q_i      = r(p_i - P) / R_c                  its check valve: no flow back into the pump
     C_s P'   = q_1 + q_2 - Q - Q_r               supply line: flow Q into the drives, main relief valve
-    J w'     = T - T_f(w) - T_1 - T_2            engine and pumps on one shaft
+    J w'     = b T - T_f(w) - T_1 - T_2          engine and pumps on one shaft
     V'       = Q_b + leakage + relief - x_1 - x_2        oil in the tank, at constant pressure
 
-with x, T, T_i and the strokes from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r
+with x, b T, T_i and the strokes from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r
 the `ramp` of `fmus.smooth`; return line (P_b, Q_b) and temperature of the oil from `rail`.
 Cavities in the lines as in `fmus.components.chamber`.
 
     engine_power + P_b return_flow = P supply_flow + dE/dt + heat
 
-engine_power is the power of the combustion, T w. The heat is that of engine friction, friction and leakage of
-the pumps, check valves and relief valve. E is the energy of compression and rotation, and P_t V of the tank.
+engine_power is the power of the combustion, b T w. The heat is that of engine friction, friction and leakage
+of the pumps, check valves and relief valve. E is the energy of compression and rotation, P_t V of the tank.
 
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
@@ -24,14 +24,8 @@ from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.contract import Group, Quantity, Scalar
 from fmus.supply import rail
-from fmus.supply.rail import Outlet, RailParameters, ShaftState, TankParameters
-from fmus.supply.variables import (
-    SupplyInputs,
-    SupplyOutputs,
-    line_pressure,
-    supply_flow,
-    variant,
-)
+from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, TankParameters
+from fmus.supply.variables import SupplyInputs, line_pressure, supply_flow, variant
 
 
 class PumpParameters(Group):
@@ -112,7 +106,7 @@ class EnginePumpState(ShaftState, _Pumps, _SupplyLine):
     """Pressures, strokes, engine, and oil in the tank."""
 
 
-class EnginePumpOutputs(_Pumps, SupplyOutputs):
+class EnginePumpOutputs(_Pumps, ShaftOutputs):
     """Outputs of every variant, states, and flows and torques of pumps and valves."""
 
     pump_1_flow: Scalar = Quantity("m3/s", "Flow from pump 1 through its check valve", 1e-3)
@@ -161,11 +155,11 @@ def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Eng
 
 
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
-    """Initial state without flow into the drives: pumps at dead head, engine at idle speed."""
+    """Initial state without flow into the drives: pumps at dead head, governed engine."""
     tank, engine = p.reservoir_pressure, DieselEngine.of(p, "engine")
     speed = engine.no_load_speed
     for _ in range(engine_and_pump.ITERATIONS):
-        speed = engine_and_pump.idle_speed(engine, _idle_load(p, speed), speed)
+        speed = engine_and_pump.governed_speed(engine, _idle_load(p, speed), speed)
     (stroke_1, pressure_1), (stroke_2, pressure_2) = (
         engine_and_pump.dead_head(rail.at_start(d, p), speed, tank) for d in p.pumps
     )
@@ -176,7 +170,7 @@ def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
         "pump_1_stroke": stroke_1,
         "pump_2_stroke": stroke_2,
         "engine_speed": speed,
-        "engine_torque": engine_and_pump.governor_torque(engine, speed),
+        "engine_fuel_torque": engine_and_pump.governor_torque(engine, speed),
         **rail.start(p),
     }
 

@@ -4,7 +4,7 @@
     C_p p'     = x - k (p - P_t) - q          outlet line of the pump
     q          = r(p - P) / R_c               its check valve
     C_s P'     = q - Q - Q_r - k_l (P - P_t)  supply line: drives, main relief valve, pilot oil and spools
-    J w'       = T - T_f(w) - T_1             engine and pump on one shaft
+    J w'       = b T - T_f(w) - T_1           engine and pump on one shaft
     V'         = Q_b + leakage + relief - x          oil in the tank, at constant pressure
 
     s' : lag and speed limits of the swash plate towards
@@ -20,8 +20,9 @@ rest of all states the supply pressure is
 
     P = P_L + margin - band s - drop of the check valve          s = (q + k (p - P_t)) / (D w)
 
-while the pump has stroke and the engine power to spare. Without flow the check valve stays closed until pilot
-oil and leaking spools, k_l, have lowered P after a stroke.
+while the pump has stroke and the engine power to spare. An engine that cannot carry T_max and the friction of
+the pump, 35 N.m at 3000 psi, stalls under load. Without flow the check valve stays closed until pilot oil
+and leaking spools, k_l, have lowered P after a stroke.
 
     engine_power + P_t return_flow = P supply_flow + dE/dt + heat
 
@@ -41,15 +42,8 @@ from fmus.components.load_sensing import LoadPressure
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp_inverse
 from fmus.supply import rail
-from fmus.supply.rail import Outlet, RailParameters, ShaftState, TankParameters
-from fmus.supply.variables import (
-    SupplyInputs,
-    SupplyOutputs,
-    limited,
-    line_pressure,
-    supply_flow,
-    variant,
-)
+from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, TankParameters
+from fmus.supply.variables import SupplyInputs, limited, line_pressure, supply_flow, variant
 
 _ITERATIONS = 20  # of check valve and engine at standby; each gains about a digit
 
@@ -139,7 +133,7 @@ class LoadSensingState(ShaftState, _PumpState):
     """Pressures, stroke, engine, and oil in the tank."""
 
 
-class LoadSensingOutputs(SupplyOutputs):
+class LoadSensingOutputs(ShaftOutputs):
     """Outputs of every variant, states, and flows and torques of pump and valves."""
 
     pump_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of the pump", 1e7)
@@ -212,7 +206,7 @@ class _Standby:
 
 
 def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | None = None) -> _Standby:
-    """Standby at a speed, or at the idle speed of an engine, searched from `speed`.
+    """Standby at a speed, or at the governed speed of an engine, searched from `speed`.
 
     The flow of the pump only covers leakage. The check valve passes the leakage of the supply line with a
     drop z, so both leakages together are k + k_l (1 - z/dp) per pressure rise dp of the pump.
@@ -228,12 +222,12 @@ def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | Non
         passed = bleed * (1 - drop / rise)
         load = engine_and_pump.torque(pump, stroke, speed, rise)
         if engine is not None and iteration < _ITERATIONS - 1:
-            speed = engine_and_pump.idle_speed(engine, load, speed)
+            speed = engine_and_pump.governed_speed(engine, load, speed)
     return _Standby(speed, stroke, pressure, pressure - drop, load)
 
 
 def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
-    """Standby: all valves closed, engine at idle speed under the small load of the pump."""
+    """Standby: all valves closed, governed engine under the small load of the pump."""
     engine = DieselEngine.of(p, "engine")
     found = _standby(p, engine.no_load_speed, engine)
     return {
@@ -242,15 +236,13 @@ def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
         "pump_pressure": found.pump_pressure,
         "pump_stroke": found.stroke,
         "engine_speed": found.speed,
-        "engine_torque": engine_and_pump.governor_torque(engine, found.speed),
+        "engine_fuel_torque": engine_and_pump.governor_torque(engine, found.speed),
         **rail.start(p),
     }
 
 
 def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
-    """Requirements: order of the pressures, of the speeds, an engine that can carry the power limit."""
-    idle, tank = p.engine_rated_speed, p.reservoir_pressure
-    friction = engine_and_pump.pump_friction(p.pump(tank), idle, p.pressure_cut_off - tank)
+    """Requirements: order of the pressures, of the speeds, an engine that can turn the pump in standby."""
     return {
         "margin exceeds margin_band": p.margin - p.margin_band,
         "load_sensing_relief_difference is not above margin": p.margin - p.load_sensing_relief_difference + 1,
@@ -258,10 +250,7 @@ def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
             p.pressure_cut_off - p.load_sensing_relief_difference - rail.return_pressure(p) - p.margin
         ),
         "relief_pressure exceeds pressure_cut_off": p.relief_pressure - p.pressure_cut_off,
-        "engine_rated_torque exceeds torque_limit with the friction of the pump": p.engine_rated_torque
-        - p.torque_limit
-        - friction,
-        **rail.engine_requirements(p, _standby(p, idle).load, "the pump"),
+        **rail.engine_requirements(p, _standby(p, p.engine_rated_speed).load, "the pump"),
     }
 
 

@@ -3,12 +3,12 @@
     C_p p' = x - k (p - P_t) - q           outlet line of a pump
     q      = r(p - P) / R_c                its check valve: no flow back into the pump
     C_s P' = sum q - Q - Q_r - Q_l         supply line: flow Q into the drives, main relief valve, leakage
-    J w'   = T - T_f(w) - sum T_i          engine and pumps on one shaft
+    J w'   = b T - T_f(w) - sum T_i        engine and pumps on one shaft
     C_b P_b' = Q_return - Q_b              return line of the drives, preloaded by a check valve
     Q_b    = (r(P_b - P_t - p_b) - r(P_t - P_b)) / R_b       into the tank; a second one draws from there
     C th'  = heat - (G + G_c lim((th - th_c)/band)) (th - th_a)        temperature of the oil, with a cooler
 
-with x, T, T_i from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r the `ramp` of
+with x, b T, T_i from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r the `ramp` of
 `fmus.smooth`. Cavities in the lines as in `fmus.components.chamber`. Leakage and drag of the pumps
 follow from the temperature of the oil (`fmus.components.oil`).
 
@@ -20,6 +20,8 @@ the arm, 0.1 K. Friction outside the oil is counted too.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+import casadi as ca
 
 from fmus.components import chamber, engine_and_pump, oil, orifice
 from fmus.components.engine_and_pump import DieselEngine, Pump
@@ -97,10 +99,25 @@ class ShaftState(Group):
     """Engine, return line, and oil in the tank."""
 
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
-    engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
+    engine_fuel_torque: Scalar = Quantity("N.m", "Torque of the injected fuel if all of it burns", 100.0)
     tank_pressure: Scalar = replace(quantities(SupplyOutputs)["tank_pressure"], absolute=1e6)
     oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
+
+
+class ShaftOutputs(SupplyOutputs):
+    """Outputs of every variant, and two that are zero while the engine is in its range."""
+
+    engine_speed_below_idle: Scalar = Quantity(
+        "rad/s", "Speed that the engine lacks to its idle speed, else zero", 100.0, warn_above=0.0
+    )
+    engine_speed_below_stall: Scalar = Quantity(
+        "rad/s",
+        "Speed that the engine lacks to its stall speed, else zero",
+        100.0,
+        warn_above=0.0,
+        meaning="the engine has stalled and does not start again",
+    )
 
 
 @dataclass(frozen=True)
@@ -163,15 +180,15 @@ def shaft_rate(
     outlets: Sequence[Outlet], leakage: Scalar, u: SupplyInputs, x: ShaftState, p: RailParameters
 ) -> dict[str, Scalar]:
     """Time derivatives of `ShaftState`; leakage: flow [m3/s] from the supply line into the tank."""
-    engine, load = DieselEngine.of(p, "engine"), sum(o.torque for o in outlets)
+    engine, load, speed = DieselEngine.of(p, "engine"), sum(o.torque for o in outlets), x.engine_speed
     drained = sum(o.leakage - o.suction for o in outlets) + relief_flow(x, p) + leakage
     net = return_flow(u) - _into_tank(x, p)
     # heat [W] into the oil: power that the drives take, and the losses without those of the engine
     taken = x.supply_pressure * supply_flow(u) - x.tank_pressure * return_flow(u)
     heat = taken + dissipated_power(outlets, leakage, x, p) - _engine_heat(x, p)
     return {
-        "engine_speed": engine_and_pump.speed_rate(engine, x.engine_speed, x.engine_torque, load),
-        "engine_torque": engine_and_pump.torque_rate(engine, x.engine_speed, x.engine_torque),
+        "engine_speed": engine_and_pump.speed_rate(engine, speed, _engine_torque(x, p), load),
+        "engine_fuel_torque": engine_and_pump.torque_rate(engine, speed, x.engine_fuel_torque),
         "tank_pressure": chamber.pressure_rate(x.tank_pressure, net, p.return_capacitance),
         "oil_temperature": (heat - cooling_power(x, p)) / p.heat_capacity,
         "reservoir_volume": _into_tank(x, p) + drained,
@@ -212,6 +229,12 @@ def cooling_power(x: ShaftState, p: Any) -> Scalar:
     return conductance * (x.oil_temperature - p.ambient_temperature)
 
 
+def _engine_torque(x: ShaftState, p: RailParameters) -> Scalar:
+    """Torque [N.m] of the combustion."""
+    share = engine_and_pump.burning_share(DieselEngine.of(p, "engine"), x.engine_speed)
+    return share * x.engine_fuel_torque
+
+
 def _engine_heat(x: ShaftState, p: RailParameters) -> Scalar:
     """Power [W] of the engine's friction."""
     return engine_and_pump.engine_friction(DieselEngine.of(p, "engine"), x.engine_speed) * x.engine_speed
@@ -240,16 +263,19 @@ def dissipated_power(outlets: Sequence[Outlet], leakage: Scalar, x: ShaftState, 
 def outputs(
     outlets: Sequence[Outlet], leakage: Scalar, rates: ShaftState, u: SupplyInputs, x: ShaftState, p: Any
 ) -> dict[str, Scalar]:
-    """The state and the outputs that all supplies with pumps have, by name; rates: of the state."""
+    """Shown states and the outputs that all supplies with pumps have, by name; rates: of the state."""
     supplied, returned = supply_flow(u), return_flow(u)
     return {
-        **vars(x),
+        **{name: value for name, value in vars(x).items() if name != "engine_fuel_torque"},
         "supply_pressure_rate": rates.supply_pressure,
         "tank_pressure_rate": rates.tank_pressure,
         "supply_flow": supplied,
         "return_flow": returned,
         "hydraulic_power": x.supply_pressure * supplied - x.tank_pressure * returned,
-        "engine_power": x.engine_torque * x.engine_speed,
+        "engine_speed_below_idle": ca.fmax(p.engine_idle_speed - x.engine_speed, 0),
+        "engine_speed_below_stall": ca.fmax(p.engine_stall_speed - x.engine_speed, 0),
+        "engine_torque": _engine_torque(x, p),
+        "engine_power": _engine_torque(x, p) * x.engine_speed,
         "stored_energy": stored_energy(outlets, x, p),
         "dissipated_power": dissipated_power(outlets, leakage, x, p),
         "relief_flow": relief_flow(x, p),
@@ -263,5 +289,7 @@ def engine_requirements(p: RailParameters, idle_load: Scalar, pumps: str) -> dic
     return {
         "engine_no_load_speed exceeds engine_rated_speed": p.engine_no_load_speed - p.engine_rated_speed,
         "engine_rated_speed exceeds engine_peak_speed": p.engine_rated_speed - p.engine_peak_speed,
+        "engine_peak_speed exceeds engine_idle_speed": p.engine_peak_speed - p.engine_idle_speed,
+        "engine_idle_speed exceeds engine_stall_speed": p.engine_idle_speed - p.engine_stall_speed,
         f"engine_rated_torque exceeds what turns {pumps} without flow": p.engine_rated_torque - idle_load,
     }

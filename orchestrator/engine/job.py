@@ -210,23 +210,24 @@ def guarded(system: System, coupling: Coupling) -> bool:
 
 
 def with_default_guard(system: System, step: float | None) -> System:
-    """The system with a guard if an FMU suggests a shorter step than that of the run, unless one is chosen.
+    """The system with a guard if an FMU suggests a shorter step than the system does, unless one is chosen.
 
-    step   of the run [s]; None: the suggested one
+    step   of the run [s], chosen by the user; None: the suggested one
     """
     coupling = system.coupling or Coupling()
     if coupling.guard is not None or coupling.estimates_error:
         return system
-    length, interfaces = step_length(system, step), {n: c.interface for n, c in system.components.items()}
-    shorter = [n for n, i in interfaces.items() if i.step and i.step < length * (1.0 - SAME_TIME)]
+    length, limit = step_length(system, step), min(step_length(system, None), step or math.inf)
+    steps = {name: c.interface.step or math.inf for name, c in system.components.items()}
+    shorter = {name: s for name, s in steps.items() if s < limit * (1.0 - SAME_TIME)}
     if not shorter:
         return system
-    least = min(interfaces[n].step or length for n in shorter)
-    note = f"{first_names(shorter)} suggests steps of {least:g} s"
+    note = f"{first_names(shorter)}: steps of {min(shorter.values()):g} s are suggested"
     guard = replace(coupling, guard=GUARD_TOLERANCE)
     if not guarded(system, guard):
         return replace(system, notes=(*system.notes, f"{note}; this run has steps of {length:g} s"))
-    note += (
-        f": those of {length:g} s are divided where an input is off by more than {GUARD_TOLERANCE:g} (guard)"
+    reason = (
+        f"those of {length:g} s are divided where an input is off by more than {GUARD_TOLERANCE:g} (guard)"
     )
-    return replace(system, suggestion=replace(system.suggestion, coupling=guard), notes=(*system.notes, note))
+    suggestion = replace(system.suggestion, coupling=guard)
+    return replace(system, suggestion=suggestion, notes=(*system.notes, f"{note}; {reason}"))

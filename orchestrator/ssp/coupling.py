@@ -206,7 +206,7 @@ class CouplingArguments(TypedDict, total=False):
     guard                Without `adaptive`: divide a step if the estimated error of a signal exceeds TOL
                          times its magnitude, or if the scenario has a corner inside the step; all components
                          must be able to restore their states; 0: never; default: 0.01 for hermite and
-                         interface-jacobian, and if an FMU suggests a shorter step than that of the run, else
+                         interface-jacobian, and if an FMU suggests a shorter step than the system does, else
                          0.
     smallest             With `adaptive`: shortest step [s], accepted with any error; default: 1e-7.
     largest              With `adaptive`: longest step [s]; default: 0.1.

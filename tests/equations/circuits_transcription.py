@@ -258,7 +258,8 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     tank, w, s, m = p.reservoir_pressure, x["engine_speed"], x["pump_stroke"], oil(x["oil_temperature"])[0]
     returning = x["tank_pressure"]
     out, rail, sensing = x["pump_pressure"], x["supply_pressure"], x["load_sensing_pressure"]
-    rise, drawn = out - tank, s * d.displacement * w
+    displaced = s * d.displacement * step(w / 10)
+    rise, drawn = out - tank, displaced * w
     q = ramp(out - rail, p.check_opening) / d.check_resistance
     blown = p.relief_gain * ramp(rail - tank - p.relief_pressure, p.relief_rounding)
     bled, leaking = p.rail_leakage / m * (rail - tank), d.leakage / m * rise
@@ -267,8 +268,10 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     sign = w / sqrt(w**2 + 1)
     friction = d.pressure_friction * d.displacement * foot(rise, 1e4) * sign
     friction += d.viscous_friction * (0.18 * m + 0.82) * w
-    torque = s * d.displacement * rise + friction
+    torque = displaced * rise + friction
     net, dry = engine_torque(e, w)
+    fuel = x["engine_fuel_torque"]
+    burning = step((w - e.stall_speed) / (e.idle_speed - e.stall_speed)) * fuel
     z = (dry + net * (e.no_load_speed - w) / (e.no_load_speed - e.rated_speed)) / (net + dry)
     margin = (sensing + p.margin - out) / p.margin_band
     cut_off = (p.pressure_cut_off - out) / p.cut_off_band
@@ -293,8 +296,8 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         / p.load_sensing_lag,
         "pump_pressure": (drawn - leaking - q) / (d.line_capacitance + void(out)),
         "pump_stroke": lag / sqrt(1 + (lag * time) ** 2),
-        "engine_speed": (x["engine_torque"] - dry - torque) / e.inertia,
-        "engine_torque": ((net + dry) * limited(z, 0.02) - x["engine_torque"]) / e.lag,
+        "engine_speed": (burning - dry - torque) / e.inertia,
+        "engine_fuel_torque": ((net + dry) * limited(z, 0.02) - fuel) / e.lag,
         "tank_pressure": (back - into_tank) / (p.return_capacitance + void(returning)),
         "oil_temperature": (warming - cooled) / p.heat_capacity,
         "reservoir_volume": into_tank + leaking + blown + bled - drawn,
@@ -306,4 +309,8 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         "pump_flow": q,
         "relief_flow": blown,
         "engine_load": torque,
+        "engine_torque": burning,
+        "engine_power": burning * w,
+        "engine_speed_below_idle": max(e.idle_speed - w, 0),
+        "engine_speed_below_stall": max(e.stall_speed - w, 0),
     }

@@ -152,7 +152,7 @@ def test_a_value_below_its_lowest_is_a_warning(open_fmu):
         fmu.fmu.doStep(float(k), 1.0)
     said = [w for w in fmu.logged("logStatusWarning") if "level" in w]
     assert [w.partition(": ")[2] for w in said] == [
-        f"level = {value} 1 at t = {time} s is below -60 1" for value, time in ((-70, 2), (-80, 5))
+        f"level = {value} 1 at t = {time} s is below -60 1: it is dry" for value, time in ((-70, 2), (-80, 5))
     ]
 
 

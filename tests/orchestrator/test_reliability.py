@@ -20,7 +20,7 @@ from orchestrator.engine.result import (
     unreliable_energies,
     unreliable_errors,
 )
-from orchestrator.ssp.coupling import GUARD_TOLERANCE
+from orchestrator.ssp.coupling import GUARD_TOLERANCE, Suggestion
 from orchestrator.ssp.write import write_ssp
 
 ROUGH = {"master": "jacobi", "step": 0.02, "stop": 1.0}  # a delay of 0.02 s feeds the spring with energy
@@ -144,31 +144,41 @@ def test_machines_one_by_one_have_a_status_of_their_own(bounce):
 # ---- the guard by what FMUs suggest
 
 
-def suggesting(bounce, step, **able):
-    """The oscillator, whose mass suggests a step."""
+def suggesting(bounce, step, rollback=True):
+    """The oscillator as a system that suggests 1 ms; its mass suggests another step."""
     system = bounce(False)
-    mass = system.components["mass"]
-    interface = replace(mass.interface, step=step, rollback=True, variable_step=True)
-    spring = system.components["spring"]
-    other = replace(spring.interface, rollback=able.get("rollback", True), variable_step=True)
-    parts = {"mass": replace(mass, interface=interface), "spring": replace(spring, interface=other)}
-    return replace(system, components=parts)
+    able = {"rollback": rollback, "variable_step": True}
+    parts = {n: replace(c, interface=replace(c.interface, **able)) for n, c in system.components.items()}
+    mass = replace(parts["mass"], interface=replace(parts["mass"].interface, step=step))
+    return replace(system, components={**parts, "mass": mass}, suggestion=Suggestion(step=1e-3))
 
 
 def test_a_step_above_a_suggested_one_is_guarded(bounce):
-    """Of an FMU, with a note; not if the user has chosen a guard or adaptive steps, or the step is short."""
+    """Of an FMU, with a note, at the step of the system and at that of the user."""
     system = suggesting(bounce, 2.5e-4)
-    guarded = with_default_guard(system, 1e-3)
-    assert guarded.coupling.guard == GUARD_TOLERANCE
-    assert guarded.notes[-1].startswith("mass suggests steps of 0.00025 s: those of 0.001 s are divided")
-    assert with_default_guard(system, 2.5e-4) is system
+    for step, text in ((None, "0.001"), (4e-4, "0.0004"), (1e-2, "0.01")):
+        guarded = with_default_guard(system, step)
+        assert guarded.coupling.guard == GUARD_TOLERANCE
+        expected = f"mass: steps of 0.00025 s are suggested; those of {text} s are divided where"
+        assert guarded.notes[-1].startswith(expected)
+
+
+def test_what_is_chosen_is_not_guarded(bounce):
+    """A guard, adaptive steps, a short step; a long step of FMUs that suggest none, or that of the system."""
+    system = suggesting(bounce, 2.5e-4)
     for chosen in ({"guard": 0.0}, {"guard": 1e-3}, {"adaptive": 1e-3}, {"master": "hermite"}):
-        assert with_default_guard(coupled := system.coupled(chosen), 1e-3) is coupled
-    assert with_default_guard(suggesting(bounce, None), 1.0).coupling is None
+        coupled = system.coupled(chosen)
+        assert with_default_guard(coupled, 1e-3) is coupled
+    assert with_default_guard(system, 2.5e-4) is system
+    for step in (None, 1e-3):
+        usual = suggesting(bounce, step)
+        assert with_default_guard(usual, 1e-2) is usual
+    own = replace(system, suggestion=Suggestion())  # the step of the run is that of the FMU
+    assert with_default_guard(own, None) is own
 
 
 def test_steps_that_cannot_be_divided_are_told(bounce):
     """An FMU that cannot go back leaves only a note."""
-    found = with_default_guard(suggesting(bounce, 2.5e-4, rollback=False), 1e-3)
+    found = with_default_guard(suggesting(bounce, 2.5e-4, rollback=False), None)
     assert found.coupling is None
-    assert found.notes[-1] == "mass suggests steps of 0.00025 s; this run has steps of 0.001 s"
+    assert found.notes[-1] == "mass: steps of 0.00025 s are suggested; this run has steps of 0.001 s"

@@ -101,8 +101,10 @@ def test_margin_at_standstill_is_what_the_regulator_leaves_for_the_leakage():
     st.floats(1e-12, 2e-11),
     st.floats(1e-14, 1e-11),
     st.floats(0, 3e5),
+    st.floats(80.0, 600.0),
+    st.floats(1.0, 1000.0),
 )
-def test_standby_stays_at_rest(margin, band, leakage, bleed, tank):
+def test_standby_stays_at_rest(margin, band, leakage, bleed, tank, engine, limit):
     """Whatever the settings, the state at the start does not move while all valves are closed."""
     p = BENCH.constants(
         margin=margin,
@@ -111,14 +113,17 @@ def test_standby_stays_at_rest(margin, band, leakage, bleed, tank):
         main_pump_leakage=leakage,
         rail_leakage=bleed,
         reservoir_pressure=tank,
+        engine_rated_torque=engine,
+        torque_limit=limit,
     )
+    assert BENCH.violated(p) == []
     closed = tank + P["return_preload"]
     u = BENCH.row(swing_load_pressure=closed, boom_stick_load_pressure=closed)
     dx = BENCH.rates(BENCH.rest(p), u, p)
     assert abs(dx["pump_stroke"]) < 1e-8  # rounding of a pressure, over the band, over the lag
     assert max(abs(dx[f"{n}_pressure"]) for n in ("supply", "pump", "load_sensing", "tank")) < 1.0  # Pa/s
     assert abs(dx["engine_speed"]) < 1e-8
-    assert abs(dx["engine_torque"]) < 1e-6
+    assert abs(dx["engine_fuel_torque"]) < 1e-6
 
 
 @pytest.mark.parametrize(("flow", "load"), [(10, 2e6), (60, 1.6e7), (100, 1e7), (200, 1.6e7), (300, 6e6)])

@@ -203,7 +203,7 @@ def test_limits_hold_for_any_row_of_loads(flows, hold):
 def any_state(bench: Bench, pressures: list[float], strokes: list[float], shaft: list[float]) -> list[float]:
     """The states of a variant from pools of numbers."""
     pools = {"pressure": iter(pressures), "stroke": iter(strokes)}
-    names = ("engine_speed", "engine_torque", "reservoir_volume", "tank_pressure", "oil_temperature")
+    names = ("engine_speed", "engine_fuel_torque", "reservoir_volume", "tank_pressure", "oil_temperature")
     named = dict(zip(names, shaft, strict=True))
     return [named[n] if n in named else next(pools[n.rpartition("_")[2]]) for n in bench.states]
 
@@ -297,7 +297,7 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
     assert max(abs(dx["pump_1_stroke"]), abs(dx["pump_2_stroke"])) < 1e-9
     assert max(abs(dx[f"{n}_pressure"]) for n in ("supply", "pump_1", "pump_2")) < 1.0  # Pa/s
     assert abs(dx["engine_speed"]) < 1e-9
-    assert abs(dx["engine_torque"]) < 1e-6
+    assert abs(dx["engine_fuel_torque"]) < 1e-6
     # the stroke that covers the leakage is 0.1 to 20 %, and its foot is rounded
     assert x[ENGINE_PUMP.at("supply_pressure")] == pytest.approx(
         max(setting, setting + apart), abs=0.25 * band

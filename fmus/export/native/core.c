@@ -303,9 +303,9 @@ static void watch(Core *core) {
         if (beyond && beyond != core->s.beyond[k] && core->s.warnings[k] < MOST_WARNINGS) {
             const int last = ++core->s.warnings[k] == MOST_WARNINGS;
             tell_held_inputs(core, WARNING);
-            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is %s %g %s%s", v->name, value, v->unit,
+            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is %s %g %s%s%s", v->name, value, v->unit,
                          core->s.time, below ? "below" : "above", below ? v->warn_below : v->warn_above, v->unit,
-                         last ? "; no further warning of it follows" : "");
+                         v->meaning, last ? "; no further warning of it follows" : "");
         }
         core->s.beyond[k] = beyond;
     }

@@ -63,6 +63,7 @@ typedef struct {
     double warn_above;       /* magnitude above which a warning is logged; infinite if there is no limit */
     double warn_below;       /* value below which a warning is logged; -infinite if there is no limit */
     int rate;                /* inputs: index of the input that is the time derivative of this one, or -1 */
+    const char *meaning;     /* what a value beyond its limit means, after a colon; empty if nothing is said */
 } Variable;
 
 #ifdef IN_PARTS

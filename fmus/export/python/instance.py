@@ -381,9 +381,9 @@ class Instance:
                 last = s.warnings[v.reference] == MOST_WARNINGS
                 end = "; no further warning of it follows" if last else ""
                 where = "below" if beyond < 0 else "above"
-                self.warn(
-                    f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is {where} {limit:g} {unit}{end}"
-                )
+                meaning = f": {q.meaning}" if q.meaning else ""
+                text = f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is {where} {limit:g} {unit}"
+                self.warn(text + meaning + end)
             s.beyond[v.reference] = beyond
 
     # ---- steps

@@ -1,0 +1,142 @@
+"""An overloaded engine stalls, says so, stays at rest, never turns backwards; a torque limit prevents it."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kit.properties import examples
+from kit.supply_bench import L_MIN, Bench, Load
+from scipy.optimize import brentq
+
+from fmus.export.python.instance import of_subsystem
+from orchestrator import Trace, run
+
+BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
+supplies = pytest.mark.parametrize("bench", BENCHES, ids=lambda b: b.sub.variant)
+RPM = np.pi / 30  # rad/s
+IDLE, STALL = 800 * RPM, 600 * RPM
+
+
+def torques(speed: float, rated: float) -> tuple[float, float]:
+    """Torque at the shaft at full fuel that burns, and friction of the engine, as in the pages."""
+    net = 1 + 0.25 * (1 - ((speed - 157.0796) / (261.7994 - 157.0796)) ** 2)
+    return rated * net, 40 * speed / np.hypot(speed, 1) + 0.17 * speed
+
+
+def state(bench: Bench, speed: float, fuel: float, pressures: tuple, strokes: tuple = ()) -> list[float]:
+    """At 60 degC, with these pressures and strokes of the pumps."""
+    pools = {"pressure": iter(pressures), "stroke": iter(strokes or (0.0, 0.0))}
+    told = {"engine_speed": speed, "engine_fuel_torque": fuel, "tank_pressure": 4e5}
+    told |= {"oil_temperature": 333.15, "reservoir_volume": 0.2}
+    return [told[n] if n in told else next(pools[n.rpartition("_")[2]]) for n in bench.states]
+
+
+def pulled(bench: Bench, speed: float, rated: float) -> float:
+    """Net torque at full fuel, from the acceleration without pressure and the drag of the pumps."""
+    p = bench.constants(engine_rated_torque=rated)
+    x = state(bench, speed, sum(torques(speed, rated)), (0.0, 0.0, 0.0))
+    y = bench.show(x, bench.row(), p)
+    return bench.rates(x, bench.row(), p)["engine_speed"] * bench.p["engine_inertia"] + y["engine_load"]
+
+
+@supplies
+@pytest.mark.parametrize(("rated", "zero"), [(433.0, 649.4), (60.0, 694.1)])
+def test_the_net_torque_falls_to_zero_between_idle_and_stall(bench, rated, zero):
+    """The parabola from 800 rpm on, half of the fuel at 700, none at 600; zero where the pages say."""
+    for rpm, share in ((2500, 1.0), (1500, 1.0), (801, 1.0), (700, 0.5), (599, 0.0), (1, 0.0)):
+        net, friction = torques(rpm * RPM, rated)
+        # 800, 600 rpm have six digits in parameters.toml, the steepest slope is 1.9 per 200 rpm
+        expected = pytest.approx(share * (net + friction) - friction, abs=1e-5 * (rated + friction))
+        assert pulled(bench, rpm * RPM, rated) == expected
+    found = brentq(lambda w: pulled(bench, w, rated), 610 * RPM, 790 * RPM) / RPM
+    assert found == pytest.approx(zero, abs=0.1)  # four digits, of which the pages have three
+
+
+PRESSURES = st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3)
+STROKES = st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2)
+
+
+@supplies
+@given(st.floats(0.0, STALL), st.floats(0.0, 600.0), PRESSURES, STROKES)
+def test_at_stall_speed_and_below_nothing_drives_the_engine(bench, speed, fuel, pressures, strokes):
+    """Whatever governor, stroke and pressure behind a check valve: slower until 0, and there no torque."""
+    for w, signs in ((speed, (-1, 0)), (0.0, (0,)), (-0.1, (1,))):
+        x = state(bench, w, fuel, tuple(pressures), tuple(strokes))
+        assert np.sign(bench.rates(x, bench.row(), bench.constants())["engine_speed"]) in signs
+        y = bench.show(x, bench.row(), bench.constants())
+        assert (y["engine_torque"], y["engine_power"]) == (0, 0)
+
+
+@supplies
+@examples(8)
+@given(
+    st.lists(st.tuples(st.integers(100, 900), st.floats(0.0, 1.9e7)), min_size=1, max_size=2),
+    st.floats(60.0, 300.0),
+)
+def test_a_stalled_engine_stays_stalled(bench, rows, rated):
+    """Any row of loads, then none: from the stall speed on it slows down to 0, and stays there."""
+    loads = [Load(q * L_MIN / 1e3, load) for q, load in rows] + [Load(0.0)] * 2
+    p = bench.constants(engine_rated_torque=rated)
+    _, y = bench.through(loads, p, 3.0, 10)
+    speed = y["engine_speed"]
+    assert speed.min() > -1e-6  # absolute tolerance of the integrator, 1e-10 of 100 rad/s, over its steps
+    if speed.min() < STALL:
+        stalled = speed[np.argmax(speed < STALL) :]
+        assert np.all(np.diff(stalled) < 1e-6)
+        assert stalled[-1] < 1e-6  # after 6 s; the slowest coasting takes 2 s
+    else:
+        assert speed[-1] > IDLE  # on its way back; 60 N.m take longer than 6 s
+
+
+def test_the_weak_engine_stalls_and_the_strong_one_does_not():
+    """What the last test draws has both: three functions at once, on 60, 120 and 433 N.m."""
+    ends = {}
+    for bench in BENCHES:
+        for rated in (60.0, 120.0, 433.0):
+            p = bench.constants(engine_rated_torque=rated)
+            _, y = bench.through([Load(400 * L_MIN / 1e3, 1.6e7)], p, 3.0, 2)
+            ends[bench.sub.variant, rated] = y["engine_speed"][-1] > STALL
+    assert list(ends.values()) == [False, False, True] * 2
+
+
+@pytest.mark.parametrize(("limit", "runs"), [(385.0, False), (250.0, True), (100.0, True)])
+def test_a_torque_limit_keeps_a_weak_engine_from_stalling(limit, runs):
+    """250 N.m, 312 at 1500 rpm: less than 385 and the friction of the pump, more than 250 with it."""
+    bench = BENCHES[1]
+    y = bench.settled(Load(700 * L_MIN / 1e3, 1.7e7), engine_rated_torque=250.0, torque_limit=limit)
+    assert (y["engine_speed"] > IDLE, y["engine_torque"] > 0) == (runs, runs)
+    if runs:
+        friction = 0.04 * bench.p["main_pump_displacement"] * y["pump_pressure"] + 0.06 * y["engine_speed"]
+        # the rounding of the lowest stroke, and what is left of the transient
+        assert y["engine_load"] == pytest.approx(limit + friction, rel=1e-3)
+
+
+@supplies
+def test_the_card_tells_when_the_engine_stalled(system, bench):
+    """Below idle, then stalled: one warning each, with the time at which the speed crossed the limit."""
+    full = {"boom_command": 10.0, "stick_command": -10.0, "swing_command": 10.0}
+    levers = {name: np.array([0.0, end, end]) for name, end in full.items()}
+    swap, weak = {"supply": bench.sub.variant}, {"supply.engine_rated_torque": 60.0}
+    done = run(system, Trace(np.array([0, 0.2, 3.0]), levers), swap=swap, set=weak, step=2e-3, stop=3.0)
+    speed, time = done.trace["supply.engine_speed"], done.trace.time
+    assert speed.min() >= 0
+    for name, limit, end in (("idle", IDLE, ""), ("stall", STALL, ": the engine has stalled and does not")):
+        (line,) = (w for w in done.card.warnings if f"engine_speed_below_{name} = " in w)
+        found = re.match(rf"supply: \S+ = (\S+) rad/s at t = (\S+) s is above 0 rad/s{end}", line)
+        crossed = np.argmax(speed < limit)
+        assert float(found[2]) == pytest.approx(time[crossed])
+        assert float(found[1]) == pytest.approx(limit - speed[crossed], abs=1e-4)  # six digits of 83.7758
+
+
+def test_the_python_fmu_says_the_same():
+    """A flow of 120 L/min at 200 bar stalls an engine of 60 N.m."""
+    told = []
+    instance = of_subsystem(BENCHES[0].sub)
+    instance.warn = told.append
+    instance.initialise(engine_rated_torque=60.0, supply_flow_swing=2e-3)
+    for _ in range(20):
+        instance.advance(0.1)
+    assert [t.partition(" = ")[0] for t in told] == ["engine_speed_below_idle", "engine_speed_below_stall"]
+    assert told[1].endswith(" is above 0 rad/s: the engine has stalled and does not start again")
