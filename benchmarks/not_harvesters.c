@@ -325,7 +325,7 @@ static void joined(int k, double t, double middle, const double *x, const Discre
     case 17: dx[0] = 10 * (x[1] - x[0]), dx[1] = x[0] * (28 - x[2]) - x[1], dx[2] = x[0] * x[1] - 8.0 / 3 * x[2]; break;
     case 19: case 24: case 25: case 26: dx[0] = (24 * duty(middle, 0.005, 0.0015) - 2 * x[0]) / 0.05; break;
     /* further sources */
-    case 20: dx[0] = (24 * duty(middle, 0.0061803, 0.00123606) - 2 * x[0]) / 0.05; break;
+    case 20: dx[0] = (24 * duty(middle, 0.00618, 0.00124) - 2 * x[0]) / 0.05; break;
     case 21: dx[0] = (10 * jump_at(middle, 1.7, 1.7003) - 2 * x[0]) / 0.05; break;
     case 22: dx[0] = (24 * x[1] * duty(middle, 0.005, 0.0015) - 2 * x[0]) / 0.05, dx[1] = (1 - x[1]) / 0.3; break;
     case 23: /* a tone of 50 Hz and a pulse */

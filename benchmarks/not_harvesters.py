@@ -9,10 +9,15 @@ Each system of SYSTEMS is run with FMUs of four kinds and three accuracies:
     plain   saved state only
     poor    nothing
 
-and compared with its truth, which not_harvesters.c computes as one system. A cell of the table is `met` with
-estimate over true error, `refused` (exit status 2), `unknown` (the card says that the accuracy is not known),
-`missed` (the error is above the accuracy by less than WRONG), or `SILENT` with the error and its estimate. Exit
-status 1: a result is silent.
+and compared with its truth, which not_harvesters.c computes as one system. A cell of the table is
+
+    met        with estimate over true error
+    refused    exit status 2 of `harvester run`
+    unknown    the card says that the accuracy is not known
+    missed     the error is above the accuracy, by less than WRONG
+    SILENT     it is more above it, with the error and its estimate
+
+Exit status 1: a result is silent, or could not be made.
 """
 
 from __future__ import annotations
@@ -56,8 +61,9 @@ MODELS: Mapping[str, tuple[int, Sequence[str], int]] = {
     "chopper": (1, ("u0",), 0), "coil": (1, ("x0",), 1), "lag": (2, ("x0",), 1),
     "rectifier": (1, ("x0",), 1), "controller": (1, ("",), 0), "pendulum": (1, ("x0",), 2),
     "delay": (1, ("",), 0), "relay": (1, ("",), 0), "actuator": (1, ("x0",), 1),
-    "motor": (2, ("x2", "x1", "x0"), 3), "gear": (2, ("u0 x0", "x0", "x1"), 2), "heater": (1, ("x0 u0", "x0"), 1),
-    "room": (1, ("x0",), 1), "sum": (2, ("u0 u1",), 0), "cubic": (2, ("u0 u1",), 0),
+    "motor": (2, ("x2", "x1", "x0"), 3), "gear": (2, ("u0 x0", "x0", "x1"), 2),
+    "heater": (1, ("x0 u0", "x0"), 1), "room": (1, ("x0",), 1), "sum": (2, ("u0 u1",), 0),
+    "cubic": (2, ("u0 u1",), 0),
     "slider": (1, ("x0", "x1"), 2), "belt": (1, ("u0",), 0), "ball": (1, ("x0", "x1"), 2),
     "floor": (2, ("u0 u1",), 0), "lorenz_x": (1, ("x0",), 1), "lorenz_yz": (1, ("x0", "x1"), 2),
 }  # fmt: skip
@@ -140,7 +146,8 @@ SYSTEMS: Mapping[str, Case] = {
         ("b.y0 -> a.u0", "w.y0 -> a.u1", "a.y0 -> b.u0", "z.y0 -> b.u1", "a.y0 -> z.u0"), "z.y0", (12, 0),
     ),
     "stick-slip": Case(
-        {"m": ("slider", 1, 8, 0.5, 0.02), "k": ("belt", 60)}, ("k.y0 -> m.u0", "m.y0 -> k.u0"), "m.y0", (13, 0)
+        {"m": ("slider", 1, 8, 0.5, 0.02), "k": ("belt", 60)},
+        ("k.y0 -> m.u0", "m.y0 -> k.u0"), "m.y0", (13, 0),
     ),
     "ball on a stiff floor": Case(
         {"b": ("ball", 1), "f": ("floor", 2e5, 40)},
@@ -149,16 +156,20 @@ SYSTEMS: Mapping[str, Case] = {
     "pulse of 0.8 ms": _fed(("pulse", 10, 3.1415, 0.0008), 15),
     "500 Hz, rectifier": _fed(("wave", 10, 500, 0.3), 16, "rectifier", stop=2.0),
     "Lorenz, 6 s": Case(
-        {"x": ("lorenz_x",), "r": ("lorenz_yz",)}, ("x.y0 -> r.u0", "r.y0 -> x.u0"), "x.y0", (17, 0), (1.0, 1.0, 20.0),
+        {"x": ("lorenz_x",), "r": ("lorenz_yz",)},
+        ("x.y0 -> r.u0", "r.y0 -> x.u0"), "x.y0", (17, 0), (1.0, 1.0, 20.0),
         {"x.x0": 1.0, "r.x0": 1.0, "r.x1": 20.0}, 6.0,
     ),
     "60 Hz, rectifier": _fed(("wave", 10, 60, 0.3), 18, "rectifier", stop=2.0),
     "PWM 200 Hz, 30 %": _fed(PWM, 19, stop=1.0),
     # more sources
-    "PWM 162 Hz, 20 %": _fed(("pwm", 24, 0.0061803, 0.2), 20, stop=1.0),
+    "PWM 162 Hz, 20 %": _fed(("pwm", 24, 0.00618, 124 / 618), 20, stop=1.0),
     "pulse of 0.3 ms": _fed(("pulse", 10, 1.7, 0.0003), 21),
     "PWM of an input": Case(
-        {"w": ("wave", 0, 0, 0, 24), "p": ("lag", 1, 0.3), "s": ("chopper", 0, 0.005, 0.3), "c": ("coil", 2, 0.05)},
+        {
+            "w": ("wave", 0, 0, 0, 24), "p": ("lag", 1, 0.3),
+            "s": ("chopper", 0, 0.005, 0.3), "c": ("coil", 2, 0.05),
+        },
         ("w.y0 -> p.u0", "p.y0 -> s.u0", "s.y0 -> c.u0"), "c.y0", (22, 0), stop=1.0,
     ),
     "50 Hz and a pulse": Case(
@@ -238,8 +249,8 @@ def outcome(name: str, kind: str, accuracy: float) -> tuple[str, str, float, str
     with tempfile.TemporaryDirectory() as folder:
         try:
             result = run(
-                system(Path(folder), kind, case), stop=case.stop, accuracy=accuracy, accuracy_of=[case.watched],
-                time_limit=TIME_LIMIT,
+                system(Path(folder), kind, case), stop=case.stop, accuracy=accuracy,
+                accuracy_of=[case.watched], time_limit=TIME_LIMIT,
             )  # fmt: skip
             cell = verdict(case, result, accuracy)
         except RunFailed as failed:
