@@ -27,7 +27,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
-from orchestrator.engine.job import Execution, Job, Record
+from orchestrator.data.trace_writer import TraceSink
+from orchestrator.engine.job import Execution, Job, Record, RunEnd
 from orchestrator.engine.result import Result, RunFailed, SignalError, compare
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.ssp.coupling import LARGEST_STEP, Coupling
@@ -138,22 +139,14 @@ class AccuracySearch:
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
         targets = {connection.target for connection in system.connections}
-        self._causes = list(self._possible_jumps(system))
+        # outputs whose jumps the estimate would not see: it sees those at which steps are divided
+        sources, divided = influential_outputs(system), self._estimates and self._adapts
+        self._causes = [str(port) for port in sources if not (divided and followed(system, port))]
         self._jumping, self._hidden = set[str](), list[str]()
-        self._longest = math.inf if self._estimates and tells_slopes(system) else self._base / GOLDEN
+        known = self._estimates and all(followed(system, port) for port in sources)
+        self._longest = math.inf if known else self._base / GOLDEN
         self._has_rate_wires = not targets.isdisjoint(system.rate_ports.values())
         self.settings = self._best = self._first()
-
-    def _possible_jumps(self, system: System) -> Iterator[str]:
-        """The outputs whose jumps the estimate would not see.
-
-        It sees those of a continuous source without inputs, where steps of a master of order 0 are divided.
-        """
-        divided = self._estimates and self._adapts
-        for source in influential_outputs(system):
-            alone = not system.components[source.component].interface.of("input")
-            if not (divided and alone and system.variable(source).is_continuous):
-                yield str(source)
 
     @property
     def signals(self) -> list[str]:
@@ -176,22 +169,25 @@ class AccuracySearch:
         if not ports or self.runs:
             return None
         slopes = all(component.interface.output_derivatives for component in components.values())
-        unit = self._base / GOLDEN
-        looks = min(LOOKS_WITH_SLOPES if slopes else LOOKS, MOST_LOOKS * unit / (times.stop - times.start))
-        step = unit / max(looks, 1.0)
-        steps = math.ceil((times.stop - times.start) / step)
-        system = System(job.system.name, components)
-        execution = replace(job.execution, error_estimate=False, accuracy=None, accuracy_of=())
-        alone = Job(system, None, Coupling("jacobi"), Record([str(port) for port in ports]), execution)
-        return alone, Grid(times.start, step, steps)
+        span, unit = times.stop - times.start, self._base / GOLDEN
+        looks = max(min(LOOKS_WITH_SLOPES if slopes else LOOKS, MOST_LOOKS * unit / span), 1.0)
+        execution = replace(job.execution, error_estimate=False)
+        system, record = System(job.system.name, components), Record([str(port) for port in ports])
+        alone = Job(system, None, Coupling("jacobi"), record, execution)
+        return alone, Grid(times.start, unit / looks, math.ceil(span / unit * looks))
 
-    def heed(self, sources: Result) -> None:
+    def heed(self, end: RunEnd, looks: TraceSink) -> None:
         """Take no steps that would not see what sources do, before the first run; see `sources_alone`."""
-        spacing, trace = sources.card.step, sources.trace
+        if end.interrupted:
+            raise KeyboardInterrupt
+        trace, spacing = looks.trace, end.lengths[1]
+        if end.problem:
+            self._hidden = list(trace.signals)
+            return
         for name, values in trace.signals.items():
-            wanted = round(min(self._longest, LARGEST_STEP) / spacing)
+            wanted = min(round(min(self._longest, LARGEST_STEP) / spacing), len(values) - 1)
             samples = seen(values, wanted, math.sqrt(self.accuracy))
-            if not sources.complete or samples == 1 < wanted:
+            if samples == 1 < wanted:
                 self._hidden.append(name)
             elif samples < wanted:
                 self._longest = min(self._longest, (samples - 1) * spacing)
@@ -239,10 +235,7 @@ class AccuracySearch:
         return e.rms * span / max(span, self._scales[e.name]) if span else 0.0
 
     def _changes(self, result: Result, previous: Result | None) -> Iterator[SignalError]:
-        """The errors of a run as they follow from the changes since the run before, at RATIO times the step.
-
-        So at order 1; at higher orders the errors are smaller.
-        """
+        """The errors by the changes since the run before: at order 1; at higher orders they are smaller."""
         for e in compare(result.trace.at(previous.trace.time), previous.trace) if previous else ():
             yield replace(e, rms=e.rms / (RATIO - 1.0))
 
@@ -311,13 +304,13 @@ def within(value: float, low: float, high: float) -> float:
 
 
 def seen(values: NDArray[np.float64], most: int, part: float) -> int:
-    """The number of samples, up to `most`, that a signal may be looked at after, with nothing hidden between.
+    """The longest distance of two looks, up to `most` samples, between which a signal hides nothing.
 
-    It is hidden if it leaves the values at both ends by more than this part of its range.
+    It may leave the values at both ends by this part of its range.
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-    span, samples = part * np.ptp(values), max(min(most, len(values) - 1), 1)
+    span, samples = part * np.ptp(values), most
     while samples > 1:
         middle = slice((samples + 1) // 2, len(values) - samples // 2)
         first, last = values[:-samples], values[samples:]
@@ -344,13 +337,11 @@ def influential_outputs(system: System) -> list[Port]:
     return [port for port in sources if system.variable(port).kind != "String"]
 
 
-def tells_slopes(system: System) -> bool:
-    """Does each component with inputs tell the slopes of its outputs that influence others?"""
-    ports, of = influential_outputs(system), system.components
-    others = [p for p in ports if of[p.component].interface.of("input")]
-    return all(
-        system.variable(p).is_continuous and of[p.component].interface.output_derivatives for p in others
-    )
+def followed(system: System, output: Port) -> bool:
+    """Is an output known between two points? Its slopes are, or its component can be stepped alone."""
+    interface = system.components[output.component].interface
+    known = interface.output_derivatives or not interface.of("input")
+    return system.variable(output).is_continuous and known
 
 
 def estimates_errors(system: System) -> bool:

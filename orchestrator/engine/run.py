@@ -231,7 +231,8 @@ def co_simulate(
     while True:
         job, times = (request.next_of(search) if search else request).job()
         if search and (alone := search.sources_alone(job, times)):
-            search.heed(_looked_at(*alone))
+            looks = TraceInMemory()
+            search.heed(simulate(*alone, looks), looks)
             job, times = request.next_of(search).job()
         if search and search.runs and request.execution.progress:
             tell_once(f"note: {search.cost(times.stop - times.start)}")
@@ -253,17 +254,6 @@ def co_simulate(
         if result is not None:
             estimate = request.execution.error_estimate and not search
             return with_error_estimate(job, times, result) if estimate else result, sink
-
-
-def _looked_at(job: Job, times: Grid) -> Result:
-    """The result of a run before a search, also of one that an FMU ends early."""
-    sink = TraceInMemory()
-    try:
-        return finished(job, times, simulate(job, times, sink), sink)
-    except RunFailed as failed:
-        if failed.final:
-            raise
-        return failed.result
 
 
 def opened(system: System | str | Path, given: dict[str, Any], exchange: bool = False) -> System:
