@@ -17,7 +17,7 @@ and compared with its truth, which not_harvesters.c computes as one system. A ce
     missed     the error is above the accuracy, by less than WRONG
     SILENT     it is more above it, with the error and its estimate
 
-Exit status 1: a result is silent, or could not be made.
+Exit status 1: a result is silent, or could not be made. Without options the counts go into docs/coupling.md.
 """
 
 from __future__ import annotations
@@ -44,6 +44,12 @@ from kit.compile import SHARED, compiled
 from orchestrator import Problem, RunFailed, System, assemble, run
 
 SOURCE = Path(__file__).with_suffix(".c")
+PAGE, MARKS = (
+    Path(__file__).parents[1] / "docs" / "coupling.md",
+    ("<!-- not harvesters -->\n", "<!-- end -->"),
+)
+KINDS = "told", "rich", "plain", "poor"
+OUTCOMES = "met", "missed", "refused", "unknown", "SILENT"
 ACCURACIES = 1e-2, 1e-3, 1e-4
 WRONG = 3.0  # error over the accuracy from which a result is silently wrong
 TRUTH_STEP = 1e-5  # s
@@ -280,7 +286,7 @@ def verdict(case: Case, result: object, accuracy: float) -> str:
 def main() -> int:
     """Print the table."""
     parser = ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--kinds", nargs="+", default=["told", "rich", "plain", "poor"])
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS))
     parser.add_argument("--only", default="")
     parser.add_argument("--processes", type=int, default=2)
     given = parser.parse_args()
@@ -298,9 +304,18 @@ def main() -> int:
     print("|".join(["", "system", *given.kinds, ""]) + "\n|---|" + "---|" * len(given.kinds))
     for name in names:
         print("|".join(["", name, *(", ".join(cells[name, kind]) for kind in given.kinds), ""]))
-    counts = Counter(cell.split()[0] for row in cells.values() for cell in row)
-    print(", ".join(f"{word} {n}" for word, n in sorted(counts.items())), f"of {sum(counts.values())} runs")
-    return int(counts["SILENT"] + counts["ERROR"] > 0)
+    counts = {
+        kind: Counter(cell.split()[0] for (_, k), row in cells.items() if k == kind for cell in row)
+        for kind in given.kinds
+    }
+    rows = [f"|{kind}|{'|'.join(str(of[word]) for word in OUTCOMES)}|" for kind, of in counts.items()]
+    table = "\n".join([f"|FMUs|{'|'.join(OUTCOMES)}|", "|---|" + "--:|" * len(OUTCOMES), *rows])
+    print(table)
+    if names == list(SYSTEMS) and given.kinds == list(KINDS):
+        before, rest = PAGE.read_text(encoding="utf-8").split(MARKS[0])
+        after = rest[rest.index(MARKS[1]) :]
+        PAGE.write_text(f"{before}{MARKS[0]}{table}\n{after}", encoding="utf-8")
+    return int(any(of["SILENT"] + of["ERROR"] for of in counts.values()))
 
 
 if __name__ == "__main__":
