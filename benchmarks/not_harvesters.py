@@ -30,7 +30,7 @@ from argparse import ArgumentParser
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from ctypes import CDLL, c_double
+from ctypes import CDLL, POINTER, c_double
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -196,21 +196,13 @@ def library() -> Path:
 
 
 def truth(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] and the watched state at them, every 0.1 ms."""
+    """Times [s] and the watched state at them."""
     k, watched = case.truth
-    every = 10
-    rows = round(case.stop / TRUTH_STEP / every) + 1
+    rows = round(case.stop / TRUTH_STEP) + 1
     x, out = (c_double * 16)(*case.start), np.zeros(rows)
-    CDLL(str(library())).solve(
-        k, x, watched, c_double(TRUTH_STEP), every, rows, out.ctypes.data_as(c_double_pointer())
-    )
-    return every * TRUTH_STEP * np.arange(rows), out
-
-
-def c_double_pointer() -> type:
-    from ctypes import POINTER
-
-    return POINTER(c_double)
+    solved = out.ctypes.data_as(POINTER(c_double))
+    CDLL(str(library())).solve(k, x, watched, c_double(TRUTH_STEP), rows, solved)
+    return TRUTH_STEP * np.arange(rows), out
 
 
 def fmu(folder: Path, kind: str, model: str, step: float | None, discrete: bool) -> Path:
