@@ -10,8 +10,10 @@ from kit.any_fmu.outcome import NO_ROLLBACK
 from kit.mistakes import problem, table
 
 from orchestrator import Coupling, Problem, Result, RunFailed, Trace, assemble, reference, run
+from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import accuracy as accuracy_search
-from orchestrator.engine.job import Execution
+from orchestrator.engine import run as engine_run
+from orchestrator.engine.job import Execution, RunEnd
 from orchestrator.engine.result import Card, SignalError
 from orchestrator.engine.run import run_to_file
 from orchestrator.ssp.coupling import Suggestion
@@ -132,6 +134,41 @@ def test_a_source_that_no_step_resolves_is_told(fmus):
     system = fed_mass(fmus, "rich", "source", amplitude=1.0, omega=2e4 * np.pi)
     note = run(system, stop=0.1, accuracy=1e-2, accuracy_of=["b.x"]).card.notes[-1]
     assert "not known, because s.y moves between any two points; at the points: estimated" in note
+
+
+def looked_at(system, stop, scenario=None):
+    """The search of an accuracy, and how it looks at the sources of a system."""
+    options = {"accuracy": 1e-2, "stop": stop, "isolate": False}
+    request = engine_run.requested(system, scenario, None, None, options)
+    search = request.search()
+    return search, search.sources_alone(*request.next_of(search).job())
+
+
+@pytest.mark.parametrize(("stop", "step"), [(1.0, 61.80340e-6), (123.6068, 123.6068e-6), (1e4, 618.0340e-6)])
+def test_sources_are_looked_at_a_million_times_at_most(fmus, stop, step):
+    """Ten times in 0.618 ms, less often in a long run, and at least once."""
+    _, (job, times) = looked_at(fed_mass(fmus, "plain", "pulses", **PWM), stop)
+    assert list(job.system.components) == ["s"]
+    assert times.step == pytest.approx(step, rel=1e-6)  # as printed above
+    assert stop <= times.stop < stop + 1.01 * step
+
+
+def test_what_a_scenario_drives_is_no_source(fmus):
+    """Its course is that of the scenario."""
+    system = assemble({"g": fmus["gain"], "d": fmus["drift"]}, ["g.y -> d.u"])
+    assert looked_at(system, 1.0)[1] is not None
+    assert looked_at(system, 1.0, {"time": RAMP["time"], "g.u": RAMP["u"]})[1] is None
+
+
+def test_a_look_that_fails_makes_the_accuracy_unknown(fmus):
+    """Nobody knows what the source does later; an interrupted look ends the command."""
+    search, _ = looked_at(fed_mass(fmus, "plain", "pulses", **PWM), 1.0)
+    looks = TraceInMemory()
+    looks.begin(RowLayout(("s.y",), {}))
+    search.heed(RunEnd(0.0, problem=Problem("broke")), looks)
+    assert search._hidden == ["s.y"]
+    with pytest.raises(KeyboardInterrupt):
+        search.heed(RunEnd(0.0, interrupted=True), looks)
 
 
 def test_what_is_hidden_between_samples():
