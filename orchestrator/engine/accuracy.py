@@ -6,7 +6,12 @@ accuracy and from what the FMUs can do, later ones from the error of the last ru
 - FMUs with directional derivatives: each run estimates its error (`ErrorPropagation`). Equal steps come
   first. If their error is too large, shorter ones follow that the order of convergence gives, and adaptive
   steps by `hermite` after equal ones by `hermite`, or where these would be very short.
-- other FMUs: equal steps, halved until the change by halving is small enough.
+- other FMUs: equal steps, shortened until the change from run to run is small enough.
+
+None of these estimates sees what a signal does between communication points. So components without inputs
+first step alone, by short steps (`sources_alone`), and no step is too long to see all that they do (`heed`).
+The other components have to tell the slopes of their outputs, or steps are shorter than suggested. Steps of
+two runs have an irrational ratio, so that no period divides both.
 """
 
 from __future__ import annotations
@@ -16,18 +21,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
-from orchestrator.engine.job import Execution
+from orchestrator.data.trace_writer import TraceSink
+from orchestrator.engine.job import Execution, Job, Record, RunEnd
 from orchestrator.engine.result import Result, RunFailed, SignalError, compare
-from orchestrator.engine.time_grid import step_length
-from orchestrator.ssp.coupling import Coupling
+from orchestrator.engine.time_grid import Grid, step_length
+from orchestrator.ssp.coupling import LARGEST_STEP, Coupling
 from orchestrator.ssp.dependencies import influential_inputs
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
-from orchestrator.ssp.system import System
+from orchestrator.ssp.system import Port, System
 
 RANGE = 1e-6, 0.1  # of an accuracy
 MOST_RUNS = 10
@@ -49,11 +56,15 @@ INSIDE = 0.5  # error inside the FMUs, over their tolerance
 SHORT_STEP = 1.0  # over the suggested one; below it adaptive steps are cheaper
 FIRST_TOLERANCE = 0.5  # of adaptive steps, over the accuracy; their error is up to a third of the tolerance
 STRICTEST = 1e-10  # tolerance of adaptive steps
-SHORTEST = 0.01  # of adaptive steps, over the suggested step: where a signal jumps, no step is short enough
+SHORTEST = 0.01  # of adaptive steps and of those without an estimate, over the suggested step: see jumps
 JUMP, LEAST_JUMP = 10.0, 0.01  # change of a signal over that of the steps around it, and over its range
 # The search ends after so many runs, adaptive ones if FMUs allow, that leave more than this of the error.
 STAGNATION, PATIENCE = 0.7, 2
-HALVED_STEP = 10  # first step of halving over the suggested one
+# The ratio of two steps that ratios of whole numbers approximate worst: no period divides both.
+GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0  # of the suggested step to the first, where nothing proves longer ones
+RATIO = GOLDEN**2  # of steps of two runs without an estimate
+# Looks at sources in a step over GOLDEN; fewer if they tell their slopes, or for more than MOST_LOOKS in all.
+LOOKS, LOOKS_WITH_SLOPES, MOST_LOOKS = 10, 2, 10**6
 UNSTABLE = 50.0  # error over the accuracy from which a step is taken for unstable
 MOST_DIVISIONS = 10.0  # of a step, or of a tolerance, between two runs
 
@@ -128,21 +139,14 @@ class AccuracySearch:
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
         targets = {connection.target for connection in system.connections}
-        self._causes = list(self._possible_jumps(system))
+        # outputs whose jumps the estimate would not see: it sees those at which steps are divided
+        sources, divided = influential_outputs(system), self._estimates and self._adapts
+        self._causes = [str(port) for port in sources if not (divided and followed(system, port))]
+        self._jumping, self._hidden = set[str](), list[str]()
+        known = self._estimates and all(followed(system, port) for port in sources)
+        self._longest = math.inf if known else self._base / GOLDEN
         self._has_rate_wires = not targets.isdisjoint(system.rate_ports.values())
         self.settings = self._best = self._first()
-
-    def _possible_jumps(self, system: System) -> Iterator[str]:
-        """The outputs whose jumps the estimate would not see.
-
-        They feed an input that influences a state, and are not continuous, or their FMUs declare no
-        derivatives: an estimate by derivatives sees a jump of a continuous output as a defect of the input.
-        """
-        influential = influential_inputs(system)
-        for source in dict.fromkeys(c.source for c in system.connections if c.target in influential):
-            variable = system.variable(source)
-            if variable.kind != "String" and not (variable.is_continuous and self._estimates):
-                yield str(source)
 
     @property
     def signals(self) -> list[str]:
@@ -152,9 +156,43 @@ class AccuracySearch:
     def _first(self) -> Settings:
         if not self._estimates:
             master = "hermite" if self._repeats else "gauss-seidel"
-            return Settings(Coupling(master), HALVED_STEP * self._base, self._tolerance)
-        coupling, steps = next((c, steps) for least, c, steps in FIRST if self.accuracy >= least)
-        return Settings(self._guarded(coupling), steps * self._base, self._tolerance)
+            return Settings(Coupling(master), self._longest, self._tolerance)
+        coupling, steps = next((c, n) for least, c, n in FIRST if self.accuracy >= least or self._jumping)
+        return Settings(self._guarded(coupling), min(steps * self._base, self._longest), self._tolerance)
+
+    def sources_alone(self, job: Job, times: Grid) -> tuple[Job, Grid] | None:
+        """A run of the components without inputs that influence others, by short steps; None without any."""
+        driven = {port.component for port in job.scenario.columns} if job.scenario else set()
+        fed = driven | {c.target.component for c in job.system.connections}
+        ports = [port for port in influential_outputs(job.system) if port.component not in fed]
+        components = {port.component: job.system.components[port.component] for port in ports}
+        if not ports or self.runs:
+            return None
+        slopes = all(component.interface.output_derivatives for component in components.values())
+        span, unit = times.stop - times.start, self._base / GOLDEN
+        looks = max(min(LOOKS_WITH_SLOPES if slopes else LOOKS, MOST_LOOKS * unit / span), 1.0)
+        execution = replace(job.execution, error_estimate=False)
+        system, record = System(job.system.name, components), Record([str(port) for port in ports])
+        alone = Job(system, None, Coupling("jacobi"), record, execution)
+        return alone, Grid(times.start, unit / looks, math.ceil(span / unit * looks))
+
+    def heed(self, end: RunEnd, looks: TraceSink) -> None:
+        """Take no steps that would not see what sources do, before the first run; see `sources_alone`."""
+        if end.interrupted:
+            raise KeyboardInterrupt
+        trace, spacing = looks.trace, end.lengths[1]
+        if end.problem:
+            self._hidden = list(trace.signals)
+            return
+        for name, values in trace.signals.items():
+            wanted = min(round(min(self._longest, LARGEST_STEP) / spacing), len(values) - 1)
+            samples = seen(values, wanted, math.sqrt(self.accuracy))
+            if samples == 1 < wanted:
+                self._hidden.append(name)
+            elif samples < wanted:
+                self._longest = min(self._longest, (samples - 1) * spacing)
+        self._jumping = {name for name in trace.signals if _jumps(trace, name)}
+        self.settings = self._best = self._first()
 
     def _guarded(self, coupling: Coupling) -> Coupling:
         return replace(coupling, guard=GUARD) if self._adapts else coupling
@@ -165,15 +203,20 @@ class AccuracySearch:
         if self.settings.step is not None:
             self.settings = replace(self.settings, step=result.card.step)
         self._estimates &= result.card.errors_of_inputs
-        result, previous, self._previous = self._with_errors(result), self._previous, result
-        error = max((self._relative(e) for e in result.card.errors if e.name in self._scales), default=0.0)
+        previous, self._previous = self._previous, result
+        errors = result.card.errors if result.card.errors_of_inputs else self._changes(result, previous)
+        error = max((self._relative(e) for e in errors if e.name in self._scales), default=0.0)
         error = math.hypot(error, INSIDE * self.settings.tolerance)
         known = result.card.errors_of_inputs or previous is not None
         if known and error <= self.settings.experience.accepted * self.accuracy:
             last = f" in run {self.runs}" * (self.runs > 1)
             reached = f"estimated RMS error {error:.1e} of the range{last}"
-            if jumping := [name for name in self._causes if _jumps(result.trace, name)]:
+            jumping = [n for n in self._causes if n in self._jumping or _jumps(result.trace, n)]
+            if jumping:
                 reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
+            elif self._hidden:
+                moves = f"{first_names(self._hidden)} moves between any two points"
+                reached = f"not known, because {moves}; at the points: {reached}"
             tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
             goal = f"accuracy {self.accuracy:g} of {first_names(self.decisive)}"
             return result.noted(f"{goal}: {reached}, {tolerance}")
@@ -191,14 +234,10 @@ class AccuracySearch:
         span = e.change / e.largest if e.largest else 0.0
         return e.rms * span / max(span, self._scales[e.name]) if span else 0.0
 
-    def _with_errors(self, result: Result) -> Result:
-        """The result with its changes since the run before, at twice the step.
-
-        At order 1 a change is the error of the finer run, at higher orders it is larger.
-        """
-        if result.card.errors_of_inputs or self._previous is None:
-            return result
-        return result.noted(errors=compare(result.trace, self._previous.trace))
+    def _changes(self, result: Result, previous: Result | None) -> Iterator[SignalError]:
+        """The errors by the changes since the run before: at order 1; at higher orders they are smaller."""
+        for e in compare(result.trace.at(previous.trace.time), previous.trace) if previous else ():
+            yield replace(e, rms=e.rms / (RATIO - 1.0))
 
     def _continue(self, error: float, result: Result) -> None:
         """Choose stricter settings, or raise RunFailed with the last result if that is in vain."""
@@ -207,8 +246,9 @@ class AccuracySearch:
         if error < self._least:
             self._least, self._best = error, self.settings
         stagnates, late = self._idle >= PATIENCE and self._least < math.inf, self._execution.late
-        if stagnates or late or self.runs >= MOST_RUNS:
-            after = f"{self._execution.time_limit:g} s" if late else f"{MOST_RUNS} runs"
+        shortest = (self.settings.step or math.inf) < RATIO * SHORTEST * self._base
+        if stagnates or late or shortest or self.runs >= MOST_RUNS:
+            after = f"{self._execution.time_limit:g} s" if late else f"{self.runs} runs"
             why = "further runs hardly change it" * stagnates or f"after {after}"
             known, settings = self._least < math.inf, self._best.text
             reached = f"estimated RMS error {self._least:.1e} of the range with {settings}; " * known
@@ -230,24 +270,27 @@ class AccuracySearch:
             return
         assert last.step is not None
         if not self._estimates:
-            self.settings = replace(last, step=last.step / 2)
+            self.settings = replace(last, step=last.step / RATIO)
             return
-        unstable = excess > UNSTABLE
-        if unstable and self._adapts and not self._has_rate_wires:  # equal steps would have to be very short
+        unstable, adapts = excess > UNSTABLE, self._adapts and not self._jumping
+        if unstable and adapts and not self._has_rate_wires:  # equal steps would have to be very short
             self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy)
             return
         known = last.experience
         ratio = within((known.aim / excess) ** (1.0 / known.order), 1.0 / MOST_DIVISIONS, 0.8)
         step = last.step * (0.5 if unstable else ratio)
-        if self._adapts and (known is HERMITE or step < SHORT_STEP * self._base):
+        if adapts and (known is HERMITE or step < SHORT_STEP * self._base):
             self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy)
         else:
-            coupling = last.coupling if known is HERMITE else self._guarded(FURTHER)
+            kept = known is HERMITE or self._jumping
+            coupling = last.coupling if kept else self._guarded(FURTHER)
             self.settings = Settings(coupling, step, self._tolerance)
 
     def _adaptive(self, tolerance: float) -> Settings:
         adaptive, smallest = max(tolerance, STRICTEST), SHORTEST * self._base
-        return Settings(Coupling("hermite", adaptive=adaptive, smallest=smallest), None, self._tolerance)
+        largest = min(self._longest, LARGEST_STEP)
+        coupling = Coupling("hermite", adaptive=adaptive, smallest=smallest, largest=largest)
+        return Settings(coupling, None, self._tolerance)
 
 
 def fmu_tolerance(accuracy: float) -> float:
@@ -260,12 +303,45 @@ def within(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
+def seen(values: NDArray[np.float64], most: int, part: float) -> int:
+    """The longest distance of two looks, up to `most` samples, between which a signal hides nothing.
+
+    It may leave the values at both ends by this part of its range.
+    """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    span, samples = part * np.ptp(values), most
+    while samples > 1:
+        middle = slice((samples + 1) // 2, len(values) - samples // 2)
+        first, last = values[:-samples], values[samples:]
+        above = maximum_filter1d(values, samples + 1)[middle] - np.maximum(first, last)
+        below = np.minimum(first, last) - minimum_filter1d(values, samples + 1)[middle]
+        if max(above.max(), below.max()) <= span:
+            break
+        samples = 2 * samples // 3
+    return samples
+
+
 def _jumps(trace: Trace, name: str) -> bool:
     """Does a signal change in one step by much more than in the steps around it would do?"""
     changes, lengths = np.abs(np.diff(trace[name])), np.diff(trace.time)
     rates = np.pad(changes / lengths, 1)
     around = np.maximum(rates[:-2], rates[2:]) * lengths
     return bool((changes > np.maximum(JUMP * around, LEAST_JUMP * np.ptp(trace[name]))).any())
+
+
+def influential_outputs(system: System) -> list[Port]:
+    """The outputs, other than texts, that feed an input which influences a state."""
+    influential = influential_inputs(system)
+    sources = dict.fromkeys(c.source for c in system.connections if c.target in influential)
+    return [port for port in sources if system.variable(port).kind != "String"]
+
+
+def followed(system: System, output: Port) -> bool:
+    """Is an output known between two points? Its slopes are, or its component can be stepped alone."""
+    interface = system.components[output.component].interface
+    known = interface.output_derivatives or not interface.of("input")
+    return system.variable(output).is_continuous and known
 
 
 def estimates_errors(system: System) -> bool:

@@ -241,6 +241,10 @@ def co_simulate(
     search = request.search()
     while True:
         job, times = (request.next_of(search) if search else request).job()
+        if search and (alone := search.sources_alone(job, times)):
+            looks = TraceInMemory()
+            search.heed(simulate(*alone, looks), looks)
+            job, times = request.next_of(search).job()
         if search and search.runs and request.execution.progress:
             tell_once(f"note: {search.cost(times.stop - times.start)}")
         sink = new_sink(job, times)

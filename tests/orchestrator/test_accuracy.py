@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kit import shards
+from kit.any_fmu.models import telling
+from kit.any_fmu.outcome import NO_ROLLBACK
 from kit.mistakes import problem, table
 
 from orchestrator import Coupling, Problem, Result, RunFailed, Trace, assemble, reference, run
+from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import accuracy as accuracy_search
-from orchestrator.engine.job import Execution
+from orchestrator.engine import run as engine_run
+from orchestrator.engine.job import Execution, RunEnd
 from orchestrator.engine.result import Card, SignalError
 from orchestrator.engine.run import run_to_file
 from orchestrator.ssp.coupling import Suggestion
@@ -32,8 +36,8 @@ def test_an_oscillator_is_as_accurate_as_asked(open_oscillator, exact, asked):
     assert f"accuracy {asked:g} of" in result.card.notes[-1]
 
 
-def test_steps_are_halved_without_an_estimate(moving, exact):
-    """Without directional derivatives the change at half the step is the estimate."""
+def test_steps_are_shortened_without_an_estimate(moving, exact):
+    """Without directional derivatives the estimate follows from the change since the run before."""
     result = run(moving, stop=10.0, record_step=0.1, accuracy=1e-4)
     assert not result.card.errors_of_inputs
     assert " in run " in result.card.notes[-1]
@@ -68,6 +72,141 @@ def test_a_switch_makes_the_accuracy_unknown(fmus):
         scenario = {"time": [0.0, 0.37, 1.0], "a.bool_in": [0, flag, flag], "a.real_in": [0.0, 0.0, 1.0]}
         note = run(system, scenario, stop=1.0, accuracy=1e-2, accuracy_of=["a.real_out"]).card.notes[-1]
         assert ("not known, because a.bool_out jumps" in note) == (not known)
+
+
+NO_SLOPES = {"maxOutputDerivativeOrder": 0}
+FREE = 100 / np.sqrt(1000)  # m, amplitude of a mass of 1 kg on 1000 N/m that begins at -100 m/s
+OMEGA, TONE = np.sqrt(1000), 1000 * np.pi  # rad/s, of that mass, and of 500 Hz
+PWM = {"height": 24e3, "period": 5e-3, "width": 1.5e-3}
+PULSE = {"height": 1e5, "period": 10.0, "begin": 0.31415, "width": 0.8e-3}
+
+
+def pulled(pulses, t):
+    """The position of the mass: each edge of a pulse is a step of the force."""
+    x = -FREE * np.sin(OMEGA * t)
+    for begin in np.arange(pulses.get("begin", 0.0), t[-1], pulses["period"]):
+        for edge, sign in ((begin, -1), (begin + pulses["width"], 1)):
+            x += sign * pulses["height"] / 1000 * (1 - np.cos(OMEGA * np.maximum(t - edge, 0.0)))
+    return x
+
+
+def shaken(tone, t):
+    """The same for a force amplitude * sin(omega t)."""
+    amplitude = tone["amplitude"] / (TONE**2 - OMEGA**2)
+    return amplitude * np.sin(TONE * t) - (FREE + amplitude * TONE / OMEGA) * np.sin(OMEGA * t)
+
+
+def fed_mass(fmus, kind, model, **start):
+    """A mass that is pulled by a source."""
+    able = NO_SLOPES | (NO_ROLLBACK if kind == "poor" else {})
+    source = fmus.make(model, f"{model}_{kind}", able=able, units={"y": "N"})
+    rich = {"able": {"providesDirectionalDerivative": "true", **able}}
+    mass = (
+        telling(fmus, "mass_b", "b_rich", **rich)
+        if kind == "rich"
+        else fmus.make("mass_b", f"b_{kind}", able=able)
+    )
+    return assemble({"s": source, "b": mass}, ["s.y -> b.force"], {f"s.{n}": v for n, v in start.items()})
+
+
+SHAKING = {"amplitude": 1e5, "omega": TONE}
+SOURCES = {
+    "pwm": ("pulses", PWM, pulled),
+    "pulse": ("pulses", PULSE, pulled),
+    "tone": ("source", SHAKING, shaken),
+}
+
+
+@pytest.mark.parametrize("kind", ["rich", "plain", "poor"])
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_source_between_points_is_not_overlooked(fmus, source, kind):
+    """One whose period divides the suggested step of 1 ms, or a pulse shorter than it; jumps are told."""
+    model, start, exact = SOURCES[source]
+    result = run(fed_mass(fmus, kind, model, **start), stop=0.5, accuracy=1e-2, accuracy_of=["b.x"])
+    note, x = result.card.notes[-1], exact(start, result.trace.time)
+    assert ("not known, because s.y jumps" in note) == (kind != "rich" and source != "tone")
+    if "not known" not in note:
+        assert np.sqrt(np.mean(np.square(result.trace["b.x"] - x))) <= 1e-2 * np.ptp(x)
+
+
+def test_a_source_that_no_step_resolves_is_told(fmus):
+    """A tone of 10 kHz, where the FMUs suggest 1 ms."""
+    system = fed_mass(fmus, "rich", "source", amplitude=1.0, omega=2e4 * np.pi)
+    note = run(system, stop=0.1, accuracy=1e-2, accuracy_of=["b.x"]).card.notes[-1]
+    assert "not known, because s.y moves between any two points; at the points: estimated" in note
+
+
+def looked_at(system, stop, scenario=None):
+    """The search of an accuracy, and how it looks at the sources of a system."""
+    options = {"accuracy": 1e-2, "stop": stop, "isolate": False}
+    request = engine_run.requested(system, scenario, None, None, options)
+    search = request.search()
+    return search, search.sources_alone(*request.next_of(search).job())
+
+
+@pytest.mark.parametrize(("stop", "step"), [(1.0, 61.80340e-6), (123.6068, 123.6068e-6), (1e4, 618.0340e-6)])
+def test_sources_are_looked_at_a_million_times_at_most(fmus, stop, step):
+    """Ten times in 0.618 ms, less often in a long run, and at least once."""
+    _, (job, times) = looked_at(fed_mass(fmus, "plain", "pulses", **PWM), stop)
+    assert list(job.system.components) == ["s"]
+    assert times.step == pytest.approx(step, rel=1e-6)  # as printed above
+    assert stop <= times.stop < stop + 1.01 * step
+
+
+def test_what_a_scenario_drives_is_no_source(fmus):
+    """Its course is that of the scenario."""
+    system = assemble({"g": fmus["gain"], "d": fmus["drift"]}, ["g.y -> d.u"])
+    assert looked_at(system, 1.0)[1] is not None
+    assert looked_at(system, 1.0, {"time": RAMP["time"], "g.u": RAMP["u"]})[1] is None
+
+
+def test_a_look_that_fails_makes_the_accuracy_unknown(fmus):
+    """Nobody knows what the source does later; an interrupted look ends the command."""
+    search, _ = looked_at(fed_mass(fmus, "plain", "pulses", **PWM), 1.0)
+    looks = TraceInMemory()
+    looks.begin(RowLayout(("s.y",), {}))
+    search.heed(RunEnd(0.0, problem=Problem("broke")), looks)
+    assert search._hidden == ["s.y"]
+    with pytest.raises(KeyboardInterrupt):
+        search.heed(RunEnd(0.0, interrupted=True), looks)
+
+
+def test_what_is_hidden_between_samples():
+    """A pulse is seen by steps that are no longer, a sine by steps with a flat arc, and a ramp by any."""
+    seen, n = accuracy_search.seen, np.arange(1000)
+    assert 3 <= seen(np.where((n > 500) & (n <= 506), 1.0, 0.0), 60, 0.1) <= 6
+    # 1 - cos(pi m / 100) = 0.2 at m = 20.5; the search shortens by a third each time
+    assert 13 <= seen(np.sin(2 * np.pi * n / 100), 60, 0.1) <= 20
+    assert seen(n.astype(float), 60, 1e-3) == 60
+    assert seen(np.where(n == 500, 1.0, 0.0), 60, 0.1) == 1
+    assert seen(np.zeros(1000), 60, 0.1) == 60
+
+
+@pytest.mark.parametrize(("able", "step"), [({}, 7e-3), (NO_SLOPES, 0.6180340e-3)])
+def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, step):
+    """The FMUs suggest nothing, so that it is 1 ms; else over the golden ratio."""
+    rich = {"providesDirectionalDerivative": "true", **able}
+    files = {name: telling(fmus, f"mass_{name}", f"{name}_{len(able)}", able=rich) for name in "ab"}
+    system = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+    search = accuracy_search.AccuracySearch(system, Execution(accuracy_of=["a.x"]), 1e-2)
+    assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
+    search._next(1.0)
+    adaptive = search.settings.coupling
+    assert (adaptive.adaptive is None) or adaptive.largest == pytest.approx(
+        min(step, 0.1) if able else 0.1, rel=1e-6
+    )
+
+
+def test_no_period_divides_both_of_two_steps(moving):
+    """Their ratio is the square of the golden one; at order 1 the change is 1.618 times the error."""
+    search = accuracy_search.AccuracySearch(moving, Execution(accuracy_of=["a.x"]), 1e-2)
+    t = np.linspace(0.0, 1.0, 101)
+    for k, step in enumerate((0.6180340e-3, 0.2360680e-3)):
+        assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
+        trace = Trace(t, {"a.x": t + 0.01 * (2 - k)})
+        result = search.judge(Result(moving, trace, Card("any", step, 0.0, 10, 1.0, 1.0)))
+        assert result is None
+    assert search._least == pytest.approx(0.01 / 1.6180340, rel=1e-4)  # see INSIDE
 
 
 def searched(system, accuracy, *errors, adapts=True):

@@ -10,7 +10,7 @@ int instances = 0, saved = 0;
 
 enum Model named(const char *guid) {
     static const char *guids[] = {"nobody", "mass_a", "mass_b", "source", "gain", "fails",
-                                  "types",  "spring", "wide",   "drift",  "glide", "quirk", "bent"};
+                                  "types",  "spring", "wide",   "drift",  "glide", "quirk", "bent", "pulses"};
     for (int model = MASS_A; model < MODELS; model++)
         if (!strcmp(guid, guids[model])) return model;
     return NOBODY;
@@ -67,6 +67,11 @@ void outputs(Instance *m) {
         r[S_Y] = r[S_OFFSET] + r[S_AMPLITUDE] * sin(r[S_OMEGA] * m->time);
         r[S_Y] += r[S_RAMP] * fmax(m->time - r[S_BEND], 0);
         break;
+    case PULSES: {
+        const double rest = fmod(m->time - r[J_BEGIN] + 1e-12, r[J_PERIOD]);
+        r[J_Y] = rest >= 0 && rest < r[J_WIDTH] ? r[J_HEIGHT] : 0;
+        break;
+    }
     case GAIN: r[G_Y] = r[G_FACTOR] * r[G_U] + r[G_OFFSET]; break;
     case BENT: r[C_Y] = r[C_W] + r[C_FACTOR] * r[C_U] + r[C_BEND] * r[C_U] * r[C_U]; break;
     case TYPES:

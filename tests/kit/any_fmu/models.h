@@ -10,7 +10,7 @@
 
 enum { REALS = 16, INTEGERS = 20, STRINGS = 4, LENGTH = 256, STATES = 2, ORDERS = 3 };
 enum Model {
-    NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, DRIFT, GLIDE, QUIRK, BENT, MODELS
+    NOBODY, MASS_A, MASS_B, SOURCE, GAIN, FAILS, TYPES, SPRING, WIDE, DRIFT, GLIDE, QUIRK, BENT, PULSES, MODELS
 };
 enum Mode { INSTANTIATED, CONFIGURING, INITIALIZING, READY, BROKEN, TERMINATED };
 enum Status { GOOD, WARNED, DISCARDED, FAILED, DEAD }; /* as in FMI 2.0 and 3.0 */
@@ -24,6 +24,7 @@ enum { M_HIGHEST, M_LATE }; /* both: order of input derivatives they take; no sl
 enum { K_V, K_FORCE, K_STRETCH, K_STIFFNESS };                 /* SPRING: stretch' = v, force = k stretch */
 /* SOURCE: y = offset + amplitude sin(omega t) + ramp max(t - bend, 0); tells its slope if it has a ramp */
 enum { S_Y, S_AMPLITUDE, S_OMEGA, S_OFFSET, S_RAMP, S_BEND };
+enum { J_Y, J_HEIGHT, J_PERIOD, J_BEGIN, J_WIDTH };             /* PULSES: y = height for a part of each period */
 enum { G_U, G_Y, G_FACTOR, G_OFFSET };                          /* GAIN: y = factor u + offset */
 enum { C_U, C_W, C_Y, C_FACTOR, C_BEND };                       /* BENT: y = w + factor u + bend u^2 */
 enum { F_U, F_Y, F_WHEN };                                      /* FAILS: y' = u, fails once t >= when */
