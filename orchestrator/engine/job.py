@@ -22,7 +22,7 @@ from orchestrator.engine.result import (
     unreliable_errors,
 )
 from orchestrator.engine.scenario import Scenario
-from orchestrator.engine.time_grid import SAME_TIME, Grid, step_length
+from orchestrator.engine.time_grid import SAME_TIME, Grid
 from orchestrator.fmi.messages import Log
 from orchestrator.ssp.coupling import GUARD_TOLERANCE, Coupling
 from orchestrator.ssp.provenance import Provenance
@@ -215,9 +215,9 @@ def with_default_guard(system: System, step: float | None) -> System:
     step   of the run [s], chosen by the user; None: the suggested one
     """
     coupling = system.coupling or Coupling()
-    if coupling.guard is not None or coupling.estimates_error:
+    if coupling.guard is not None or coupling.estimates_error or system.step is None:
         return system
-    length, limit = step_length(system, step), min(step_length(system, None), step or math.inf)
+    length, limit = step or system.step, min(system.step, step or math.inf)
     steps = {name: c.interface.step or math.inf for name, c in system.components.items()}
     shorter = {name: s for name, s in steps.items() if s < limit * (1.0 - SAME_TIME)}
     if not shorter:
