@@ -24,14 +24,10 @@ from orchestrator.data.description import read_description
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array, read_columns
 from orchestrator.engine.result import Result
+from orchestrator.results.layout import Layout
 from orchestrator.results.metrics import HARDLY_MOVES
-from orchestrator.results.validation import (
-    ValidatedSignal,
-    Validation,
-    by_variable,
-    validate,
-    without_repetitions,
-)
+from orchestrator.results.validate_system import comparable
+from orchestrator.results.validation import ValidatedSignal, Validation, validate
 from orchestrator.ssp.system import System
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -157,7 +153,7 @@ DAMAGES: Mapping[str, Damage] = {
     "all signals 1 ms late": late(),
     **{f"`{name}` 1 ms late": late(name) for name in PRESSURES},
     **{f"`{name}` 0.2 % too large": scaled(name, 1.002) for name in SCALED},
-    **{f"`{a}` and `{b.partition('.')[2]}` exchanged": exchanged(a, b) for a, b in EXCHANGED},
+    **{f"`{a}` and `{b}` exchanged": exchanged(a, b) for a, b in EXCHANGED},
     "sign of `swing.swing_torque`": scaled("swing.swing_torque", -1.0),
     **{f"one row of `{name}` off by 5 % of the range": spike(name) for name in PRESSURES},
 }
@@ -197,11 +193,8 @@ RIGHT: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 
 def judged(system: System, **options: Any) -> Validation:
     """A run of the work cycle against the reference."""
-    scenario, reference = options.pop("scenario", None), read_recording(META)
-    trace = run(system, scenario, record_step=RECORD_STEP, **options).trace
-    if len(system.components) == 1:
-        reference = without_repetitions(reference)
-        trace = by_variable(trace, reference.signals)
+    trace = run(system, options.pop("scenario", None), record_step=RECORD_STEP, **options).trace
+    reference, trace = comparable(system, trace, read_recording(META), Layout())
     return validate(trace, reference, rate=False)
 
 

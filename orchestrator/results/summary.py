@@ -12,6 +12,7 @@ from rich.text import Text
 
 from orchestrator.base.text import NO_VALUE, error_display_unit, grouped, number, percentage, short_names
 from orchestrator.data.description import Tolerance
+from orchestrator.results.metrics import GIVEN
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 NAMES = {
@@ -90,7 +91,7 @@ def miss_text(row: ValidatedSignal) -> str:
 _COLOUR = {True: "green", False: "bold red", None: "dim"}
 _WIDTHS = (9, 8, 8, 7, 7, 5, 4)
 _HEADINGS = ("max error", "RMSE", "NRMSE %", "fit %", "VAF %", "ISO", "")
-_LEGEND = "NRMSE: over the range of the whole reference; ISO: ISO/TS 18571, 0 to 1"
+_LEGEND = "NRMSE: over the range of the whole reference, or a given one; ISO: ISO/TS 18571, 0 to 1"
 
 
 @dataclass(frozen=True)
@@ -159,9 +160,9 @@ def _limits(rows: Sequence[ValidatedSignal]) -> str:
 
 
 def _remarks(validation: Validation) -> list[str]:
-    """Each note with its signals that are listed."""
-    listed = (row for row in validation.rows if row.listed)
-    notes = grouped(((note, row.signal) for row in listed for note in row.notes), itemgetter(0))
+    """Each note with its signals that are listed; given ranges are in the report."""
+    listed = ((note, row.signal) for row in validation.rows for note in row.notes if row.listed)
+    notes = grouped((pair for pair in listed if not pair[0].startswith(GIVEN)), itemgetter(0))
     return [f"{note}: {', '.join(signal for _, signal in pairs)}" for note, pairs in notes.items()]
 
 

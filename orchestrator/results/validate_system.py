@@ -34,6 +34,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.monolithic.reference import SOLVER, reference
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
+from orchestrator.results.metrics import AT_REST
 from orchestrator.results.validation import (
     Validation,
     by_variable,
@@ -286,7 +287,7 @@ def validate_system(
         """Refuse what cannot be compared, before the first step."""
         ahead = _times_ahead(times, against)
         blank = Trace(ahead, dict.fromkeys(signals.names, np.zeros_like(ahead)), signals.units)
-        selected, renamed = _comparable(system, blank, against, page)
+        selected, renamed = comparable(system, blank, against, page)
         if not monolithic:
             check_comparable(renamed, selected)
         if layout:
@@ -325,7 +326,7 @@ def validate_system(
         names = ", ".join(sorted(missing))
         notes.append(f"not compared, because the swapped FMU has no such signal: {names}")
     # in memory, also if the run is long
-    against, recorded = _comparable(result.system, result.trace.select(result.trace.signals), against, page)
+    against, recorded = comparable(result.system, result.trace.select(result.trace.signals), against, page)
     notes.append(start_note(recorded, against) if commands else "")
     result = result.noted(*filter(None, notes))
     warnings = with_doubts(result.system, doubts).warnings[len(result.system.warnings) :]
@@ -358,7 +359,7 @@ def _refuse_contradictions(
         raise Problem(f"--limit: expected a positive number, got {limit:g}")
 
 
-def _comparable(system: System, trace: Trace, reference: Recording, page: Layout) -> tuple[Recording, Trace]:
+def comparable(system: System, trace: Trace, reference: Recording, page: Layout) -> tuple[Recording, Trace]:
     """Reference and run with the names under which they are compared.
 
     A reference of the default system contains signals that a swapped FMU lacks. They are left out.
@@ -367,7 +368,10 @@ def _comparable(system: System, trace: Trace, reference: Recording, page: Layout
     reference = reference.select([name for name in reference.signals if name not in lost])
     if len(system.components) > 1:
         return reference, trace
-    reference = without_repetitions(reference)
+    reference, inputs = without_repetitions(reference), {port.variable for port in system.exposed}
+    # what is set from outside is not judged, but for commands
+    names = [n for n in reference.signals if not (n in reference.unlisted and n.partition(".")[2] in inputs)]
+    reference = reference.select(names)
     return reference, by_variable(trace, [*reference.signals, *(signal for _, signal in page.signals)])
 
 
@@ -435,21 +439,28 @@ def monolithic_recording(
 
     shipped   its labels and limits apply to its signals; all other outputs have LIMIT
     names     further names that the signals of a system of one FMU may get, see `by_variable`
-    limit     of the NRMSE of each signal that has a limit
+    limit     of the NRMSE of all outputs, in place of these limits
 
     The NRMSE of a constant output is over its nominal value, else over its magnitude or the largest range in
     its unit, else over 1.
     """
-    trace, spans = solved.trace, _spans_of_constants(solved)
+    trace, spans, nominals = solved.trace, _spans_of_constants(solved), solved.system.nominals
     if len(solved.system.components) == 1:
         trace = by_variable(trace, (*shipped.signals, *names))
     own = dict(zip(trace.signals, solved.trace.signals, strict=True))
-    criteria = {name: shipped.criterion(name) for name in shipped.signals if name in own}
-    outputs, every = (
-        {*map(str, solved.system.ports("output"))},
-        Criterion(tolerance=Tolerance("nrmse", LIMIT)),
-    )
-    criteria |= {name: every for name in trace.signals if own[name] in outputs - criteria.keys()}
+    outputs = {*map(str, solved.system.ports("output"))}
+    every = Criterion(tolerance=Tolerance("nrmse", LIMIT if limit is None else limit))
+    criteria = {name: every for name in trace.signals if own[name] in outputs}
+    for name in shipped.signals.keys() & own.keys():
+        known, size = shipped.criterion(name), float(np.ptp(shipped[name]))
+        if limit is None:  # over the range in the shipped reference: in a short run a signal hardly moves
+            criteria[name] = replace(known, span=known.span or size or None)
+        elif name in criteria:
+            criteria[name] = replace(known, span=None, tolerance=every.tolerance, floor=AT_REST * size)
+    for name, criterion in criteria.items():
+        floor = max(criterion.floor, AT_REST * abs(nominals.get(own[name]) or 0.0))
+        constant = max(spans[own[name]], floor) if own[name] in spans else None
+        criteria[name] = replace(criterion, span=criterion.span or constant, floor=floor)
     monolithic = solved.card.master == SOLVER
     return Recording(
         trace.time,
@@ -457,21 +468,13 @@ def monolithic_recording(
         {name: trace.units.get(name, "") for name in criteria},
         Path("monolithic solution"),
         kind="simulation",
-        criteria={name: _adapted(c, limit, spans.get(own[name])) for name, c in criteria.items()},
+        criteria=criteria,
         metadata={
             "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small step",
             "kind": "simulation of the same FMUs",
             "solver": solved.card.master,
         },
     )
-
-
-def _adapted(criterion: Criterion, limit: float | None, span: float | None) -> Criterion:
-    """A criterion with another limit, if it has one, and another span."""
-    tolerance = criterion.tolerance
-    if limit is not None and tolerance is not None:
-        tolerance = Tolerance("nrmse", limit)
-    return replace(criterion, tolerance=tolerance, span=criterion.span if span is None else span)
 
 
 def _spans_of_constants(solved: Result) -> dict[str, float]:
