@@ -161,9 +161,7 @@ def _errors(
 
 
 ERROR_LEVEL, WARNING_LEVEL = 1e-2, 1e-3  # NRMSE above which a finding is an error, a warning
-# with an experiment that states its tolerance, an error above this multiple of it: the errors of two solvers
-# over the experiment, also in second derivatives. Our FMUs state 1e-9; a pressure that is 0.01 % off fails
-OF_TOLERANCE = 1e4
+OF_TOLERANCE = 1e4  # as is NRMSE above this multiple of a stated tolerance: a pressure that is 0.01 % off
 MAX_LISTED = 6  # signals in a message
 
 

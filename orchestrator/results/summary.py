@@ -11,7 +11,6 @@ from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
 from orchestrator.base.text import NO_VALUE, error_display_unit, grouped, number, percentage, short_names
-from orchestrator.data.description import Tolerance
 from orchestrator.results.metrics import GIVEN
 from orchestrator.results.validation import ValidatedSignal, Validation
 
@@ -65,12 +64,8 @@ def limit_text(row: ValidatedSignal) -> str:
     """The limit with its metric, such as `NRMSE ≤ 0.5 %`."""
     if row.tolerance is None:
         return NO_VALUE
-    sign = _sign(row.tolerance).replace("<=", "≤").replace(">=", "≥")
+    sign = "≤" if row.tolerance.upper else "≥"
     return f"{NAMES[row.tolerance.metric]} {sign} {judged_text(row, row.tolerance.limit)}"
-
-
-def _sign(tolerance: Tolerance) -> str:
-    return "<=" if tolerance.upper else ">="
 
 
 def miss_text(row: ValidatedSignal) -> str:
@@ -117,17 +112,16 @@ def _missed(validation: Validation) -> Iterator[Text]:
     failed.sort(key=lambda entry: -entry[0])
     verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
     yield Text(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}", _COLOUR[False])
-    yield from (Text(f"! {row.signal}: {miss_text(row)}") for _, row in failed[:MISSED])
-    if len(failed) > MISSED:
-        yield Text(f"! {len(failed) - MISSED} more, in the report")
+    more = [f"{len(failed) - MISSED} more, in the report"] if len(failed) > MISSED else []
+    lines = [f"{row.signal}: {miss_text(row)}" for _, row in failed[:MISSED]]
+    yield from (Text(f"! {line}") for line in (*lines, *more))
     yield Text()
 
 
 def _table(validation: Validation, width: int) -> Iterator[Text]:
     """Headings, then a line for each group and unit, and below it a line for each signal.
 
-    Signals without limit are last. The name of the component is only written if another signal has the same
-    variable.
+    Signals without limit are last. A component is only written if another signal has the same variable.
     """
     rows = [row for row in validation.rows if row.listed]
     names = short_names(row.signal for row in rows)
@@ -148,15 +142,17 @@ def _table(validation: Validation, width: int) -> Iterator[Text]:
 
 def _section(row: ValidatedSignal) -> str:
     """Group, unit and metric of a signal, the beginning of the title of its section."""
-    judged = f"{NAMES[row.tolerance.metric]} {_sign(row.tolerance)}" if row.tolerance else "not judged"
+    judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
     return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
 
 
 def _limits(rows: Sequence[ValidatedSignal]) -> str:
     """The limit of a section, or the smallest and the largest one."""
-    limits = {row.tolerance.limit: judged_text(row, row.tolerance.limit) for row in rows if row.tolerance}
-    ends = dict.fromkeys(limits[end] for end in (min(limits), max(limits))) if limits else {}
-    return f" {' to '.join(ends)}" if ends else ""
+    if (tolerance := rows[0].tolerance) is None:
+        return ""
+    sizes = sorted(row.tolerance.limit for row in rows if row.tolerance)
+    ends = dict.fromkeys(judged_text(rows[0], size) for size in (sizes[0], sizes[-1]))
+    return f" {'<=' if tolerance.upper else '>='} {' to '.join(ends)}"
 
 
 def _remarks(validation: Validation) -> list[str]:

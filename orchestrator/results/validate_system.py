@@ -437,7 +437,7 @@ def monolithic_recording(
 ) -> Recording:
     """A monolithic solution as a reference.
 
-    shipped   its labels and limits apply to its signals; all other outputs have LIMIT
+    shipped   its labels and limits, over its ranges, apply to its signals; all other outputs have LIMIT
     names     further names that the signals of a system of one FMU may get, see `by_variable`
     limit     of the NRMSE of all outputs, in place of these limits
 
@@ -448,19 +448,16 @@ def monolithic_recording(
     if len(solved.system.components) == 1:
         trace = by_variable(trace, (*shipped.signals, *names))
     own = dict(zip(trace.signals, solved.trace.signals, strict=True))
-    outputs = {*map(str, solved.system.ports("output"))}
-    every = Criterion(tolerance=Tolerance("nrmse", LIMIT if limit is None else limit))
-    criteria = {name: every for name in trace.signals if own[name] in outputs}
-    for name in shipped.signals.keys() & own.keys():
-        known, size = shipped.criterion(name), float(np.ptp(shipped[name]))
-        if limit is None:  # over the range in the shipped reference: in a short run a signal hardly moves
-            criteria[name] = replace(known, span=known.span or size or None)
-        elif name in criteria:
-            criteria[name] = replace(known, span=None, tolerance=every.tolerance, floor=AT_REST * size)
-    for name, criterion in criteria.items():
-        floor = max(criterion.floor, AT_REST * abs(nominals.get(own[name]) or 0.0))
+    outputs, criteria = {*map(str, solved.system.ports("output"))}, dict[str, Criterion]()
+    usual = Tolerance("nrmse", LIMIT if limit is None else limit)
+    for name in [n for n in dict.fromkeys((*shipped.signals, *trace.signals)) if n in own]:
+        known, size = shipped.criterion(name), float(np.ptp(shipped.signals.get(name, np.zeros(1))))
+        floor = AT_REST * max(size, abs(nominals.get(own[name]) or 0.0))
         constant = max(spans[own[name]], floor) if own[name] in spans else None
-        criteria[name] = replace(criterion, span=criterion.span or constant, floor=floor)
+        if limit is None and name in shipped.signals:  # in a short run a signal hardly moves
+            criteria[name] = replace(known, span=known.span or size or constant)
+        elif own[name] in outputs:
+            criteria[name] = replace(known, span=constant, tolerance=usual, floor=floor)
     monolithic = solved.card.master == SOLVER
     return Recording(
         trace.time,

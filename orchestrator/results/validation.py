@@ -183,11 +183,8 @@ def validate(
     check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
     if missing := [name for name in reference.signals if name not in trace.signals]:
-        notes = (
-            *notes,
-            f"{len(missing)} signals of the reference are not in the run: {first_names(missing)}",
-        )
-        reference = reference.select([name for name in reference.signals if name in trace.signals])
+        told = f"{len(missing)} signals of the reference are not in the run: {first_names(missing)}"
+        notes, reference = (*notes, told), reference.select(n for n in reference.signals if n not in missing)
     return Validation(
         rows=tuple(_row(name, trace, reference, grid, rate) for name in reference.signals),
         window=(float(grid[0]), float(grid[-1])),
@@ -204,9 +201,9 @@ def check_comparable(run: Trace, reference: Recording) -> None:
     The values of the run are not read, so the check is possible before they are known.
     """
     for name in reference.signals:
+        if name in reference.unlisted - run.signals.keys():
+            continue
         if name not in run.signals:
-            if name in reference.unlisted:
-                continue
             raise UnknownSignal(name, run.signals, f"{reference.source}: ")
         if unit := run.units.get(name, ""):  # a refusal contains the unit that the user wrote
             unit_of_file = reference.file_units.get(name, reference.units[name])

@@ -233,7 +233,7 @@ def test_validate_needs_no_trace(capsys):
     report = json.loads(Path("build/report.json").read_text(encoding="utf-8"))
     assert report["facts"]["reference"] == "Monolithic solution of the FMUs"
     assert main([*options, "--limit", "1e-12"]) == 1
-    assert "! manipulator.boom_torque: NRMSE " in capsys.readouterr().out
+    assert "! manipulator.stick_acceleration: NRMSE " in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("here")
