@@ -6,8 +6,9 @@ writes scenarios and trace of the work cycle, the program of the operator, and t
 every change of equations or parameter values.
 
 The trace is calculated with the monolithic model (`fmus.monolith`), which has neither coupling nor solver in
-common with the FMUs. Its meta file, `data/reference/work_cycle.toml`, is written by hand and contains the
-reason of the last change of the trace.
+common with the FMUs. It has all outputs of the machine. The head of its meta file,
+`data/reference/work_cycle.toml`, is written by hand and contains the reason of the last change of the trace;
+`python -m benchmarks.planted` writes the limits below it.
 
 Inputs of an experiment are signals of the machine in operation. Its result is calculated with the equations
 of the subsystem alone. Inputs are set at each communication point. Within a step input i is extrapolated as
@@ -87,7 +88,7 @@ def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
     _, outputs = simulate(model, time, np.column_stack(list(driven.values())), tolerance=EXPERIMENT_TOLERANCE)
     recorded |= dict(zip(model.output_names, outputs.T, strict=True))
     recorded |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
-    recorded |= _load_sensing_line(recorded)
+    recorded |= _supplied(recorded)
     wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
     recorded |= {target: recorded[source] for source, target in wires if source in recorded}
     recorded |= {f"controller.{n}": samples for n, samples in experiment_inputs(time).items()}
@@ -95,13 +96,13 @@ def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
     return {name: samples[::2] for name, samples in (recorded | driven).items()}
 
 
-def _load_sensing_line(recorded: Mapping[str, Array]) -> dict[str, Array]:
-    """Outputs of the ideal supply for the load pressures of the drives."""
-    loads = {n.split(".")[1]: samples for n, samples in recorded.items() if "load_pressure" in n}
-    size = next(iter(loads.values())).size
-    rows = np.array([loads.get(n, np.zeros(size)) for n in quantities(SUPPLY.inputs)])
-    shown = _outputs(SUPPLY, ca.DM(0, size), rows)
-    return {f"supply.{n}": shown[n] for n in ("load_sensing_pressure", "load_sensing_pressure_rate")}
+def _supplied(recorded: Mapping[str, Array]) -> dict[str, Array]:
+    """Outputs of the ideal supply, an algebraic function of what it gets from the drives."""
+    sources = {target: source for source, target in SUPPLY_WIRES}
+    size = next(iter(recorded.values())).size
+    names = (sources.get(f"{SUPPLY.name}.{n}", "") for n in quantities(SUPPLY.inputs))
+    rows = np.array([recorded.get(n, np.zeros(size)) for n in names])
+    return {f"{SUPPLY.name}.{n}": y for n, y in _outputs(SUPPLY, ca.DM(0, size), rows).items()}
 
 
 def _outputs(sub: Subsystem, x: Any, u: Any) -> dict[str, Array]:
@@ -237,17 +238,7 @@ TOLERANCE = 1e-11  # relative tolerance of CVODES
 EVERY = 4  # samples per row of the trace: 50 Hz, above twice the fastest structural mode (17 Hz)
 SIGNALS = (
     *("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
-    *(f"manipulator.{joint}_{kind}" for kind in ("angle", "speed") for joint in ("swing", "boom", "stick")),
-    *("manipulator.boom_position", "manipulator.stick_position"),
-    *(f"manipulator.{point}_{axis}" for point in ("elbow", "tip") for axis in ("radius", "height")),
-    *("swing.swing_pressure_a", "swing.swing_pressure_b", "swing.swing_flow_a", "swing.swing_flow_b"),
-    *(
-        f"boom_stick.{a}_{side}_{kind}"
-        for kind in ("pressure", "flow")
-        for a in ("boom", "stick")
-        for side in ("head", "rod")
-    ),
-    *("swing.swing_torque", "boom_stick.boom_force", "boom_stick.stick_force"),
+    *(f"{sub.name}.{n}" for sub in (*SUBSYSTEMS.values(), SUPPLY) for n in quantities(sub.outputs)),
 )
 
 
@@ -274,11 +265,18 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
-    _, outputs = simulate(model, time, inputs, tolerance=TOLERANCE)
+    states, _ = simulate(model, time, inputs, tolerance=TOLERANCE)
+    # rates of the commands influence outputs only, such as the rate of a load pressure
+    operated = _outputs(OPERATOR, time[None, :], ca.DM(0, time.size))
+    for name in COMMANDS:
+        inputs[:, model.inputs.index(f"{name}_rate")] = operated[f"{name}_rate"]
+    parameters = ca.repmat(ca.DM(model.p), 1, time.size)
+    outputs = model.outputs.map(time.size)(states.T, inputs.T, parameters).full()
     driven = {
         target: inputs[:, model.inputs.index(name)] for name, targets in INPUTS.items() for target in targets
     }
-    recorded = driven | dict(zip(model.output_names, outputs.T, strict=True))
+    recorded = driven | dict(zip(model.output_names, outputs, strict=True))
+    recorded |= _supplied(recorded)
     return time, np.column_stack([recorded[name] for name in SIGNALS])
 
 

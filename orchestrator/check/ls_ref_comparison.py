@@ -161,6 +161,7 @@ def _errors(
 
 
 ERROR_LEVEL, WARNING_LEVEL = 1e-2, 1e-3  # NRMSE above which a finding is an error, a warning
+OF_TOLERANCE = 1e4  # as is NRMSE above this multiple of a stated tolerance: a pressure that is 0.01 % off
 MAX_LISTED = 6  # signals in a message
 
 
@@ -257,11 +258,13 @@ def _summary(case: ShippedExperiment, result: ExperimentComparison) -> Finding:
     """The signals, worst first."""
     ranked = sorted(result.errors.items(), key=lambda item: -item[1])
     worst = ranked[0][1]
+    level = min(ERROR_LEVEL, OF_TOLERANCE * (case.tolerance or math.inf))
     errors = ", ".join(f"{name} {value:.2g}" for name, value in ranked[:MAX_LISTED])
     more = f" and {len(ranked) - MAX_LISTED} more" if len(ranked) > MAX_LISTED else ""
-    verb = "differs from" if worst > WARNING_LEVEL else "agrees with"
+    make = error if worst > level else warning if worst > WARNING_LEVEL else note
+    verb = "agrees with" if make is note else "differs from"
     text = f'experiment "{case.name}" {verb} {case.reference.name}: NRMSE {errors}{more}'
-    return (error if worst > ERROR_LEVEL else warning if worst > WARNING_LEVEL else note)(text)
+    return make(text)
 
 
 EXPERIMENT = CheckRule(

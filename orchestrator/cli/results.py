@@ -33,7 +33,7 @@ def validate(
     monolithic   Compare with the monolithic solution of the same FMUs, as `harvester reference` computes it,
                  not with a reference file.
     limit        With `monolithic`: largest NRMSE of a signal; default: the limits of the work cycle's
-                 reference, 0.01 for systems without its signals.
+                 reference, 0.01 with other systems, scenarios or variants.
     layout       Description of the figures in the report (.toml); default: the figures of the harvester; for
                  another system with `reference`: one row per signal.
     play         With `reference` and without `scenario`: further signals of the reference that are inputs of

@@ -144,6 +144,16 @@ class Recording(Trace):
         """Presentation and limit of a signal in a comparison."""
         return self.criteria.get(name, Criterion())
 
+    @property
+    def unlisted(self) -> frozenset[str]:
+        """Signals without label of a computed reference in which others have one.
+
+        They are judged, but not listed while they pass, and left out where a run lacks them.
+        """
+        labelled = {name for name in self.signals if self.criterion(name).label}
+        computed = self.kind == "simulation" and bool(labelled)
+        return frozenset(self.signals.keys() - labelled if computed else ())
+
     def peak(self, name: str) -> tuple[float, str]:
         """The largest magnitude of a signal, 0 without samples, in the unit of the file; this unit."""
         unit = self.file_units.get(name, self.units[name])

@@ -32,6 +32,7 @@ ISO_SAMPLES = 1000
 ISO_MINIMUM = 30
 # Range over nominal value of a signal at rest, whose errors would otherwise be divided by noise.
 AT_REST, HARDLY_MOVES = 1e-3, "the reference hardly moves"
+GIVEN = "NRMSE over the given range"
 HUGE = 1e150  # magnitudes whose squares leave the range of a float are refused
 
 
@@ -155,7 +156,7 @@ def _check(time: Array, simulation: Array, reference: Array, where: str) -> None
 def _denominator(reference: Array, span: float | None, floor: float = 0.0) -> tuple[float, tuple[str, ...]]:
     """Denominator of NRMSE, and a note if it is not the range of the reference."""
     if span is not None:
-        return span, (f"NRMSE over the given range of {span:g}",)
+        return span, (f"{GIVEN} of {span:g}",)
     if floor and (floor >= np.max(np.abs(reference)) or (floor > np.ptp(reference) and moves(reference))):
         return floor, (f"{HARDLY_MOVES}: NRMSE over {floor:.3g}, {100 * AT_REST:g} % of the nominal value",)
     if moves(reference):

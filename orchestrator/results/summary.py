@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
@@ -11,6 +11,7 @@ from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
 from orchestrator.base.text import NO_VALUE, error_display_unit, grouped, number, percentage, short_names
+from orchestrator.results.metrics import GIVEN
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 NAMES = {
@@ -25,6 +26,7 @@ NAMES = {
 
 
 ALMOST = 99.99  # [%]
+MISSED = 20  # signals outside their limits that are listed
 
 
 def percent(value: float | None, rmse: float = 0.0) -> str:
@@ -84,7 +86,7 @@ def miss_text(row: ValidatedSignal) -> str:
 _COLOUR = {True: "green", False: "bold red", None: "dim"}
 _WIDTHS = (9, 8, 8, 7, 7, 5, 4)
 _HEADINGS = ("max error", "RMSE", "NRMSE %", "fit %", "VAF %", "ISO", "")
-_LEGEND = "NRMSE: over the range of the whole reference; ISO: ISO/TS 18571, 0 to 1"
+_LEGEND = "NRMSE: over the range of the whole reference, or a given one; ISO: ISO/TS 18571, 0 to 1"
 
 
 @dataclass(frozen=True)
@@ -103,46 +105,60 @@ class Summary:
 
 
 def _missed(validation: Validation) -> Iterator[Text]:
-    """The signals outside their limits, the worst first."""
+    """The worst signals outside their limits."""
     if validation.passed:
         return
     failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
     failed.sort(key=lambda entry: -entry[0])
     verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
     yield Text(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}", _COLOUR[False])
-    yield from (Text(f"! {row.signal}: {miss_text(row)}") for _, row in failed)
+    more = [f"{len(failed) - MISSED} more, in the report"] if len(failed) > MISSED else []
+    lines = [f"{row.signal}: {miss_text(row)}" for _, row in failed[:MISSED]]
+    yield from (Text(f"! {line}") for line in (*lines, *more))
     yield Text()
 
 
 def _table(validation: Validation, width: int) -> Iterator[Text]:
-    """Headings, then a line for each group and limit, and below it a line for each signal.
+    """Headings, then a line for each group and unit, and below it a line for each signal.
 
-    Signals of a group have the same unit and limit; signals without limit are last. The name of the component
-    is only written if another signal has the same variable.
+    Signals without limit are last. A component is only written if another signal has the same variable.
     """
-    names = short_names(row.signal for row in validation.rows)
-    sections = grouped(sorted(validation.rows, key=lambda row: row.tolerance is None), _section)
+    rows = [row for row in validation.rows if row.listed]
+    names = short_names(row.signal for row in rows)
+    sections = grouped(sorted(rows, key=lambda row: row.tolerance is None), _section)
     name_width = min(
         max(map(len, names.values()), default=0), max(width - sum(_WIDTHS) - len(_WIDTHS) - 2, 12)
     )
     yield Text(_line("  ", "", name_width, _HEADINGS), "dim")
-    for title, rows in sections.items():
-        yield Text(title, "bold")
-        for row in rows:
+    for title, members in sections.items():
+        yield Text(f"{title}{_limits(members)}", "bold")
+        for row in members:
             mark, colour = ("! ", _COLOUR[False]) if row.passed is False else ("  ", "")
             colour = _COLOUR[None] if row.passed is None else colour
             yield Text(_line(mark, names[row.signal], name_width, _cells(row)), colour)
+    if others := [row.limit_use for row in validation.rows if not row.listed]:
+        yield Text(f"{len(others)} others: at most {percentage(max(others))} of their limits", "bold")
 
 
 def _section(row: ValidatedSignal) -> str:
-    """Group, unit and limit of a signal, the title of its section."""
-    limit = limit_text(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
-    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {limit}"
+    """Group, unit and metric of a signal, the beginning of the title of its section."""
+    judged = NAMES[row.tolerance.metric] if row.tolerance else "not judged"
+    return f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {judged}"
+
+
+def _limits(rows: Sequence[ValidatedSignal]) -> str:
+    """The limit of a section, or the smallest and the largest one."""
+    if (tolerance := rows[0].tolerance) is None:
+        return ""
+    sizes = sorted(row.tolerance.limit for row in rows if row.tolerance)
+    ends = dict.fromkeys(judged_text(rows[0], size) for size in (sizes[0], sizes[-1]))
+    return f" {'<=' if tolerance.upper else '>='} {' to '.join(ends)}"
 
 
 def _remarks(validation: Validation) -> list[str]:
-    """Each note with its signals."""
-    notes = grouped(((note, row.signal) for row in validation.rows for note in row.notes), itemgetter(0))
+    """Each note with its signals that are listed; given ranges are in the report."""
+    listed = ((note, row.signal) for row in validation.rows for note in row.notes if row.listed)
+    notes = grouped((pair for pair in listed if not pair[0].startswith(GIVEN)), itemgetter(0))
     return [f"{note}: {', '.join(signal for _, signal in pairs)}" for note, pairs in notes.items()]
 
 

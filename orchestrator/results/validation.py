@@ -64,7 +64,10 @@ ROUNDING = 1e-6  # of times in a text file, relative to a sampling interval
 
 @dataclass(frozen=True)
 class ValidatedSignal:
-    """One compared signal: samples of shape (n,) and metrics, in `unit`; `passed` is None without a limit."""
+    """One compared signal: samples of shape (n,) and metrics, in `unit`; `passed` is None without a limit.
+
+    listed   False: the signal is judged like the others, but neither rated nor listed while it passes
+    """
 
     signal: str
     label: str
@@ -77,6 +80,7 @@ class ValidatedSignal:
     tolerance: Tolerance | None
     passed: bool | None
     notes: tuple[str, ...] = ()
+    listed: bool = True
 
     __repr__ = brief
 
@@ -178,6 +182,9 @@ def validate(
     reference = replace(reference, criteria={**reference.criteria, **floors})
     check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
+    if missing := [name for name in reference.signals if name not in trace.signals]:
+        told = f"{len(missing)} signals of the reference are not in the run: {first_names(missing)}"
+        notes, reference = (*notes, told), reference.select(n for n in reference.signals if n not in missing)
     return Validation(
         rows=tuple(_row(name, trace, reference, grid, rate) for name in reference.signals),
         window=(float(grid[0]), float(grid[-1])),
@@ -194,6 +201,8 @@ def check_comparable(run: Trace, reference: Recording) -> None:
     The values of the run are not read, so the check is possible before they are known.
     """
     for name in reference.signals:
+        if name in reference.unlisted - run.signals.keys():
+            continue
         if name not in run.signals:
             raise UnknownSignal(name, run.signals, f"{reference.source}: ")
         if unit := run.units.get(name, ""):  # a refusal contains the unit that the user wrote
@@ -242,6 +251,7 @@ def _between(grid: Array, time: Array) -> int:
 def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool) -> ValidatedSignal:
     """Resample, measure and judge one signal."""
     where, values, notes = f"{reference.source}: {name}", trace[name], []
+    listed = name not in reference.unlisted
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
         raise Problem(f"run: {name}: expected finite numbers, got {values[k]} at {trace.time[k]:g} s")
     unit, criterion = trace.units.get(name, ""), reference.criterion(name)
@@ -268,7 +278,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         span=None if criterion.span is None else criterion.span * factor,
         floor=criterion.floor,
         recording=recorded[valid & _inside(reference.time, reference.start, reference.stop)],
-        rate=rate,
+        rate=rate and listed,
         where=where,
     )
     tolerance = None if criterion.tolerance is None else criterion.tolerance.scaled(factor)
@@ -284,4 +294,5 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         tolerance=tolerance,
         passed=None if tolerance is None else tolerance.holds(metrics.value(tolerance.metric)),
         notes=(*notes, *metrics.notes),
+        listed=listed,
     )

@@ -186,7 +186,7 @@ def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
 
 def _share(use: float) -> str:
     """Use of a limit in percent, rounded up, so that only a kept limit is shown as at most 100 %."""
-    tenths = math.ceil(1000 * use - 1e-9)
+    tenths = math.ceil(min(1000 * use, 1e6) - 1e-9)  # infinite without a value of the metric
     if tenths <= 1 and use > 0:
         return "< 0.1 %"
     if tenths > 99_999:

@@ -1,17 +1,19 @@
 """The experiments shipped with the project's FMUs: solved on the equations, reproduced by each FMU."""
 
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import fmpy
 import numpy as np
+import pandas as pd
 import pytest
 from kit import shards
 from lxml import etree
 
+from check.test_probes import opened
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
@@ -38,7 +40,7 @@ from fmus.machine.reference import (
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
-from orchestrator.check.ls_ref_comparison import ExperimentComparison, cases, compare
+from orchestrator.check.ls_ref_comparison import EXPERIMENT, ExperimentComparison, cases, compare
 from orchestrator.check.probe_process import probe_limits, use_probe_limits
 from orchestrator.check.read_ls_ref import manifest, table
 from orchestrator.check.read_ls_ref import parameter_set as read_parameters
@@ -87,8 +89,28 @@ def test_each_fmu_reproduces_the_experiment_it_ships(request, tmp_path, name, ma
     result = compared(built(folder, name), tmp_path)
     assert result.problems == []
     assert result.failure == ""
-    # a thousand times the tolerance of the experiment: errors over 8 s and in second derivatives
+    # ten thousand times the tolerance of the experiment: errors over 8 s and in second derivatives
     assert max(result.errors.values()) < NRMSE_LIMIT, result.errors
+
+
+DAMAGES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "0.01 % off": lambda column: 1.0001 * column,
+    "a spike": lambda column: np.where(np.arange(column.size) == 100, column + 0.01 * np.ptp(column), column),
+    "one row late": lambda column: np.roll(column, 1),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_result_is_an_error(fmu_dir, tmp_path, damage):
+    """One pressure of the shipped result: the exit status of `check` follows from a finding of this kind."""
+    subject = opened(built(fmu_dir, SWING.name), tmp_path)
+    file = tmp_path / FOLDER / "result.csv"
+    rows = pd.read_csv(file)
+    rows["swing_pressure_a"] = DAMAGES[damage](rows["swing_pressure_a"].to_numpy())
+    rows.to_csv(file, index=False)
+    (finding,) = EXPERIMENT(subject)
+    assert finding.severity == "error"
+    assert "differs from result.csv: NRMSE swing_pressure_a" in finding.text
 
 
 # what this importer does is the same for each FMU

@@ -81,10 +81,10 @@ def test_a_miss_in_the_words_of_its_metric(metric: str, limit: float, told: str)
 
 
 def test_signals_that_are_not_judged_come_last() -> None:
-    """Below a line that says so; with limits of their own, signals of a group have lines of their own."""
+    """Below a line that says so; of the limits of a group the smallest and the largest are told."""
     lines = shown(made(a__x=None, a__y=Tolerance("rmse", 1.0), a__z=Tolerance("rmse", 2.0)))
     heads = [text for text in lines if text.startswith("signals")]
-    limits = ("RMSE <= 1000 mm", "RMSE <= 2000 mm", "not judged")
+    limits = ("RMSE <= 1000 mm to 2000 mm", "not judged")
     assert heads == [f"signals [mm]: {limit}" for limit in limits]
     assert line(lines, "  x")[-1] == "-"
 
