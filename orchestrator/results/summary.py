@@ -97,6 +97,7 @@ class Summary:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
         validation = self.validation
+        yield from (Text(f"FAIL: {reason}", _COLOUR[False]) for reason in validation.unreliable)
         yield from _missed(validation)
         yield Text(f"Compared with: {validation.title}", "bold")
         yield from _table(validation, options.max_width)
@@ -106,7 +107,7 @@ class Summary:
 
 def _missed(validation: Validation) -> Iterator[Text]:
     """The worst signals outside their limits."""
-    if validation.passed:
+    if not validation.failed:
         return
     failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
     failed.sort(key=lambda entry: -entry[0])

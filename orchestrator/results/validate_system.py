@@ -121,6 +121,7 @@ def judge(
     """
     with doing(f"comparing {len(reference.signals)} signals"):
         validation = validate(result.trace, reference, rate=rate)
+    validation = replace(validation, unreliable=result.card.unreliable)
     layout.check(result.trace)
     panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
     report = reporting.Report(

@@ -102,7 +102,10 @@ class ValidatedSignal:
 
 @dataclass(frozen=True)
 class Validation:
-    """The outcome for all signals over the window (start, stop) [s]."""
+    """The outcome for all signals over the window (start, stop) [s].
+
+    unreliable   why the result of the run is not reliable, whatever the limits
+    """
 
     rows: tuple[ValidatedSignal, ...]
     window: tuple[float, float]
@@ -110,6 +113,7 @@ class Validation:
     source: str
     about: Mapping[str, str | float]
     notes: tuple[str, ...] = ()
+    unreliable: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         start, stop = self.window
@@ -133,8 +137,8 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """All signals are within their limits."""
-        return not self.failed
+        """All signals are within their limits, and the result is reliable."""
+        return not (self.failed or self.unreliable)
 
     @property
     def verdict(self) -> str:
@@ -143,6 +147,7 @@ class Validation:
             return "not judged: the reference has no limits"
         inside = len(self.judged) - len(self.failed)
         outcome, count = "pass" if self.passed else "fail", len(self.judged)
+        outcome += ", the result is not reliable" if self.unreliable else ""
         return f"{outcome}: {inside} of {count} signals within their limits"
 
     def __getitem__(self, signal: str) -> ValidatedSignal:

@@ -141,6 +141,22 @@ def test_machines_one_by_one_have_a_status_of_their_own(bounce):
     assert np.isfinite(result["mass.x"]).all()
 
 
+def test_validate_begins_with_it_and_fails(bounce, tmp_path, capsys):
+    """Status 1 although no signal is outside its limit; the page says it, too."""
+    ssp = write_ssp(bounce(False), tmp_path / "it.ssp")
+    fine = run(ssp, **ROUGH)
+    file = fine.write(tmp_path / "truth.csv")
+    limit = 'tolerance = { metric = "nrmse", limit = 0.5 }'
+    rows = "".join(f'"{name}" = {{ unit = "{unit}", {limit} }}\n' for name, unit in fine.units.items())
+    file.with_suffix(".toml").write_text(f'[reference]\ntitle = "itself"\n[signals]\n{rows}')
+    chosen = ["--master", "jacobi", "--step", "0.02", "--stop", "1", "--out", str(tmp_path)]
+    assert main(["validate", str(ssp), "--reference", str(file), *chosen]) == 1
+    printed = capsys.readouterr().out
+    assert printed.startswith("FAIL: energy error of the coupling")
+    assert "fail, the result is not reliable" in printed
+    assert "Energy error of the coupling" in (tmp_path / "report.html").read_text()
+
+
 # ---- the guard by what FMUs suggest
 
 
