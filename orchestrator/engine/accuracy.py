@@ -40,7 +40,6 @@ RANGE = 1e-6, 0.1  # of an accuracy
 MOST_RUNS = 10
 FMU_TOLERANCE = 3e-2  # of the solvers in FMUs, over the accuracy
 TIGHTEST, LOOSEST = 1e-8, 1e-4  # limits of that tolerance
-LEAST_RANGE = 1e-3  # to which errors are relative, over the nominal value
 # First run by least accuracy: coupling, and its step over the one that the system suggests. On the machine
 # these steps suffice in nine of ten cases, and no others do so at a lower cost.
 FIRST = (
@@ -129,8 +128,7 @@ class AccuracySearch:
         interfaces = [component.interface for component in system.components.values()]
         self.accuracy, self.decisive = accuracy, decisive_signals(system, execution.accuracy_of)
         self._execution = execution
-        nominals = {name: system.variable(system.port(name)).nominal for name in self.decisive}
-        self._scales = {name: LEAST_RANGE * abs(nominal or 0.0) for name, nominal in nominals.items()}
+        self._nominals = {name: system.variable(system.port(name)).nominal for name in self.decisive}
         self._base, self.runs = step_length(system.coupled(Coupling()), None), 0
         self._least, self._idle = math.inf, 0
         self._previous: Result | None = None
@@ -205,7 +203,8 @@ class AccuracySearch:
         self._estimates &= result.card.errors_of_inputs
         previous, self._previous = self._previous, result
         errors = result.card.errors if result.card.errors_of_inputs else self._changes(result, previous)
-        error = max((self._relative(e) for e in errors if e.name in self._scales), default=0.0)
+        decisive = (e for e in errors if e.name in self._nominals)
+        error = max((e.relative_rms(self._nominals[e.name]) for e in decisive), default=0.0)
         error = math.hypot(error, INSIDE * self.settings.tolerance)
         known = result.card.errors_of_inputs or previous is not None
         if known and error <= self.settings.experience.accepted * self.accuracy:
@@ -228,11 +227,6 @@ class AccuracySearch:
         self.runs += 1
         self._next(math.inf)
         return self.runs < MOST_RUNS and not self._execution.late
-
-    def _relative(self, e: SignalError) -> float:
-        """The RMS error over the range of a signal, or over a part of its nominal value if that is larger."""
-        span = e.change / e.largest if e.largest else 0.0
-        return e.rms * span / max(span, self._scales[e.name]) if span else 0.0
 
     def _changes(self, result: Result, previous: Result | None) -> Iterator[SignalError]:
         """The errors by the changes since the run before: at order 1; at higher orders they are smaller."""

@@ -94,9 +94,9 @@ def doubtful_end(system: System, trace: Trace, label: str) -> str:
 
 
 def doubtful_signals(system: System, recording: Recording, label: str) -> Iterator[str]:
-    """The doubtful ones of the signals of a recording, in the units of its file, and its last time."""
+    """The doubtful ones of the listed signals of a recording, in units of its file, and its last time."""
     peaks: list[tuple[str, float, str, list[float]]] = []
-    for name in recording.signals:
+    for name in (n for n in recording.signals if n not in recording.unlisted):
         port = next((p for p in system.ports("output") if name in (str(p), p.variable)), None)
         unit = system.variable(port).unit if port else None
         if port and unit:

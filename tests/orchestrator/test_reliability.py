@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator import Trace, batch, compare, run
+from orchestrator import Trace, assemble, batch, compare, run
 from orchestrator.__main__ import main
 from orchestrator.engine.job import with_default_guard
 from orchestrator.engine.result import (
@@ -27,9 +27,16 @@ ROUGH = {"master": "jacobi", "step": 0.02, "stop": 1.0}  # a delay of 0.02 s fee
 
 
 @pytest.fixture(scope="module")
-def rough(bounce):
+def oscillator(fmus):
+    """A mass and a spring, 1 kg, 100 N/m, 100 m/s; force one way, velocity back."""
+    files = {n: fmus.make(m, f"reliable_{n}") for n, m in {"mass": "mass_b", "spring": "spring"}.items()}
+    return assemble(files, ["spring.force -> mass.force", "mass.v -> spring.v"], {"mass.spring": 0.0})
+
+
+@pytest.fixture(scope="module")
+def rough(oscillator):
     """A result that is not reliable."""
-    return run(bounce(False), **ROUGH)
+    return run(oscillator, **ROUGH)
 
 
 # ---- the limits
@@ -60,9 +67,9 @@ def test_machines_are_judged_one_by_one():
 
 
 @pytest.mark.parametrize(("rms", "told"), [(0.049, False), (0.051, True)])
-def test_an_estimated_error_of_a_twentieth_of_the_range_is_the_limit(bounce, rms, told):
+def test_an_estimated_error_of_a_twentieth_of_the_range_is_the_limit(oscillator, rms, told):
     """Of a signal that feeds a bond; other signals do not count."""
-    system = bounce(False)
+    system = oscillator
     error = SignalError("spring.force", largest=2 * rms, rms=rms, change=2 * rms * 1000.0)
     assert len(unreliable_errors([error], system)) == told
     assert not unreliable_errors([SignalError("mass.x", 2.0, 1.0, change=2.0)], system)
@@ -79,7 +86,7 @@ def test_an_error_is_relative_to_a_thousandth_of_the_nominal_value_at_least():
 # ---- each kind of result
 
 
-def test_a_run_says_that_it_is_not_reliable(rough, bounce):
+def test_a_run_says_that_it_is_not_reliable(rough, oscillator):
     """In its card, notes, text and metadata; a fine run does not."""
     (reason,) = rough.card.unreliable
     assert reason == rough.card.warnings[0] == rough.notes[0]
@@ -87,7 +94,7 @@ def test_a_run_says_that_it_is_not_reliable(rough, bounce):
     assert "not reliable" in repr(rough).splitlines()[0]
     assert f"warning: {reason}" in rough.card.text()
     assert metadata(rough).unreliable == (reason,)
-    fine = run(bounce(False), **ROUGH | {"step": 1e-4})
+    fine = run(oscillator, **ROUGH | {"step": 1e-4})
     assert fine.reliable
     assert not fine.card.warnings
     assert "not reliable" not in repr(fine)
@@ -99,15 +106,15 @@ def test_a_reason_is_told_once(rough):
     assert Card("jacobi", 1e-3, 1e-3, 1, 1.0, 1.0).doubted("a", "b").warnings == ("a", "b")
 
 
-def test_a_further_run_tells_it_too(bounce):
+def test_a_further_run_tells_it_too(oscillator):
     """An estimate by half the step adds a reason of its own."""
-    result = run(bounce(False), **ROUGH, error_estimate=True)
+    result = run(oscillator, **ROUGH, error_estimate=True)
     assert any(reason.startswith("estimated error of the coupling") for reason in result.card.unreliable)
 
 
-def test_the_command_has_a_status_of_its_own(bounce, tmp_path, capsys):
+def test_the_command_has_a_status_of_its_own(oscillator, tmp_path, capsys):
     """Status 3, and the metadata next to the trace; `compare` begins with it."""
-    ssp = write_ssp(bounce(False), tmp_path / "it.ssp")
+    ssp = write_ssp(oscillator, tmp_path / "it.ssp")
     out = tmp_path / "rough.csv"
     options = ["--master", "jacobi", "--stop", "1"]
     assert main(["run", str(ssp), "--out", str(out), "--step", "0.02", *options]) == 3
@@ -123,27 +130,27 @@ def test_the_command_has_a_status_of_its_own(bounce, tmp_path, capsys):
     assert "Rough: energy error" in (tmp_path / "comparison.html").read_text()
 
 
-def test_a_comparison_says_it_in_its_first_line(rough, bounce):
+def test_a_comparison_says_it_in_its_first_line(rough, oscillator):
     """Of results, too; a trace without metadata says nothing."""
-    fine = run(bounce(False), **ROUGH | {"step": 1e-4})
+    fine = run(oscillator, **ROUGH | {"step": 1e-4})
     compared = compare({"fine": fine, "rough": rough})
     assert repr(compared).startswith("rough: energy error of the coupling")
     bare = Trace(rough.time, rough.trace.signals, rough.units)
     assert not compare({"fine": fine, "bare": bare}).unreliable
 
 
-def test_machines_one_by_one_have_a_status_of_their_own(bounce):
+def test_machines_one_by_one_have_a_status_of_their_own(oscillator):
     """Not "ok", with the reason; a note says of how many machines."""
-    result = batch(bounce(False), {"mass.spring": [0.0, 1.0]}, record="mass.x", lanes=False, **ROUGH)
+    result = batch(oscillator, {"mass.spring": [0.0, 1.0]}, record="mass.x", lanes=False, **ROUGH)
     assert result.status.tolist() == ["unreliable"] * 2
     assert all("not reliable" in reason for reason in result.reasons)
     assert result.notes[0].startswith("2 of 2 machines: energy error of the coupling")
     assert np.isfinite(result["mass.x"]).all()
 
 
-def test_validate_begins_with_it_and_fails(bounce, tmp_path, capsys):
+def test_validate_begins_with_it_and_fails(oscillator, tmp_path, capsys):
     """Status 1 although no signal is outside its limit; the page says it, too."""
-    ssp = write_ssp(bounce(False), tmp_path / "it.ssp")
+    ssp = write_ssp(oscillator, tmp_path / "it.ssp")
     fine = run(ssp, **ROUGH)
     file = fine.write(tmp_path / "truth.csv")
     limit = 'tolerance = { metric = "nrmse", limit = 0.5 }'
@@ -160,18 +167,18 @@ def test_validate_begins_with_it_and_fails(bounce, tmp_path, capsys):
 # ---- the guard by what FMUs suggest
 
 
-def suggesting(bounce, step, rollback=True):
+def suggesting(oscillator, step, rollback=True):
     """The oscillator as a system that suggests 1 ms; its mass suggests another step."""
-    system = bounce(False)
+    system = oscillator
     able = {"rollback": rollback, "variable_step": True}
     parts = {n: replace(c, interface=replace(c.interface, **able)) for n, c in system.components.items()}
     mass = replace(parts["mass"], interface=replace(parts["mass"].interface, step=step))
     return replace(system, components={**parts, "mass": mass}, suggestion=Suggestion(step=1e-3))
 
 
-def test_a_step_above_a_suggested_one_is_guarded(bounce):
+def test_a_step_above_a_suggested_one_is_guarded(oscillator):
     """Of an FMU, with a note, at the step of the system and at that of the user."""
-    system = suggesting(bounce, 2.5e-4)
+    system = suggesting(oscillator, 2.5e-4)
     for step, text in ((None, "0.001"), (4e-4, "0.0004"), (1e-2, "0.01")):
         guarded = with_default_guard(system, step)
         assert guarded.coupling.guard == GUARD_TOLERANCE
@@ -179,22 +186,22 @@ def test_a_step_above_a_suggested_one_is_guarded(bounce):
         assert guarded.notes[-1].startswith(expected)
 
 
-def test_what_is_chosen_is_not_guarded(bounce):
+def test_what_is_chosen_is_not_guarded(oscillator):
     """A guard, adaptive steps, a short step; a long step of FMUs that suggest none, or that of the system."""
-    system = suggesting(bounce, 2.5e-4)
+    system = suggesting(oscillator, 2.5e-4)
     for chosen in ({"guard": 0.0}, {"guard": 1e-3}, {"adaptive": 1e-3}, {"master": "hermite"}):
         coupled = system.coupled(chosen)
         assert with_default_guard(coupled, 1e-3) is coupled
     assert with_default_guard(system, 2.5e-4) is system
     for step in (None, 1e-3):
-        usual = suggesting(bounce, step)
+        usual = suggesting(oscillator, step)
         assert with_default_guard(usual, 1e-2) is usual
     own = replace(system, suggestion=Suggestion())  # the step of the run is that of the FMU
     assert with_default_guard(own, None) is own
 
 
-def test_steps_that_cannot_be_divided_are_told(bounce):
+def test_steps_that_cannot_be_divided_are_told(oscillator):
     """An FMU that cannot go back leaves only a note."""
-    found = with_default_guard(suggesting(bounce, 2.5e-4, rollback=False), None)
+    found = with_default_guard(suggesting(oscillator, 2.5e-4, rollback=False), None)
     assert found.coupling is None
     assert found.notes[-1] == "mass: steps of 0.00025 s are suggested; this run has steps of 0.001 s"

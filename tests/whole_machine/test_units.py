@@ -127,7 +127,8 @@ def test_an_fmu_that_refuses_a_value_does_not_hide_the_doubt(systems, name):
 
 def test_a_recording_in_another_unit_is_doubtful(systems):
     """Each too large signal; a small one only if all of its unit are, as one of them may hardly move."""
-    recording = read_recording("work_cycle")
+    recording = read_recording("work_cycle")  # whose outputs without label are of no measurement
+    recording = recording.select([name for name in recording.signals if name not in recording.unlisted])
     assert doubtful([recording]) == []
     assert list(filter(None, doubtful_signals(systems[""], recording, "work_cycle"))) == []
     pressures = [name for name, unit in recording.units.items() if unit == "Pa"]
