@@ -1,6 +1,7 @@
 """Benchmark of parameter studies: speed, scaling over workers, and results after a kill.
 
     python -m benchmarks.sweep [--runs 2000] [--seconds 10]
+    python -m benchmarks.sweep --lanes    writes the table of docs/sweep.md: lanes against single runs
 
 A Latin hypercube of four factors of build/harvester.ssp, the lumped machine in its work cycle. Each study is
 one command, timed from start to end. First all runs with two workers; then half of them with two workers,
@@ -24,11 +25,15 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 
-from orchestrator import run
+from orchestrator import Coupling, System, batch, load, run, with_swaps
+from orchestrator.base.errors import Problem
+from orchestrator.data.trace import Trace
+from orchestrator.lanes.batch import BatchResult
 
 SYSTEM = Path("build/harvester.ssp")
 LIMIT, RATIO = 12.0, 1.7  # [s] for 2000 runs of 10 s; wall time of one worker over that of two
@@ -52,6 +57,104 @@ peak_a = {{ signal = "swing.swing_pressure_a", measure = "maximum", band = true 
 peak_b = {{ signal = "swing.swing_pressure_b", measure = "maximum" }}
 angle = {{ signal = "manipulator.swing_angle", measure = "final" }}
 """
+
+# ---- lanes against single runs
+
+MASS = "manipulator.head_mass"
+# of the mass, relative: a run amplifies them as it does rounding. Several, because each may or may not decide
+# whether a step is divided
+CHANGES = (-3e-12, -2e-12, -1e-12, 1e-12, 2e-12, 3e-12)
+# bars of the distance of lanes to a run: ten times what stops and cavities make of rounding; above it,
+# a multiple of what a change makes, which occurs once, while rounding occurs in each operation
+ROUNDING, TIMES = 1e-10, 10.0
+COUPLINGS = {  # with their steps [s]; None: adaptive
+    "jacobi": (Coupling("jacobi"), 1e-3),
+    "jacobi, order 1": (Coupling("jacobi", order=1), 1e-3),
+    "jacobi, order 3": (Coupling("jacobi", order=3), 1e-3),
+    "gauss-seidel": (Coupling("gauss-seidel"), 1e-3),
+    "gauss-seidel, guarded": (Coupling("gauss-seidel", guard=1e-3), 2e-3),
+    "gauss-seidel, order 1": (Coupling("gauss-seidel", order=1), 1e-3),
+    "gauss-seidel, order 3": (Coupling("gauss-seidel", order=3), 1e-3),
+    "gauss-seidel, order 3, guarded": (Coupling("gauss-seidel", order=3, guard=0.01), 4e-3),
+    "hermite, 1 pass": (Coupling("hermite", passes=1), 5e-3),
+    "hermite, 2 passes": (Coupling("hermite", passes=2), 5e-3),
+    "hermite, not guarded": (Coupling("hermite", guard=0.0), 5e-3),
+    "hermite": (Coupling("hermite"), 5e-3),
+    "hermite, adaptive": (Coupling("hermite", adaptive=1e-4), None),
+}
+COMPENSATED = {"swing": "compensated", "boom_stick": "compensated"}
+MACHINES = {
+    "shipped": {},
+    "compensated": COMPENSATED,
+    "compensated, with a pump": COMPENSATED | {"supply": "engine_pump"},
+}
+PAGE, MARKS = Path(__file__).parents[1] / "docs/sweep.md", ("<!-- lanes -->\n", "<!-- end -->")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine, coupling (None: suggested), step (None: adaptive or suggested) [s], head mass [kg]."""
+
+    system: System
+    coupling: Coupling | None
+    step: float | None
+    mass: float
+    scenario: dict[str, list[float]] | None = None
+    stop: float = 3.0
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Of `batch` and `run`."""
+        steps = {"record_step": 0.01} if self.step is None else {"step": self.step}
+        return ({"master": self.coupling} if self.coupling else {}) | {"stop": self.stop} | steps
+
+    def lanes(self) -> BatchResult:
+        """All outputs in lanes."""
+        return batch(self.system, {MASS: [self.mass]}, self.scenario, lanes=True, **self.options)
+
+    def run(self, change: float = 0.0) -> Trace:
+        """All outputs of the run of the machine, or of one whose mass differs."""
+        outputs = [str(port) for port in self.system.ports("output")]
+        start = {MASS: self.mass * (1.0 + change)}
+        options = {"record": outputs, "isolate": False, **self.options}
+        return run(self.system, self.scenario, set=start, **options).trace
+
+    def changed(self, single: Trace) -> float:
+        """The largest distance of the run to one of a machine whose mass differs by one of CHANGES."""
+        return max(self.distance(self.run(change), single) for change in CHANGES)
+
+    def distance(self, a: Trace, b: Trace) -> float:
+        """Largest difference of an output at any time, over the larger of its range and nominal value."""
+        nominal = {name: self.system.variable(self.system.port(name)).nominal or 1.0 for name in b.signals}
+        size = {name: max(np.ptp(values), abs(nominal[name])) for name, values in b.signals.items()}
+        return float(max(np.abs(a[name] - values).max() / size[name] for name, values in b.signals.items()))
+
+
+def agreement() -> str:
+    """A table: distance of lanes to the run, and of the run to that of another mass; the work cycle."""
+    system = load(SYSTEM)
+    rows = [["coupling", *MACHINES], ["-"] * (1 + len(MACHINES))]
+    for name, coupling in COUPLINGS.items():
+        cells = [_cell(Machine(with_swaps(system, swaps), *coupling, 350.0)) for swaps in MACHINES.values()]
+        rows.append([name, *cells])
+        print("|".join(rows[-1]), flush=True)
+    return "".join(f"|{'|'.join(row)}|\n" for row in rows)
+
+
+def _cell(machine: Machine) -> str:
+    """Both distances; that in lanes first."""
+    try:
+        single = machine.run()
+    except Problem:
+        return "both fail" if machine.lanes().status == ["failed"] else "only the run fails"
+    return f"{machine.distance(machine.lanes().trace(0), single):.0e}, {machine.changed(single):.0e}"
+
+
+def write_agreement() -> None:
+    """Put the table in its place in docs/sweep.md."""
+    before, rest = PAGE.read_text(encoding="utf-8").split(MARKS[0])
+    after = rest[rest.index(MARKS[1]) :]
+    PAGE.write_text(f"{before}{MARKS[0]}{agreement()}{after}", encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -186,7 +289,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--lanes", action="store_true", help="write the table of lanes against single runs")
     arguments = parser.parse_args()
+    if arguments.lanes:
+        write_agreement()
+        return 0
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         checks = measure(Path(folder), arguments.runs, arguments.seconds)

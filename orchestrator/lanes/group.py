@@ -206,9 +206,11 @@ class Lanes:
         for i, (port, s) in enumerate(zip(self._inputs.ports, self._inputs.inputs, strict=True)):
             for name in COMMON:
                 rows[name][i] = getattr(s, name)
-            rows["slope_factor"][i] = s.factor
+            rows["slope_factor"][i] = s.slope_factor
             rows["fmu_degree"][i], rows["requested_degree"][i] = h.DEGREE, h.DEGREE * (s.requested_degree > 0)
-            if s.source_component != h.DRIVEN and self.plan.needs_slopes:
+            if wire := self._inputs.rate_wires.get(port):  # as in a run: the value of the rate output
+                slopes[i] = self._network.reals.index[wire.source]
+            elif s.source_slope:
                 source = sources[port]
                 slopes[i] = self._instances.slopes[self.index[source.component]] + self.reference(source)
         return rows, slopes
@@ -245,7 +247,7 @@ class Lanes:
                 instruction.operand = place
                 place += instruction.index * ctypes.sizeof(h.Wire)
         self.exchange = self._program(instructions)
-        used = {s.source_component for s in self._inputs.inputs} if plan.needs_slopes else set()
+        used = {self.index[port.component] for port in self._inputs.slope_outputs}
         held = self._inputs.held(plan.order) if plan.sequential else [[] for _ in self.models]
         self.programs = []
         for k, connections in enumerate(held):

@@ -4,6 +4,7 @@ import re
 import sys
 from dataclasses import replace
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from kit import shards
+from kit.every import MACHINES
 from kit.mistakes import problem, table
 from zoo.faulty import MEMORY, faulty
 
+from benchmarks import sweep
 from orchestrator import Coupling, Interrupted, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError, host
+from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled
 from orchestrator.lanes.compiled import NotInLanes, sources_of
@@ -27,12 +31,13 @@ STROKES = {
     "boom_command": [0.0, 0.0, -10.0, -10.0, 10.0, 10.0],
     "stick_command": [0.0, 0.0, 10.0, 10.0, -10.0, -10.0],
 }
+AXES = ("swing", "boom", "stick")
 MASS, STIFFNESS = "manipulator.head_mass", "manipulator.stop_stiffness"
 DEAD_BAND = "boom_stick.valve_dead_band"
 MASSES = {MASS: np.linspace(300.0, 1200.0, 3)}
 # Lanes take the inner steps of the scalar FMUs with other rounding, which stops and cavities amplify to 1e-11
 # of the range; the tolerance of the FMUs is 1e-6
-SAME = 1e-8
+SAME = sweep.ROUNDING
 
 
 @pytest.mark.parametrize("lanes", [True, False])
@@ -106,6 +111,48 @@ def test_machines_in_lanes_have_the_results_of_single_runs(system, coupling, opt
     assert np.abs(result["manipulator.boom_stop_force"]).max() > 1e4  # [N]
 
 
+# slopes from rate outputs, from FMUs and by differences; steps that are repeated, and divided
+QUICK = ["jacobi, order 1", "gauss-seidel, guarded", "gauss-seidel, order 3", "hermite, 2 passes", "hermite"]
+CASES = product(range(3), range(len(MACHINES)), sweep.COUPLINGS)
+
+
+@pytest.mark.parametrize(
+    ("seed", "swaps", "how"), shards.few([(1, 0, how) for how in QUICK], CASES, shards.search)
+)
+def test_a_random_machine_moves_in_lanes_as_in_a_run(system, seed, swaps, how):
+    """With corners between the steps; benchmarks/sweep.py has the two bars and their reasons."""
+    random = np.random.default_rng(seed)
+    scenario = {"time": [0.0, *np.sort(random.uniform(0.01, 0.39, 4))]}
+    scenario |= {f"{axis}_command": [0.0, *random.uniform(-8.0, 8.0, 4)] for axis in AXES}
+    mass = float(random.uniform(100.0, 2000.0))
+    swapped = with_swaps(system, MACHINES[swaps])
+    machine = sweep.Machine(swapped, *sweep.COUPLINGS[how], mass, scenario, stop=0.4)
+    check(machine)
+
+
+def check(machine):
+    """It ends in lanes as in a run, and its signals are within the bars."""
+    lanes = machine.lanes()
+    if lanes.status == ["failed"]:  # this master cannot couple this machine
+        with pytest.raises(Problem):
+            machine.run()
+        return
+    single = machine.run()
+    distance = machine.distance(lanes.trace(0), single)
+    if distance > sweep.ROUNDING:
+        assert distance < sweep.TIMES * machine.changed(single)
+
+
+@shards.machine
+def test_a_slope_that_no_model_gives_follows_from_values_as_in_a_run(system):
+    """With open rate ports, of outputs that depend on held inputs; the adaptive steps depend on it."""
+    swapped, rates = with_swaps(system, {"supply": "load_sensing"}), {*system.rate_ports.values()}
+    opened = replace(swapped, connections=tuple(c for c in swapped.connections if c.target not in rates))
+    levers = {"time": [0.0, 0.05, 0.2], "boom_command": [0.0, 0.0, 2.0], "stick_command": [0.0, 0.0, 2.0]}
+    machine = sweep.Machine(opened, Coupling("gauss-seidel", adaptive=1e-2), None, 500.0, levers, stop=0.2)
+    assert machine.distance(machine.lanes().trace(0), machine.run()) < sweep.ROUNDING
+
+
 COUPLINGS = {
     "parallel": (Coupling("jacobi", order=1), 5e-4),
     "guarded": (Coupling("gauss-seidel", order=2, guard=0.01), 4e-3),
@@ -157,9 +204,8 @@ def test_every_variant_runs_in_lanes(system, variants):
         "supply": ("load_sensing", "ideal", "engine_pump", "load_sensing"),
     }
     swapped = with_swaps(system, {part: options[variants] for part, options in names.items()})
-    for scenario in (None, STROKES):
-        result = batch(swapped, MASSES, scenario, stop=4.0, lanes=True)
-        assert max(differences(swapped, result, scenario, stop=4.0).values()) < SAME
+    for scenario, mass in product((None, STROKES), (300.0, 1200.0)):
+        check(sweep.Machine(swapped, None, None, mass, scenario, stop=4.0))
 
 
 def test_sources_of_earlier_fmus_are_read(system, tmp_path):

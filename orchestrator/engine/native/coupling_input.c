@@ -168,8 +168,7 @@ static Real backward_slope(const CouplingInput *s, Real h, Real length, Real bef
 
 /* Sets the source at the end of the step; `before`: length of the step before the previous one [s]. */
 void input_set_end(CouplingInput *s, Real value, Real slope, Real h, Real length, Real before) {
-    /* models in lanes give all slopes that a master uses */
-    const int given = WIDTH > 1 || (s->source_slope && all(is_finite(slope)));
+    const int given = s->source_slope && all(is_finite(slope));
     s->value_end = value;
     s->slope_end = given ? slope : backward_slope(s, h, length, before);
     if (s->source_slope && !given) s->slope_end = where(is_finite(slope), slope, s->slope_end);

@@ -1,6 +1,6 @@
 /* Co-simulation of a group of machines in the lanes of a processor: the files of the engine that step a system, with one
-   double for each machine in a number. There are no calls: all values are in the instances of the models, which follow
-   cubics, and slopes of all outputs are known. */
+   double for each machine in a number. There are no calls: values and slopes are in the instances of the models, which
+   follow cubics. */
 
 #include <math.h>
 #include <stddef.h>
