@@ -93,10 +93,10 @@ PAGE, MARKS = Path(__file__).parents[1] / "docs/sweep.md", ("<!-- lanes -->\n", 
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine, its coupling with its step [s], head mass [kg] and stop time [s]; step None: adaptive."""
+    """A machine, coupling (None: suggested), step (None: adaptive or suggested) [s], head mass [kg]."""
 
     system: System
-    coupling: Coupling
+    coupling: Coupling | None
     step: float | None
     mass: float
     scenario: dict[str, list[float]] | None = None
@@ -106,7 +106,7 @@ class Machine:
     def options(self) -> dict[str, Any]:
         """Of `batch` and `run`."""
         steps = {"record_step": 0.01} if self.step is None else {"step": self.step}
-        return {"master": self.coupling, "stop": self.stop, **steps}
+        return ({"master": self.coupling} if self.coupling else {}) | {"stop": self.stop} | steps
 
     def lanes(self) -> BatchResult:
         """All outputs in lanes."""
