@@ -113,8 +113,8 @@ def variable_groups(
     def state(name: str, q: Quantity) -> Variable:
         output = outputs.get(name)
         if output is not None and output.watched:
-            q = replace(q, warn_above=output.warn_above, warn_below=output.warn_below)
-            q = replace(q, meaning=output.meaning)
+            limits = {name: getattr(output, name) for name in ("warn_above", "warn_below", "meaning")}
+            q = replace(q, **limits)
         if name in calculated:
             return Variable(name, "CALCULATED_STATE", q, None, output=output is not None)
         return Variable(name, "STATE", q, values.x[name], output=output is not None)

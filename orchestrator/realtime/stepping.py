@@ -101,9 +101,9 @@ def _loop(
             number += 1
             shared.write_frame(number, stepper.t, stepper.axes, stepper.values)
             _publish(shared, number, clock, began, length)
-            if (doubt := stepper.unreliable) != (before := details.get("unreliable", "")):
+            if (doubt := stepper.unreliable) != details.get("unreliable", ""):
+                details["notes"] += [] if "unreliable" in details else [f"at t = {stepper.t:.3g} s: {doubt}"]
                 details["unreliable"] = doubt
-                details["notes"] += [f"at t = {stepper.t:.3g} s: {doubt}"] if doubt and not before else []
                 shared.set_state("running", json.dumps(details))
             clock.done(length)
 

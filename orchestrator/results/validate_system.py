@@ -138,7 +138,7 @@ def judge(
         machine=machine,
         warnings=result.card.warnings,
         notes=result.card.notes,
-        caution=". ".join(filter(None, (*result.card.unreliable, another_model(result.system, reference)))),
+        caution="; ".join(filter(None, (*result.card.unreliable, another_model(result.system, reference)))),
     )
     with doing(f"drawing {len(report.figures)} figures"):
         return validation, *reporting.write_report(out / "report.html", report)

@@ -199,7 +199,9 @@ def test_a_command_leaves_its_dead_band_to_the_side_that_holds_the_load(side, lo
 def test_a_joint_is_held_on_oil_that_only_leakage_lets_out():
     """A check valve fills a chamber in milliseconds, leakage empties it in hours: p = load at rest."""
     load, gain, leakage, opening = 0.5, 40.0, 1e-4, 0.003
-    valve = lambda u: np.sign(u) * gain * max(abs(u) - 0.06, 0.0)  # noqa: E731
+
+    def valve(u):
+        return np.sign(u) * gain * max(abs(u) - 0.06, 0.0)
 
     def rate(x, u):
         return [
