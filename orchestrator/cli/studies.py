@@ -145,7 +145,7 @@ def sweep(
 ) -> bool:
     """Run a parameter study on all cores.
 
-    An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
+    An interrupted study continues when it is started again. The exit status is 1 if no run succeeded, or none is reliable.
 
     study       Description of the study: what is varied, what is run, and which results are kept.
     out         Folder of the results; default: build/sweeps/STUDY.
@@ -155,7 +155,7 @@ def sweep(
     no_report   Leave out the page report.html.
     """
     require("sweep", "harvester sweep")
-    from orchestrator.lanes.group import FAILED
+    from orchestrator.lanes.group import FAILED, NOT_RELIABLE
     from orchestrator.studies import parameter_study, read_study
 
     chosen = read_study(study)
@@ -174,4 +174,4 @@ def sweep(
         from orchestrator.studies.report import study_page
 
         print(f"report: {study_page.report(folder)}")
-    return bool((table["status"] != FAILED).any())
+    return not table["status"].isin((FAILED, NOT_RELIABLE)).all()
