@@ -145,7 +145,8 @@ def sweep(
 ) -> bool:
     """Run a parameter study on all cores.
 
-    An interrupted study continues when it is started again. The exit status is 1 if no run succeeded, or none is reliable.
+    An interrupted study continues when it is started again. The exit status is 1 if no run succeeded, or none
+    is reliable.
 
     study       Description of the study: what is varied, what is run, and which results are kept.
     out         Folder of the results; default: build/sweeps/STUDY.

@@ -379,28 +379,21 @@ class Group:
         self._sim.has_stepped = self._has_stepped.ctypes.data
         self._scenario: Any = None
         if lanes.driven:  # the inputs that the scenario drives, and memory for commands in its place
-            self._driven_ends = vectors(2, lanes.driven)
+            self._ends = vectors(2, lanes.driven)
             self._commands = vectors(lanes.scenario["width"])
             self._scenario_memory = aligned(ctypes.sizeof(h.Scenario))
             self._scenario = h.Scenario.from_buffer(self._scenario_memory)
             for name, value in lanes.scenario.items():
                 setattr(self._scenario, name, value)
-            self._scenario.at_end, self._scenario.at_midpoint = (
-                ends.ctypes.data for ends in self._driven_ends
-            )
+            self._scenario.at_end, self._scenario.at_midpoint = (ends.ctypes.data for ends in self._ends)
             self._sim.scenario = ctypes.addressof(self._scenario)
-        # of the energy monitor: memory for values, and sums of each bond, shape (3, bonds, lanes)
-        self._scales = np.array([bond.scale for bond in lanes.bonds]).reshape(-1, 1)
-        count, memory = len(lanes.bonds), self._instances.memory.size // (8 * LANES)
-        self._energy, self._sums, self._ends = (
-            vectors(3, 2 * count + 1),
-            vectors(3, count),
-            vectors(2, memory),
-        )
-        for name, array in zip(("start", "used_start", "used_end"), self._energy, strict=True):
-            setattr(self._sim.energy, name, array.ctypes.data)
-        self._sim.energy.sums, self._sim.energy.read_values = self._sums.ctypes.data, base
-        self._sim.input_ends, self._sim.real_count = self._ends.ctypes.data, memory
+        # memory of the energy monitor; its sums have the shape (3, bonds, lanes)
+        bonds, self._sim.real_count = len(lanes.bonds), self._instances.memory.size // (8 * LANES)
+        self._sums, self._input_ends = vectors(3, bonds), vectors(2, self._sim.real_count)
+        self._energy, energy = vectors(3, 2 * bonds + 1), self._sim.energy
+        energy.start, energy.used_start, energy.used_end = (array.ctypes.data for array in self._energy)
+        energy.sums, energy.read_values = self._sums.ctypes.data, base
+        self._sim.input_ends = self._input_ends.ctypes.data
         self._time, self._alive = np.ctypeslib.as_array(self._sim.t), np.ctypeslib.as_array(self._sim.alive)
         self._length = np.ctypeslib.as_array(self._sim.length)
 
@@ -486,7 +479,7 @@ class Group:
 
     def doubted(self) -> dict[int, Ended]:
         """The machines that have failed or are not reliable, by lane."""
-        found, (residual, _, exchanged) = dict(self.ended()), self._sums * self._scales
+        found, (residual, _, exchanged) = dict(self.ended()), self._energies()
         for lane in np.flatnonzero(energies_above(residual, exchanged).any(axis=0)).tolist():
             lines = unreliable_energies(self.energies(lane))
             found.setdefault(lane, Ended(NOT_RELIABLE, "; ".join(lines), self._time[lane]))
@@ -494,11 +487,12 @@ class Group:
 
     def energies(self, lane: int) -> list[BondEnergy]:
         """The energies of all bonds of a machine until now."""
-        sums = self._sums[:, :, lane].T
-        return [
-            BondEnergy(b.name, *(b.scale * of_bond))
-            for b, of_bond in zip(self.lanes.bonds, sums, strict=True)
-        ]
+        pairs = zip(self.lanes.bonds, self._energies()[:, :, lane].T, strict=True)
+        return [BondEnergy(bond.name, *sums) for bond, sums in pairs]
+
+    def _energies(self) -> Array:
+        """Residual, turnover and exchanged energy [J], shape (3, bonds, lanes)."""
+        return np.multiply(self._sums, np.array([[bond.scale] for bond in self.lanes.bonds]).reshape(-1, 1))
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""
