@@ -492,7 +492,8 @@ class Group:
 
     def _energies(self) -> Array:
         """Residual, turnover and exchanged energy [J], shape (3, bonds, lanes)."""
-        return np.multiply(self._sums, np.array([[bond.scale] for bond in self.lanes.bonds]).reshape(-1, 1))
+        scales = np.array([bond.scale for bond in self.lanes.bonds], np.float64)
+        return self._sums * scales[:, None]
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""
