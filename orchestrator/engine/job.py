@@ -24,7 +24,7 @@ from orchestrator.engine.result import (
 from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.time_grid import SAME_TIME, Grid
 from orchestrator.fmi.messages import Log
-from orchestrator.ssp.coupling import GUARD_TOLERANCE, Coupling
+from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
 from orchestrator.worker.process import WorkerLimits
@@ -223,11 +223,9 @@ def with_default_guard(system: System, step: float | None) -> System:
     if not shorter:
         return system
     note = f"{first_names(shorter)}: steps of {min(shorter.values()):g} s are suggested"
-    guard = replace(coupling, guard=GUARD_TOLERANCE)
+    guard = replace(coupling, guard=SHORTER_STEP_GUARD)
     if not guarded(system, guard):
         return replace(system, notes=(*system.notes, f"{note}; this run has steps of {length:g} s"))
-    reason = (
-        f"those of {length:g} s are divided where an input is off by more than {GUARD_TOLERANCE:g} (guard)"
-    )
+    reason = f"those of {length:g} s are divided where an input is off by {SHORTER_STEP_GUARD:g} (guard)"
     suggestion = replace(system.suggestion, coupling=guard)
     return replace(system, suggestion=suggestion, notes=(*system.notes, f"{note}; {reason}"))

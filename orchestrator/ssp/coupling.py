@@ -27,6 +27,9 @@ PASS_TOLERANCE_RATIO = 0.3  # tolerance of the passes over the tolerance of an a
 # Estimated error above which an equal step is divided. On the work cycle up to 20 ms only steep changes of a
 # load-sensing pressure reach it.
 GUARD_TOLERANCE = 1e-2
+# Where an FMU suggests a shorter step: near the limit of stability all defects of a flow have one sign, so its
+# mean is off by about as much.
+SHORTER_STEP_GUARD = 5e-3
 GUARDED_MASTERS = ("hermite", "interface-jacobian")
 SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s], defaults of adaptive runs
 
@@ -206,8 +209,8 @@ class CouplingArguments(TypedDict, total=False):
     guard                Without `adaptive`: divide a step if the estimated error of a signal exceeds TOL
                          times its magnitude, or if the scenario has a corner inside the step; all components
                          must be able to restore their states; 0: never; default: 0.01 for hermite and
-                         interface-jacobian, and if an FMU suggests a shorter step than the system does, else
-                         0.
+                         interface-jacobian; else 0.005 if an FMU suggests a shorter step than the system
+                         does, or 0.
     smallest             With `adaptive`: shortest step [s], accepted with any error; default: 1e-7.
     largest              With `adaptive`: longest step [s]; default: 0.1.
     """

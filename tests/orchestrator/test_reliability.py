@@ -20,7 +20,7 @@ from orchestrator.engine.result import (
     unreliable_energies,
     unreliable_errors,
 )
-from orchestrator.ssp.coupling import GUARD_TOLERANCE, Suggestion
+from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Suggestion
 from orchestrator.ssp.write import write_ssp
 
 ROUGH = {"master": "jacobi", "step": 0.02, "stop": 1.0}  # a delay of 0.02 s feeds the spring with energy
@@ -181,7 +181,7 @@ def test_a_step_above_a_suggested_one_is_guarded(oscillator):
     system = suggesting(oscillator, 2.5e-4)
     for step, text in ((None, "0.001"), (4e-4, "0.0004"), (1e-2, "0.01")):
         guarded = with_default_guard(system, step)
-        assert guarded.coupling.guard == GUARD_TOLERANCE
+        assert guarded.coupling.guard == SHORTER_STEP_GUARD
         expected = f"mass: steps of 0.00025 s are suggested; those of {text} s are divided where"
         assert guarded.notes[-1].startswith(expected)
 
