@@ -27,7 +27,7 @@ PASS_TOLERANCE_RATIO = 0.3  # tolerance of the passes over the tolerance of an a
 # Estimated error above which an equal step is divided. On the work cycle up to 20 ms only steep changes of a
 # load-sensing pressure reach it.
 GUARD_TOLERANCE = 1e-2
-# Where an FMU suggests a shorter step: near the limit of stability all defects of a flow have one sign, so its
+# Where an FMU suggests a shorter step. Near the limit of stability all defects of a flow have one sign: its
 # mean is off by about as much.
 SHORTER_STEP_GUARD = 5e-3
 GUARDED_MASTERS = ("hermite", "interface-jacobian")
