@@ -129,8 +129,7 @@ class AccuracySearch:
         self.accuracy, self.decisive = accuracy, decisive_signals(system, execution.accuracy_of)
         self._execution = execution
         self._nominals = {name: system.variable(system.port(name)).nominal for name in self.decisive}
-        self._base, self.runs = step_length(system.coupled(Coupling()), None), 0
-        self._least, self._idle = math.inf, 0
+        self._least, self._idle, self.runs = math.inf, 0, 0
         self._previous: Result | None = None
         self._tolerance = execution.tolerance or fmu_tolerance(accuracy)
         self._repeats = all(i.rollback for i in interfaces)
@@ -142,6 +141,9 @@ class AccuracySearch:
         self._causes = [str(port) for port in sources if not (divided and followed(system, port))]
         self._jumping, self._hidden = set[str](), list[str]()
         known = self._estimates and all(followed(system, port) for port in sources)
+        # an estimate proves longer steps than an FMU suggests
+        suggested = system.step if known else None
+        self._base = step_length(system.coupled(Coupling()), suggested)
         self._longest = math.inf if known else self._base / GOLDEN
         self._has_rate_wires = not targets.isdisjoint(system.rate_ports.values())
         self.settings = self._best = self._first()
