@@ -245,7 +245,7 @@ class Network:
         self._influential = influential_inputs(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
-        self.rates = scenario.rates(system) if scenario else {}
+        self.scenario, self.rates = scenario, scenario.rates(system) if scenario else {}
         driven = [*scenario.columns, *self.rates] if scenario else []
         output_blocks, input_blocks = self._allocate(recorded, driven)
         self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
@@ -312,6 +312,9 @@ class Network:
             source=at(array.indices(c.source for c in connections)),
             target=at(array.indices(c.target for c in connections)),
             **({} if identity else {name: at(values) for name, values in maps.items()}),
+            table=binding.value_table(
+                (array.index[c.source], array.index[c.target], c.map) for c in connections
+            ),
             count=len(connections),
             array=binding.array_of(array.values),
         )
@@ -330,7 +333,8 @@ class Network:
             outputs |= {c.source: (LOOP_STAGE - i,) for c in cycle.connections}
             inputs |= {c.target: (LOOP_STAGE - i,) for c in cycle.connections}
         inputs |= {p: (SCENARIO_STAGE,) for p in driven}
-        others = self.system.exposed if recorded is None else recorded
+        read = [o.source for o in self.system.outputs.values() if o.source.component]  # also local variables
+        others = [*self.system.exposed, *read] if recorded is None else recorded
         outputs |= {p: (last_stage,) for p in others if p not in outputs and p not in inputs}
         output_blocks, input_blocks = Blocks(), Blocks()
         for array in (self.reals, self.integers):

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.units import IDENTITY
 from orchestrator.data.trace_writer import Points, RowLayout, TraceSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.network import Network
@@ -30,7 +31,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Call, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.power_bonds import Bond
-from orchestrator.ssp.system import Port
+from orchestrator.ssp.system import Outlet, Port
 
 BLOCK = 256  # points between two calls of `collect`, at most
 Array = NDArray[np.float64]
@@ -84,31 +85,53 @@ class Recorder:
         ports = [p for p in all_ports if _is_applied(network, p)] if selected is None else list(selected)
         self._reals = [p for p in ports if p in network.reals.index]
         self._integers = [p for p in ports if p in network.integers.index]
-        self.layout = self._layout(ports if selected is not None else _ordered(network, ports), times.every)
+        whole = selected is None
+        self.layout = self._layout(_ordered(network, ports) if whole else ports, times.every, whole)
         self.block = PointBlock(self.layout, network.binding.allocate("rows", PointBlock.size(self.layout)))
         self._between: Points | None = None  # the latest point, if it is not on the grid
         self._struct: Any = None
         sink.begin(self.layout, times.rows + 1)
 
-    def _layout(self, ports: Sequence[Port], every: int) -> RowLayout:
+    def _layout(self, ports: Sequence[Port], every: int, whole: bool) -> RowLayout:
         system = self._network.system
         column = {p: k for k, p in enumerate([*self._reals, *self._integers])}
-        sources = {str(p): (p, 1.0, 0.0, system.variable(p).unit) for p in ports}
+        sources = {str(p): (p, IDENTITY, system.variable(p).unit) for p in ports}
         for outlet in system.outputs.values():
             if outlet.source in column:
-                sources[outlet.name] = (outlet.source, outlet.map.factor, outlet.map.offset, outlet.unit)
-        maps = [s[1:3] for name, s in sources.items() if name in system.outputs]
+                sources[outlet.name] = (outlet.source, outlet.map, outlet.unit)
+        times, passed = self._passed() if whole else (np.zeros(1), {})
+        units = {name: unit for name, (*_, unit) in sources.items()} | {o.name: o.unit for o in passed}
         return RowLayout(
-            names=tuple(sources),
-            units={name: unit.name for name, (*_, unit) in sources.items() if unit},
+            names=(*sources, *(outlet.name for outlet in passed)),
+            units={name: unit.name for name, unit in units.items() if unit},
             columns=np.array([column[port] for port, *_ in sources.values()], np.intp),
             scaled=[k for k, name in enumerate(sources) if name in system.outputs],
-            factors=[factor for factor, _ in maps],
-            offsets=[offset for _, offset in maps],
+            maps=[linear for name, (_, linear, _) in sources.items() if name in system.outputs],
+            times=times,
+            passed=np.stack([*passed.values()], axis=1) if passed else np.zeros((len(times), 0)),
             reals=len(self._reals),
             integers=len(self._integers),
             every=every,
         )
+
+    def _passed(self) -> tuple[Array, dict[Outlet, Array]]:
+        """Outputs of the system that pass one of its inputs on: times [s], and values at them.
+
+        Each sample has two rows, before and after a jump.
+        """
+        system, scenario = self._network.system, self._network.scenario
+        times = np.repeat(scenario.table.arrays[0], 2) if scenario else np.zeros(2)
+        found = dict[Outlet, Array]()
+        for outlet in (o for o in system.outputs.values() if not o.source.component):
+            variable = system.variable(outlet.source)
+            start = system.start_of(system.inputs[variable.name])
+            if scenario and outlet.source in scenario.passed:
+                values = np.repeat(scenario.table.arrays[1][1:, scenario.passed[outlet.source]], 2)
+                steps = np.rint(np.append(values[:1], values[:-1]))
+                found[outlet] = outlet.map(values if variable.is_real else steps)
+            elif start is not None and variable.kind != "String":
+                found[outlet] = outlet.map(np.full(len(times), float(start)))
+        return times, found
 
     def fill(self, binding: Binding) -> None:
         """Fill the C structure; if all Real values are recorded, C copies their whole array."""
@@ -162,17 +185,15 @@ class Recorder:
 
 
 def _is_applied(network: Network, port: Port) -> bool:
-    """False for a rate that follows from a scenario, and for a command that is replaced.
+    """False for a rate that follows from a scenario, and for a command that the scenario replaces.
 
-    That is an output of a source that feeds nothing, named as an input.
+    That is an output of a replaced source, named as an input.
     """
     system = network.system
     if port in network.rates:
         return False
-    if system.components[port.component].interface.of("input") or port in (
-        *(c.source for c in system.connections),
-        *(outlet.source for outlet in system.outputs.values()),
-    ):
+    read = (outlet.source for outlet in system.outputs.values())
+    if port.component not in system.driven_instead or port in read:
         return True
     others = (component.interface for name, component in system.components.items() if name != port.component)
     return all(port.variable not in interface.variables for interface in others)

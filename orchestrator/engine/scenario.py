@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,10 +79,14 @@ class ScenarioTable:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Inputs and the columns of a table that drive them: input -> column and linear map."""
+    """Inputs and the columns of a table that drive them: input -> column and linear map.
+
+    passed   inputs of the system that are passed to its outputs -> column
+    """
 
     table: ScenarioTable
     columns: Mapping[Port, tuple[int, LinearTransformation]]
+    passed: Mapping[Port, int] = field(default_factory=dict)
 
     def released(self, system: System) -> System:
         """The system without the connections that the scenario replaces.
@@ -102,7 +106,12 @@ class Scenario:
         kept = (
             c for c in system.connections if c not in replaced and c.source.component not in signal_sources
         )
-        return replace(system, connections=tuple(kept), notes=(*system.notes, *notes))
+        return replace(
+            system,
+            connections=tuple(kept),
+            notes=(*system.notes, *notes),
+            driven_instead=(*system.driven_instead, *signal_sources),
+        )
 
     def rates(self, system: System) -> dict[Port, Port]:
         """The inputs that are declared as time derivatives of driven inputs, and these inputs."""
@@ -134,7 +143,7 @@ class Scenario:
             if variable.is_real:
                 values[port] = linear(float((interpolated if variable.is_continuous else sampled)[column]))
             else:
-                values[port] = round(float(sampled[column]))
+                values[port] = int(linear(float(round(float(sampled[column])))))
         for rate, port in self.rates(system).items():
             column, linear = self.columns[port]
             values[rate] = linear.factor * float(self.table.slope(t)[column])
@@ -159,7 +168,8 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
     for port, (k, _) in columns.items():
         _check_integers(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
-    return Scenario(ScenarioTable(trace.time, table), columns)
+    passed = {Port("", name): k for k, name in enumerate(trace.signals) if system.passed(name)}
+    return Scenario(ScenarioTable(trace.time, table), columns, passed)
 
 
 def _check_integers(variable: FmuVariable, values: NDArray[np.float64], context: str) -> None:
@@ -184,10 +194,10 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
         raise Problem(
             f"{label}: column {name!r} is not an input of the system{suggestion}; {found}"
         ) from None
-    for port, _ in () if name in system.inputs else targets:
+    for port, _ in targets:
         variable = system.variable(port)
         if variable.causality != "input" or variable.kind == "String":
-            got = f"{variable.kind} {variable.causality}"
+            got = f"{variable.kind} {variable.causality}{f' {port}' * (name != str(port))}"
             raise Problem(f"{label}: column {name!r}: expected an input, got a {got}")
     return targets
 
@@ -229,9 +239,11 @@ class DrivenInputs:
         self.rates = np.array([reals[r] for r in rates], dtype=np.int64)
         self.rate_columns = np.array([column for column, _ in rates.values()], dtype=np.int64)
         self.rate_factor = np.array([linear.factor for _, linear in rates.values()])
-        maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete)]
-        self.factor, self.discrete_factor = (np.array([m.factor for m in group]) for group in maps)
-        self.offset, self.discrete_offset = (np.array([m.offset for m in group]) for group in maps)
+        maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete, others)]
+        self.factor, self.discrete_factor, factors = (np.array([m.factor for m in group]) for group in maps)
+        self.offset, self.discrete_offset, offsets = (np.array([m.offset for m in group]) for group in maps)
+        self.integer_factor, self.integer_offset = factors.astype(np.int32), offsets.astype(np.int32)
+        self.mapped = [(columns[p][0], integers[p], columns[p][1]) for p in others]
         self.at_end, self.at_midpoint = np.zeros(len(self.continuous)), np.zeros(len(self.continuous))
 
     def members(self, at: Callable[[NDArray[Any]], int], inputs: Sequence[int]) -> dict[str, int]:
@@ -241,7 +253,7 @@ class DrivenInputs:
         """
         arrays = dict(zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True))
         names = "columns targets factor offset discrete_columns discrete discrete_factor discrete_offset"
-        names += " integer_columns integers rates rate_columns rate_factor"
+        names += " integer_columns integers integer_factor integer_offset rates rate_columns rate_factor"
         arrays |= {name: getattr(self, name) for name in names.split()}
         return {name: at(array) for name, array in arrays.items()} | {
             "samples": len(arrays["time"]),
@@ -259,6 +271,7 @@ class DrivenInputs:
             **self.members(binding.at, inputs),
             **binding.all_at(self, "at_end at_midpoint"),
             evaluated_at=np.nan,
+            table=binding.value_table(self.mapped),
             input_writes=binding.program(self.set_calls),
         )
         binding.simulation.scenario = binding.pointer(struct)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
@@ -108,16 +109,23 @@ class Connection:
 
 @dataclass(frozen=True)
 class Inlet:
-    """An input of the system and the component inputs that it feeds."""
+    """An input of the system and the component inputs that it feeds.
+
+    type, items   of its connector; items of an enumeration: name -> value
+    start         value without a scenario, if an output of the system passes it on
+    """
 
     name: str
     unit: DeclaredUnit | None
     targets: tuple[tuple[Port, LinearTransformation], ...]
+    type: str = "Real"
+    items: Mapping[str, int] = field(default_factory=dict)
+    start: Value | None = None
 
 
 @dataclass(frozen=True)
 class Outlet:
-    """An output of the system and the component output that gives its value."""
+    """An output of the system and its source: an output of a component, or an input of the system."""
 
     name: str
     unit: DeclaredUnit | None
@@ -133,6 +141,7 @@ class System:
     warnings     the same, where the result may be wrong for its purpose
     suggestion   suggested master and step, from the file of the system
     shared       parameter -> components in which a parameter of this name is the same physical quantity
+    driven_instead   components without inputs that a scenario replaces
     """
 
     name: str
@@ -147,6 +156,7 @@ class System:
     warnings: tuple[str, ...] = ()
     suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    driven_instead: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         components = first_names(self.components, 8)
@@ -267,6 +277,27 @@ class System:
         without = "" if self.components[component].has_start(name) else " without a start value"
         return f"causality {variable.causality} and type {variable.kind}{unit}{without}"
 
+    def passed(self, name: str) -> list[Outlet]:
+        """The outputs of the system that pass an input of the system on."""
+        return [outlet for outlet in self.outputs.values() if outlet.source == Port("", name)]
+
+    def without_effect(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Notes on inputs of the system that feed nothing."""
+        idle = [n for n in names if n in self.inputs and not self.inputs[n].targets and not self.passed(n)]
+        return tuple(f"{name} has no effect: this input of the system feeds nothing" for name in idle)
+
+    def start_of(self, inlet: Inlet) -> Value | None:
+        """The start value of an input of the system, if need be from the first input that it feeds."""
+        if inlet.start is not None:
+            return inlet.start
+        for port, linear in inlet.targets[:1]:
+            value = self.components[port.component].value(port.variable)
+            if linear == IDENTITY and value == value:  # not NaN: there is a start value
+                return value
+            if linear.factor and not linear.table and value == value:
+                return (float(value) - linear.offset) / linear.factor
+        return None
+
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
         return (
@@ -317,7 +348,10 @@ class System:
         return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
 
     def variable(self, port: Port) -> FmuVariable:
-        """The declaration of a port."""
+        """The declaration of a port, or of an input of the system."""
+        if not port.component and port.variable in self.inputs:
+            inlet = self.inputs[port.variable]
+            return FmuVariable(inlet.name, type=inlet.type, causality="input", unit=inlet.unit)
         return self.components[port.component].interface.variables[port.variable]
 
     def unit(self, port: Port) -> DeclaredUnit | None:
@@ -341,18 +375,24 @@ class System:
         """
         connected = {c.target: c for c in self.connections}
         start: dict[str, dict[str, Value]] = {name: {} for name in self.components}
+        inputs = dict(self.inputs)
         for name, given in values.items():
+            items = inputs[name].items if name in inputs else {}
+            if self.passed(name):
+                value, to_unit = self._without_unit(name, Port("", name), given)
+                start_value = coerce(name, self.variable(Port("", name)), value, to_unit, items)
+                inputs[name] = replace(inputs[name], start=start_value)
             for port, linear in self.targets(name):
                 if port in connected:
                     reason = f"the input is connected ({connected[port]})"
                     raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
                 check_settable(port, self.components[port.component].interface)
                 value, to_unit = self._without_unit(name, port, given)
-                converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
+                converted = coerce(str(port), self.variable(port), value, to_unit.then(linear), items)
                 check_bounds(str(port), self.variable(port), converted)
                 start[port.component][port.variable] = converted
         components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
-        system = replace(self, components=components)
+        system = replace(self, components=components, inputs=inputs)
         for component in components.values():
             for name, value in component.start.items():
                 where = f"{self.source or self.name}: {component.name}.{name}"
@@ -444,9 +484,17 @@ def check_bounds(context: str, variable: FmuVariable, value: Value, remark: str 
 
 
 def coerce(
-    context: str, variable: FmuVariable, value: Value | str, linear: LinearTransformation = IDENTITY
+    context: str,
+    variable: FmuVariable,
+    value: Value | str,
+    linear: LinearTransformation = IDENTITY,
+    items: Mapping[str, int] = MappingProxyType({}),
 ) -> Value:
-    """A value, also as text from a command line or an XML file, in the type of a variable."""
+    """A value, also as text from a command line or an XML file, in the type of a variable.
+
+    items   of the enumeration of the connector that the value is for
+    """
+    check_map(context, variable, linear)
     text = str(value).strip()
     try:
         if variable.kind == "Real":
@@ -454,10 +502,10 @@ def coerce(
         if variable.kind == "String":
             return str(value)
         if variable.kind == "Boolean":
-            return {"true": True, "1": True, "false": False, "0": False}[text.lower()]
-        if text in variable.items:
-            return variable.items[text]
-        return integer(text)
+            return bool(linear({"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}[text.lower()]))
+        names = items if linear != IDENTITY and text in items else variable.items or items
+        number = names[text] if text in names else integer(text)
+        return number if linear == IDENTITY else int(linear(float(number)))
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
         raise Problem(f"{context}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
@@ -475,7 +523,22 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
     if y.value_type != u.value_type or y.kind == "String":
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
-    if not y.is_real and not (linear.factor.is_integer() and linear.offset.is_integer()):
-        got = f"{linear.factor:g} and {linear.offset:g}"
-        raise Problem(f"{connection}: expected integer factor and offset, got {got}")
+    check_map(str(connection), u, linear)
     return connection
+
+
+def check_fed(where: str, variable: FmuVariable) -> None:
+    """Raise Problem if an input of the system feeds a variable that the FMU computes itself."""
+    if variable.causality not in (*TARGETS, "structuralParameter"):
+        raise Problem(f"{where}: expected an input or a parameter, got {variable.causality}")
+
+
+def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -> None:
+    """Raise Problem if values of a variable cannot be transformed so."""
+    if variable.is_real and linear.table:
+        raise Problem(f"{where}: expected a LinearTransformation of a Real, got a mapping of values")
+    if variable.kind == "String" and linear != IDENTITY:
+        raise Problem(f"{where}: expected no transformation of a String, got one")
+    if not (variable.is_real or (linear.factor.is_integer() and linear.offset.is_integer())):
+        got = f"{linear.factor:g} and {linear.offset:g}"
+        raise Problem(f"{where}: expected integer factor and offset, got {got}")

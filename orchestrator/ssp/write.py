@@ -160,14 +160,11 @@ def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
 
     Without it some tools set zero.
     """
-    for port, linear in inlet.targets[:1]:
-        variable = replace(s.variable(port), unit=inlet.unit)
-        value = s.components[port.component].value(port.variable)
-        if linear == IDENTITY and value == value:  # not NaN: there is a start value
-            return variable, value
-        if linear.factor and value == value:
-            return variable, (float(value) - linear.offset) / linear.factor
-    return None
+    value = s.start_of(inlet)
+    if value is None:
+        return None
+    variable = s.variable(inlet.targets[0][0] if inlet.targets else Port("", inlet.name))
+    return replace(variable, unit=inlet.unit), value
 
 
 def _connections(

@@ -61,7 +61,11 @@ int scenario_set_inputs(Simulation *sim, Real t) {
     const double *base = d->base + interval_at(d, 0, machine(t, 0)) * d->width;
     for (int32_t i = 0; i < d->discrete_count; i++)
         sim->reals[d->discrete[i]] = base[d->discrete_columns[i]] * d->discrete_factor[i] + d->discrete_offset[i];
-    for (int32_t i = 0; i < d->integer_count; i++)
-        sim->integers[d->integers[i]] = (int32_t)rint(base[d->integer_columns[i]]);
+    for (int32_t i = 0; i < d->integer_count; i++) {
+        const int32_t value = (int32_t)rint(base[d->integer_columns[i]]);
+        sim->integers[d->integers[i]] = value * d->integer_factor[i] + d->integer_offset[i];
+    }
+    for (int32_t i = 0; d->table && i < d->table->count; i++)
+        if (rint(base[d->table->source[i]]) == d->table->from[i]) sim->integers[d->table->target[i]] = d->table->to[i];
     return execute(sim, &d->input_writes);
 }
