@@ -54,7 +54,6 @@ class RowLayout:
     scaled            indices of the signals that are outputs of the system, with `maps` from their sources
     reals, integers   number of values of a point
     every             every `every`-th communication point is recorded
-    passed            inputs that the system passes on: the last signals, over `times` [s], shape (times, n)
     """
 
     names: tuple[str, ...]
@@ -65,30 +64,24 @@ class RowLayout:
     reals: int = 0
     integers: int = 0
     every: int = 1
-    times: Array = field(default_factory=lambda: np.zeros(1))
-    passed: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
     @property
     def consistent(self) -> bool:
         """Do all parts refer to values that a point has?"""
-        scaled = len(self.scaled) == len(self.maps) and self.passed.ndim == 2
-        scaled &= self.times.shape == self.passed.shape[:1] != (0,)
-        scaled &= all(0 <= k < len(self.columns) for k in self.scaled)
+        scaled = len(self.scaled) == len(self.maps) and all(0 <= k < len(self.names) for k in self.scaled)
         once = len(set(self.names)) == len(self.names)
         valid = min(self.reals, self.integers, self.every - 1) >= 0 and once
         inside = (self.columns >= 0) & (self.columns < self.reals + self.integers)
-        count = len(self.names) - self.passed.shape[-1]
-        each = inside.shape == (count,) and bool(inside.all())
+        each = inside.shape == (len(self.names),) and bool(inside.all())
         return scaled and valid and each
 
-    def values(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> Array:
+    def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
         """The signals at some points, shape (points, signals)."""
         points = np.hstack([reals, integers]) if self.integers else reals
         values = np.take(points, self.columns, axis=1)
         for k, linear in zip(self.scaled, self.maps, strict=True):
             values[:, k] = linear(values[:, k])
-        passed = [np.interp(times, self.times, column) for column in self.passed.T]
-        return np.column_stack([values, *passed]) if passed else values
+        return values
 
 
 class TraceSink:
@@ -110,7 +103,7 @@ class TraceSink:
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
         """Receive points of a run: times [s], shape (n,), Real and Integer values, shape (n, ...)."""
-        self.append(times, self.layout.values(times, reals, integers))
+        self.append(times, self.layout.values(reals, integers))
 
     def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
         """Receive estimated errors of outputs, shape (n, outputs); only a sink in memory keeps them."""

@@ -258,11 +258,9 @@ class Binding:
         rows = [row for row in rows if row[2] == int(row[2]) and abs(row[2]) <= LARGEST]
         if any(abs(after) > LARGEST for *_, after in rows):
             raise Problem(f"a mapping of values: expected whole numbers of at most {LARGEST}")
-        columns = zip(("source", "target", "from", "to"), zip(*rows, strict=True), strict=False)
-        arrays = {
-            n: self.at(np.array(v, np.int64 if n in ("source", "target") else np.int32)) for n, v in columns
-        }
-        return self.pointer(self.h.ValueTable(**arrays, count=len(rows))) if rows else None
+        kinds = (np.int64, np.int64, np.int32, np.int32)
+        arrays = [self.at(np.array(c, kind)) for c, kind in zip(zip(*rows, strict=True), kinds, strict=False)]
+        return self.pointer(self.h.ValueTable(*arrays, len(rows))) if rows else None
 
     def array_of(self, values: NDArray[Any]) -> int:
         """REAL or INTEGER, the array of the run that values belong to."""

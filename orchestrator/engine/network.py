@@ -216,6 +216,7 @@ class Network:
     driven           the inputs that a scenario drives; rates: their rate inputs, and they themselves
     reals, integers  arrays of the Real values, and of all others (Integer, Enumeration, Boolean)
     input_ends       shape (2, Real values): coupling inputs at both ends of a step; NaN for other signals
+    passed           inputs of the system that its outputs pass on, with their start values
     connections      connections to inputs
     loops            potential algebraic loops
     exchange_calls   all calls of one exchange, in order, except those for the driven inputs, which are set
@@ -245,9 +246,14 @@ class Network:
         self._influential = influential_inputs(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
-        self.scenario, self.rates = scenario, scenario.rates(system) if scenario else {}
+        self.rates = scenario.rates(system) if scenario else {}
         driven = [*scenario.columns, *self.rates] if scenario else []
         output_blocks, input_blocks = self._allocate(recorded, driven)
+        self.passed = system.passed_starts(scenario.passed if scenario else ())
+        for port in self.passed:
+            self._array(port).add(system, {port: ()})
+        for port, value in self.passed.items():
+            self._array(port).values[self._array(port).index[port]] = value
         self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
         self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)

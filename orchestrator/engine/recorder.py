@@ -31,7 +31,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Call, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.power_bonds import Bond
-from orchestrator.ssp.system import Outlet, Port
+from orchestrator.ssp.system import Port
 
 BLOCK = 256  # points between two calls of `collect`, at most
 Array = NDArray[np.float64]
@@ -80,58 +80,35 @@ class Recorder:
         self, network: Network, times: Grid, sink: TraceSink, selected: Sequence[Port] | None = None
     ) -> None:
         self._network, self._sink = network, sink
-        all_ports = [*network.reals.index, *network.integers.index]
+        all_ports = [p for p in (*network.reals.index, *network.integers.index) if p.component]
         # in the order of the arrays
         ports = [p for p in all_ports if _is_applied(network, p)] if selected is None else list(selected)
-        self._reals = [p for p in ports if p in network.reals.index]
-        self._integers = [p for p in ports if p in network.integers.index]
-        whole = selected is None
-        self.layout = self._layout(_ordered(network, ports) if whole else ports, times.every, whole)
+        passed = network.passed if selected is None else ()
+        self._reals = [p for p in (*ports, *passed) if p in network.reals.index]
+        self._integers = [p for p in (*ports, *passed) if p in network.integers.index]
+        self.layout = self._layout(ports if selected is not None else _ordered(network, ports), times.every)
         self.block = PointBlock(self.layout, network.binding.allocate("rows", PointBlock.size(self.layout)))
         self._between: Points | None = None  # the latest point, if it is not on the grid
         self._struct: Any = None
         sink.begin(self.layout, times.rows + 1)
 
-    def _layout(self, ports: Sequence[Port], every: int, whole: bool) -> RowLayout:
+    def _layout(self, ports: Sequence[Port], every: int) -> RowLayout:
         system = self._network.system
         column = {p: k for k, p in enumerate([*self._reals, *self._integers])}
         sources = {str(p): (p, IDENTITY, system.variable(p).unit) for p in ports}
         for outlet in system.outputs.values():
             if outlet.source in column:
                 sources[outlet.name] = (outlet.source, outlet.map, outlet.unit)
-        times, passed = self._passed() if whole else (np.zeros(1), {})
-        units = {name: unit for name, (*_, unit) in sources.items()} | {o.name: o.unit for o in passed}
         return RowLayout(
-            names=(*sources, *(outlet.name for outlet in passed)),
-            units={name: unit.name for name, unit in units.items() if unit},
+            names=tuple(sources),
+            units={name: unit.name for name, (*_, unit) in sources.items() if unit},
             columns=np.array([column[port] for port, *_ in sources.values()], np.intp),
             scaled=[k for k, name in enumerate(sources) if name in system.outputs],
             maps=[linear for name, (_, linear, _) in sources.items() if name in system.outputs],
-            times=times,
-            passed=np.stack([*passed.values()], axis=1) if passed else np.zeros((len(times), 0)),
             reals=len(self._reals),
             integers=len(self._integers),
             every=every,
         )
-
-    def _passed(self) -> tuple[Array, dict[Outlet, Array]]:
-        """Outputs of the system that pass one of its inputs on: times [s], and values at them.
-
-        Each sample has two rows, before and after a jump.
-        """
-        system, scenario = self._network.system, self._network.scenario
-        times = np.repeat(scenario.table.arrays[0], 2) if scenario else np.zeros(2)
-        found = dict[Outlet, Array]()
-        for outlet in (o for o in system.outputs.values() if not o.source.component):
-            variable = system.variable(outlet.source)
-            start = system.start_of(system.inputs[variable.name])
-            if scenario and outlet.source in scenario.passed:
-                values = np.repeat(scenario.table.arrays[1][1:, scenario.passed[outlet.source]], 2)
-                steps = np.rint(np.append(values[:1], values[:-1]))
-                found[outlet] = outlet.map(values if variable.is_real else steps)
-            elif start is not None and variable.kind != "String":
-                found[outlet] = outlet.map(np.full(len(times), float(start)))
-        return times, found
 
     def fill(self, binding: Binding) -> None:
         """Fill the C structure; if all Real values are recorded, C copies their whole array."""
@@ -178,6 +155,7 @@ class Recorder:
 
     def end_at(self, t: float, driven: Mapping[Port, Value]) -> None:
         """Make a last point at t [s] from the values that the FMUs have now, and those of driven inputs."""
+        driven = {**self._network.passed, **driven}
         values = {p: driven[p] if p in driven else self._network.slaves[p.component].get(p.variable)
                   for p in (*self._reals, *self._integers)}  # fmt: skip
         reals = np.array([[values[p] for p in self._reals]], float)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
-from orchestrator.base.units import LinearTransformation
+from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.data.trace import Trace
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.system import Port, System
@@ -222,8 +222,11 @@ class DrivenInputs:
         set_calls: Sequence[Call],
     ) -> None:
         """reals, integers: index of each port in the arrays of values; set_calls: set the driven inputs."""
-        columns, variables = scenario.columns, {port: system.variable(port) for port in scenario.columns}
-        self.continuous = [p for p, v in variables.items() if v.is_continuous]
+        of_system = {p: (k, IDENTITY) for p, k in scenario.passed.items() if p in reals or p in integers}
+        columns = {**scenario.columns, **of_system}
+        variables = {port: system.variable(port) for port in columns}
+        self.continuous = [p for p, v in variables.items() if v.is_continuous and p.component]
+        passed = [p for p, v in variables.items() if v.is_continuous and not p.component]
         discrete = [p for p, v in variables.items() if v.is_real and not v.is_continuous]
         others = [p for p, v in variables.items() if not v.is_real]
         self.table, self.set_calls = scenario.table, set_calls
@@ -235,6 +238,8 @@ class DrivenInputs:
             np.array([columns[p][0] for p in ports], dtype=np.int64)
             for ports in (self.continuous, discrete, others)
         )
+        self.passed = np.array([reals[p] for p in passed], dtype=np.int64)
+        self.passed_columns = np.array([columns[p][0] for p in passed], dtype=np.int64)
         rates = {r: columns[p] for r, p in scenario.rates(system).items()}
         self.rates = np.array([reals[r] for r in rates], dtype=np.int64)
         self.rate_columns = np.array([column for column, _ in rates.values()], dtype=np.int64)
@@ -254,6 +259,7 @@ class DrivenInputs:
         arrays = dict(zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True))
         names = "columns targets factor offset discrete_columns discrete discrete_factor discrete_offset"
         names += " integer_columns integers integer_factor integer_offset rates rate_columns rate_factor"
+        names += " passed passed_columns"
         arrays |= {name: getattr(self, name) for name in names.split()}
         return {name: at(array) for name, array in arrays.items()} | {
             "samples": len(arrays["time"]),
@@ -263,6 +269,7 @@ class DrivenInputs:
             "discrete_count": len(self.discrete),
             "integer_count": len(self.integers),
             "rate_count": len(self.rates),
+            "passed_count": len(self.passed),
         }
 
     def fill(self, binding: Binding, inputs: Sequence[int]) -> None:

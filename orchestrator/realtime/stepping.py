@@ -202,7 +202,7 @@ class LatestValues(TraceSink):
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
         """Keep the last of the points."""
         if len(times):
-            self.values[:] = self.layout.values(times[-1:], reals[-1:], integers[-1:])[0]
+            self.values[:] = self.layout.values(reals[-1:], integers[-1:])[0]
 
 
 class RecentEnergies:

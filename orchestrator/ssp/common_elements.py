@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
-from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.errors import Problem
 from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import XmlElement, boolean, integer
 
@@ -27,7 +27,6 @@ MAPPINGS: Mapping[str, Callable[[str], float]] = {
 }
 ENUMERATION_MAPPING = "EnumerationMappingTransformation"
 Items = Mapping[str, int]  # of an enumeration: name -> value
-Key = TypeVar("Key", str, float)
 
 
 # ---- units
@@ -85,26 +84,22 @@ def defined_units(units: Iterable[DeclaredUnit | None]) -> dict[str, dict[str, f
 
 
 class Transformation(NamedTuple):
-    """The transformation of a connection or mapping entry.
-
-    names   of an EnumerationMappingTransformation: item of the source -> item of the target
-    """
+    """The transformation of a connection or mapping entry; names: of items, source -> target."""
 
     linear: LinearTransformation = IDENTITY
     names: Mapping[str, str] = MappingProxyType({})
 
     def between(self, source: Items, target: Items, where: str) -> LinearTransformation:
         """The map between two connectors with these enumerations."""
-        ends = [(_value(a, source, where), _value(b, target, where)) for a, b in self.names.items()]
-        return replace(self.linear, table=tuple(sorted(ends))) if ends else self.linear
-
-
-def _value(name: str, items: Items, where: str) -> float:
-    """The value of an item of an enumeration."""
-    if name not in items:
-        there = f"one of {', '.join(items)}" if items else "a connector with an enumeration"
-        raise Problem(f"{where}: expected {there}, got the item {name!r}{suggest(name, items)}")
-    return float(items[name])
+        for name, items in (
+            end for names in self.names.items() for end in zip(names, (source, target), strict=True)
+        ):
+            if name not in items:
+                raise Problem(
+                    f"{where}: expected one of the items {', '.join(items) or 'none'}, got {name!r}"
+                )
+        table = ((float(source[a]), float(target[b])) for a, b in self.names.items())
+        return replace(self.linear, table=tuple(sorted(table))) if self.names else self.linear
 
 
 def read_transformation(element: XmlElement) -> Transformation:
@@ -125,15 +120,14 @@ def read_transformation(element: XmlElement) -> Transformation:
     return Transformation()
 
 
-def _table(mapping: XmlElement, read: Callable[[str], Key]) -> dict[Key, Key]:
+def _table(mapping: XmlElement, read: Callable[[str], Any]) -> dict[Any, Any]:
     """The table of a mapping, source -> target."""
-    table = dict[Key, Key]()
+    table = dict[Any, Any]()
     for e in mapping.children("MapEntry"):
         try:
             source, target = read(e.required("source")), read(e.required("target"))
         except ValueError as error:
-            kind = mapping.name.removesuffix("MappingTransformation")
-            raise e.problem(f"expected two values of type {kind}, got {str(error)!r}") from None
+            raise e.problem(f"expected values of {mapping.name}, got {str(error)!r}") from None
         if source in table:
             raise e.problem(f"expected each source once, got {e.get('source')!r} twice")
         table[source] = target

@@ -27,7 +27,6 @@ from orchestrator.ssp.system import (
     Port,
     System,
     check_connection,
-    check_fed,
     open_component,
 )
 from orchestrator.ssp.system_structure import (
@@ -106,7 +105,8 @@ def _connected(flat: FlatStructure, system: System) -> System:
         if source.component in flat.sources and target.component in flat.sources:
             connections.append(check_connection(system, source, target, linear))
         elif target.component in flat.sources:
-            check_fed(f"{source} -> {target}", system.variable(target))
+            if (causality := system.variable(target).causality) not in SINKS:
+                raise Problem(f"{source} -> {target}: expected one of {', '.join(SINKS)}, got {causality}")
         elif source.component and source.component not in flat.sources:
             notes.append(f"{target} is not recorded: nothing feeds {source}")
         else:
@@ -135,7 +135,8 @@ def _inlet(
     if unit and any(v.unit and v.unit.relative for v in variables):
         unit = replace(unit, relative=True)
     kind = declared.type or next((v.type for v in variables), "Real")
-    return Inlet(connector.variable, unit, tuple(targets), kind, declared.items)
+    items = {} if targets and all(linear == IDENTITY for _, linear in targets) else declared.items
+    return Inlet(connector.variable, unit, tuple(targets), kind, items)
 
 
 # ---- from FMU files

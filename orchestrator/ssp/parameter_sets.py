@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion, with_definition
 from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, TYPES, Value
-from orchestrator.ssp.common_elements import Items, read_transformation, read_units
+from orchestrator.ssp.common_elements import read_transformation, read_units
 from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable, coerce
 from orchestrator.ssp.system_structure import ParameterBinding, SignalPaths
@@ -25,7 +26,7 @@ TEXTS = ("String", "Enumeration", "Binary")  # of an array there is a Value each
 class ParameterValue(NamedTuple):
     """A value for a variable; its unit is converted (unless suppressed), then `map` is applied.
 
-    fault   why it cannot be a value of any variable; empty if it can
+    fault   why no variable can have it
     """
 
     name: str
@@ -67,24 +68,19 @@ def read_parameter_set(root: XmlElement, outer_units: Mapping[str, DeclaredUnit]
 
 
 def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
-    """Start values by component; outer bindings override inner ones, later ones override earlier ones.
-
-    The component "" has the inputs of the system.
-    """
+    """Start values by component, see `System.started`; outer and later bindings override others."""
     flat, system = signals.flat, signals.system
     start: dict[str, dict[str, Value]] = {name: {} for name in ["", *system.components]}
     for binding in flat.bindings:
         file = binding.element.file
         for value in _values(signals, binding):
             unmatched = True
-            for port, linear, items in _targets(signals, binding, value):
+            for port, linear, text in _targets(signals, binding, value):
                 variable, unmatched = system.variable(port), False
                 if value.fault:
                     raise Problem(value.fault)
                 if variable.settable:
-                    start[port.component][port.variable] = coerce(
-                        str(port), variable, value.text, linear, items
-                    )
+                    start[port.component][port.variable] = coerce(str(port), variable, text, linear)
                 else:
                     signals.notes.append(f"{file}: {port} is not set: the FMU computes this variable itself")
             if unmatched:
@@ -95,8 +91,8 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
 
 def _targets(
     signals: SignalPaths, binding: ParameterBinding, value: ParameterValue
-) -> Iterator[tuple[Port, LinearTransformation, Items]]:
-    """The variable that a value sets, or all that a connector feeds: with the map, the connector's items."""
+) -> Iterator[tuple[Port, LinearTransformation, str]]:
+    """The variable that a value sets, or all that a connector feeds, with the map from the value, and it."""
     flat, system = signals.flat, signals.system
     full = str(Port(binding.owner, value.name))
     for owner in sorted([*flat.sources, *flat.systems], key=len, reverse=True):
@@ -108,21 +104,20 @@ def _targets(
             interface.check_supported(name, f"parameter {full}")
             if name in interface.variables:
                 unit = system.variable(port).unit
-                yield port, value.map_to(unit, f"parameter {port}", signals.notes), {}
+                yield port, value.map_to(unit, f"parameter {port}", signals.notes), value.text
                 return
         connector = Port(owner, name)
         if owner in flat.systems and connector in flat.connectors:
-            items = flat.declared(connector).items
+            number = str(flat.declared(connector).items.get(value.text.strip(), value.text))
             for path in (p for p in signals.paths if connector in p.connectors):
-                if not path.target.component:  # an input that is passed on; other outputs have a source
-                    if connector == path.source:
-                        unit = system.variable(connector).unit
-                        yield connector, value.map_to(unit, f"parameter {connector}", signals.notes), items
-                    continue
                 unit = signals.unit(path, connector)
                 first = value.map_to(unit, f"parameter {connector}", signals.notes)
                 from_connector = replace(signals, notes=[]).map_from(path, connector, unit or value.unit)
-                yield path.target, first.then(from_connector), items
+                if path.target.component:
+                    linear = first.then(from_connector)
+                    yield path.target, linear, value.text if linear == IDENTITY else number
+                elif connector == path.source:  # an input that is passed on
+                    yield connector, first, number
             return
 
 
@@ -134,18 +129,20 @@ def _values(signals: SignalPaths, binding: ParameterBinding) -> list[ParameterVa
     mapping = binding.element.child("ParameterMapping")
     if mapping is None:
         return [value._replace(name=name) for name, value in values.items()]
-    mapped = dict[str, ParameterValue]()
+    mapped, used = dict[str, ParameterValue](), set[str]()
     for e in _content(signals, binding, mapping, MAPPING, "ParameterMapping").children("MappingEntry"):
-        source, target, transformation = e.required("source"), e.required("target"), read_transformation(e)
+        source, target, (linear, names) = e.required("source"), e.required("target"), read_transformation(e)
         if target in mapped:
             raise e.problem(f"expected each target once, got {target!r} twice")
         if source not in values:
             signals.notes.append(f"{e.location}: the parameter set has no {source!r}")
             continue
-        linear, names = transformation
-        text = names.get(values[source].text.strip(), values[source].text)
+        text, used = values[source].text, used | {source}
         suppressed = e.boolean("suppressUnitConversion")
+        text = names.get(text.strip(), text)
         mapped[target] = values[source]._replace(name=target, text=text, map=linear, suppressed=suppressed)
+    if left := values.keys() - used:
+        signals.notes.append(f"{content.file}: left out, not in the mapping: {first_names(sorted(left))}")
     return [*mapped.values()]
 
 
@@ -191,9 +188,7 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
                 continue
             for port, converted in _converted(system, file, value, notes):
                 start[port.component][port.variable] = converted
-        components = {n: c.chosen(start[n], str(chosen)) for n, c in system.components.items()}
-        inputs = {n: replace(i, start=start[""].get(n, i.start)) for n, i in system.inputs.items()}
-        system = replace(system, components=components, inputs=inputs, notes=(*system.notes, *notes))
+        system = replace(system, notes=(*system.notes, *notes)).started(start, str(chosen))
     return system
 
 
@@ -209,14 +204,14 @@ def _converted(
     if value.fault:
         raise Problem(value.fault)
     inlet = system.inputs.get(value.name)
-    items = inlet.items if inlet else {}
+    text = str(inlet.value(value.text)) if inlet else value.text
     if inlet and system.passed(value.name):
         port, to_unit = Port("", value.name), value.map_to(inlet.unit, context, notes)
-        yield port, coerce(context, system.variable(port), value.text, to_unit, items)
+        yield port, coerce(context, system.variable(port), text, to_unit)
     for port, linear in targets:
         check_settable(port, system.components[port.component].interface)
         first = value.map_to(inlet.unit if inlet else system.unit(port), context, notes)
-        converted = coerce(context, system.variable(port), value.text, first.then(linear), items)
+        converted = coerce(context, system.variable(port), text, first.then(linear))
         check_bounds(f"{file}: {port}", system.variable(port), converted)
         yield port, converted
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
@@ -111,8 +110,9 @@ class Connection:
 class Inlet:
     """An input of the system and the component inputs that it feeds.
 
-    type, items   of its connector; items of an enumeration: name -> value
-    start         value without a scenario, if an output of the system passes it on
+    type    of its connector
+    items   of the enumeration of its connector, if it is not that of all targets
+    start   value without a scenario, if an output of the system passes it on
     """
 
     name: str
@@ -121,6 +121,10 @@ class Inlet:
     type: str = "Real"
     items: Mapping[str, int] = field(default_factory=dict)
     start: Value | None = None
+
+    def value(self, given: Value | str) -> Value | str:
+        """A given value; that of an item instead of its name."""
+        return self.items.get(str(given).strip(), given)
 
 
 @dataclass(frozen=True)
@@ -281,6 +285,12 @@ class System:
         """The outputs of the system that pass an input of the system on."""
         return [outlet for outlet in self.outputs.values() if outlet.source == Port("", name)]
 
+    def passed_starts(self, driven: Iterable[Port]) -> dict[Port, float]:
+        """The start values of the inputs that are passed on; driven: those that a scenario drives."""
+        ports = {o.source for o in self.outputs.values() if not o.source.component}
+        starts = {p: self.start_of(self.inputs[p.variable]) for p in ports if self.variable(p).is_number}
+        return {p: float(start or 0.0) for p, start in starts.items() if start is not None or p in driven}
+
     def without_effect(self, names: Iterable[str]) -> tuple[str, ...]:
         """Notes on inputs of the system that feed nothing."""
         idle = [n for n in names if n in self.inputs and not self.inputs[n].targets and not self.passed(n)]
@@ -288,15 +298,13 @@ class System:
 
     def start_of(self, inlet: Inlet) -> Value | None:
         """The start value of an input of the system, if need be from the first input that it feeds."""
-        if inlet.start is not None:
-            return inlet.start
-        for port, linear in inlet.targets[:1]:
+        for port, linear in inlet.targets[:1] if inlet.start is None else ():
             value = self.components[port.component].value(port.variable)
             if linear == IDENTITY and value == value:  # not NaN: there is a start value
                 return value
             if linear.factor and not linear.table and value == value:
                 return (float(value) - linear.offset) / linear.factor
-        return None
+        return inlet.start
 
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
@@ -374,31 +382,34 @@ class System:
         origin   where the values come from, for `Component.origins`
         """
         connected = {c.target: c for c in self.connections}
-        start: dict[str, dict[str, Value]] = {name: {} for name in self.components}
-        inputs = dict(self.inputs)
+        start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         for name, given in values.items():
-            items = inputs[name].items if name in inputs else {}
+            given = self.inputs[name].value(given) if name in self.inputs else given
             if self.passed(name):
-                value, to_unit = self._without_unit(name, Port("", name), given)
-                start_value = coerce(name, self.variable(Port("", name)), value, to_unit, items)
-                inputs[name] = replace(inputs[name], start=start_value)
+                value, to_unit = self._without_unit(name, port := Port("", name), given)
+                start[""][name] = coerce(name, self.variable(port), value, to_unit)
             for port, linear in self.targets(name):
                 if port in connected:
                     reason = f"the input is connected ({connected[port]})"
                     raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
                 check_settable(port, self.components[port.component].interface)
                 value, to_unit = self._without_unit(name, port, given)
-                converted = coerce(str(port), self.variable(port), value, to_unit.then(linear), items)
+                converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
                 check_bounds(str(port), self.variable(port), converted)
                 start[port.component][port.variable] = converted
-        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
-        system = replace(self, components=components, inputs=inputs)
-        for component in components.values():
+        system = self.started(start, origin)
+        for component in system.components.values():
             for name, value in component.start.items():
                 where = f"{self.source or self.name}: {component.name}.{name}"
                 check_bounds(where, component.interface.variables[name], value)
         system.check_shared()
         return system
+
+    def started(self, start: Mapping[str, Mapping[str, Value]], origin: str) -> System:
+        """The system with start values by component; the component "" has inputs that are passed on."""
+        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
+        inputs = {n: replace(i, start=start[""].get(n, i.start)) for n, i in self.inputs.items()}
+        return replace(self, components=components, inputs=inputs)
 
     def _without_unit(
         self, name: str, port: Port, given: Value | str
@@ -484,16 +495,9 @@ def check_bounds(context: str, variable: FmuVariable, value: Value, remark: str 
 
 
 def coerce(
-    context: str,
-    variable: FmuVariable,
-    value: Value | str,
-    linear: LinearTransformation = IDENTITY,
-    items: Mapping[str, int] = MappingProxyType({}),
+    context: str, variable: FmuVariable, value: Value | str, linear: LinearTransformation = IDENTITY
 ) -> Value:
-    """A value, also as text from a command line or an XML file, in the type of a variable.
-
-    items   of the enumeration of the connector that the value is for
-    """
+    """A value, also as text from a command line or an XML file, in the type of a variable."""
     check_map(context, variable, linear)
     text = str(value).strip()
     try:
@@ -503,8 +507,7 @@ def coerce(
             return str(value)
         if variable.kind == "Boolean":
             return bool(linear({"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}[text.lower()]))
-        names = items if linear != IDENTITY and text in items else variable.items or items
-        number = names[text] if text in names else integer(text)
+        number = variable.items[text] if text in variable.items else integer(text)
         return number if linear == IDENTITY else int(linear(float(number)))
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
@@ -527,18 +530,11 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
     return connection
 
 
-def check_fed(where: str, variable: FmuVariable) -> None:
-    """Raise Problem if an input of the system feeds a variable that the FMU computes itself."""
-    if variable.causality not in (*TARGETS, "structuralParameter"):
-        raise Problem(f"{where}: expected an input or a parameter, got {variable.causality}")
-
-
 def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -> None:
     """Raise Problem if values of a variable cannot be transformed so."""
-    if variable.is_real and linear.table:
-        raise Problem(f"{where}: expected a LinearTransformation of a Real, got a mapping of values")
-    if variable.kind == "String" and linear != IDENTITY:
-        raise Problem(f"{where}: expected no transformation of a String, got one")
+    if linear != IDENTITY and (variable.kind == "String" or (variable.is_real and linear.table)):
+        expected = "a LinearTransformation" if variable.is_real else "no transformation"
+        raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {linear}")
     if not (variable.is_real or (linear.factor.is_integer() and linear.offset.is_integer())):
         got = f"{linear.factor:g} and {linear.offset:g}"
         raise Problem(f"{where}: expected integer factor and offset, got {got}")

@@ -279,9 +279,10 @@ typedef struct Scenario { /* a table of columns over time, linear between the sa
     const double *rate_factor;
     const int32_t *integer_factor, *integer_offset;
     const ValueTable *table; /* source: a column; NULL: none */
+    const int64_t *passed_columns, *passed; /* inputs of the system that its outputs pass on */
     Real *at_end, *at_midpoint;   /* continuous inputs at the end and at the middle of the step */
     const int32_t *inputs;        /* the coupling inputs of the continuous ones */
-    int32_t count, discrete_count, integer_count, rate_count;
+    int32_t count, discrete_count, integer_count, rate_count, passed_count;
     Program input_writes;
 } Scenario;
 
