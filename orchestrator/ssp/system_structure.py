@@ -14,9 +14,11 @@ from urllib.parse import unquote
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
-from orchestrator.base.xml import XmlElement, read_xml
+from orchestrator.base.xml import XmlElement, local_name, read_xml
 from orchestrator.fmi.description import FLOATS, TYPES, FmuVariable
 from orchestrator.ssp.common_elements import (
+    ENUMERATION_MAPPING,
+    MAPPINGS,
     Items,
     Transformation,
     read_enumerations,
@@ -32,6 +34,17 @@ FMU, SSD, PACKAGE = (
     f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")
 )
 SOURCE, SINK = "source", "sink"
+OPAQUE = {"Annotation", "SimulationInformation", "MetaData", "Signature"}  # with elements of others inside
+KNOWN = {
+    *("", "SystemStructureDescription", "System", "Elements", "Component", "SignalDictionaryReference"),
+    *("Connectors", "Connector", "Dimension", "Connections", "Connection", *TYPES, *MAPPINGS, "MapEntry"),
+    *(f"{kind}Geometry" for kind in ("Element", "Connector", "Connection", "System")),
+    *("ParameterBindings", "ParameterBinding", "ParameterValues", "ParameterMapping", "MappingEntry"),
+    *("ParameterSet", "Parameters", "Parameter", "Value", "SignalDictionaries", "SignalDictionary"),
+    *("DictionaryEntry", "Units", "Unit", "BaseUnit", "Enumerations", "Enumeration", "Item"),
+    *("DefaultExperiment", "GraphicalElements", "Note", "Annotations", *OPAQUE),
+    *("LinearTransformation", ENUMERATION_MAPPING),
+}
 # The largest systems in use have 1000 components and 5 levels. Files that include others can have any number.
 MAX_PARTS, MAX_DEPTH = 10_000, 50
 
@@ -129,6 +142,10 @@ class _SsdReader:
     def read(self, path: str) -> None:
         """Read the system of the file, with this path."""
         self._flat.roots.append(self._root)
+        for e in self._root.element.iter():
+            if local_name(e) not in KNOWN and OPAQUE.isdisjoint(map(local_name, e.iterancestors())):
+                where = f"{self._root.file}: line {e.sourceline}"
+                self._flat.notes.append(f"{where}: {local_name(e)}: left out, no element of SSP")
         system = self._root.child("System")
         if system is None:
             raise Problem(f"{self._root.file}: expected a System inside {self._root.name}, got none")
