@@ -432,6 +432,14 @@ def with_definition(unit: DeclaredUnit) -> DeclaredUnit:
     return replace(unit, exponents=definition.exponents, factor=factor, offset=offset)
 
 
+def differences(where: str, *ends: DeclaredUnit | None) -> bool:
+    """Are the values at the ends of a connection differences? Raises Problem if this matters and differs."""
+    units = [unit for unit in ends if unit]
+    if len({unit.relative for unit in units}) > 1 and any(unit.offset for unit in units):
+        raise Problem(f"{where}: expected two differences or none (relativeQuantity), got one")
+    return any(unit.relative for unit in units)
+
+
 def conversion(
     source: DeclaredUnit | None, target: DeclaredUnit | None, where: str, notes: list[str] | None = None
 ) -> LinearTransformation:

@@ -13,7 +13,7 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.units import IDENTITY, LinearTransformation, conversion
+from orchestrator.base.units import IDENTITY, LinearTransformation, conversion, differences
 from orchestrator.fmi.description import Value
 from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
@@ -200,7 +200,8 @@ def _connect(
     plain = check_connection(system, source, target, after)
     units = system.variable(source).unit, system.variable(target).unit
     labels = [f"{p} {unit}" if unit else str(p) for p, unit in zip((source, target), units, strict=True)]
-    return replace(plain, map=conversion(*units, " -> ".join(labels), notes).then(after))
+    differences(where := " -> ".join(labels), *units)
+    return replace(plain, map=conversion(*units, where, notes).then(after))
 
 
 def _assembled_inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) -> Inlet:

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion, differences
 from orchestrator.base.xml import XmlElement, local_name, read_xml
 from orchestrator.fmi.description import FLOATS, TYPES, FmuVariable
 from orchestrator.ssp.common_elements import (
@@ -350,11 +350,9 @@ class SignalPaths:
         own = variable.unit if variable else None
         if unit is None or (own and unit.exponents is None and unit.name == own.name):
             unit = own
-        ends = [v.unit for end in (path.source, path.target) if (v := self._variable(end)) and v.unit]
-        if len({end.relative for end in ends}) > 1 and any(end.offset for end in ends):
-            message = "expected two differences or none (relativeQuantity), got one"
-            raise Problem(f"{self._context(path)}: {message}")
-        return replace(unit, relative=any(end.relative for end in ends)) if unit else None
+        ends = (v.unit for end in (path.source, path.target) if (v := self._variable(end)))
+        relative = differences(self._context(path), *ends)
+        return replace(unit, relative=relative) if unit else None
 
     def items(self, connector: Port) -> Items:
         """The items of the enumeration at a connector."""

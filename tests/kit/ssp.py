@@ -57,10 +57,9 @@ def system(elements, wires, connectors="", bindings="", name="top"):
 <ssd:Elements>{"".join(elements)}</ssd:Elements>{joined}</ssd:System>"""
 
 
-def connector(name, kind, unit=""):
-    return (
-        f'<ssd:Connector name="{name}" kind="{kind}"><ssc:Real {unit and f"unit={unit!r}"}/></ssd:Connector>'
-    )
+def connector(name, kind, unit="", type_="Real"):
+    declared = f"<ssc:{type_} {unit and f'unit={unit!r}'}/>"
+    return f'<ssd:Connector name="{name}" kind="{kind}">{declared}</ssd:Connector>'
 
 
 def second(text):

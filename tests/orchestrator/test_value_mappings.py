@@ -238,5 +238,6 @@ def test_values_beyond_32_bits_are_told(make):
     assert driven(make([part("p"), part("q")], [far]), "q.int_in", p__int_in=[0, 1]) == [2, 2]
     far = wire("p.int_out", "q.int_in", mapping("Integer", (1, 2**40)))
     problem(
-        lambda: run(make([part("p"), part("q")], [far]), step=0.5), "whole numbers of at most 2147483647$"
+        lambda: run(make([part("p"), part("q")], [far]), step=0.5, stop=0.5),
+        "whole numbers of at most 2147483647$",
     )
