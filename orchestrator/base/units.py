@@ -368,10 +368,7 @@ class _Parser:
 
 @dataclass(frozen=True)
 class LinearTransformation:
-    """The transformation value -> factor * value + offset, as in SSP.
-
-    table   of whole numbers and Booleans: values that a mapping of SSP maps elsewhere, with what they become
-    """
+    """The transformation value -> factor * value + offset, as in SSP, except for the values in `table`."""
 
     factor: float = 1.0
     offset: float = 0.0

@@ -193,7 +193,7 @@ class SignalArray:
             blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
-        self.values = np.zeros(len(self.index), self.values.dtype)
+        self.values = np.append(self.values, np.zeros(len(stages), self.values.dtype))
         return blocks
 
     def slice(self, block: Block) -> Buffer:
@@ -250,10 +250,9 @@ class Network:
         driven = [*scenario.columns, *self.rates] if scenario else []
         output_blocks, input_blocks = self._allocate(recorded, driven)
         self.passed = system.passed_starts(scenario.passed if scenario else ())
-        for port in self.passed:
-            self._array(port).add(system, {port: ()})
         for port, value in self.passed.items():
-            self._array(port).values[self._array(port).index[port]] = value
+            self._array(port).add(system, {port: ()})
+            self._array(port).values[-1] = value
         self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
         self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)

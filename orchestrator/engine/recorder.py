@@ -174,7 +174,7 @@ def _is_applied(network: Network, port: Port) -> bool:
     if port.component not in system.driven_instead or port in read:
         return True
     others = (component.interface for name, component in system.components.items() if name != port.component)
-    return all(port.variable not in interface.variables for interface in others)
+    return all(port.variable not in (v.name for v in interface.of("input")) for interface in others)
 
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:

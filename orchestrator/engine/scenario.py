@@ -103,15 +103,10 @@ class Scenario:
         notes = [self._replacement_note(system, component) for component in signal_sources]
         others = [str(c) for c in replaced if c.source.component not in signal_sources]
         notes += [f"the scenario replaces {', '.join(others)}"] if others else []
-        kept = (
-            c for c in system.connections if c not in replaced and c.source.component not in signal_sources
-        )
-        return replace(
-            system,
-            connections=tuple(kept),
-            notes=(*system.notes, *notes),
-            driven_instead=(*system.driven_instead, *signal_sources),
-        )
+        dropped = {*replaced, *(c for c in system.connections if c.source.component in signal_sources)}
+        kept = tuple(c for c in system.connections if c not in dropped)
+        notes, instead = [*system.notes, *notes], (*system.driven_instead, *signal_sources)
+        return replace(system, connections=kept, notes=tuple(notes), driven_instead=instead)
 
     def rates(self, system: System) -> dict[Port, Port]:
         """The inputs that are declared as time derivatives of driven inputs, and these inputs."""

@@ -122,10 +122,6 @@ class Inlet:
     items: Mapping[str, int] = field(default_factory=dict)
     start: Value | None = None
 
-    def value(self, given: Value | str) -> Value | str:
-        """A given value; that of an item instead of its name."""
-        return self.items.get(str(given).strip(), given)
-
 
 @dataclass(frozen=True)
 class Outlet:
@@ -286,7 +282,7 @@ class System:
         return [outlet for outlet in self.outputs.values() if outlet.source == Port("", name)]
 
     def passed_starts(self, driven: Iterable[Port]) -> dict[Port, float]:
-        """The start values of the inputs that are passed on; driven: those that a scenario drives."""
+        """Start values of inputs that are passed on; driven: those that a scenario drives."""
         ports = {o.source for o in self.outputs.values() if not o.source.component}
         starts = {p: self.start_of(self.inputs[p.variable]) for p in ports if self.variable(p).is_number}
         return {p: float(start or 0.0) for p, start in starts.items() if start is not None or p in driven}
@@ -384,7 +380,7 @@ class System:
         connected = {c.target: c for c in self.connections}
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         for name, given in values.items():
-            given = self.inputs[name].value(given) if name in self.inputs else given
+            given = self.inputs[name].items.get(str(given).strip(), given) if name in self.inputs else given
             if self.passed(name):
                 value, to_unit = self._without_unit(name, port := Port("", name), given)
                 start[""][name] = coerce(name, self.variable(port), value, to_unit)

@@ -17,7 +17,6 @@ from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import XmlElement, local_name, read_xml
 from orchestrator.fmi.description import FLOATS, TYPES, FmuVariable
 from orchestrator.ssp.common_elements import (
-    ENUMERATION_MAPPING,
     MAPPINGS,
     Items,
     Transformation,
@@ -35,16 +34,14 @@ FMU, SSD, PACKAGE = (
 )
 SOURCE, SINK = "source", "sink"
 OPAQUE = {"Annotation", "SimulationInformation", "MetaData", "Signature"}  # with elements of others inside
-KNOWN = {
-    *("", "SystemStructureDescription", "System", "Elements", "Component", "SignalDictionaryReference"),
-    *("Connectors", "Connector", "Dimension", "Connections", "Connection", *TYPES, *MAPPINGS, "MapEntry"),
-    *(f"{kind}Geometry" for kind in ("Element", "Connector", "Connection", "System")),
-    *("ParameterBindings", "ParameterBinding", "ParameterValues", "ParameterMapping", "MappingEntry"),
-    *("ParameterSet", "Parameters", "Parameter", "Value", "SignalDictionaries", "SignalDictionary"),
-    *("DictionaryEntry", "Units", "Unit", "BaseUnit", "Enumerations", "Enumeration", "Item"),
-    *("DefaultExperiment", "GraphicalElements", "Note", "Annotations", *OPAQUE),
-    *("LinearTransformation", ENUMERATION_MAPPING),
-}
+NAMES = """
+    SystemStructureDescription System Elements Component SignalDictionaryReference Connectors Connector
+    Dimension Connections Connection ElementGeometry ConnectorGeometry ConnectionGeometry SystemGeometry
+    LinearTransformation EnumerationMappingTransformation MapEntry ParameterBindings ParameterBinding
+    ParameterValues ParameterMapping MappingEntry ParameterSet Parameters Parameter Value Units Unit BaseUnit
+    Enumerations Enumeration Item SignalDictionaries SignalDictionary DictionaryEntry DefaultExperiment
+    GraphicalElements Note Annotations"""
+KNOWN = {"", *NAMES.split(), *TYPES, *MAPPINGS, *OPAQUE}
 # The largest systems in use have 1000 components and 5 levels. Files that include others can have any number.
 MAX_PARTS, MAX_DEPTH = 10_000, 50
 
@@ -144,8 +141,8 @@ class _SsdReader:
         self._flat.roots.append(self._root)
         for e in self._root.element.iter():
             if local_name(e) not in KNOWN and OPAQUE.isdisjoint(map(local_name, e.iterancestors())):
-                where = f"{self._root.file}: line {e.sourceline}"
-                self._flat.notes.append(f"{where}: {local_name(e)}: left out, no element of SSP")
+                unknown = XmlElement(self._root.file, e).problem("left out, no element of SSP")
+                self._flat.notes.append(str(unknown))
         system = self._root.child("System")
         if system is None:
             raise Problem(f"{self._root.file}: expected a System inside {self._root.name}, got none")

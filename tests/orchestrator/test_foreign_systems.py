@@ -115,6 +115,8 @@ def test_outputs_that_feed_nothing_are_recorded(fmus):
         {"a": fmus["source"], "b": fmus["source"], "g": fmus["gain"]}, ["a.y -> g.u"], {"b.offset": 2.0}
     )
     np.testing.assert_array_equal(run(three, step=0.5, stop=0.5).trace["b.y"], 2 + np.sin([0.0, 0.5]))
+    replaced = run(three, {"time": [0.0, 1.0], "g.u": [0.0, 1.0]}, step=0.5).trace
+    assert {"a.y", "b.y", "g.y"} <= set(replaced.signals)  # `y` is no input
 
 
 def test_an_output_of_the_system_may_be_a_local_variable(fmus, zip_ssp):
