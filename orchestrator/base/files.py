@@ -350,6 +350,8 @@ class Location:
         except ValueError as error:
             raise Problem(f"{context} a URI, got {error}") from None
         path = unquote(parts.path)
+        if parts.query or parts.fragment:
+            raise Problem(f"{context} a file without query or fragment")
         if has_control(path):
             raise Problem(f"{context} a path without control characters")
         if parts.netloc not in ("", "localhost") or (len(parts.scheme) > 1 and parts.scheme != "file"):

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import isfinite, pi
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -368,17 +368,25 @@ class _Parser:
 
 @dataclass(frozen=True)
 class LinearTransformation:
-    """The transformation value -> factor * value + offset, as in SSP."""
+    """The transformation value -> factor * value + offset, as in SSP, except for the values in `table`."""
 
     factor: float = 1.0
     offset: float = 0.0
+    table: tuple[tuple[float, float], ...] = field(default=(), kw_only=True)
 
-    def __call__(self, value: float) -> float:
-        return self.factor * value + self.offset
+    def __call__(self, value: Numbers) -> Numbers:
+        result: Any = self.factor * value + self.offset
+        for source, target in self.table:
+            result = np.where(value == source, target, result)[()]
+        return result  # type: ignore[no-any-return]
 
     def then(self, after: LinearTransformation) -> LinearTransformation:
         """The composition: this transformation first, then `after`."""
-        return LinearTransformation(after.factor * self.factor, after.factor * self.offset + after.offset)
+        offset = after.factor * self.offset + after.offset if self.factor else after(self.offset)
+        # what `after` maps elsewhere is reached by the line from one value, if it is not constant
+        reached = [((y - self.offset) / self.factor, z) for y, z in after.table if self.factor]
+        table = {**dict(reached), **{source: after(target) for source, target in self.table}}
+        return LinearTransformation(after.factor * self.factor, offset, table=tuple(sorted(table.items())))
 
 
 IDENTITY = LinearTransformation()
@@ -390,6 +398,7 @@ class DeclaredUnit:
 
     exponents   in the order of BASES; None if the file does not define the unit
     fault       error in the definition, reported when a value is to be converted; empty if there is none
+    relative    of a difference: offsets do not apply (`relativeQuantity` of FMI)
     """
 
     name: str
@@ -397,6 +406,7 @@ class DeclaredUnit:
     factor: float = 1.0
     offset: float = 0.0
     fault: str = ""
+    relative: bool = False
 
     @property
     def dimension(self) -> tuple[int, ...] | None:
@@ -407,7 +417,7 @@ class DeclaredUnit:
         return f"[{self.name}]"
 
 
-def _with_definition(unit: DeclaredUnit) -> DeclaredUnit:
+def with_definition(unit: DeclaredUnit) -> DeclaredUnit:
     """The unit, with the definition of its symbol (such as bar or L/min) if the file does not define it."""
     if unit.exponents is not None:
         return unit
@@ -415,7 +425,16 @@ def _with_definition(unit: DeclaredUnit) -> DeclaredUnit:
         definition = parse_unit(unit.name)
     except Problem:
         return unit
-    return DeclaredUnit(unit.name, definition.exponents, definition.factor, definition.offset)
+    factor, offset = definition.factor, definition.offset
+    return replace(unit, exponents=definition.exponents, factor=factor, offset=offset)
+
+
+def differences(where: str, *ends: DeclaredUnit | None) -> bool:
+    """Are the values at the ends of a connection differences? Raises Problem if this matters and differs."""
+    units = [unit for unit in ends if unit]
+    if len({unit.relative for unit in units}) > 1 and any(unit.offset for unit in units):
+        raise Problem(f"{where}: expected two differences or none (relativeQuantity), got one")
+    return any(unit.relative for unit in units)
 
 
 def conversion(
@@ -434,14 +453,14 @@ def conversion(
     for unit in (source, target):
         if message := _conversion_problem(unit):
             raise Problem(f"{where}: {message}")
-    source, target = _with_definition(source), _with_definition(target)
-    if source.exponents is None or target.exponents is None:
+    if source.exponents is None or target.exponents is None:  # FMI 2.0, 2.2.2; FMI 3.0, 2.4.4.2
         notes.append(f"{where}: {source} and {target} are not both defined; the value is passed unchanged")
         return IDENTITY
     if source.dimension != target.dimension:
         names = f"{_with_base_units(source)} and {_with_base_units(target)}"
         raise Problem(f"{where}: the units cannot be converted, {names}")
-    offset = (source.offset - target.offset) / target.factor
+    difference = 0.0 if source.relative or target.relative else source.offset - target.offset
+    offset = difference / target.factor
     linear = LinearTransformation(source.factor / target.factor, offset)
     if not (linear.factor and isfinite(linear.factor) and isfinite(linear.offset)):
         message = f"expected a finite factor other than 0, got {linear.factor:g}"
@@ -467,7 +486,7 @@ def from_user_unit(unit: str, target: DeclaredUnit | None, where: str) -> Linear
     `where`, for an unknown unit or another dimension.
     """
     given = parse_unit(unit, where)
-    declared = None if target is None else _with_definition(target)
+    declared = None if target is None else with_definition(target)
     expected = "a number without unit"
     if target is not None and target.name not in ("", "1"):
         shown = reader_unit(target.name)
@@ -475,11 +494,11 @@ def from_user_unit(unit: str, target: DeclaredUnit | None, where: str) -> Linear
     if declared is None or declared.exponents is None or declared.fault:
         got = f"the FMU does not define a unit, got {unit!r}"
         raise Problem(f"{where}: expected a number without unit: {got}")
-    same_name = _with_definition(DeclaredUnit(declared.name)).exponents  # rad, declared without base unit
+    same_name = with_definition(DeclaredUnit(declared.name)).exponents  # rad, declared without base unit
     if given.exponents not in (declared.exponents, same_name):
         raise Problem(f"{where}: expected {expected}, got {unit!r}")
-    factor = given.factor / declared.factor
-    return LinearTransformation(factor, (given.offset - declared.offset) / declared.factor)
+    difference = 0.0 if declared.relative else given.offset - declared.offset
+    return LinearTransformation(given.factor / declared.factor, difference / declared.factor)
 
 
 def _conversion_problem(unit: DeclaredUnit) -> str:

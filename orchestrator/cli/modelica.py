@@ -25,13 +25,15 @@ def modelica(
                build/variants/*.fmu, else those in the installed package.
     out        Folder of the package; it becomes DIR/NAME/package.mo.
     name       Name of the package.
-    constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default:
-               supply_pressure, tank_pressure and payload_mass.
+    constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default: those of
+               supply_pressure, tank_pressure and payload_mass that the FMUs have.
     """
     from fmus.machine.parts import CONSTANT_INPUTS
     from orchestrator.modelica import write_package
+    from orchestrator.ssp.load import load
 
     if not files:
         system = system_file(None)
         files = [system, system.with_suffix(".fmu"), *sorted((system.parent / VARIANTS).glob("*.fmu"))]
-    print(write_package(files, out, name, constant or CONSTANT_INPUTS))
+    inputs = {port.variable for file in files for port in load(file, exchange=True).ports("input")}
+    print(write_package(files, out, name, constant or [i for i in CONSTANT_INPUTS if i in inputs]))

@@ -31,6 +31,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, csv_header
 from orchestrator.base.processes import check_room
+from orchestrator.base.units import LinearTransformation
 from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, Units, check_suffix, read_trace
@@ -50,7 +51,7 @@ class RowLayout:
 
     names, units      of the signals
     columns           index of each signal among the Real and then the Integer values of a point
-    scaled            indices of the signals that are outputs of the system: factors * value + offsets
+    scaled            indices of the signals that are outputs of the system, with `maps` from their sources
     reals, integers   number of values of a point
     every             every `every`-th communication point is recorded
     """
@@ -59,8 +60,7 @@ class RowLayout:
     units: Mapping[str, str]
     columns: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     scaled: Sequence[int] = ()
-    factors: Sequence[float] = ()
-    offsets: Sequence[float] = ()
+    maps: Sequence[LinearTransformation] = ()
     reals: int = 0
     integers: int = 0
     every: int = 1
@@ -68,20 +68,19 @@ class RowLayout:
     @property
     def consistent(self) -> bool:
         """Do all parts refer to values that a point has?"""
-        scales = {len(self.scaled), len(self.factors), len(self.offsets)}
-        scaled = all(0 <= k < len(self.names) for k in self.scaled)
+        scaled = len(self.scaled) == len(self.maps) and all(0 <= k < len(self.names) for k in self.scaled)
         once = len(set(self.names)) == len(self.names)
         valid = min(self.reals, self.integers, self.every - 1) >= 0 and once
         inside = (self.columns >= 0) & (self.columns < self.reals + self.integers)
         each = inside.shape == (len(self.names),) and bool(inside.all())
-        return len(scales) == 1 and scaled and valid and each
+        return scaled and valid and each
 
     def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
         """The signals at some points, shape (points, signals)."""
         points = np.hstack([reals, integers]) if self.integers else reals
         values = np.take(points, self.columns, axis=1)
-        for k, factor, offset in zip(self.scaled, self.factors, self.offsets, strict=True):
-            values[:, k] = factor * values[:, k] + offset
+        for k, linear in zip(self.scaled, self.maps, strict=True):
+            values[:, k] = linear(values[:, k])
         return values
 
 

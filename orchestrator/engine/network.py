@@ -193,7 +193,7 @@ class SignalArray:
             blocks.append(Block(component, same, tuple(ports), len(self.index)))
             self.index.update({port: len(self.index) + i for i, port in enumerate(ports)})
         self.blocks += blocks
-        self.values = np.zeros(len(self.index), self.values.dtype)
+        self.values = np.append(self.values, np.zeros(len(stages), self.values.dtype))
         return blocks
 
     def slice(self, block: Block) -> Buffer:
@@ -216,6 +216,7 @@ class Network:
     driven           the inputs that a scenario drives; rates: their rate inputs, and they themselves
     reals, integers  arrays of the Real values, and of all others (Integer, Enumeration, Boolean)
     input_ends       shape (2, Real values): coupling inputs at both ends of a step; NaN for other signals
+    passed           inputs of the system that its outputs pass on, with their start values
     connections      connections to inputs
     loops            potential algebraic loops
     exchange_calls   all calls of one exchange, in order, except those for the driven inputs, which are set
@@ -248,6 +249,10 @@ class Network:
         self.rates = scenario.rates(system) if scenario else {}
         driven = [*scenario.columns, *self.rates] if scenario else []
         output_blocks, input_blocks = self._allocate(recorded, driven)
+        self.passed = system.passed_starts(scenario.passed if scenario else ())
+        for port, value in self.passed.items():
+            self._array(port).add(system, {port: ()})
+            self._array(port).values[-1] = value
         self._blocks = [(array, block) for array in (self.reals, self.integers) for block in array.blocks]
         self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)
@@ -312,6 +317,9 @@ class Network:
             source=at(array.indices(c.source for c in connections)),
             target=at(array.indices(c.target for c in connections)),
             **({} if identity else {name: at(values) for name, values in maps.items()}),
+            table=binding.value_table(
+                (array.index[c.source], array.index[c.target], c.map) for c in connections
+            ),
             count=len(connections),
             array=binding.array_of(array.values),
         )
@@ -330,7 +338,8 @@ class Network:
             outputs |= {c.source: (LOOP_STAGE - i,) for c in cycle.connections}
             inputs |= {c.target: (LOOP_STAGE - i,) for c in cycle.connections}
         inputs |= {p: (SCENARIO_STAGE,) for p in driven}
-        others = self.system.exposed if recorded is None else recorded
+        read = [o.source for o in self.system.outputs.values() if o.source.component]  # also local variables
+        others = [*self.system.exposed, *read] if recorded is None else recorded
         outputs |= {p: (last_stage,) for p in others if p not in outputs and p not in inputs}
         output_blocks, input_blocks = Blocks(), Blocks()
         for array in (self.reals, self.integers):

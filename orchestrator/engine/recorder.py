@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.units import IDENTITY
 from orchestrator.data.trace_writer import Points, RowLayout, TraceSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.network import Network
@@ -79,11 +80,12 @@ class Recorder:
         self, network: Network, times: Grid, sink: TraceSink, selected: Sequence[Port] | None = None
     ) -> None:
         self._network, self._sink = network, sink
-        all_ports = [*network.reals.index, *network.integers.index]
+        all_ports = [p for p in (*network.reals.index, *network.integers.index) if p.component]
         # in the order of the arrays
         ports = [p for p in all_ports if _is_applied(network, p)] if selected is None else list(selected)
-        self._reals = [p for p in ports if p in network.reals.index]
-        self._integers = [p for p in ports if p in network.integers.index]
+        passed = network.passed if selected is None else ()
+        self._reals = [p for p in (*ports, *passed) if p in network.reals.index]
+        self._integers = [p for p in (*ports, *passed) if p in network.integers.index]
         self.layout = self._layout(ports if selected is not None else _ordered(network, ports), times.every)
         self.block = PointBlock(self.layout, network.binding.allocate("rows", PointBlock.size(self.layout)))
         self._between: Points | None = None  # the latest point, if it is not on the grid
@@ -93,18 +95,16 @@ class Recorder:
     def _layout(self, ports: Sequence[Port], every: int) -> RowLayout:
         system = self._network.system
         column = {p: k for k, p in enumerate([*self._reals, *self._integers])}
-        sources = {str(p): (p, 1.0, 0.0, system.variable(p).unit) for p in ports}
+        sources = {str(p): (p, IDENTITY, system.variable(p).unit) for p in ports}
         for outlet in system.outputs.values():
             if outlet.source in column:
-                sources[outlet.name] = (outlet.source, outlet.map.factor, outlet.map.offset, outlet.unit)
-        maps = [s[1:3] for name, s in sources.items() if name in system.outputs]
+                sources[outlet.name] = (outlet.source, outlet.map, outlet.unit)
         return RowLayout(
             names=tuple(sources),
             units={name: unit.name for name, (*_, unit) in sources.items() if unit},
             columns=np.array([column[port] for port, *_ in sources.values()], np.intp),
             scaled=[k for k, name in enumerate(sources) if name in system.outputs],
-            factors=[factor for factor, _ in maps],
-            offsets=[offset for _, offset in maps],
+            maps=[linear for name, (_, linear, _) in sources.items() if name in system.outputs],
             reals=len(self._reals),
             integers=len(self._integers),
             every=every,
@@ -155,6 +155,7 @@ class Recorder:
 
     def end_at(self, t: float, driven: Mapping[Port, Value]) -> None:
         """Make a last point at t [s] from the values that the FMUs have now, and those of driven inputs."""
+        driven = {**self._network.passed, **driven}
         values = {p: driven[p] if p in driven else self._network.slaves[p.component].get(p.variable)
                   for p in (*self._reals, *self._integers)}  # fmt: skip
         reals = np.array([[values[p] for p in self._reals]], float)
@@ -162,20 +163,18 @@ class Recorder:
 
 
 def _is_applied(network: Network, port: Port) -> bool:
-    """False for a rate that follows from a scenario, and for a command that is replaced.
+    """False for a rate that follows from a scenario, and for a command that the scenario replaces.
 
-    That is an output of a source that feeds nothing, named as an input.
+    That is an output of a replaced source, named as an input.
     """
     system = network.system
     if port in network.rates:
         return False
-    if system.components[port.component].interface.of("input") or port in (
-        *(c.source for c in system.connections),
-        *(outlet.source for outlet in system.outputs.values()),
-    ):
+    read = (outlet.source for outlet in system.outputs.values())
+    if port.component not in system.driven_instead or port in read:
         return True
     others = (component.interface for name, component in system.components.items() if name != port.component)
-    return all(port.variable not in interface.variables for interface in others)
+    return all(port.variable not in (v.name for v in interface.of("input")) for interface in others)
 
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:

@@ -175,6 +175,8 @@ class Request:
         system = with_sets(system, self.parameters).with_start(self.set)
         system = replace(system, notes=system.notes + built_notes(system))
         (scenario, trace, label), driving = scenario_trace(scenario), None
+        columns = trace.signals if trace is not None else ()
+        system = replace(system, notes=system.notes + system.without_effect([*self.set, *columns]))
         if trace is not None:
             driving = drive(system, trace, label)
             system = driving.released(system)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
-from orchestrator.base.units import LinearTransformation
+from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.data.trace import Trace
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.system import Port, System
@@ -79,10 +79,14 @@ class ScenarioTable:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Inputs and the columns of a table that drive them: input -> column and linear map."""
+    """Inputs and the columns of a table that drive them: input -> column and linear map.
+
+    passed   inputs of the system that are passed to its outputs -> column
+    """
 
     table: ScenarioTable
     columns: Mapping[Port, tuple[int, LinearTransformation]]
+    passed: Mapping[Port, int] = field(default_factory=dict)
 
     def released(self, system: System) -> System:
         """The system without the connections that the scenario replaces.
@@ -99,10 +103,10 @@ class Scenario:
         notes = [self._replacement_note(system, component) for component in signal_sources]
         others = [str(c) for c in replaced if c.source.component not in signal_sources]
         notes += [f"the scenario replaces {', '.join(others)}"] if others else []
-        kept = (
-            c for c in system.connections if c not in replaced and c.source.component not in signal_sources
-        )
-        return replace(system, connections=tuple(kept), notes=(*system.notes, *notes))
+        dropped = {*replaced, *(c for c in system.connections if c.source.component in signal_sources)}
+        kept = tuple(c for c in system.connections if c not in dropped)
+        notes, instead = [*system.notes, *notes], (*system.driven_instead, *signal_sources)
+        return replace(system, connections=kept, notes=tuple(notes), driven_instead=instead)
 
     def rates(self, system: System) -> dict[Port, Port]:
         """The inputs that are declared as time derivatives of driven inputs, and these inputs."""
@@ -134,7 +138,7 @@ class Scenario:
             if variable.is_real:
                 values[port] = linear(float((interpolated if variable.is_continuous else sampled)[column]))
             else:
-                values[port] = round(float(sampled[column]))
+                values[port] = int(linear(float(round(float(sampled[column])))))
         for rate, port in self.rates(system).items():
             column, linear = self.columns[port]
             values[rate] = linear.factor * float(self.table.slope(t)[column])
@@ -159,7 +163,8 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
     for port, (k, _) in columns.items():
         _check_integers(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
-    return Scenario(ScenarioTable(trace.time, table), columns)
+    passed = {Port("", name): k for k, name in enumerate(trace.signals) if system.passed(name)}
+    return Scenario(ScenarioTable(trace.time, table), columns, passed)
 
 
 def _check_integers(variable: FmuVariable, values: NDArray[np.float64], context: str) -> None:
@@ -184,10 +189,10 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
         raise Problem(
             f"{label}: column {name!r} is not an input of the system{suggestion}; {found}"
         ) from None
-    for port, _ in () if name in system.inputs else targets:
+    for port, _ in targets:
         variable = system.variable(port)
         if variable.causality != "input" or variable.kind == "String":
-            got = f"{variable.kind} {variable.causality}"
+            got = f"{variable.kind} {variable.causality}{f' {port}' * (name != str(port))}"
             raise Problem(f"{label}: column {name!r}: expected an input, got a {got}")
     return targets
 
@@ -212,8 +217,11 @@ class DrivenInputs:
         set_calls: Sequence[Call],
     ) -> None:
         """reals, integers: index of each port in the arrays of values; set_calls: set the driven inputs."""
-        columns, variables = scenario.columns, {port: system.variable(port) for port in scenario.columns}
-        self.continuous = [p for p, v in variables.items() if v.is_continuous]
+        of_system = {p: (k, IDENTITY) for p, k in scenario.passed.items() if p in reals or p in integers}
+        columns = {**scenario.columns, **of_system}
+        variables = {port: system.variable(port) for port in columns}
+        self.continuous = [p for p, v in variables.items() if v.is_continuous and p.component]
+        passed = [p for p, v in variables.items() if v.is_continuous and not p.component]
         discrete = [p for p, v in variables.items() if v.is_real and not v.is_continuous]
         others = [p for p, v in variables.items() if not v.is_real]
         self.table, self.set_calls = scenario.table, set_calls
@@ -225,13 +233,17 @@ class DrivenInputs:
             np.array([columns[p][0] for p in ports], dtype=np.int64)
             for ports in (self.continuous, discrete, others)
         )
+        self.passed = np.array([reals[p] for p in passed], dtype=np.int64)
+        self.passed_columns = np.array([columns[p][0] for p in passed], dtype=np.int64)
         rates = {r: columns[p] for r, p in scenario.rates(system).items()}
         self.rates = np.array([reals[r] for r in rates], dtype=np.int64)
         self.rate_columns = np.array([column for column, _ in rates.values()], dtype=np.int64)
         self.rate_factor = np.array([linear.factor for _, linear in rates.values()])
-        maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete)]
-        self.factor, self.discrete_factor = (np.array([m.factor for m in group]) for group in maps)
-        self.offset, self.discrete_offset = (np.array([m.offset for m in group]) for group in maps)
+        maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete, others)]
+        self.factor, self.discrete_factor, factors = (np.array([m.factor for m in group]) for group in maps)
+        self.offset, self.discrete_offset, offsets = (np.array([m.offset for m in group]) for group in maps)
+        self.integer_factor, self.integer_offset = factors.astype(np.int32), offsets.astype(np.int32)
+        self.mapped = [(columns[p][0], integers[p], columns[p][1]) for p in others]
         self.at_end, self.at_midpoint = np.zeros(len(self.continuous)), np.zeros(len(self.continuous))
 
     def members(self, at: Callable[[NDArray[Any]], int], inputs: Sequence[int]) -> dict[str, int]:
@@ -241,7 +253,8 @@ class DrivenInputs:
         """
         arrays = dict(zip(("time", "base", "slopes", "anchor"), self.table.arrays, strict=True))
         names = "columns targets factor offset discrete_columns discrete discrete_factor discrete_offset"
-        names += " integer_columns integers rates rate_columns rate_factor"
+        names += " integer_columns integers integer_factor integer_offset rates rate_columns rate_factor"
+        names += " passed passed_columns"
         arrays |= {name: getattr(self, name) for name in names.split()}
         return {name: at(array) for name, array in arrays.items()} | {
             "samples": len(arrays["time"]),
@@ -251,6 +264,7 @@ class DrivenInputs:
             "discrete_count": len(self.discrete),
             "integer_count": len(self.integers),
             "rate_count": len(self.rates),
+            "passed_count": len(self.passed),
         }
 
     def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
@@ -259,6 +273,7 @@ class DrivenInputs:
             **self.members(binding.at, inputs),
             **binding.all_at(self, "at_end at_midpoint"),
             evaluated_at=np.nan,
+            table=binding.value_table(self.mapped),
             input_writes=binding.program(self.set_calls),
         )
         binding.simulation.scenario = binding.pointer(struct)

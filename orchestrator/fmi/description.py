@@ -473,7 +473,10 @@ def _variable(
     allowed = (INITIAL_3 if major == 3 else INITIAL).get((causality, variability))
     definition = types.get(attributes.get("declaredType", ""))
     complete = {**definition.attributes, **attributes} if definition else attributes
-    unit = complete.get("unit") if type_ in FLOATS else None
+    name = complete.get("unit") if type_ in FLOATS else None
+    unit = units.get(name, DeclaredUnit(name)) if name else None
+    if unit and complete.get("relativeQuantity") in ("true", "1"):
+        unit = replace(unit, relative=True)
     reference = parse_int(attributes.get("valueReference"))
     starts = tuple(s.get("value", "") for s in children(inner, "Start"))
     if not starts and "start" in attributes:
@@ -491,7 +494,7 @@ def _variable(
         causality=causality,
         variability=variability,
         initial=attributes.get("initial", allowed[0] if allowed else ""),
-        unit=units.get(unit, DeclaredUnit(unit)) if unit else None,
+        unit=unit,
         starts=starts if starts or "start" in attributes else None,
         shape=tuple(parse_int(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
         aliases=tuple(map(_entry, children(e, "Alias"))),

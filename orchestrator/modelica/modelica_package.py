@@ -209,6 +209,8 @@ class ConnectedSystem:
                 continue
             if not self._in_block(c.source):
                 raise Problem(f"{c}: {c.source} is not an output in Model Exchange")
+            if c.map.table:
+                raise Problem(f"{c}: expected a linear transformation, got a mapping of values")
             if c.map == IDENTITY:
                 self.equations.append(f"connect({self._port_name(c.source)}, {self._port_name(c.target)})")
             else:

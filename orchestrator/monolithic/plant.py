@@ -449,8 +449,7 @@ class Plant:
         changed, at = False, self._index
         for c in self._discrete:
             value = self.slaves[c.source.component].get(c.source.variable)
-            if isinstance(value, float) or self.system.variable(c.target).is_real:
-                value = c.map(float(value))
+            value = type(value)(c.map(float(value)))
             if c.target in at:
                 changed |= bool(self.constant[at[c.target]] != value)
                 self.constant[at[c.target]] = self._external[at[c.target]] = value

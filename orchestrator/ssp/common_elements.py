@@ -1,11 +1,13 @@
 """Common elements of all file formats of SSP: namespaces, units, transformations, value mappings."""
 
-from collections.abc import Iterable, Mapping
-from itertools import pairwise
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, LinearTransformation
-from orchestrator.base.xml import XmlElement, finite
+from orchestrator.base.xml import XmlElement, boolean, integer
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"  # version 2.0 has the same namespaces
 NAMESPACES = {
@@ -19,7 +21,12 @@ TYPES: Mapping[str, Mapping[str, str]] = {
     "1.0": {"Real": "Real", "Integer": "Integer", "Boolean": "Boolean", "String": "String"},
     "2.0": {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String"},
 }
-MAPPINGS = tuple(f"{kind}MappingTransformation" for kind in ("Boolean", "Integer", "Enumeration"))
+MAPPINGS: Mapping[str, Callable[[str], float]] = {
+    "BooleanMappingTransformation": boolean,
+    "IntegerMappingTransformation": integer,
+}
+ENUMERATION_MAPPING = "EnumerationMappingTransformation"
+Items = Mapping[str, int]  # of an enumeration: name -> value
 
 
 # ---- units
@@ -40,7 +47,7 @@ def _unit(name: str, element: XmlElement) -> DeclaredUnit:
     if base is None:
         return DeclaredUnit(name)
     try:
-        exponents = tuple(_exponent(base, b) for b in BASES)
+        exponents = tuple(_whole(base, b) for b in BASES)
         factor, offset = base.number("factor", 1.0), base.number("offset", 0.0)
     except Problem as problem:
         return DeclaredUnit(name, fault=str(problem))
@@ -48,11 +55,19 @@ def _unit(name: str, element: XmlElement) -> DeclaredUnit:
     return DeclaredUnit(name, exponents, factor, offset, "" if factor else str(base.problem(message)))
 
 
-def _exponent(base: XmlElement, name: str) -> int:
-    value = base.number(name, 0.0)
+def _whole(element: XmlElement, name: str) -> int:
+    value = element.number(name, 0.0)
     if not value.is_integer():
-        raise base.problem(f"expected a whole number for {name}, got {value:g}")
+        raise element.problem(f"expected a whole number for {name}, got {value:g}")
     return int(value)
+
+
+def read_enumerations(root: XmlElement) -> dict[str, Items]:
+    """The enumerations that a file defines, by name."""
+    return {
+        e.required("name"): {i.required("name"): _whole(i, "value") for i in e.children("Item")}
+        for e in root.children("Enumerations", "Enumeration")
+    }
 
 
 def defined_units(units: Iterable[DeclaredUnit | None]) -> dict[str, dict[str, float | None]]:
@@ -68,57 +83,54 @@ def defined_units(units: Iterable[DeclaredUnit | None]) -> dict[str, dict[str, f
 # ---- transformations
 
 
-def read_transformation(element: XmlElement) -> tuple[LinearTransformation, Mapping[str, str]]:
-    """The transformation in a connection or mapping entry.
+class Transformation(NamedTuple):
+    """The transformation of a connection or mapping entry; names: of items, source -> target."""
 
-    Either (linear transformation, {}) or (identity, value table source -> target); (identity, {}) if there
-    is none.
-    """
-    linear = element.child("LinearTransformation")
-    if linear is not None:
-        return LinearTransformation(linear.number("factor", 1.0), linear.number("offset", 0.0)), {}
-    for e in element.children():
-        if e.name in MAPPINGS:
-            return IDENTITY, _table(e)
-        if e.name.endswith("Transformation"):
-            raise e.problem(f"expected LinearTransformation or one of {', '.join(MAPPINGS)}, got {e.name}")
-    return IDENTITY, {}
+    linear: LinearTransformation = IDENTITY
+    names: Mapping[str, str] = MappingProxyType({})
+
+    def between(self, source: Items, target: Items, where: str) -> LinearTransformation:
+        """The map between two connectors with these enumerations."""
+        for name, items in (
+            end for names in self.names.items() for end in zip(names, (source, target), strict=True)
+        ):
+            if name not in items:
+                raise Problem(
+                    f"{where}: expected one of the items {', '.join(items) or 'none'}, got {name!r}"
+                )
+        table = ((float(source[a]), float(target[b])) for a, b in self.names.items())
+        return replace(self.linear, table=tuple(sorted(table))) if self.names else self.linear
 
 
-def _table(mapping: XmlElement) -> dict[str, str]:
+def read_transformation(element: XmlElement) -> Transformation:
+    """The transformation in a connection or mapping entry; what is not in a mapping keeps its value."""
+    found = [e for e in element.children() if e.name.endswith("Transformation")]
+    if len(found) > 1:
+        raise found[1].problem(f"expected one transformation, got a {found[0].name}, too")
+    for e in found:
+        if e.name == "LinearTransformation":
+            return Transformation(LinearTransformation(e.number("factor", 1.0), e.number("offset", 0.0)))
+        if e.name == ENUMERATION_MAPPING:
+            return Transformation(names=_table(e, str))
+        if e.name not in MAPPINGS:
+            kinds = ", ".join((*MAPPINGS, ENUMERATION_MAPPING))
+            raise e.problem(f"expected LinearTransformation or one of {kinds}, got {e.name}")
+        entries = _table(e, MAPPINGS[e.name]).items()
+        return Transformation(LinearTransformation(table=tuple(sorted(entries))))
+    return Transformation()
+
+
+def _table(mapping: XmlElement, read: Callable[[str], Any]) -> dict[Any, Any]:
     """The table of a mapping, source -> target."""
-    table = dict[str, str]()
+    table = dict[Any, Any]()
     for e in mapping.children("MapEntry"):
-        source = e.required("source")
+        try:
+            source, target = read(e.required("source")), read(e.required("target"))
+        except ValueError as error:
+            raise e.problem(f"expected values of {mapping.name}, got {str(error)!r}") from None
         if source in table:
-            raise e.problem(f"expected each source once, got {source!r} twice")
-        table[source] = e.required("target")
+            raise e.problem(f"expected each source once, got {e.get('source')!r} twice")
+        table[source] = target
     if not table:
         raise mapping.problem("expected a MapEntry, got none")
     return table
-
-
-def as_linear(table: Mapping[str, str], context: str) -> LinearTransformation:
-    """A table of Boolean or integer values as a linear transformation.
-
-    Raises Problem if a value is not a number or Boolean, if two targets have the same source, or if the
-    points are not on a straight line.
-    """
-    booleans = {"true": "1", "false": "0"}
-    try:
-        points = sorted({(finite(booleans.get(a, a)), finite(booleans.get(b, b))) for a, b in table.items()})
-    except ValueError:
-        points = []
-    for (x, _), (next_x, _) in pairwise(points):
-        if x == next_x:
-            raise Problem(f"{context}: {x:g} is mapped to two values, expected one")
-    if len(points) == 1:
-        return LinearTransformation(0.0, points[0][1])
-    if len(points) >= 2:
-        (x0, y0), (x1, y1) = points[:2]
-        slope = (y1 - y0) / (x1 - x0)
-        linear = LinearTransformation(slope, y0 - slope * x0)
-        if all(linear(x) == y for x, y in points):
-            return linear
-    expected = "expected Booleans or numbers on a straight line"
-    raise Problem(f"{context}: this mapping of values is not supported, {expected}")

@@ -13,7 +13,7 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.units import IDENTITY, LinearTransformation, conversion
+from orchestrator.base.units import IDENTITY, LinearTransformation, conversion, differences
 from orchestrator.fmi.description import Value
 from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
@@ -69,7 +69,7 @@ def _single_fmu(fmu: Location, exchange: bool = False) -> System:
 
 
 def _load_ssd(ssd: Location, exchange: bool) -> System:
-    flat = read_structure(ssd)
+    flat = read_structure(ssd, exchange)
     suggestion = read_suggestion(flat.roots, flat.sources)
     shared = read_shared(flat.roots[0], flat.sources)
     flat.notes += ignored_annotations(flat.roots)
@@ -97,20 +97,26 @@ def _connected(flat: FlatStructure, system: System) -> System:
         if path.target.component in flat.sources:
             fed.setdefault(path.source, []).append((path.target, linear))
     inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ())) for c in flat.of_kind("", *SINKS)}
-    start = bound_values(signals)
+    system = replace(system, inputs=inputs)
+    start = bound_values(replace(signals, system=system))
     connections, outputs = list[Connection](), dict[str, Outlet]()
     for path, linear in maps:
         source, target = path.source, path.target
         if source.component in flat.sources and target.component in flat.sources:
             connections.append(check_connection(system, source, target, linear))
-        elif source.component in flat.sources:
-            unit = flat.unit(target) or system.variable(source).unit
+        elif target.component in flat.sources:
+            if (causality := system.variable(target).causality) not in SINKS:
+                raise Problem(f"{source} -> {target}: expected one of {', '.join(SINKS)}, got {causality}")
+        elif source.component and source.component not in flat.sources:
+            notes.append(f"{target} is not recorded: nothing feeds {source}")
+        else:
+            unit = flat.declared(target).unit or system.variable(source).unit
             outputs[target.variable] = Outlet(target.variable, unit, source, linear)
     return replace(
         system,
         components={name: replace(c, start=start[name]) for name, c in system.components.items()},
         connections=tuple(connections),
-        inputs=inputs,
+        inputs={name: replace(inlet, start=start[""].get(name)) for name, inlet in inputs.items()},
         outputs=outputs,
         notes=tuple(dict.fromkeys(notes)),
     )
@@ -123,9 +129,14 @@ def _inlet(
     targets: Sequence[tuple[Port, LinearTransformation]],
 ) -> Inlet:
     """An input of the outermost system; without a declared unit it has that of the inputs that it feeds."""
-    units = {system.variable(port).unit for port, _ in targets}
-    unit = flat.unit(connector) or (units.pop() if len(units) == 1 else None)
-    return Inlet(connector.variable, unit, tuple(targets))
+    variables, declared = [system.variable(port) for port, _ in targets], flat.declared(connector)
+    units = {v.unit for v in variables}
+    unit = declared.unit or (units.pop() if len(units) == 1 else None)
+    if unit and any(v.unit and v.unit.relative for v in variables):
+        unit = replace(unit, relative=True)
+    kind = declared.type or next((v.type for v in variables), "Real")
+    items = {} if targets and all(linear == IDENTITY for _, linear in targets) else declared.items
+    return Inlet(connector.variable, unit, tuple(targets), kind, items)
 
 
 # ---- from FMU files
@@ -189,7 +200,8 @@ def _connect(
     plain = check_connection(system, source, target, after)
     units = system.variable(source).unit, system.variable(target).unit
     labels = [f"{p} {unit}" if unit else str(p) for p, unit in zip((source, target), units, strict=True)]
-    return replace(plain, map=conversion(*units, " -> ".join(labels), notes).then(after))
+    differences(where := " -> ".join(labels), *units)
+    return replace(plain, map=conversion(*units, where, notes).then(after))
 
 
 def _assembled_inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) -> Inlet:

@@ -10,27 +10,31 @@ from typing import NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
+from orchestrator.base.text import first_names
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion, with_definition
 from orchestrator.base.xml import XmlElement, read_xml
-from orchestrator.fmi.description import KINDS, Value
+from orchestrator.fmi.description import KINDS, TYPES, Value
 from orchestrator.ssp.common_elements import read_transformation, read_units
 from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable, coerce
 from orchestrator.ssp.system_structure import ParameterBinding, SignalPaths
 
-# target, transformation, table source -> target, suppression of the unit conversion
-MappingEntry = tuple[str, LinearTransformation, Mapping[str, str], bool]
 SET, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
+TEXTS = ("String", "Enumeration", "Binary")  # of an array there is a Value each; of others a list
 
 
 class ParameterValue(NamedTuple):
-    """A value for a variable; its unit is converted (unless suppressed), then `map` is applied."""
+    """A value for a variable; its unit is converted (unless suppressed), then `map` is applied.
+
+    fault   why no variable can have it
+    """
 
     name: str
     text: str
     unit: DeclaredUnit | None
     map: LinearTransformation = IDENTITY
     suppressed: bool = False
+    fault: str = ""
 
     def map_to(self, target: DeclaredUnit | None, context: str, notes: list[str]) -> LinearTransformation:
         """The map to a value in the unit `target`; `notes` get one if a unit is unknown."""
@@ -39,34 +43,44 @@ class ParameterValue(NamedTuple):
 
 def read_parameter_set(root: XmlElement, outer_units: Mapping[str, DeclaredUnit]) -> list[ParameterValue]:
     """The values of a parameter set, whose units are defined there or in the file around it."""
-    units, values = {**outer_units, **read_units(root)}, list[ParameterValue]()
+    units, values = {**outer_units, **read_units(root)}, dict[str, ParameterValue]()
     for parameter in root.children("Parameters", "Parameter"):
-        value = next((e for e in parameter.children() if e.name in KINDS), None)
-        text = value.get("value") if value is not None else None
-        if value is None or text is None:
-            message = f"parameter {parameter.get('name')!r}: expected a value, got none"
-            raise Problem(f"{parameter.location}: {message}")
+        name = parameter.required("name")
+        where = f"{parameter.location}: parameter {name!r}"
+        if name in values:
+            raise Problem(f"{where}: expected a unique name, got it twice")
+        value = next((e for e in parameter.children() if e.name in TYPES), None)
+        texts = [e.required("value") for e in value.children("Value")] if value is not None else []
+        texts += [text] if value is not None and (text := value.get("value")) is not None else []
+        if value is None or not texts:
+            raise Problem(f"{where}: expected a value, got none")
+        count = len(texts) if value.name in TEXTS else len(texts[0].split())
+        got = f"{count} values" if count > 1 else "" if value.name in KINDS else f"a {value.name}"
+        fault = got and f"{where}: expected a scalar number or text, got {got}, not supported"
         unit = value.get("unit")
-        declared = units.get(unit, DeclaredUnit(unit)) if unit else None
-        values.append(ParameterValue(parameter.required("name"), text, declared))
-    return values
+        # a unit that no file defines is that of its symbol
+        declared = units.get(unit, with_definition(DeclaredUnit(unit))) if unit else None
+        values[name] = ParameterValue(name, texts[0], declared, fault=fault)
+    return [*values.values()]
 
 
 # ---- bindings of the SSP -----------------------------------------------------------------------------------
 
 
 def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
-    """Start values by component; outer bindings override inner ones, later ones override earlier ones."""
+    """Start values by component, see `System.started`; outer and later bindings override others."""
     flat, system = signals.flat, signals.system
-    start: dict[str, dict[str, Value]] = {name: {} for name in system.components}
+    start: dict[str, dict[str, Value]] = {name: {} for name in ["", *system.components]}
     for binding in flat.bindings:
         file = binding.element.file
         for value in _values(signals, binding):
             unmatched = True
-            for port, linear in _targets(signals, binding, value):
+            for port, linear, text in _targets(signals, binding, value):
                 variable, unmatched = system.variable(port), False
+                if value.fault:
+                    raise Problem(value.fault)
                 if variable.settable:
-                    start[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
+                    start[port.component][port.variable] = coerce(str(port), variable, text, linear)
                 else:
                     signals.notes.append(f"{file}: {port} is not set: the FMU computes this variable itself")
             if unmatched:
@@ -77,8 +91,8 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
 
 def _targets(
     signals: SignalPaths, binding: ParameterBinding, value: ParameterValue
-) -> Iterator[tuple[Port, LinearTransformation]]:
-    """The variable that a value sets, or all that a connector feeds, with the map from the value."""
+) -> Iterator[tuple[Port, LinearTransformation, str]]:
+    """The variable that a value sets, or all that a connector feeds, with the map from the value, and it."""
     flat, system = signals.flat, signals.system
     full = str(Port(binding.owner, value.name))
     for owner in sorted([*flat.sources, *flat.systems], key=len, reverse=True):
@@ -89,35 +103,47 @@ def _targets(
             interface, port = system.components[owner].interface, Port(owner, name)
             interface.check_supported(name, f"parameter {full}")
             if name in interface.variables:
-                yield port, value.map_to(system.variable(port).unit, f"parameter {port}", signals.notes)
+                unit = system.variable(port).unit
+                yield port, value.map_to(unit, f"parameter {port}", signals.notes), value.text
                 return
         connector = Port(owner, name)
         if owner in flat.systems and connector in flat.connectors:
-            unit = flat.unit(connector)
+            number = str(flat.declared(connector).items.get(value.text.strip(), value.text))
             for path in (p for p in signals.paths if connector in p.connectors):
+                unit = signals.unit(path, connector)
                 first = value.map_to(unit, f"parameter {connector}", signals.notes)
                 from_connector = replace(signals, notes=[]).map_from(path, connector, unit or value.unit)
-                yield path.target, first.then(from_connector)
+                if path.target.component:
+                    linear = first.then(from_connector)
+                    yield path.target, linear, value.text if linear == IDENTITY else number
+                elif connector == path.source:  # an input that is passed on
+                    yield connector, first, number
             return
 
 
 def _values(signals: SignalPaths, binding: ParameterBinding) -> list[ParameterValue]:
-    """The values of a binding after prefix and mapping; without a mapping entry a name is unchanged."""
+    """The values of a binding after prefix and mapping; a mapping leaves out what it does not name."""
     content = _content(signals, binding, binding.element, SET, "ParameterValues", "ParameterSet")
-    prefix, entries = binding.element.get("prefix") or "", dict[str, list[MappingEntry]]()
+    prefix = binding.element.get("prefix") or ""
+    values = {prefix + v.name: v for v in read_parameter_set(content, binding.units)}
     mapping = binding.element.child("ParameterMapping")
-    if mapping is not None:
-        root = _content(signals, binding, mapping, MAPPING, "ParameterMapping")
-        for e in root.children("MappingEntry"):
-            entry = e.required("target"), *read_transformation(e), e.boolean("suppressUnitConversion")
-            entries.setdefault(e.required("source"), []).append(entry)
-    values = []
-    for value in read_parameter_set(content, binding.units):
-        name = prefix + value.name
-        for target, linear, table, suppressed in entries.get(name, [(name, IDENTITY, {}, False)]):
-            text = table.get(value.text, value.text)
-            values.append(ParameterValue(target, text, value.unit, linear, suppressed))
-    return values
+    if mapping is None:
+        return [value._replace(name=name) for name, value in values.items()]
+    mapped, used = dict[str, ParameterValue](), set[str]()
+    for e in _content(signals, binding, mapping, MAPPING, "ParameterMapping").children("MappingEntry"):
+        source, target, (linear, names) = e.required("source"), e.required("target"), read_transformation(e)
+        if target in mapped:
+            raise e.problem(f"expected each target once, got {target!r} twice")
+        if source not in values:
+            signals.notes.append(f"{e.location}: the parameter set has no {source!r}")
+            continue
+        text, used = values[source].text, used | {source}
+        suppressed = e.boolean("suppressUnitConversion")
+        text = names.get(text.strip(), text)
+        mapped[target] = values[source]._replace(name=target, text=text, map=linear, suppressed=suppressed)
+    if left := values.keys() - used:
+        signals.notes.append(f"{content.file}: left out, not in the mapping: {first_names(sorted(left))}")
+    return [*mapped.values()]
 
 
 def _content(
@@ -155,15 +181,14 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
     for chosen in sets:
         file, notes = _file(system, chosen), list[str]()
         missing = missing_after_swap(system)
-        start: dict[str, dict[str, Value]] = {name: {} for name in system.components}
+        start: dict[str, dict[str, Value]] = {name: {} for name in ["", *system.components]}
         for value in read_parameter_set(read_xml(file, "ParameterSet"), {}):
             if value.name in missing:
                 notes.append(f"{file}: {value.name} is left out: {missing[value.name]}")
                 continue
             for port, converted in _converted(system, file, value, notes):
                 start[port.component][port.variable] = converted
-        components = {n: c.chosen(start[n], str(chosen)) for n, c in system.components.items()}
-        system = replace(system, components=components, notes=(*system.notes, *notes))
+        system = replace(system, notes=(*system.notes, *notes)).started(start, str(chosen))
     return system
 
 
@@ -176,11 +201,17 @@ def _converted(
         targets = system.targets(value.name)
     except Problem as problem:
         raise Problem(f"{file}: {problem}") from None
+    if value.fault:
+        raise Problem(value.fault)
+    inlet = system.inputs.get(value.name)
+    text = str(inlet.items.get(value.text.strip(), value.text)) if inlet else value.text
+    if inlet and system.passed(value.name):
+        port, to_unit = Port("", value.name), value.map_to(inlet.unit, context, notes)
+        yield port, coerce(context, system.variable(port), text, to_unit)
     for port, linear in targets:
         check_settable(port, system.components[port.component].interface)
-        unit = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
-        first = value.map_to(unit, context, notes)
-        converted = coerce(context, system.variable(port), value.text, first.then(linear))
+        first = value.map_to(inlet.unit if inlet else system.unit(port), context, notes)
+        converted = coerce(context, system.variable(port), text, first.then(linear))
         check_bounds(f"{file}: {port}", system.variable(port), converted)
         yield port, converted
 

@@ -108,16 +108,24 @@ class Connection:
 
 @dataclass(frozen=True)
 class Inlet:
-    """An input of the system and the component inputs that it feeds."""
+    """An input of the system and the component inputs that it feeds.
+
+    type    of its connector
+    items   of the enumeration of its connector, if it is not that of all targets
+    start   value without a scenario, if an output of the system passes it on
+    """
 
     name: str
     unit: DeclaredUnit | None
     targets: tuple[tuple[Port, LinearTransformation], ...]
+    type: str = "Real"
+    items: Mapping[str, int] = field(default_factory=dict)
+    start: Value | None = None
 
 
 @dataclass(frozen=True)
 class Outlet:
-    """An output of the system and the component output that gives its value."""
+    """An output of the system and its source: an output of a component, or an input of the system."""
 
     name: str
     unit: DeclaredUnit | None
@@ -133,6 +141,7 @@ class System:
     warnings     the same, where the result may be wrong for its purpose
     suggestion   suggested master and step, from the file of the system
     shared       parameter -> components in which a parameter of this name is the same physical quantity
+    driven_instead   components without inputs that a scenario replaces
     """
 
     name: str
@@ -147,6 +156,7 @@ class System:
     warnings: tuple[str, ...] = ()
     suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    driven_instead: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         components = first_names(self.components, 8)
@@ -267,6 +277,31 @@ class System:
         without = "" if self.components[component].has_start(name) else " without a start value"
         return f"causality {variable.causality} and type {variable.kind}{unit}{without}"
 
+    def passed(self, name: str) -> list[Outlet]:
+        """The outputs of the system that pass an input of the system on."""
+        return [outlet for outlet in self.outputs.values() if outlet.source == Port("", name)]
+
+    def passed_starts(self, driven: Iterable[Port]) -> dict[Port, float]:
+        """Start values of inputs that are passed on; driven: those that a scenario drives."""
+        ports = {o.source for o in self.outputs.values() if not o.source.component}
+        starts = {p: self.start_of(self.inputs[p.variable]) for p in ports if self.variable(p).is_number}
+        return {p: float(start or 0.0) for p, start in starts.items() if start is not None or p in driven}
+
+    def without_effect(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Notes on inputs of the system that feed nothing."""
+        idle = [n for n in names if n in self.inputs and not self.inputs[n].targets and not self.passed(n)]
+        return tuple(f"{name} has no effect: this input of the system feeds nothing" for name in idle)
+
+    def start_of(self, inlet: Inlet) -> Value | None:
+        """The start value of an input of the system, if need be from the first input that it feeds."""
+        for port, linear in inlet.targets[:1] if inlet.start is None else ():
+            value = self.components[port.component].value(port.variable)
+            if linear == IDENTITY and value == value:  # not NaN: there is a start value
+                return value
+            if linear.factor and not linear.table and value == value:
+                return (float(value) - linear.offset) / linear.factor
+        return inlet.start
+
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
         return (
@@ -317,7 +352,10 @@ class System:
         return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
 
     def variable(self, port: Port) -> FmuVariable:
-        """The declaration of a port."""
+        """The declaration of a port, or of an input of the system."""
+        if not port.component and port.variable in self.inputs:
+            inlet = self.inputs[port.variable]
+            return FmuVariable(inlet.name, type=inlet.type, causality="input", unit=inlet.unit)
         return self.components[port.component].interface.variables[port.variable]
 
     def unit(self, port: Port) -> DeclaredUnit | None:
@@ -340,8 +378,12 @@ class System:
         origin   where the values come from, for `Component.origins`
         """
         connected = {c.target: c for c in self.connections}
-        start: dict[str, dict[str, Value]] = {name: {} for name in self.components}
+        start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         for name, given in values.items():
+            given = self.inputs[name].items.get(str(given).strip(), given) if name in self.inputs else given
+            if self.passed(name):
+                value, to_unit = self._without_unit(name, port := Port("", name), given)
+                start[""][name] = coerce(name, self.variable(port), value, to_unit)
             for port, linear in self.targets(name):
                 if port in connected:
                     reason = f"the input is connected ({connected[port]})"
@@ -351,14 +393,19 @@ class System:
                 converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
                 check_bounds(str(port), self.variable(port), converted)
                 start[port.component][port.variable] = converted
-        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
-        system = replace(self, components=components)
-        for component in components.values():
+        system = self.started(start, origin)
+        for component in system.components.values():
             for name, value in component.start.items():
                 where = f"{self.source or self.name}: {component.name}.{name}"
                 check_bounds(where, component.interface.variables[name], value)
         system.check_shared()
         return system
+
+    def started(self, start: Mapping[str, Mapping[str, Value]], origin: str) -> System:
+        """The system with start values by component; the component "" has inputs that are passed on."""
+        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
+        inputs = {n: replace(i, start=start[""].get(n, i.start)) for n, i in self.inputs.items()}
+        return replace(self, components=components, inputs=inputs)
 
     def _without_unit(
         self, name: str, port: Port, given: Value | str
@@ -447,6 +494,7 @@ def coerce(
     context: str, variable: FmuVariable, value: Value | str, linear: LinearTransformation = IDENTITY
 ) -> Value:
     """A value, also as text from a command line or an XML file, in the type of a variable."""
+    check_map(context, variable, linear)
     text = str(value).strip()
     try:
         if variable.kind == "Real":
@@ -454,10 +502,9 @@ def coerce(
         if variable.kind == "String":
             return str(value)
         if variable.kind == "Boolean":
-            return {"true": True, "1": True, "false": False, "0": False}[text.lower()]
-        if text in variable.items:
-            return variable.items[text]
-        return integer(text)
+            return bool(linear({"true": 1.0, "1": 1.0, "false": 0.0, "0": 0.0}[text.lower()]))
+        number = variable.items[text] if text in variable.items else integer(text)
+        return number if linear == IDENTITY else int(linear(float(number)))
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
         raise Problem(f"{context}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
@@ -475,7 +522,15 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
     if y.value_type != u.value_type or y.kind == "String":
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
-    if not y.is_real and not (linear.factor.is_integer() and linear.offset.is_integer()):
-        got = f"{linear.factor:g} and {linear.offset:g}"
-        raise Problem(f"{connection}: expected integer factor and offset, got {got}")
+    check_map(str(connection), u, linear)
     return connection
+
+
+def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -> None:
+    """Raise Problem if values of a variable cannot be transformed so."""
+    if linear != IDENTITY and (variable.kind == "String" or (variable.is_real and linear.table)):
+        expected = "a LinearTransformation" if variable.is_real else "no transformation"
+        raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {linear}")
+    if not (variable.is_real or (linear.factor.is_integer() and linear.offset.is_integer())):
+        got = f"{linear.factor:g} and {linear.offset:g}"
+        raise Problem(f"{where}: expected integer factor and offset, got {got}")

@@ -6,16 +6,25 @@ map over each of them.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import NamedTuple
+from urllib.parse import unquote
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
-from orchestrator.base.xml import XmlElement, read_xml
-from orchestrator.fmi.description import FLOATS
-from orchestrator.ssp.common_elements import as_linear, read_transformation, read_units
-from orchestrator.ssp.system import Port, System
+from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion, differences
+from orchestrator.base.xml import XmlElement, local_name, read_xml
+from orchestrator.fmi.description import FLOATS, TYPES, FmuVariable
+from orchestrator.ssp.common_elements import (
+    MAPPINGS,
+    Items,
+    Transformation,
+    read_enumerations,
+    read_transformation,
+    read_units,
+)
+from orchestrator.ssp.system import Port, System, check_map
 
 DEFINITION = "SystemStructure.ssd"
 SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds with a value for others
@@ -24,23 +33,34 @@ FMU, SSD, PACKAGE = (
     f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")
 )
 SOURCE, SINK = "source", "sink"
+OPAQUE = {"Annotation", "SimulationInformation", "MetaData", "Signature"}  # with elements of others inside
+NAMES = """
+    SystemStructureDescription System Elements Component SignalDictionaryReference Connectors Connector
+    Dimension Connections Connection ElementGeometry ConnectorGeometry ConnectionGeometry SystemGeometry
+    LinearTransformation EnumerationMappingTransformation MapEntry ParameterBindings ParameterBinding
+    ParameterValues ParameterMapping MappingEntry ParameterSet Parameters Parameter Value Units Unit BaseUnit
+    Enumerations Enumeration Item SignalDictionaries SignalDictionary DictionaryEntry DefaultExperiment
+    GraphicalElements Note Annotations"""
+KNOWN = {"", *NAMES.split(), *TYPES, *MAPPINGS, *OPAQUE}
 # The largest systems in use have 1000 components and 5 levels. Files that include others can have any number.
 MAX_PARTS, MAX_DEPTH = 10_000, 50
 
 
 class ConnectorType(NamedTuple):
-    """The declaration of a connector in a file."""
+    """The declaration of a connector in a file; items: of its enumeration."""
 
-    kind: str | None
-    unit: DeclaredUnit | None
-    array: bool
+    kind: str | None = None
+    unit: DeclaredUnit | None = None
+    array: bool = False
+    type: str = ""
+    items: Items = MappingProxyType({})
 
 
 class IncomingConnection(NamedTuple):
     """The connection that feeds a connector; suppressed: its unit is not converted."""
 
     source: Port
-    transformation: LinearTransformation
+    transformation: Transformation
     suppressed: bool
 
 
@@ -73,9 +93,9 @@ class FlatStructure:
     roots: list[XmlElement] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def unit(self, connector: Port) -> DeclaredUnit | None:
-        """The unit that a file declares for a connector."""
-        return self.connectors[connector].unit if connector in self.connectors else None
+    def declared(self, connector: Port) -> ConnectorType:
+        """What a file declares of a connector."""
+        return self.connectors.get(connector, ConnectorType())
 
     def of_kind(self, owner: str, *kinds: str) -> list[Port]:
         """Connectors of one component or system, of some kinds."""
@@ -84,8 +104,8 @@ class FlatStructure:
         ]
 
 
-def read_structure(file: Location) -> FlatStructure:
-    """Read a .ssd file and every system inside it."""
+def read_structure(file: Location, exchange: bool = False) -> FlatStructure:
+    """Read a .ssd file and every system inside it; exchange: components may ask for Model Exchange."""
     root = read_xml(file, "SystemStructureDescription")
     flat = FlatStructure(root.get("name") or "system")
     if not (root.get("version") or "").startswith(("1.", "2.")):
@@ -94,7 +114,7 @@ def read_structure(file: Location) -> FlatStructure:
     if experiment is not None:
         flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
         flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
-    _SsdReader(flat, root, (), {}).read("")
+    _SsdReader(flat, root, (), {}, exchange).read("")
     return flat
 
 
@@ -111,13 +131,18 @@ class _SsdReader:
         root: XmlElement,
         including: tuple[Location, ...],
         units: Mapping[str, DeclaredUnit],
+        exchange: bool,
     ) -> None:
-        self._flat, self._root, self._including = flat, root, including
-        self._units = {**units, **read_units(root)}
+        self._flat, self._root, self._including, self._exchange = flat, root, including, exchange
+        self._units, self._enumerations = {**units, **read_units(root)}, read_enumerations(root)
 
     def read(self, path: str) -> None:
         """Read the system of the file, with this path."""
         self._flat.roots.append(self._root)
+        for e in self._root.element.iter():
+            if local_name(e) not in KNOWN and OPAQUE.isdisjoint(map(local_name, e.iterancestors())):
+                unknown = XmlElement(self._root.file, e).problem("left out, no element of SSP")
+                self._flat.notes.append(str(unknown))
         system = self._root.child("System")
         if system is None:
             raise Problem(f"{self._root.file}: expected a System inside {self._root.name}, got none")
@@ -170,16 +195,20 @@ class _SsdReader:
 
     def _component(self, element: XmlElement, full: str) -> None:
         mime_type = element.get("type") or FMU
-        source = element.file.resolve(element.required("source"))
+        uri, variant = element.required("source"), ""
+        if mime_type == PACKAGE:  # the fragment names a variant in it
+            uri, _, variant = uri.partition("#")
+        source = element.file.resolve(uri)
         implementation = element.get("implementation") or "any"
-        if implementation not in ("any", "CoSimulation"):
+        if implementation not in ("any", "CoSimulation", *(["ModelExchange"] if self._exchange else [])):
             raise Problem(
                 f"{element.location}: component {full}: expected CoSimulation, got {implementation}"
             )
         if mime_type == FMU:
             self._flat.sources[full] = source
         elif mime_type in (SSD, PACKAGE):
-            self._inner_file(element, full, source if mime_type == SSD else source.member(DEFINITION))
+            file = source if mime_type == SSD else source.member(unquote(variant) or DEFINITION)
+            self._inner_file(element, full, file)
         else:
             raise Problem(f"{element.location}: component {full}: expected an FMU, got type {mime_type}")
         self._connectors(element, full)
@@ -191,7 +220,7 @@ class _SsdReader:
         including = (*self._including, _resolved(element.file))
         if _resolved(file) in including:
             raise element.problem(f"{full}: expected another file, {file} includes itself")
-        _SsdReader(self._flat, root, including, self._units).read(full)
+        _SsdReader(self._flat, root, including, self._units, self._exchange).read(full)
 
     def _connectors(self, element: XmlElement, owner: str) -> None:
         connectors = set[Port]()
@@ -200,12 +229,15 @@ class _SsdReader:
             if connector in connectors:
                 raise e.problem(f"expected a unique name, got {connector} twice")
             connectors.add(connector)
-            names = [name for typed in e.children() if typed.name in FLOATS and (name := typed.get("unit"))]
-            unit = self._units.get(names[-1], DeclaredUnit(names[-1])) if names else None
+            typed = next((t for t in e.children() if t.name in TYPES), None)
+            kind, name = (typed.name, typed.get("unit")) if typed else ("", None)
+            unit = self._units.get(name, DeclaredUnit(name)) if name and kind in FLOATS else None
+            items = self._enumerations.get(typed.get("name") or "", {}) if typed else {}
             array = e.child("Dimension") is not None
             if inner := self._flat.connectors.get(connector):  # the file of the component declares it too
-                unit, array = unit or inner.unit, array or inner.array
-            self._flat.connectors[connector] = ConnectorType(e.get("kind"), unit, array)
+                unit, array, items = unit or inner.unit, array or inner.array, items or inner.items
+                kind = kind or inner.type
+            self._flat.connectors[connector] = ConnectorType(e.get("kind"), unit, array, kind, items)
 
     def _bindings(self, element: XmlElement, owner: str) -> None:
         for e in element.children("ParameterBindings", "ParameterBinding"):
@@ -222,12 +254,8 @@ class _SsdReader:
             start, end = end, start
         if other := self._flat.incoming.get(end):
             raise Problem(f"{context}: {end}: expected one source, got {other.source} and {start}")
-        linear, table = read_transformation(element)
-        if table:
-            linear = as_linear(table, context)
-        self._flat.incoming[end] = IncomingConnection(
-            start, linear, element.boolean("suppressUnitConversion")
-        )
+        suppressed = element.boolean("suppressUnitConversion")
+        self._flat.incoming[end] = IncomingConnection(start, read_transformation(element), suppressed)
 
     def _end(
         self, element: XmlElement, side: str, path: str, owners: Mapping[str, str]
@@ -239,7 +267,7 @@ class _SsdReader:
         if name is not None and name not in owners:
             raise Problem(f"{context} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
         end = Port(path if name is None else owners[name], connector)
-        declared = self._flat.connectors.get(end, ConnectorType(None, None, False))
+        declared = self._flat.declared(end)
         if declared.array or element.get(f"{side}Indices"):
             raise Problem(f"{context} {end}: expected a scalar, got an array")
         if declared.kind is None and end.component in self._flat.systems:
@@ -290,39 +318,62 @@ class SignalPaths:
     paths: tuple[SignalPath, ...]
 
     def map(self, path: SignalPath) -> LinearTransformation:
-        """The map over the whole path, with unit conversions."""
-        declared = self.flat.unit(path.source)
-        if path.source.component not in self.flat.sources:
-            return self.map_from(path, path.source, declared)
-        unit = self.system.variable(path.source).unit
-        first = conversion(unit, declared, str(path.source), self.notes)
-        return first.then(self.map_from(path, path.source, declared or unit))
+        """The map over the whole path, with unit conversions; raises Problem if its end cannot take it."""
+        first, unit = IDENTITY, self.unit(path, path.source)
+        if variable := self._variable(path.source):
+            first = conversion(variable.unit, unit, str(path.source), self.notes)
+        linear = first.then(self.map_from(path, path.source, unit))
+        if variable := self._variable(path.target) or variable:
+            check_map(self._context(path), variable, linear)
+        return linear
 
     def map_from(self, path: SignalPath, connector: Port, unit: DeclaredUnit | None) -> LinearTransformation:
         """The map from a connector of the path, whose value is in `unit`, to the variable at the end."""
-        start, last = path.connectors.index(connector), path.target
-        target_unit = self.system.variable(last).unit if last.component in self.flat.sources else None
-        context = f"{self._label(path.source)} -> {self._label(last)}"
-        linear = IDENTITY
+        start, context = path.connectors.index(connector), self._context(path)
+        linear, items = IDENTITY, self.items(connector)
         for connection, end in zip(path.connections[start:], path.connectors[start + 1 :], strict=True):
-            declared = self.flat.unit(end) or (target_unit if end == last else None)
+            declared, before, items = self.unit(path, end), items, self.items(end) or items
             if not connection.suppressed:
                 linear = linear.then(conversion(unit, declared, context, self.notes))
             unit = declared or unit
-            linear = linear.then(connection.transformation)
-        return linear.then(conversion(self.flat.unit(last), target_unit, context, self.notes))
+            linear = linear.then(connection.transformation.between(before, items, context))
+        last = self._variable(path.target)
+        target_unit = last.unit if last else None
+        return linear.then(conversion(self.unit(path, path.target), target_unit, context, self.notes))
+
+    def unit(self, path: SignalPath, connector: Port) -> DeclaredUnit | None:
+        """The unit of values at a connector of a path: that of its file, else that of its variable."""
+        unit, variable = self.flat.declared(connector).unit, self._variable(connector)
+        own = variable.unit if variable else None
+        if unit is None or (own and unit.exponents is None and unit.name == own.name):
+            unit = own
+        ends = (v.unit for end in (path.source, path.target) if (v := self._variable(end)))
+        relative = differences(self._context(path), *ends)
+        return replace(unit, relative=relative) if unit else None
+
+    def items(self, connector: Port) -> Items:
+        """The items of the enumeration at a connector."""
+        variable = self._variable(connector)
+        return variable.items if variable else self.flat.declared(connector).items
+
+    def _variable(self, connector: Port) -> FmuVariable | None:
+        """The variable of a connector of a component."""
+        return self.system.variable(connector) if connector.component in self.flat.sources else None
+
+    def _context(self, path: SignalPath) -> str:
+        return f"{self._label(path.source)} -> {self._label(path.target)}"
 
     def _label(self, connector: Port) -> str:
         """A connector with its unit."""
-        of_component = connector.component in self.flat.sources
-        unit = self.system.variable(connector).unit if of_component else self.flat.unit(connector)
+        variable = self._variable(connector)
+        unit = variable.unit if variable else self.flat.declared(connector).unit
         return f"{connector} {unit}" if unit else str(connector)
 
 
 def signal_paths(flat: FlatStructure, system: System, notes: list[str]) -> SignalPaths:
     """The paths of a flat structure; connectors of components must be variables of their FMUs."""
     ends = [c for c in flat.incoming if c.component in flat.sources]
-    ends += [c for c in flat.of_kind("", "output", "calculatedParameter") if c in flat.incoming]
+    ends += [c for c in flat.of_kind("", *SOURCES) if c in flat.incoming]
     paths = tuple(_path_to(flat, end) for end in ends)
     for connector in dict.fromkeys(c for path in paths for c in path.connectors):
         if connector.component in flat.sources:

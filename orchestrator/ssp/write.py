@@ -149,7 +149,7 @@ def _system_connectors(
 ) -> Iterator[tuple[str, str, FmuVariable, DeclaredUnit | None, Point]]:
     """Connectors of the system: inputs on the left side, outputs on the right side."""
     for n, i in enumerate(s.inputs.values(), start=1):
-        variable = s.variable(i.targets[0][0]) if i.targets else FmuVariable(i.name)
+        variable = s.variable(i.targets[0][0] if i.targets else Port("", i.name))
         yield i.name, "input", variable, i.unit, (0.0, n / (len(s.inputs) + 1))
     for n, o in enumerate(s.outputs.values(), start=1):
         yield o.name, "output", s.variable(o.source), o.unit, (1.0, n / (len(s.outputs) + 1))
@@ -160,23 +160,20 @@ def _start(s: System, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
 
     Without it some tools set zero.
     """
-    for port, linear in inlet.targets[:1]:
-        variable = replace(s.variable(port), unit=inlet.unit)
-        value = s.components[port.component].value(port.variable)
-        if linear == IDENTITY and value == value:  # not NaN: there is a start value
-            return variable, value
-        if linear.factor and value == value:
-            return variable, (float(value) - linear.offset) / linear.factor
-    return None
+    value = s.start_of(inlet)
+    if value is None:
+        return None
+    variable = s.variable(inlet.targets[0][0] if inlet.targets else Port("", inlet.name))
+    return replace(variable, unit=inlet.unit), value
 
 
 def _connections(
     s: System, diagram: Diagram
-) -> Iterator[tuple[Port, Port, LinearTransformation, bool, list[str]]]:
+) -> Iterator[tuple[Port, Port, LinearTransformation, str, bool, list[str]]]:
     """Connections between components, then those of inputs and outputs of the system.
 
-    Each with its map, whether the reader must suppress its own unit conversion, which the map contains, and
-    the coordinates of its bends.
+    Each with its map, the type of values in its table, whether the reader must suppress its own unit
+    conversion, which the map contains, and the coordinates of its bends.
     """
     system_units = {i.name: i.unit for i in s.inputs.values()}
     system_units |= {o.name: o.unit for o in s.outputs.values()}
@@ -188,4 +185,7 @@ def _connections(
         converted = linear != IDENTITY or (units[0] != units[1] and None not in units)
         bends = diagram.bends.get((source, target), ())
         points = [" ".join(f"{p[axis]:.6g}" for p in bends) for axis in (0, 1)]
-        yield source, target, linear, converted, points
+        if linear.table and (linear.factor, linear.offset) != (1.0, 0.0):
+            raise Problem(f"{source} -> {target}: expected a line or a mapping of values to write, got both")
+        kind = "Boolean" if s.variable(source).kind == "Boolean" else "Integer"
+        yield source, target, linear, kind, converted, points

@@ -7,8 +7,10 @@ from math import exp, log, sqrt
 import numpy as np
 import pytest
 from kit import shards
+from kit.any_fmu.description import packed
 from kit.any_fmu.edit import edited
 from kit.mistakes import table
+from kit.ssp import ssd, system, wire
 from scipy.integrate import solve_ivp
 
 from benchmarks import monolithic
@@ -24,6 +26,35 @@ from orchestrator.ssp.system import Component, System
 
 VERSIONS = (2, 3)
 MIXED = list(product(VERSIONS, VERSIONS))
+
+
+# ---- files
+
+
+@pytest.mark.parametrize("implementation", ["", 'implementation="ModelExchange"'])
+def test_an_ssp_may_ask_for_model_exchange(fmu, tmp_path, implementation):
+    """A thermostat whose truth is mapped to its contrary: the cold room is heated for ever, or never."""
+    for target, right in (("true", lambda t: 1 - np.exp(-t)), ("false", np.zeros_like)):
+        entry = (
+            f'<ssc:MapEntry source="false" target="{target}"/><ssc:MapEntry source="true" target="{target}"/>'
+        )
+        wires = [
+            wire(
+                "t.on",
+                "r.on",
+                f"<ssc:BooleanMappingTransformation>{entry}</ssc:BooleanMappingTransformation>",
+            )
+        ]
+        parts = "".join(
+            f"""<ssd:Component name="{name}" source="{name}.fmu" {implementation}><ssd:Connectors>
+<ssd:Connector name="on" kind="{kind}"/></ssd:Connectors></ssd:Component>"""
+            for name, kind in (("t", "output"), ("r", "input"))
+        )
+        files = {"SystemStructure.ssd": ssd(system([parts], wires), "")}
+        files |= {"t.fmu": fmu("thermo", 2).read_bytes(), "r.fmu": fmu("room", 2).read_bytes()}
+        result = reference(packed(tmp_path / f"{target}.ssp", files), stop=1.0, record_step=0.25)
+        # errors of the solver
+        np.testing.assert_allclose(result["r.T"], right(result.trace.time), atol=1e-11)
 
 
 # ---- states

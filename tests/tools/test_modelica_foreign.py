@@ -20,6 +20,7 @@ from kit.compile import library
 from kit.mistakes import table
 
 from orchestrator import Problem
+from orchestrator.__main__ import main
 from orchestrator.modelica import write_package
 
 SOURCE = Path(__file__).with_name("decay.c")
@@ -240,3 +241,9 @@ def test_invalid_names_are_reported(decay, tmp_path):
             write_package([decay()], tmp_path, name)
     with pytest.raises(Problem, match="no FMU has an input 'nosuch'"):
         write_package([decay()], tmp_path, "P", constant_inputs=("nosuch",))
+
+
+def test_the_command_takes_any_fmu(decay, tmp_path, capsys):
+    """Its inputs that stay constant by default are those of the machine, which this FMU does not have."""
+    assert main(["modelica", str(decay()), "--out", str(tmp_path), "--name", "Mine"]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "Mine" / "package.mo")

@@ -151,6 +151,9 @@ static int exchange_call(Simulation *sim, const ExchangeCall *e) {
 static void copy_values(Simulation *sim, const ConnectionCopy *copy) {
     if (copy->array == REAL) COPY_VALUES(double, sim->reals);
     else COPY_VALUES(int32_t, sim->integers);
+    const ValueTable *table = copy->table;
+    for (int32_t i = 0; table && i < table->count; i++)
+        if (sim->integers[table->source[i]] == table->from[i]) sim->integers[table->target[i]] = table->to[i];
 }
 
 int execute(Simulation *sim, const Program *program) {

@@ -88,9 +88,16 @@ typedef struct ExchangeCall { /* one FMI call in Model Exchange */
     int32_t kind, count, fmi, function_number;
 } ExchangeCall;
 
+typedef struct ValueTable { /* values of integers that a mapping of SSP takes off the straight line */
+    const int64_t *source, *target;
+    const int32_t *from, *to;
+    int32_t count;
+} ValueTable;
+
 typedef struct ConnectionCopy { /* copies values of outputs to the inputs that they feed, within one array */
     const int64_t *source, *target;
     const void *factor, *offset; /* NULL if all factors are 1 and all offsets 0 */
+    const ValueTable *table;     /* NULL: none */
     int32_t count, array;
 } ConnectionCopy;
 
@@ -270,9 +277,12 @@ typedef struct Scenario { /* a table of columns over time, linear between the sa
     const double *factor, *offset, *discrete_factor, *discrete_offset;
     const int64_t *rate_columns, *rates; /* rate inputs of continuous inputs, which get the slope of their column */
     const double *rate_factor;
+    const int32_t *integer_factor, *integer_offset;
+    const ValueTable *table; /* source: a column; NULL: none */
+    const int64_t *passed_columns, *passed; /* inputs of the system that its outputs pass on */
     Real *at_end, *at_midpoint;   /* continuous inputs at the end and at the middle of the step */
     const int32_t *inputs;        /* the coupling inputs of the continuous ones */
-    int32_t count, discrete_count, integer_count, rate_count;
+    int32_t count, discrete_count, integer_count, rate_count, passed_count;
     Program input_writes;
 } Scenario;
 

@@ -58,10 +58,20 @@ int scenario_set_inputs(Simulation *sim, Real t) {
     Scenario *d = sim->scenario;
     if (!d) return CONTINUE;
     scenario_set_continuous(d, t, sim->reals);
-    const double *base = d->base + interval_at(d, 0, machine(t, 0)) * d->width;
+    const double at = machine(t, 0);
+    const int64_t k = interval_at(d, 0, at);
+    const double *base = d->base + k * d->width, *slopes = d->slopes + k * d->width;
+    for (int32_t i = 0; i < d->passed_count; i++) {
+        const int64_t column = d->passed_columns[i];
+        sim->reals[d->passed[i]] = base[column] + (at - d->anchor[k]) * slopes[column];
+    }
     for (int32_t i = 0; i < d->discrete_count; i++)
         sim->reals[d->discrete[i]] = base[d->discrete_columns[i]] * d->discrete_factor[i] + d->discrete_offset[i];
-    for (int32_t i = 0; i < d->integer_count; i++)
-        sim->integers[d->integers[i]] = (int32_t)rint(base[d->integer_columns[i]]);
+    for (int32_t i = 0; i < d->integer_count; i++) {
+        const int32_t value = (int32_t)rint(base[d->integer_columns[i]]);
+        sim->integers[d->integers[i]] = value * d->integer_factor[i] + d->integer_offset[i];
+    }
+    for (int32_t i = 0; d->table && i < d->table->count; i++)
+        if (rint(base[d->table->source[i]]) == d->table->from[i]) sim->integers[d->table->target[i]] = d->table->to[i];
     return execute(sim, &d->input_writes);
 }

@@ -1,0 +1,243 @@
+"""Mappings of values in SSP: of Booleans, whole numbers and enumerations, on every way that a value can take.
+
+`types` has int_out = int_in + 1, bool_out = not bool_in, enum_out = enum_in; its enumeration is red = 1,
+green = 2.
+"""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from kit.mistakes import problem
+from kit.ssp import bound, second, ssd, system, wire
+
+from orchestrator import Trace, load, run
+from orchestrator.ssp.write import write_ssp
+
+LAMPS = """<ssd:Enumerations><ssc:Enumeration name="Lamp">
+<ssc:Item name="stop" value="7"/><ssc:Item name="go" value="-3"/></ssc:Enumeration></ssd:Enumerations>"""
+
+
+def mapping(kind, *entries):
+    """A transformation by a table."""
+    rows = "".join(f'<ssc:MapEntry source="{a}" target="{b}"/>' for a, b in entries)
+    return f"<ssc:{kind}MappingTransformation>{rows}</ssc:{kind}MappingTransformation>"
+
+
+def port(name, kind, type_="Integer", more=""):
+    return f'<ssd:Connector name="{name}" kind="{kind}"><ssc:{type_} {more}/></ssd:Connector>'
+
+
+def part(name, bindings=""):
+    """A component without connectors in the file."""
+    ends = "".join(
+        port(f"{kind}_{end}", way, type_, 'name="Colour"' * (kind == "enum"))
+        for kind, type_ in (("int", "Integer"), ("bool", "Boolean"), ("enum", "Enumeration"))
+        for end, way in (("in", "input"), ("out", "output"))
+    )
+    return f"""<ssd:Component name="{name}" source="types.fmu"><ssd:Connectors>{ends}</ssd:Connectors>
+{bindings}</ssd:Component>"""
+
+
+def values(mapping_entries, **parameters):
+    """A binding with a parameter mapping; parameters: name -> (element, value)."""
+    rows = "".join(
+        f'<ssv:Parameter name="{n}"><ssv:{kind} value="{v}"/></ssv:Parameter>'
+        for n, (kind, v) in parameters.items()
+    )
+    return bound(
+        "",
+        f"""<ssd:ParameterValues><ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{rows}
+</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues><ssd:ParameterMapping>
+<ssm:ParameterMapping version="1.0">{mapping_entries}</ssm:ParameterMapping></ssd:ParameterMapping>""",
+    )
+
+
+@pytest.fixture(params=["fmus", "fmus3"])
+def make(request, zip_ssp):
+    """An .ssp around types.fmu, of SSP 1.0 with FMI 2.0 and of SSP 2.0 with FMI 3.0."""
+    fmus = request.getfixturevalue(request.param)
+    edition = str if request.param == "fmus" else lambda text: second(text).replace(":Integer ", ":Int32 ")
+
+    def write(elements, wires, connectors="", bindings=""):
+        text = edition(ssd(system(elements, wires, connectors, bindings), LAMPS))
+        return zip_ssp(text, {"types.fmu": fmus["types"]})
+
+    return write
+
+
+def stairs(**columns):
+    """A scenario of samples, half a second from one to the next."""
+    signals = {name.replace("__", "."): np.array(v, float) for name, v in columns.items()}
+    return Trace(0.5 * np.arange(len(next(iter(signals.values())))), signals)
+
+
+def driven(path, signal, **columns):
+    """A signal at the samples of a scenario."""
+    return run(path, stairs(**columns), step=0.5).trace[signal].tolist()
+
+
+def test_what_is_not_mapped_is_kept(make):
+    """The counter passes 1 2 3 4 5; one entry, a line that is no rule for the others, and a permutation."""
+    for entries, right in (
+        ([(2, 9)], [1, 9, 3, 4, 5]),
+        ([(1, 10), (2, 20), (3, 30)], [10, 20, 30, 4, 5]),
+        ([(1, 5), (5, 2), (2, 1)], [5, 1, 3, 4, 2]),
+    ):
+        path = make([part("p"), part("q")], [wire("p.int_out", "q.int_in", mapping("Integer", *entries))])
+        assert driven(path, "q.int_in", p__int_in=[0, 1, 2, 3, 4]) == right
+        again = write_ssp(load(path), path.with_name("again.ssp"))
+        assert driven(again, "q.int_in", p__int_in=[0, 1, 2, 3, 4]) == right
+
+
+@pytest.mark.parametrize("master", ["jacobi", "hermite"])
+def test_other_masters_map_the_same(make, master):
+    """One step later, as their inputs are held."""
+    path = make([part("p"), part("q")], [wire("q.int_in", "p.int_out", mapping("Integer", (2, 9), (4, -1)))])
+    trace = run(path, stairs(p__int_in=[0, 1, 2, 3, 4]), step=0.5, master=master).trace
+    assert trace["q.int_in"].tolist() == [1, 9, 3, -1, 5]
+
+
+def test_inputs_of_the_system_are_mapped(make):
+    """A scenario, a single value, a start value in the file; whole numbers, Booleans, items, and a line."""
+    wires = [
+        wire("count", "p.int_in", mapping("Integer", (1, 100), (3, 300))),
+        wire("count", "q.int_in", '<ssc:LinearTransformation factor="-2" offset="5"/>'),
+        wire("on", "p.bool_in", mapping("Boolean", ("true", "false"), ("false", "true"))),
+        wire("on", "q.bool_in", mapping("Boolean", ("false", "true"))),
+        wire("p.enum_in", "lamp", mapping("Enumeration", ("go", "green"), ("stop", "red"))),
+    ]
+    inlets = port("count", "input") + port("on", "input", "Boolean")
+    inlets += port("lamp", "input", "Enumeration", 'name="Lamp"')
+    path = make([part("p"), part("q")], wires, inlets)
+    scenario = stairs(count=[0, 1, 2, 3], on=[0, 1, 1, 0], lamp=[7, -3, -3, 7])
+    trace = run(path, scenario, step=0.5).trace
+    assert trace["p.int_in"].tolist() == [0, 100, 2, 300]
+    assert trace["q.int_in"].tolist() == [5, 3, 1, -1]
+    assert trace["p.bool_in"].tolist() == [1, 0, 0, 1]
+    assert trace["q.bool_in"].tolist() == [1, 1, 1, 1]
+    assert trace["p.enum_in"].tolist() == [1, 2, 2, 1]
+    chosen = load(path).with_start({"count": 3, "on": "true", "lamp": "go"}).components
+    assert (chosen["p"].start["int_in"], chosen["q"].start["int_in"]) == (300, -1)
+    assert (chosen["p"].start["bool_in"], chosen["q"].start["bool_in"]) == (False, True)
+    assert chosen["p"].start["enum_in"] == 2
+    entries = "".join(f'<ssm:MappingEntry source="{n}" target="{n}"/>' for n in ("count", "lamp"))
+    bindings = values(entries, count=("Integer", 1), lamp=("Enumeration", "go"))
+    start = load(make([part("p"), part("q")], wires, inlets, bindings)).components["p"].start
+    assert (start["int_in"], start["enum_in"]) == (100, 2)
+
+
+def test_outputs_of_the_system_are_mapped(make):
+    """The output of the component keeps its value, that of the system has the mapped one."""
+    wires = [
+        wire("p.int_out", "n", mapping("Integer", (2, -2))),
+        wire("p.bool_out", "b", mapping("Boolean", (1, 0))),
+    ]
+    wires.append(wire("lamp", "p.enum_out", mapping("Enumeration", ("green", "go"))))
+    outlets = port("n", "output") + port("b", "output", "Boolean")
+    outlets += port("lamp", "output", "Enumeration", 'name="Lamp"')
+    path = make([part("p")], wires, outlets)
+    scenario = stairs(p__int_in=[0, 1, 2], p__bool_in=[0, 1, 0], p__enum_in=[1, 2, 1])
+    trace = run(path, scenario, step=0.5).trace
+    assert (trace["p.int_out"].tolist(), trace["n"].tolist()) == ([1, 2, 3], [1, -2, 3])
+    assert (trace["p.bool_out"].tolist(), trace["b"].tolist()) == ([1, 0, 1], [0, 0, 0])
+    assert trace["lamp"].tolist() == [1, -3, 1]
+
+
+def test_mappings_one_after_the_other(make):
+    """Through the connectors of a system inside: a line, a table, a table; as each alone, in turn."""
+    inner = system(
+        [part("q")],
+        [wire("u", "q.int_in", mapping("Integer", (5, 50), (8, 1), (7, 70)))],
+        port("u", "input"),
+        name="inner",
+    )
+    line = wire("p.int_out", "middle.u", '<ssc:LinearTransformation factor="2" offset="1"/>')
+    middle = system(
+        [inner], [wire("u", "inner.u", mapping("Integer", (3, 8), (9, 7)))], port("u", "input"), name="middle"
+    )
+    path = make([part("p"), middle], [line])
+
+    def right(n):
+        n = 2 * (n + 1) + 1
+        n = {3: 8, 9: 7}.get(n, n)
+        return {5: 50, 8: 1, 7: 70}.get(n, n)
+
+    counts = range(6)
+    assert driven(path, "middle.inner.q.int_in", p__int_in=[*counts]) == [right(n) for n in counts]
+
+
+def test_parameters_are_mapped_by_their_type(make):
+    """With values of any spelling; what the mapping does not name is not set, with a note."""
+    entries = (
+        ("n", "int_in", mapping("Integer", ("4", "-4"))),
+        ("on", "bool_in", mapping("Boolean", ("true", "false"))),
+        ("colour", "enum_in", mapping("Enumeration", ("blau", "green"))),
+        ("text", "label", ""),
+    )
+    inside = "".join(
+        f'<ssm:MappingEntry source="{a}" target="{b}">{m}</ssm:MappingEntry>' for a, b, m in entries
+    )
+    given = {"n": ("Integer", "04"), "on": ("Boolean", "1"), "colour": ("Enumeration", "blau")}
+    given |= {"text": ("String", "you"), "gain": ("Real", 9), "int_in": ("Integer", 3)}
+    path = make([part("p", values(inside, **given))], [])
+    loaded = load(path)
+    assert loaded.components["p"].start == {"int_in": -4, "bool_in": False, "enum_in": 2, "label": "you"}
+    assert [n.partition(": ")[2] for n in loaded.notes] == ["left out, not in the mapping: gain, int_in"]
+
+
+@pytest.mark.parametrize(
+    ("entries", "told"),
+    [
+        ([("n", "int_in"), ("m", "int_in")], "MappingEntry: expected each target once, got 'int_in' twice"),
+        (
+            [("n", "real_in", mapping("Integer", (1, 2)))],
+            "p.real_in: expected a LinearTransformation of a Real, got .*",
+        ),
+        (
+            [("n", "label", mapping("Integer", (1, 2)))],
+            "p.label: expected no transformation of a String, got .*",
+        ),
+        (
+            [("n", "int_in", '<ssc:LinearTransformation factor="0.5"/>')],
+            "p.int_in: expected integer factor and .*",
+        ),
+    ],
+)
+def test_parameter_mappings_that_cannot_be_are_told(make, entries, told):
+    """In one line."""
+    inside = "".join(
+        f'<ssm:MappingEntry source="{a}" target="{b}">{"".join(m)}</ssm:MappingEntry>' for a, b, *m in entries
+    )
+    problem(
+        partial(load, make([part("p", values(inside, n=("Integer", 1), m=("Integer", 2)))], [])), f"{told}$"
+    )
+
+
+def test_a_mapping_of_a_parameter_that_is_not_there(make):
+    """A misspelt source is told."""
+    inside = '<ssm:MappingEntry source="m" target="int_in"/>'
+    assert (
+        "the parameter set has no 'm'"
+        in load(make([part("p", values(inside, n=("Integer", 1)))], [])).notes[0]
+    )
+
+
+def test_items_that_no_enumeration_has_are_told(make):
+    """With those that there are."""
+    wires = [wire("lamp", "p.enum_in", mapping("Enumeration", ("go", "blue")))]
+    inlet = port("lamp", "input", "Enumeration", 'name="Lamp"')
+    problem(
+        lambda: load(make([part("p")], wires, inlet)), "expected one of the items red, green, got 'blue'$"
+    )
+
+
+def test_values_beyond_32_bits_are_told(make):
+    """A source that no value has is ignored (SSP 2.0), a target is refused."""
+    far = wire("p.int_out", "q.int_in", mapping("Integer", (2**40, 1), (1, 2)))
+    assert driven(make([part("p"), part("q")], [far]), "q.int_in", p__int_in=[0, 1]) == [2, 2]
+    far = wire("p.int_out", "q.int_in", mapping("Integer", (1, 2**40)))
+    problem(
+        lambda: run(make([part("p"), part("q")], [far]), step=0.5, stop=0.5),
+        "whole numbers of at most 2147483647$",
+    )
