@@ -7,7 +7,9 @@ compiler.
 The key of a library in the cache is a hash of its sources, its arguments and the version of the compiler.
 The compiler's own cache identifies a source file by its path, which is of no use for temporary folders.
 
-A library is executed, so it is taken only from a folder and a file that nobody but the user can change.
+A library is executed, so it is taken only from a folder and a file that nobody but the user can change. The
+same folder remembers which FMUs this installation has generated: only their C code may run in a process that
+nobody supervises, see `is_generated`.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from orchestrator.base.extras import install
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permission to write for others than the owner
+GENERATED = "generated"  # end of the name of an empty file in the cache, see `is_generated`
 COMPILED = Path(__file__).parents[1] / "compiled"  # libraries in the wheel; a checkout has none
 
 
@@ -133,6 +136,25 @@ def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) ->
                 (Path(temporary) / name).replace(file)
             return content
     return make()
+
+
+def note_generated(files: Mapping[str, bytes]) -> None:
+    """Remember that this installation has generated an FMU, path -> content."""
+    kept(GENERATED, bytes, _code_of(files))
+
+
+def is_generated(files: Mapping[str, bytes]) -> bool:
+    """Has this installation generated an FMU with these C sources and this description, path -> content?"""
+    with suppress(OSError):
+        if folder := private_cache():
+            return _is_private(folder / _file_name(GENERATED, "", {}, (), _code_of(files)))
+    return False
+
+
+def _code_of(files: Mapping[str, bytes]) -> list[bytes]:
+    """The C sources of an FMU, and the description by whose value references they are called."""
+    names = sorted(n for n in files if n.startswith("sources/") or n == "modelDescription.xml")
+    return [part for name in names for part in (name.encode(), files[name])]
 
 
 def shipped_file(

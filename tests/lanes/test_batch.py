@@ -20,9 +20,8 @@ from benchmarks import sweep
 from orchestrator import Coupling, Interrupted, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError, host
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled
-from orchestrator.lanes.compiled import NotInLanes, sources_of
+from orchestrator.lanes.compiled import NotInLanes
 from orchestrator.worker.process import CLOSED
 
 # full strokes: cylinders hit their stops, chambers cavitate, and valves close fast
@@ -206,17 +205,6 @@ def test_every_variant_runs_in_lanes(system, variants):
     swapped = with_swaps(system, {part: options[variants] for part, options in names.items()})
     for scenario, mass in product((None, STROKES), (300.0, 1200.0)):
         check(sweep.Machine(swapped, None, None, mass, scenario, stop=4.0))
-
-
-def test_sources_of_earlier_fmus_are_read(system, tmp_path):
-    """FMUs of earlier versions have model.c where those of today have model.c.inc."""
-    component = system.components["swing"]
-    names = component.source.names()
-    assert "sources/model.c.inc" in names
-    content = {name.removesuffix(".inc"): component.source.member(name).read() for name in names}
-    write_zip(tmp_path / "swing.fmu", content)
-    earlier = replace(component, source=Location(tmp_path / "swing.fmu"))
-    assert sources_of(earlier) == sources_of(component)
 
 
 def test_the_fmus_of_fmi_3_run_in_lanes(fmi3_dir):

@@ -242,7 +242,7 @@ def test_a_defect_has_the_traceback_of_the_child(oscillator):
     """A mistake of ours is not taken for one of the user."""
     broken = load(next(iter(oscillator.components.values())).source.path)
     broken.components["mass_a"].__dict__["start"] = {"mass": object()}
-    with pytest.raises(RuntimeError, match=r"Traceback(.|\n)*TypeError"):
+    with pytest.raises(Problem, match=r"^the process failed \(Traceback.*line \d+.*TypeError"):
         run(broken, **STEPS)
     assert run(oscillator, **STEPS).complete
 
