@@ -194,7 +194,9 @@ NONE = bytes(Activity(time=math.nan))
 def activity_in(file: bytes) -> Activity:
     """The activity in a file; none if it is incomplete, or if an FMU has written to it."""
     last = Activity.from_buffer_copy(file if len(file) == ACTIVITY_SIZE else NONE)
-    return last if last.name.decode("latin-1").isprintable() else Activity.from_buffer_copy(NONE)
+    text = (last.name + last.text).decode(errors="replace")
+    ours = last.name.isascii() and text.isprintable() and text.count("\ufffd") < 2  # one that was cut
+    return last if ours else Activity.from_buffer_copy(NONE)
 
 
 def share_activity(file: Path, keep: Callable[[mmap.mmap], mmap.mmap] = lambda memory: memory) -> Activity:
