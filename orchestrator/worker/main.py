@@ -134,7 +134,7 @@ class Channel:
                 self._messages.put(pickle.load(source))
         except Exception as error:  # of any kind, for what an FMU has written to the pipe
             if not isinstance(error, EOFError):
-                self._lost()
+                os._exit(DISCONNECTED)
             self.ended.set()
             self._messages.put(_END_OF_INPUT)
             end = time.monotonic() + self.grace + PATIENCE
