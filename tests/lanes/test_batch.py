@@ -20,8 +20,9 @@ from benchmarks import sweep
 from orchestrator import Coupling, Interrupted, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError, host
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled
-from orchestrator.lanes.compiled import NotInLanes
+from orchestrator.lanes.compiled import NotInLanes, sources_of
 from orchestrator.worker.process import CLOSED
 
 # full strokes: cylinders hit their stops, chambers cavitate, and valves close fast
@@ -205,6 +206,34 @@ def test_every_variant_runs_in_lanes(system, variants):
     swapped = with_swaps(system, {part: options[variants] for part, options in names.items()})
     for scenario, mass in product((None, STROKES), (300.0, 1200.0)):
         check(sweep.Machine(swapped, None, None, mass, scenario, stop=4.0))
+
+
+@pytest.mark.parametrize(
+    "changed", ["sources/model.c.inc", "sources/opening_curve.h", "modelDescription.xml"]
+)
+def test_only_code_that_this_installation_has_generated_runs_in_lanes(system, tmp_path, changed):
+    """Lanes are in the process of the caller; another page of documentation changes no code."""
+    component = system.components["swing"]
+    content = {name: component.source.member(name).read() for name in component.source.names()}
+    page = "documentation/index.html"
+    for file in (page, changed):
+        write_zip(tmp_path / f"{len(file)}.fmu", content | {file: content[file] + b"\n"})
+    same, other = (replace(component, source=Location(tmp_path / f"{len(f)}.fmu")) for f in (page, changed))
+    assert sources_of(same) == sources_of(component)
+    with pytest.raises(NotInLanes, match=r"swing \(.*\): expected an FMU that this installation"):
+        sources_of(other)
+
+
+def test_a_changed_fmu_runs_one_by_one(system, tmp_path):
+    """With a note, and the results of its library."""
+    source = system.components["swing"].source
+    content = {name: source.member(name).read() for name in source.names()}
+    content["sources/model.c.inc"] += b"#error this code must not be compiled\n"
+    write_zip(tmp_path / "swing.fmu", content)
+    other = with_swaps(system, {"swing": str(tmp_path / "swing.fmu")})
+    result = batch(other, {MASS: [300.0, 400.0]}, stop=0.01, record=["manipulator.boom_angle"])
+    assert result.status.tolist() == ["ok"] * 2
+    assert any("one by one: swing" in note and "this installation" in note for note in result.notes)
 
 
 def test_the_fmus_of_fmi_3_run_in_lanes(fmi3_dir):

@@ -152,6 +152,7 @@ static void write_to_inputs(void) {
         snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
         if (write(open(link, O_WRONLY | O_NONBLOCK), "AAAAAAAAAAAAAAAA", 16) < 0) continue;
     }
+    usleep(500000); /* until it has read that */
 }
 
 /* The connection goes nowhere, and nobody sees its end. */

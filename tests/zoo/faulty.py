@@ -4,6 +4,7 @@ The library is compiled once per version of FMI: the instantiation token of an F
 """
 
 import shutil
+import sys
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -14,7 +15,14 @@ from kit.compile import library
 
 from orchestrator.base.compiler import SUFFIX
 
-FLAGS = ("-std=gnu11", "-lrt", "-fno-sanitize=undefined", "-Wno-unused-parameter", "-Wno-infinite-recursion", "-s")
+FLAGS = (
+    "-std=gnu11",
+    "-fno-sanitize=undefined",
+    "-Wno-unused-parameter",
+    "-Wno-infinite-recursion",
+    "-s",
+)
+FLAGS += ("-lrt",) if sys.platform == "linux" else ()
 HANGS = ("spin", "sleep")
 # An FMU that does not fail, but does what no FMU may. benchmarks/hostile.py runs each through each command.
 MISUSES = {
