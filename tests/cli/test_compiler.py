@@ -1,5 +1,6 @@
 """The cache of compiled code: only what nobody but the user can change is loaded."""
 
+import ctypes
 import logging
 import os
 import sys
@@ -79,12 +80,11 @@ def test_a_folder_of_another_user_is_not_used(cache, caplog, monkeypatch):
 def test_a_damaged_file_is_made_again(damage):
     """After a power cut a library may be empty, cut or have other bytes, which would end the process."""
     library, kept = made(), partial(compiler.kept, "text", lambda: b"some text", [b"key"])
-    whole = library.read_bytes()
     assert kept() == b"some text"
     for file in library.parent.glob("*-*"):
         if file.suffix != ".sha256":
             file.write_bytes(damage(file.read_bytes()))
-    assert made().read_bytes() == whole
+    assert ctypes.CDLL(str(made())).one() == 1
     assert kept() == b"some text"
 
 

@@ -137,7 +137,7 @@ def test_a_variant_that_is_no_name_is_refused_in_one_line(
     monkeypatch.setattr(live, "offered", lambda _: offer)
     now = MachineChoice(Path("a.ssp"))
     asked = {"system": "a.ssp", "pose": "", "swap": {"arm": variant}}
-    with pytest.raises(Problem, match=r"arm: no variant .* is offered"):
+    with pytest.raises(Problem, match=r"'arm': no variant .* is offered"):
         chosen(now, asked)
 
 
