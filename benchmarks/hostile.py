@@ -24,6 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from kit.wait import until
 from zoo.command import Ended, command
 from zoo.faulty import BEGIN, MEMORY, MISUSES, Faulty, faulty
 
@@ -130,6 +131,8 @@ def _check(ended: Ended, misuse: str, name: str, fmu: Faulty, folder: Path) -> N
     """What must hold however it ended."""
     said = ended.err + ended.out
     assert not ended.left, (misuse, name, ended.left)
+    if misuse == "orphan":  # it has no environment by which `command` finds it
+        until(lambda: not Path(f"/proc/{int(fmu.committed.read_text())}").exists())
     assert "Traceback" not in said, (misuse, name, said)
     fails = [line for line in ended.lines if line.startswith("harvester: ") and "interrupted" not in line]
     assert len(fails) <= 1, (misuse, name, ended.err)
@@ -142,7 +145,7 @@ def _check(ended: Ended, misuse: str, name: str, fmu: Faulty, folder: Path) -> N
         metadata = file.with_suffix(".run.json")
         if metadata.is_file():
             assert json.loads(metadata.read_text("utf-8"))["complete"] == complete, (misuse, name, file)
-        if len(times) and misuse not in ("close", "garbage", "thread"):
+        if len(times) and misuse not in ("close", "garbage", "thread", "forge"):
             assert times[-1] >= BEGIN - 0.011, (misuse, name, times[-1])
 
 
@@ -152,6 +155,8 @@ def _word(ended: Ended, name: str, delay: float | None) -> str:
     if "not done within" in said or "hang: " in said or "more than" in said or "has not answered" in said:
         return "limit"
     if "no message" in said or "lost its connection" in said or "wrote over" in said or "the process" in said:
+        return "named"
+    if "segmentation fault" in said:
         return "named"
     return "Ctrl-C" if ended.status == 130 and (delay is not None or name != "view") else "complete"
 

@@ -21,7 +21,7 @@ from io import BytesIO
 from itertools import groupby
 from pathlib import Path, PurePosixPath
 
-from orchestrator.base.compiler import private_cache, process_folder
+from orchestrator.base.compiler import note_generated, private_cache, process_folder
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import FMI3, zip_bytes
 from orchestrator.base.progress import doing
@@ -96,6 +96,9 @@ def _unpacked(folder: Path, fmi3: bool) -> Path:
             for name, content in unpack(BUILT, fmi3):
                 (temporary / name).parent.mkdir(parents=True, exist_ok=True)
                 (temporary / name).write_bytes(content)
+                if name.endswith(".fmu"):
+                    with zipfile.ZipFile(BytesIO(content)) as fmu:
+                        note_generated({member: fmu.read(member) for member in fmu.namelist()})
             try:
                 temporary.replace(folder)
             except OSError:  # another process has made it meanwhile

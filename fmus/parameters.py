@@ -35,6 +35,7 @@ from typing import Any, TypeAlias
 from fmus.contract import G, Quantity, Subsystem, quantities
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import write_whole
 
 SOURCES = {
     "paper": "printed in the paper or read from its figures; the only data of the FERIC machine",
@@ -259,7 +260,7 @@ def values(sub: Subsystem, path: Path | None = None, derive: bool = True) -> Val
 
 def write(path: Path, tables: Tables) -> None:
     """Write tables `parameters` and `start`; `read` returns the same values."""
-    path.write_text(document(tables), encoding="utf-8")
+    write_whole(path, document(tables))
 
 
 def document(tables: Tables) -> str:

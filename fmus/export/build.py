@@ -26,7 +26,7 @@ from fmus.export.model_description import (
 )
 from fmus.package_files import project_file
 from fmus.parameters import Values
-from orchestrator.base.compiler import host
+from orchestrator.base.compiler import host, note_generated
 from orchestrator.base.files import write_zip
 from orchestrator.base.options import seconds
 
@@ -156,6 +156,7 @@ def build_all(
         compilers.shutdown(cancel_futures=True)
     for path, fmi, files, libraries in targets:
         by_platform = {name: library.result() for name, library in libraries.items()}
+        note_generated(files)
         write_zip(path, files | binaries(path.stem, fmi, by_platform))
     paths = [path for path, *_ in targets]
     return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}

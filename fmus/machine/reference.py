@@ -62,7 +62,7 @@ from fmus.monolith import join, simulate
 from fmus.operator_input.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
 from fmus.supply import SUPPLY
-from orchestrator.base.files import write_columns
+from orchestrator.base.files import write_columns, write_whole
 from orchestrator.base.signals import CONSTANT_OF_NOMINAL
 
 Array = NDArray[np.float64]
@@ -229,7 +229,7 @@ def write_reference(sub: Subsystem, recorded: Mapping[str, Array]) -> None:
         for x in (*interface.parameters, *interface.inputs, *interface.states)
         if x.start is not None
     }
-    data_file(sub, "parameters.ssv").write_bytes(reference_parameters(sub, settable))
+    write_whole(data_file(sub, "parameters.ssv"), reference_parameters(sub, settable))
 
 
 # ---- the work cycle

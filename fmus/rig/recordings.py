@@ -21,7 +21,7 @@ from fmus.rig.benches import TOLERANCE
 from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiment
 from fmus.rig.instruments import Experiment, record
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import write_columns
+from orchestrator.base.files import write_columns, write_whole
 from orchestrator.base.processes import mapping
 from orchestrator.data.description import Description, Origin, SignalDescription, Tolerance, write_description
 
@@ -54,7 +54,7 @@ def write_all(
     report(f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}")
     cores = f" on {processes} cores" * (processes > 1)
     report(f"  takes about {SECONDS[machine]} s of processor time{cores}")
-    (out / README).write_text(readme(machine, seed), encoding="utf-8", newline="\n")
+    write_whole(out / README, readme(machine, seed))
     with mapping(processes) as each:
         for line in each(partial(_write_named, out, machine, seed), EXPERIMENTS):
             report(line)

@@ -7,7 +7,9 @@ compiler.
 The key of a library in the cache is a hash of its sources, its arguments and the version of the compiler.
 The compiler's own cache identifies a source file by its path, which is of no use for temporary folders.
 
-A library is executed, so it is taken only from a folder and a file that nobody but the user can change.
+A library is executed, so it is taken only from a folder and a file that nobody but the user can change. The
+same folder remembers which FMUs this installation has generated: only their C code may run in a process that
+nobody supervises, see `is_generated`.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from orchestrator.base.extras import install
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permission to write for others than the owner
+GENERATED = "generated"  # end of the name of an empty file in the cache, see `is_generated`
 COMPILED = Path(__file__).parents[1] / "compiled"  # libraries in the wheel; a checkout has none
 
 
@@ -124,15 +127,35 @@ def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) ->
     with suppress(OSError):  # the cache is not writable
         if folder := private_cache():
             file = folder / _file_name(name, "", {}, (), dependencies)
-            if _is_private(file):
+            if _is_whole(file):
                 return file.read_bytes()
             content = make()
             with tempfile.TemporaryDirectory(dir=folder) as temporary:
+                _write_sum(file, content, Path(temporary))
                 (Path(temporary) / name).write_bytes(content)
                 (Path(temporary) / name).chmod(0o600)
                 (Path(temporary) / name).replace(file)
             return content
     return make()
+
+
+def note_generated(files: Mapping[str, bytes]) -> None:
+    """Remember that this installation has generated an FMU, path -> content."""
+    kept(GENERATED, bytes, _code_of(files))
+
+
+def is_generated(files: Mapping[str, bytes]) -> bool:
+    """Has this installation generated an FMU with these C sources and this description, path -> content?"""
+    with suppress(OSError):
+        if folder := private_cache():
+            return _is_whole(folder / _file_name(GENERATED, "", {}, (), _code_of(files)))
+    return False
+
+
+def _code_of(files: Mapping[str, bytes]) -> list[bytes]:
+    """The C sources of an FMU, and the description by whose value references they are called."""
+    names = sorted(n for n in files if n.startswith("sources/") or n == "modelDescription.xml")
+    return [part for name in names for part in (name.encode(), files[name])]
 
 
 def shipped_file(
@@ -197,6 +220,27 @@ def _is_private(file: Path) -> bool:
     return _owned(file) and stat.S_ISREG(mode) and not mode & OTHERS
 
 
+def _is_whole(file: Path) -> bool:
+    """True if a file of the cache is private and as it was made: the computer may have stopped meanwhile."""
+    expected = _sum_file(file)
+    if not (_is_private(file) and _is_private(expected)):
+        return False
+    return expected.read_text("utf-8") == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _sum_file(file: Path) -> Path:
+    """Where the checksum of a file of the cache is."""
+    return file.with_name(f"{file.name}.sha256")
+
+
+def _write_sum(file: Path, content: bytes, folder: Path) -> None:
+    """Write the checksum of a file that is going to have this content; folder: on the same disk."""
+    made = folder / "sha256"
+    made.write_text(hashlib.sha256(content).hexdigest(), "utf-8")
+    made.chmod(0o600)
+    made.replace(_sum_file(file))
+
+
 @cache
 def _warn_of_shared(folder: Path) -> None:
     """Say once in a process that the cache is not used."""
@@ -219,10 +263,10 @@ def _compile(
     arguments: Sequence[str],
     environment: Mapping[str, str] | None = None,
 ) -> Path:
-    if _is_private(library):
+    if _is_whole(library):
         return library
     with _alone(library), tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        if _is_private(library):  # compiled meanwhile
+        if _is_whole(library):  # compiled meanwhile
             return library
         for file, data in code.items():
             (Path(folder) / file).write_bytes(data)
@@ -234,10 +278,11 @@ def _compile(
             raise _compiler_error(run)
         made = Path(folder) / name
         made.chmod(0o700)
+        _write_sum(library, made.read_bytes(), Path(folder))
         try:
             made.replace(library)
         except OSError:  # on Windows, if another process compiled it meanwhile and has loaded it
-            if not _is_private(library):
+            if not _is_whole(library):
                 raise
     return library
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
 import os
@@ -17,7 +18,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
-from io import BytesIO
+from io import BytesIO, StringIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from threading import Lock
@@ -26,6 +27,7 @@ from urllib.parse import unquote, urlsplit
 
 from orchestrator.base import SHIPPED
 from orchestrator.base.errors import Problem
+from orchestrator.base.processes import remove_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,6 +58,7 @@ ZIP_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, OSError, EOFError),
     *(RuntimeError, ValueError, OverflowError),
 )
+PARTIAL = ".partial"  # end of the name of a file that is being written, see `put`
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -170,7 +173,7 @@ def temporary_folder(prefix: str, archive: str) -> Iterator[Path]:
     try:
         yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove_folder(folder)
 
 
 # ---- archives that are used more than once -----------------------------------------------------------------
@@ -536,9 +539,15 @@ def make_folder(path: Path) -> None:
 
 def write_columns(path: Path, names: Sequence[str], rows: NDArray[np.float64], digits: int) -> None:
     """Write rows, shape (n, m), as a CSV file with a header; `digits` significant digits."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     body = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
-    path.write_text("\n".join([csv_header(names), *body, ""]), encoding="utf-8", newline="\n")
+    write_whole(path, "\n".join([csv_header(names), *body, ""]))
+
+
+def write_rows(path: Path, rows: Iterable[Iterable[object]]) -> Path:
+    """Write rows of any values, the names first, as a CSV file (RFC 4180)."""
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return write_whole(path, text.getvalue())
 
 
 def csv_header(names: Iterable[str]) -> str:
@@ -559,15 +568,41 @@ def write_zip(path: Path, content: Mapping[str, bytes]) -> None:
     write_whole(path, zip_bytes(content))
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file, which is replaced in one operation; its folder is made if needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+def write_whole(path: Path, content: bytes | str) -> Path:
+    """Write a file as `put` does, a text with the same bytes on every platform."""
+    data = content.encode() if isinstance(content, str) else content
+    return put(path, lambda file: file.write_bytes(data))
+
+
+def put(path: Path, write: Callable[[Path], object]) -> Path:
+    """Write a file completely or not at all, whenever the process or the computer stops or the disk is full.
+
+    It is written next to `path` and then gets its name. Its folder is made if needed.
+    """
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not path.is_file():  # such as /dev/stdout
+            write(path)
+            return path
+        target = path.resolve()  # behind a symbolic link
+        temporary = target.with_name(f".{target.name}.{os.getpid()}{PARTIAL}")
+        try:
+            write(temporary)
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
+    return path
+
+
+@contextmanager
+def naming(file: Path, remark: str = "") -> Iterator[None]:
+    """Context in which an OSError becomes a Problem that names a file."""
     try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield
+    except OSError as error:
+        raise Problem(f"{file}: cannot be written: {error.strerror or error}{remark}") from error
 
 
 def zip_bytes(content: Mapping[str, bytes]) -> bytes:

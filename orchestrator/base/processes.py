@@ -1,12 +1,13 @@
-"""Cores and memory of this computer: work in several processes, refusal of results that cannot fit."""
+"""Cores, memory and folders: work in several processes, refusal of results that cannot fit."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import signal
+import subprocess
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,15 @@ def mapping(processes: int) -> Iterator[Callable[..., Iterable[Any]]]:
     context = multiprocessing.get_context("spawn")  # the same on all systems
     with context.Pool(processes, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
         yield pool.imap
+
+
+def remove_folder(folder: Path) -> None:
+    """Remove a folder as far as possible, also one with more levels than Python can call functions."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except RecursionError:
+        with suppress(OSError):  # Windows has no `rm`, and no paths that long
+            subprocess.run(["rm", "-rf", "--", folder], capture_output=True, check=False)
 
 
 def machine_memory() -> float:

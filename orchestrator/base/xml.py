@@ -61,7 +61,7 @@ class XmlElement:
     @property
     def attributes(self) -> Mapping[str, str]:
         """The attributes, except those with a namespace."""
-        return {str(n): str(text) for n, text in self.element.attrib.items() if not str(n).startswith("{")}
+        return {n: text for n, text in attributes_of(self.element).items() if not n.startswith("{")}
 
     def get(self, name: str) -> str | None:
         """The text of an attribute, or None."""
@@ -93,6 +93,11 @@ class XmlElement:
             return boolean(text)
         except ValueError:
             raise self.problem(f"expected true or false for {name}, got {text!r}") from None
+
+
+def attributes_of(element: Element) -> dict[str, str]:
+    """The attributes by name; `items` of lxml looks for each value by its name, among all."""
+    return dict(zip(element.keys(), map(str, element.xpath("@*")), strict=True))
 
 
 def read_xml(file: Location, expected: str) -> XmlElement:

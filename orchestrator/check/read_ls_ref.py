@@ -5,7 +5,6 @@ Association, with the times in the element Experiment or in its child TransientS
 """
 
 import csv
-import io
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -158,7 +157,8 @@ def table(path: Path) -> ResultTable:
     head = text.partition("\n")[0]
     delimiter = ";" if ";" in head and "," not in head else ","
     try:
-        rows = [r for r in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if r]
+        # line by line: a quote without an end must not join rows
+        rows = [r for line in text.splitlines() for r in csv.reader([line], delimiter=delimiter) if r]
     except csv.Error as error:  # such as a cell that is too long
         raise Problem(f"{path.name}: expected a CSV file, got {error}") from None
     if len(rows) < 2:

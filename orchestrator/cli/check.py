@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import write_whole
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import command
 
@@ -47,5 +48,5 @@ def check(
         report = run_check(fmu, for_, run=not static)
     print(report.text())
     if json:
-        json.write_text(report.json(), "utf-8")
+        write_whole(json, report.json())
     return not report.failed

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Unpack
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import write_whole
 from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time, command, system_file
 from orchestrator.engine.arguments import CoupledArguments
@@ -146,5 +147,5 @@ def plot(
     picture = out or BUILD / "plot.png"
     make_folder(picture.parent)
     as_svg = picture.suffix.lower() == ".svg"
-    picture.write_bytes(svg(figure, transparent=False).encode() if as_svg else png(figure))
+    write_whole(picture, svg(figure, transparent=False) if as_svg else png(figure))
     print(f"{'' if out else 'no display for a window; '}picture: {picture}")

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import write_whole
 from orchestrator.base.toml import NOT_NEGATIVE, POSITIVE, Rule
 from orchestrator.base.units import parse_unit
 from orchestrator.data.table import TextFormat
@@ -189,7 +190,7 @@ def write_description(path: Path, description: Description) -> None:
         for name, table in tables.items()
         if (entries := _entries(table))
     ]
-    path.write_text("\n".join(blocks), encoding="utf-8", newline="\n")
+    write_whole(path, "\n".join(blocks))
 
 
 def _entries(table: Any) -> dict[str, object]:

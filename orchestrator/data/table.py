@@ -14,6 +14,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
@@ -113,8 +114,7 @@ def _read_text(
     text = _Text(file, form or TextFormat(), has_description=form is not None)
     header, first, lines = text.split_header(named)
     indices = _column_indices(header, names, str(file), f"line {text.form.skip_lines + 1}: ")
-    blank = " \t" + (text.mark or "")
-    rows = {number: line for number, line in enumerate(lines, first) if line.strip(blank)}
+    rows = text.rows(lines, first, len(header))
     del lines
     if not rows:
         raise Problem(f"{file}: expected two or more rows of numbers, got none")
@@ -195,13 +195,36 @@ class _Text:
             return text[: text.rfind("\n") + 1]
         return text
 
-    def split(self, line: str) -> list[str]:
-        """The cells of a line."""
-        if not self.mark:
-            return line.split()
-        if len(line) > csv.field_size_limit():
-            return _cells(line, self.mark)[0]
-        return next(csv.reader([line], delimiter=self.mark, skipinitialspace=self.mark != " "), [])
+    def rows(self, lines: Sequence[str], first: int, width: int) -> dict[int, str | list[str]]:
+        """The rows that are not blank, by the numbers of their lines; as cells if any has quotes (RFC 4180).
+
+        A quoted cell may have line breaks. One that goes on over whole rows lacks a quote.
+
+        first   number of the first line
+        width   cells of a row
+        """
+        mark, blank = self.mark, " \t" + (self.mark or "")
+        if not mark or not any('"' in line for line in lines):
+            return {number: line for number, line in enumerate(lines, first) if line.strip(blank)}
+        # a quote without an end takes the empty line at the end into its row
+        reader = csv.reader([*lines, ""], delimiter=mark, skipinitialspace=mark != " ")
+        rows: dict[int, str | list[str]] = {}
+        begin = 0
+        try:
+            for cells in reader:
+                further = lines[begin + 1 : reader.line_num]
+                endless = begin < len(lines) < reader.line_num
+                if endless or any(line.count(mark) >= width - 1 for line in further):
+                    got = "none in the file" if endless else "none before the next row"
+                    raise Problem(
+                        f"{self.file}: line {first + begin}: a quoted cell: expected its end, got {got}"
+                    )
+                if "".join(lines[begin : begin + 1]).strip(blank):
+                    rows[first + begin] = cells
+                begin = reader.line_num
+        except csv.Error as error:
+            raise Problem(f"{self.file}: line {first + begin}: {error}") from None
+        return rows
 
     def check_marks(self, line: str, number: int) -> None:
         """Refuse an invalid delimiter or decimal mark, and a delimiter that is not in the row of names."""
@@ -222,28 +245,33 @@ class _Text:
             expected = f"expected cells separated by {self.delimiter!r} ({origin})"
             raise Problem(f"{self.file}: line {number}: {expected}, got {other!r}{hint}")
 
-    def check_widths(self, rows: Mapping[int, str], width: int) -> None:
+    def check_widths(self, rows: Mapping[int, str | list[str]], width: int) -> None:
         """Refuse a row with fewer or more cells than the row of names."""
         for number, row in rows.items():
-            if self.mark and row.count(self.mark) == width - 1 and '"' not in row:
-                continue
-            if (cells := len(self.split(row))) != width:
+            plain = self.mark and isinstance(row, str)
+            cells = row.count(self.mark) + 1 if plain else len(self.cells(row))  # type: ignore[arg-type]
+            if cells != width:
                 raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}")
 
-    def parse_rows(self, rows: Mapping[int, str], indices: Mapping[str, int]) -> Array:
-        """Convert the columns `indices` of rows (line number -> text); shape (rows, columns)."""
-        plain = [row.replace(",", ".") if self.decimal == "," else row for row in rows.values()]
-        usecols = list(indices.values())
-        try:
-            return np.loadtxt(
-                plain, delimiter=self.mark, usecols=usecols, comments=None, quotechar='"', ndmin=2
-            )
-        except ValueError:  # a gap, or a cell that is not a number
-            table = np.empty((len(rows), len(indices)))
+    def cells(self, row: str | list[str]) -> list[str]:
+        """The cells of a row."""
+        return row.split(self.mark) if isinstance(row, str) else row
+
+    def parse_rows(self, rows: Mapping[int, str | list[str]], indices: Mapping[str, int]) -> Array:
+        """Convert the columns `indices` of rows, by the numbers of their lines; shape (rows, columns)."""
+        columns, point = list(indices.values()), "," if self.decimal == "," else "."
+        lines = [row.replace(point, ".") for row in rows.values() if isinstance(row, str)]
+        with suppress(ValueError):  # a gap, or a cell that is not a number
+            if not lines:
+                cells = [[row[k].replace(point, ".") for k in columns] for row in rows.values()]
+                return np.array(cells, float)
+            table = np.loadtxt(lines, delimiter=self.mark, usecols=columns, comments=None, ndmin=2)
+            if len(table) == len(rows):
+                return table
+        table = np.empty((len(rows), len(indices)))
         for i, (number, row) in enumerate(rows.items()):
-            cells = self.split(row) if '"' in row else row.split(self.mark)
             for j, (name, index) in enumerate(indices.items()):
-                table[i, j] = self.parse_cell(cells[index], number, name)
+                table[i, j] = self.parse_cell(self.cells(row)[index], number, name)
         return table
 
     def parse_cell(self, cell: str, line: int, column: str) -> float:
@@ -386,7 +414,7 @@ def _of_trace(variables: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]
     try:
         renamed = json.loads(run).get("names", {})
         original = {str(written): str(name) for name, written in renamed.items()}
-    except (ValueError, AttributeError):  # of another tool
+    except (ValueError, AttributeError, RecursionError):  # of another tool
         original = {}
     texts = {name: text for name, text in _flat_columns("", units) if isinstance(text, str)}
     return {original.get(name, name): text for name, text in texts.items()}, original

@@ -262,7 +262,7 @@ def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
         metadata = json.loads(file.with_suffix(METADATA_SUFFIX).read_bytes())
         written = Location(file).sha256 == metadata["sha256"]
         return {n: str(u) for n, u in metadata["units"].items() if n in trace.signals} if written else {}
-    except (Problem, OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (Problem, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
 
 

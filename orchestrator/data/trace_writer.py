@@ -17,8 +17,8 @@ import secrets
 import shutil
 import struct
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.base.files import Location, csv_header
+from orchestrator.base.files import Location, csv_header, naming
 from orchestrator.base.processes import check_room
 from orchestrator.base.units import LinearTransformation
 from orchestrator.data.matlab import read_variables
@@ -253,7 +253,7 @@ class TraceFile(TraceSink):
         super().begin(layout, rows)
         self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))
         self._kept.begin(layout)
-        with _naming(self.path):
+        with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)
             make = FORMATS[self.path.suffix.lower()]
@@ -268,7 +268,7 @@ class TraceFile(TraceSink):
         """Write rows; if the disk is full, the file ends with the last row that fits."""
         assert self._format is not None
         end = self._format.end
-        with _naming(self.partial, f"; it has the rows up to t = {end:.6g} s" if end == end else ""):
+        with naming(self.partial, f"; it has the rows up to t = {end:.6g} s" if end == end else ""):
             self._format.append(times, values)
         super().append(times, values)
         if values.shape[1] * 8 * self.rows > MAX_KEPT:
@@ -301,7 +301,7 @@ class TraceFile(TraceSink):
         check   called now and then; an exception leaves the partial file
         """
         assert self._format is not None
-        with _naming(self.partial):
+        with naming(self.partial):
             return self._format.finish(check, self.origin)
 
     @property
@@ -314,7 +314,7 @@ class TraceFile(TraceSink):
         assert self._format is not None
         temporary = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in others or {}}
         try:
-            with _naming(self.path):
+            with naming(self.path):
                 for file, text in (others or {}).items():
                     temporary[file].write_text(text, encoding="utf-8", newline="\n")
                 self._format.check_alone()
@@ -330,7 +330,7 @@ class TraceFile(TraceSink):
     def close(self) -> None:
         """Write what is left into the partial file, and close it."""
         if self._format is not None:
-            with _naming(self.partial):
+            with naming(self.partial):
                 self._format.close()
 
 
@@ -564,15 +564,6 @@ def read_origin(path: Path) -> str:
 
     metadata = pq.read_schema(path).metadata or {}
     return str(metadata.get(ORIGIN.encode(), b"").decode())
-
-
-@contextmanager
-def _naming(file: Path, remark: str = "") -> Iterator[None]:
-    """Context in which an OSError becomes a Problem that names a file."""
-    try:
-        yield
-    except OSError as error:
-        raise Problem(f"{file}: cannot be written: {error.strerror or error}{remark}") from error
 
 
 def remove_partial(partial: Path) -> None:

@@ -92,7 +92,7 @@ def _contents() -> Mapping[str, Any]:
 
     errors = tuple[tuple[str, ...], Array, Array]
     types = {"begin": RowLayout, "points": Points, "errors": errors, "message": LogMessage, "outcome": RunEnd}
-    return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed", "defect"), str)
+    return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed"), str)
 
 
 def run_isolated(
@@ -222,12 +222,10 @@ class _Supervision:
             self._messages.append(replace(content, text=one_line(content.text)))
         elif name == "outcome" and content.errors.keys() <= self._outputs:
             self._outcome = content
-        elif name == "problem":
+        elif name == "problem" and not self._state().steps:
             raise Problem(content)
-        elif name == "failed":
+        elif name in ("problem", "failed"):
             self._worker.stop(f"the process failed ({one_line(content)})")
-        elif name == "defect":
-            raise RuntimeError(content)
         else:
             self._worker.stop(GARBLED)
 
@@ -293,19 +291,25 @@ class _Supervision:
         printed = [f"; printed: {line}" for line in self._worker.printed[-1:]]
         return "".join([*logged, *printed])
 
+    def _state(self) -> Any:
+        """The state of the simulation as the child has left it; all zero if there is none."""
+        from orchestrator.engine.c_library import engine_h
+
+        size = ctypes.sizeof(structure := engine_h().Simulation)
+        content = read_file(self._worker.folder / f"simulation-{self._number}", size)
+        return structure.from_buffer_copy(content if len(content) == size else bytes(size))
+
     def _rescue(self, outcome: RunEnd, layout: RowLayout) -> None:
         """Complete an outcome and the rows by what the files of the child contain."""
         import numpy as np
 
-        from orchestrator.engine.c_library import engine_h
         from orchestrator.engine.recorder import BLOCK, PointBlock, recorded_rows
 
-        folder, sink, structure = self._worker.folder, self._sink, engine_h().Simulation
-        sizes = {"simulation": ctypes.sizeof(structure), "rows": PointBlock.size(layout)}
-        files = {n: read_file(folder / f"{n}-{self._number}", size) for n, size in sizes.items()}
-        if any(len(files[name]) < size for name, size in sizes.items()):  # an FMU has cut or removed them
+        sink, state, size = self._sink, self._state(), PointBlock.size(layout)
+        content = read_file(self._worker.folder / f"rows-{self._number}", size)
+        if not state.step or len(content) < size:  # there is none, or an FMU has cut or removed it
             return
-        state, block = structure.from_buffer_copy(files["simulation"]), PointBlock(layout, files["rows"])
+        block = PointBlock(layout, content)
         filled = block.finite_rows(min(max(state.recorder.filled, 0), BLOCK))
         rows = recorded_rows(state.recorder.collected, filled, layout.every)
         rows = np.union1d(rows, np.arange(filled)[-1:])  # and the latest point of the block
@@ -337,17 +341,19 @@ def main(channel: Channel) -> None:
         if task == STOP:  # of a run that has ended meanwhile
             continue
         try:
-            before = left_behind()
+            before = left_behind(channel)
             _run(channel, task)
             if os.name == "posix":  # what FMUs printed may wait in the buffer of the C library
                 ctypes.CDLL(None).fflush(None)
-            channel.put("closed", left_behind() == before)
+            channel.put("closed", left_behind(channel) == before)
         except Problem as problem:
             channel.put("problem", problem)
         except (OSError, MemoryError) as error:  # an FMU may have changed the limits of this process
             channel.put("failed", repr(error))
-        except Exception:
-            channel.put("defect", traceback.format_exc())
+        except EOFError:  # the parent, or an FMU, has closed the connection
+            raise
+        except Exception:  # a mistake of ours, or the work of an FMU: the parent cannot tell
+            channel.put("failed", traceback.format_exc())
         os.chdir(channel.folder)  # the user's folder may be removed
 
 

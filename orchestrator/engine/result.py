@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, write_whole
 from orchestrator.base.options import Seconds
 from orchestrator.base.signals import CONSTANT, CONSTANT_OF_NOMINAL, rms
 from orchestrator.base.text import TextTable, first_names, grouped
@@ -577,8 +577,7 @@ def metadata_text(
 def write_metadata(result: Result, trace: Path) -> Path:
     """Write the metadata of a run next to its trace, which exists."""
     text = metadata_text(result, Location(trace).sha256)
-    metadata_file(trace).write_text(text, encoding="utf-8", newline="\n")
-    return metadata_file(trace)
+    return write_whole(metadata_file(trace), text)
 
 
 def read_metadata(path: Path) -> RunMetadata | None:
@@ -604,7 +603,7 @@ def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
         tuples = {name: tuple(data.get(name, ())) for name in ("inputs", "warnings", "unreliable", "sources")}
         origins = Provenance.of(data.get("provenance", {}))
         return RunMetadata(**{**data, **tuples, "provenance": origins}), digest
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
 
 

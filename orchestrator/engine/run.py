@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, Unpack
 
 from orchestrator.base.errors import Problem, Stopped
-from orchestrator.base.files import Location, find, make_folder, require_system, tell_once
+from orchestrator.base.files import Location, find, make_folder, require_system, tell_once, write_whole
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import size_text
@@ -473,9 +473,9 @@ class _Output:
         elif result and not result.complete:
             file = self._file
             if file.partial.is_file():  # CSV; Parquet contains the units
-                with suppress(OSError):  # the disk may be full
+                with suppress(OSError, Problem):  # the disk may be full
                     text = metadata_text(result, file.sha256, self._given, file.layout)
-                    metadata_file(file.partial).write_text(text, encoding="utf-8", newline="\n")
+                    write_whole(metadata_file(file.partial), text)
             end = f" up to t = {file.last:.6g} s" if file.rows else ""
             summary = self._summary(result.card, file.partial)
             error.add_note(f"{result.card.text()}\n\nthe run ended early; the trace{end} is in {summary}")

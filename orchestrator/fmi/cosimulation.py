@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -309,15 +310,20 @@ class CoSimulationFmu(RunningFmu):
 
     def _check_step(self, status: int) -> None:
         """Handle the status and the flags of a step; raise an exception if the step was not completed."""
-        end = self.fmu.step_end(status)
+        end, (begin, last) = self.fmu.step_end(status), self.log.clock[1:]
+        rounding = 1e-6 * (last - begin)  # of times, which are up to 1e9 steps
+        at = f"t = {end.reached:.9g} s"
+        if end.reached < begin - rounding or end.reached > last + rounding:
+            at += f", a time outside of the step from {begin:.9g} s to {last:.9g} s"
+            end = replace(end, reached=float("nan"))
         if end.terminate and status != ERROR:
-            text = f"is the last one: the FMU requests the end of the simulation at t = {end.reached:.9g} s"
+            text = f"is the last one: the FMU requests the end of the simulation at {at}"
             ended = Ended(self.log.error_message("the step", text))
             ended.reached = end.reached
             raise ended
         if status in (DISCARD, ERROR):
             reached = end.reached if status == DISCARD else float("nan")
-            progress = f" (the FMU reached t = {reached:.9g} s)" if status == DISCARD else ""
+            progress = f" (the FMU reached {at})" if status == DISCARD else ""
             details = f"with status {status_label(status)}{progress}"
             discarded = Discarded(self.log.error_message("the step failed", details))
             discarded.reached, self.fmu.worst = reached, max(self.fmu.worst, status)
@@ -325,7 +331,7 @@ class CoSimulationFmu(RunningFmu):
         if status:
             self.fmu.check_status(status, "the step")
         if end.early:
-            text = f"ended early at t = {end.reached:.9g} s, which was not allowed"
+            text = f"ended early at {at}, which was not allowed"
             raise Problem(self.log.error_message("the step", text))
         if end.event:
             text = "the FMU requests event handling by the master, which is switched off"

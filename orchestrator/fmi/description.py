@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from orchestrator.base.units import BASES, DeclaredUnit
-from orchestrator.base.xml import Element, child, children, local_name
+from orchestrator.base.xml import Element, attributes_of, child, children, local_name
 
 Value = float | int | bool | str
 
@@ -417,7 +417,7 @@ def read_description(root: Element | None, major: int) -> ModelDescription:
     return ModelDescription(
         major=major,
         line=root.sourceline,
-        attributes=dict(root.attrib),
+        attributes=attributes_of(root),
         variables=variables,
         by_key=by_key,
         structure=structure,
@@ -438,7 +438,7 @@ def _parameter_set(element: Element) -> ParameterSetFile:
 
 
 def _entry(element: Element | None) -> Entry:
-    return Entry() if element is None else Entry(line=element.sourceline, attributes=dict(element.attrib))
+    return Entry() if element is None else Entry(line=element.sourceline, attributes=attributes_of(element))
 
 
 def _types(root: Element, major: int) -> Iterator[tuple[str, TypeDefinition]]:
@@ -448,7 +448,7 @@ def _types(root: Element, major: int) -> Iterator[tuple[str, TypeDefinition]]:
         inner = next((e for e in outer if local_name(e) in TYPES), None) if major == 2 else outer
         type_ = "" if inner is None else local_name(inner).removesuffix("Type")
         if inner is not None and type_ in TYPES:
-            attributes = {k: v for k, v in inner.attrib.items() if k not in ("name", "description")}
+            attributes = {k: v for k, v in attributes_of(inner).items() if k not in ("name", "description")}
             items = tuple((i.get("name", ""), i.get("value", "")) for i in children(inner, "Item"))
             yield (
                 outer.get("name", ""),
@@ -465,9 +465,9 @@ def _variable(
 ) -> FmuVariable:
     """A variable. FMI 2.0: a child of the element is the type. FMI 3.0: the element itself is the type."""
     inner = next((i for i in e if local_name(i) in TYPES), e) if major == 2 else e
-    attributes = dict(e.items())  # faster than attrib
+    attributes = attributes_of(e)
     if inner is not e:
-        attributes.update(inner.items())
+        attributes.update(attributes_of(inner))
     type_, causality = local_name(inner), attributes.get("causality", "local")
     variability = attributes.get("variability") or _variability(type_, causality, major)
     allowed = (INITIAL_3 if major == 3 else INITIAL).get((causality, variability))
@@ -523,7 +523,7 @@ def _unknown(e: Element, section: str, by_key: Mapping[int, FmuVariable], major:
 
 def _unit(unit: Element) -> UnitDefinition:
     base = child(unit, "BaseUnit")
-    displays = {d.get("name", ""): dict(d.attrib) for d in children(unit, "DisplayUnit")}
+    displays = {d.get("name", ""): attributes_of(d) for d in children(unit, "DisplayUnit")}
     return UnitDefinition(
-        unit.get("name", ""), unit.sourceline, None if base is None else dict(base.attrib), displays
+        unit.get("name", ""), unit.sourceline, None if base is None else attributes_of(base), displays
     )

@@ -327,7 +327,7 @@ class FmuInstance:
 
     def step(self, t: float, h: float, final: bool = True) -> int:
         """Advance from t to t + h [s] and return the status; `final`: no state before t will be restored."""
-        self.log.begin_step(t)
+        self.log.begin_step(t, h)
         times = ctypes.c_double(t), ctypes.c_double(h)
         self.slot.function = STEP
         status = self._step(*times, self.flag(final), *self._results)

@@ -4,6 +4,7 @@
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -184,6 +185,12 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         if u.declared.fault:
             raise Problem(f"modelDescription.xml line {u.line}: unit {u.name}: {u.declared.fault}")
     declared = list(_with_aliases(description))
+    for name, count in Counter(v.name for v in declared).items():
+        if count > 1:
+            lines = ", ".join(str(v.line) for v in declared if v.name == name)
+            raise Problem(
+                f"modelDescription.xml: expected one variable {name!r}, got {count}, in lines {lines}"
+            )
     unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
     variables = {v.name: v for v in declared if v.name not in unsupported}
     for v in variables.values():

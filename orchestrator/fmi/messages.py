@@ -57,7 +57,7 @@ class Log:
     limit     largest number of stored messages; further messages are only counted
     dropped   number of messages that were not stored
     on_message   called with each message that is stored
-    clock     last communication point and start of the last step [s]; also written by the loop in C
+    clock     last communication point, start and end of the last step [s]; also written by the loop in C
     """
 
     component: str = ""
@@ -67,7 +67,7 @@ class Log:
     dropped: int = 0
     on_message: Callable[[LogMessage], None] | None = field(default=None, metadata=LOCAL)
     clock: ctypes.Array[ctypes.c_double] = field(
-        default_factory=lambda: (ctypes.c_double * 2)(math.nan, math.nan), metadata=LOCAL
+        default_factory=lambda: (ctypes.c_double * 3)(*[math.nan] * 3), metadata=LOCAL
     )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class Log:
         return self.__dict__ | {"messages": [*self.messages], "on_message": None, "clock": [*self.clock]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, clock=(ctypes.c_double * 2)(*state["clock"]))
+        self.__dict__.update(state, clock=(ctypes.c_double * 3)(*state["clock"]))
 
     @property
     def time(self) -> float:
@@ -86,9 +86,9 @@ class Log:
     def time(self, t: float) -> None:
         self.clock[0] = t
 
-    def begin_step(self, t: float) -> None:
-        """Set the time for messages to the start of a step at t [s]."""
-        self.clock[0] = self.clock[1] = t
+    def begin_step(self, t: float, h: float) -> None:
+        """Set the time for messages to the start of a step from t to t + h [s]."""
+        self.clock[:] = [t, t, t + h]
 
     def add(self, status: int, text: str, category: str | None = None) -> None:
         """Store a message; in FMI 3.0, #12# is the variable with value reference 12 and ## is #."""

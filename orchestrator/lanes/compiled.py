@@ -2,6 +2,7 @@
 
 A native FMU of this project contains its C sources. native/model.cpp includes them with a vector type in
 place of double. The libraries are compiled for the processor of this computer, and kept in the user's cache.
+They run in the process of the caller, so the code must be of an FMU that this installation has generated.
 """
 
 import ctypes
@@ -17,6 +18,7 @@ from orchestrator.base.compiler import (
     SUFFIX,
     CompilerError,
     host,
+    is_generated,
     linker_arguments,
     shared_library,
 )
@@ -35,7 +37,6 @@ SOURCES = (
     *("sizes.h", "model.h", "model.c", "start.h", "start.c", "opening_curve.h"),
     *("solver.h", "inputs.h", "inputs.c", "rosenbrock.c", "runge_kutta.c"),
 )
-MARK = b"#define CONDITION int"  # in model.h; earlier versions are written for one machine
 FLAGS = (
     *("-x", "c++", "-std=gnu++20", "-O2", "-g0", "-s", "-shared", "-fvisibility=hidden"),
     *("-nostdinc++", "-nostdlib++", "-fno-exceptions", "-fno-rtti"),
@@ -129,17 +130,17 @@ class Model:
 
 def sources_of(component: Component) -> dict[str, bytes]:
     """The C files of a native FMU; raises NotInLanes for another one."""
-    assert component.source is not None
-    where = f"{component.name} ({component.source})"
+    source = component.source
+    assert source is not None
     try:
-        # earlier FMUs: model.c
-        members = {name.removesuffix(".inc"): name for name in component.source.names()}
-        wanted = {name: members.get(f"sources/{name}", name) for name in SOURCES}
-        code = {name: component.source.member(member).read() for name, member in wanted.items()}
-    except Problem:
-        raise NotInLanes(f"{where} has no C sources of harvester-cosim") from None
-    if MARK not in code["model.h"]:
-        raise NotInLanes(f"{where} was built by an earlier version of harvester-cosim")
+        names = [n for n in source.names() if n.startswith(("sources/", "modelDescription.xml"))]
+        files = {name: source.member(name).read() for name in names}
+        code = {name: files.get(f"sources/{name}.inc") or files[f"sources/{name}"] for name in SOURCES}
+    except (Problem, KeyError):
+        raise NotInLanes(f"{component.name} ({source}) has no C sources of harvester-cosim") from None
+    if not is_generated(files):
+        expected = "expected an FMU that this installation of harvester-cosim has built"
+        raise NotInLanes(f"{component.name} ({source}): {expected}, got another one or a changed one")
     return code
 
 

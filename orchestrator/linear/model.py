@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
+from orchestrator.base.files import write_whole
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
 from orchestrator.linear.modes import LinearVariable, Mode, modes
@@ -88,11 +90,12 @@ class LinearModel:
             raise Problem(f"{path}: expected a file name ending in .npz")
         matrices = {"A": self.a, "B": self.b, "C": self.c, "D": self.d}
         point = {"x0": self.x0, "u0": self.u0, "y0": self.y0, "f0": self.f0}
-        np.savez(path, allow_pickle=False, **matrices, **point)
+        arrays = BytesIO()
+        np.savez(arrays, allow_pickle=False, **matrices, **point)
+        write_whole(path, arrays.getvalue())
         json_path = path.with_suffix(".json")
         text = json.dumps(self._as_dict(), indent=1, allow_nan=False) + "\n"
-        json_path.write_text(text, encoding="utf-8")
-        return path, json_path
+        return path, write_whole(json_path, text)
 
     def _as_dict(self) -> dict[str, Any]:
         def variables(group: tuple[LinearVariable, ...], values: Array) -> list[dict[str, Any]]:

@@ -125,7 +125,7 @@ def _check_unchanged(folder: Path) -> None:
         return
     try:
         checksums = json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         raise Problem(
             f"{folder}: the folder exists, but is not a package that this command wrote: choose "
             "another --out or --name"

@@ -192,9 +192,10 @@ class TraceFigure:
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time [s]."""
+        """First and last time [s]; around a single point in time there is a margin."""
         times = [line.time for panel in self.panels for line in panel.lines]
-        return self.window or (min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
+        start, stop = self.window or (min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
+        return (start, stop) if start < stop else _limits([np.array([start])])
 
 
 # ---- charts: a panel is one, its error strip another

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
+from orchestrator.base.files import write_whole
 from orchestrator.base.text import grouped, jinja_environment, number, typeset
 from orchestrator.base.units import pretty
 from orchestrator.pages.figures import plot_scripts
@@ -49,9 +50,7 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
 
 def write_text(path: Path, text: str) -> Path:
     """Write a text file with the same bytes on every platform; its folder is made if needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8", newline="\n")
-    return path
+    return write_whole(path, text)
 
 
 def write_json(path: Path, values: Any) -> Path:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orchestrator.base.files import write_whole
 from orchestrator.base.text import (
     NO_VALUE,
     TextTable,
@@ -289,8 +290,7 @@ def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path, Path]
 
     page = html_page.write_text(Path(folder) / "comparison.html", render(comparison))
     numbers = html_page.write_json(page.with_suffix(".json"), as_dict(comparison))
-    picture = page.with_suffix(".png")
-    picture.write_bytes(png(draw(comparison)))
+    picture = write_whole(page.with_suffix(".png"), png(draw(comparison)))
     return page, picture, numbers
 
 

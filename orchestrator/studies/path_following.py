@@ -25,7 +25,7 @@ from matplotlib.lines import Line2D
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder
+from orchestrator.base.files import make_folder, write_whole
 from orchestrator.base.signals import rms
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
@@ -281,7 +281,7 @@ def track(
     runs = [follow(systems[name], names, path, name, on, at) for (path, name, at), on in given_tasks]
     figure, json = out / "tracking.png", out / "tracking.json"
     report(text(runs))
-    figure.write_bytes(png(draw(runs, names.radius)))
+    write_whole(figure, png(draw(runs, names.radius)))
     write_json(json, [as_dict(r) for r in runs])
     report(f"{figure} {json}")
     beyond = [] if limit is None else [r for r in runs if r.feedback and not r.largest <= limit]

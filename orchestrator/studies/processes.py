@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import pickle
 import re
-import shutil
 import tempfile
 import threading
 import time
@@ -22,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location, zip_bytes
+from orchestrator.base.files import Location, naming, zip_bytes
 from orchestrator.base.interrupts import in_threads
-from orchestrator.base.processes import machine_memory
+from orchestrator.base.processes import machine_memory, remove_folder
 from orchestrator.base.text import first_names
 from orchestrator.engine import open_job
 from orchestrator.engine.c_library import library
@@ -128,15 +127,15 @@ class RunProcesses:
     def __init__(self, payload: Payload) -> None:
         """Unpack the FMUs."""
         self._study, self._limits, self._stop = payload.study, run_limits(payload.study), threading.Event()
-        self._folder = Path(tempfile.mkdtemp(prefix="sweep-"))
+        self._folder, self._idle = Path(tempfile.mkdtemp(prefix="sweep-")), deque[Worker]()
         try:
-            cases, self._originals = payload.unpacked(self._folder)
+            with naming(self._folder):
+                cases, self._originals = payload.unpacked(self._folder)
         except BaseException:
             self.close()
             raise
         self._data = pickle.dumps((payload.study, cases), pickle.HIGHEST_PROTOCOL)
         self._fmus = first_names(self._originals.values())
-        self._idle: deque[Worker] = deque()
 
     def stop(self) -> None:
         """End all runs as soon as possible."""
@@ -146,7 +145,7 @@ class RunProcesses:
         """End all processes, and remove the FMUs; no thread calls `run` any more."""
         while self._idle:
             self._idle.pop().close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        remove_folder(self._folder)
 
     def run(self, unit: Unit) -> list[RunOutcome]:
         """Run samples together; if they end their process or exceed a limit, each one by itself."""
@@ -232,8 +231,8 @@ def main(channel: Channel) -> None:
     while True:
         unit: Unit = channel.get()
         began = time.perf_counter()
-        before = left_behind(threads=False)
+        before = left_behind(channel, threads=False)
         found = outcomes(study, cases[unit[0].options], unit)
         wall = (time.perf_counter() - began) / len(unit)
         found = [replace(outcome, wall=wall) for outcome in found]
-        channel.put("outcomes", (found, left_behind(threads=False) == before))
+        channel.put("outcomes", (found, left_behind(channel, threads=False) == before))

@@ -19,8 +19,7 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -35,6 +34,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import PARTIAL, put, write_whole
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
 from orchestrator.studies.processes import STOPPED, Payload, digest, limit_is_raised, run_limits
@@ -44,7 +44,6 @@ from orchestrator.studies.study import Choice, Factor, Output, Study
 NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")
 LOG = "run,status,seconds\n"  # first line of log.csv
 GROUP = 64  # runs per row group of bands.parquet, a few megabytes
-PARTIAL = ".half"  # suffix of a file that is being written
 LONG = 120  # characters of two lists together above which only the first difference is shown
 ATTRIBUTES = ("numbers", "options")  # keys that study.toml lacks: left out of the names of differences
 DECISIVE = ("distribution", "signal", "measure")  # keys whose change explains the other changes of an item
@@ -142,11 +141,10 @@ class Store:
             raise Problem(f"{folder}: holds runs of another study: {changed}; --fresh deletes them")
         # study.json is written first, as it identifies the other files
         text = json.dumps({"title": study.title, "warnings": list(warnings), **fingerprint}, indent=1)
-        put(file, lambda partial: partial.write_text(text, encoding="utf-8"))
+        write_whole(file, text)
         if study.source:
-            data = Path(study.source).read_bytes()
-            put(folder / "study.toml", lambda partial: partial.write_bytes(data))
-        for unfinished in self._parts.glob(f"*{PARTIAL}"):
+            write_whole(folder / "study.toml", Path(study.source).read_bytes())
+        for unfinished in self._parts.glob(f".*{PARTIAL}"):
             unfinished.unlink()
         for part in self._files():
             if not _is_intact(part, part.read_bytes()):
@@ -175,7 +173,7 @@ class Store:
         content = BytesIO()
         pq.write_table(rows, content)
         name = f"batch-{rows['run'][0].as_py():09}-{digest(content.getvalue())[:16]}.parquet"
-        put(self._parts / name, lambda partial: partial.write_bytes(content.getvalue()))
+        write_whole(self._parts / name, content.getvalue())
 
     def add(self, batch: Sequence[RunOutcome]) -> None:
         """Store the outcomes of a batch."""
@@ -236,18 +234,6 @@ class Store:
 
     def _files(self) -> list[Path]:
         return sorted(self._parts.glob("batch-*.parquet"))
-
-
-def put(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file completely or not at all, whenever the process or the computer stops."""
-    partial = path.with_name(path.name + PARTIAL)
-    try:
-        write(partial)
-        with partial.open("rb+") as file:
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError as error:
-        raise Problem(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def _is_intact(part: Path, content: bytes) -> bool:
@@ -338,7 +324,7 @@ def _read_study_json(file: Path) -> dict[str, Any]:
         for choice in stored["study"]["choices"]:
             if "what" in choice:  # the key of the name in files of earlier versions
                 choice["name"] = choice.pop("what")
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         raise Problem(f"{file}: is not the study.json of a parameter study; --fresh deletes it") from None
     return stored
 

@@ -9,7 +9,6 @@ Every combination of variants is run once. Its row contains the time reached, co
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -20,7 +19,7 @@ from typing import Unpack
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder
+from orchestrator.base.files import make_folder, write_rows
 from orchestrator.base.signals import rms, span
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import RunArguments
@@ -147,21 +146,19 @@ def table(
         report(" ".join((index.rjust(count), padded, *(f"{cell:>12}" for cell in cells), failure)))
 
     show("", variants, (head for _, head, *_ in COLUMNS), "")
-    with out.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*variants, *(head for _, _, head, *_ in COLUMNS), "failure"])
-        try:
-            for done, row in enumerate(combinations(load(system), variants, watch, **RUN), 1):
-                chosen, values = list(row.variants.values()), [getattr(row, name) for name, *_ in COLUMNS]
-                printed = (f.format(k * v) for v, (*_, f, k) in zip(values, COLUMNS, strict=True))
-                show(f"{done}/{total}", chosen, printed, row.failure)
-                cells = ("" if np.isnan(value) else f"{value:.6g}" for value in values)
-                writer.writerow([*chosen, *cells, row.failure])
-                file.flush()
-                complete = complete and not row.failure
-        except KeyboardInterrupt:
-            report(f"\n{done} of {total} combinations, in {out}")
-            raise
+    rows = [[*variants, *(head for _, _, head, *_ in COLUMNS), "failure"]]
+    try:
+        for done, row in enumerate(combinations(load(system), variants, watch, **RUN), 1):
+            chosen, values = list(row.variants.values()), [getattr(row, name) for name, *_ in COLUMNS]
+            printed = (f.format(k * v) for v, (*_, f, k) in zip(values, COLUMNS, strict=True))
+            show(f"{done}/{total}", chosen, printed, row.failure)
+            cells = ("" if np.isnan(value) else f"{value:.6g}" for value in values)
+            rows.append([*chosen, *cells, row.failure])
+            write_rows(out, rows)
+            complete = complete and not row.failure
+    except KeyboardInterrupt:
+        report(f"\n{done} of {total} combinations, in {out}")
+        raise
     report(
         f"\n{out}: change is that of {', '.join(watch)} against the first row, RMS over range;"
         " us per ms is the time in the steps of all FMUs, calls from Python included"

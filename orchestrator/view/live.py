@@ -31,7 +31,7 @@ from urllib.parse import quote
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, one_line
 from orchestrator.data.table import Array
 from orchestrator.drive.page import page_data
 from orchestrator.realtime.setup import Machine
@@ -320,8 +320,9 @@ class OpenPage:
                     await result
         except Problem as problem:
             self.answer(str(problem), bad=True)
-        except Exception:  # of a message that no page of ours sends, too
-            log.exception("an action of a page failed")
+        except Exception as error:  # of a message that no page of ours sends, too
+            log.error("an action of a page failed: %s", one_line(repr(error)))
+            log.debug("its cause", exc_info=True)
             self.answer("that could not be done", bad=True)
 
     # ---- actions
@@ -448,7 +449,7 @@ def chosen(now: MachineChoice, asked: Asked) -> MachineChoice:
     if not isinstance(pose, str) or not isinstance(swap, dict):
         raise Problem("machine: expected a pose and the variants of components")
     for part, name in swap.items():
-        if name not in offer["variants"].get(part, {}):
+        if not isinstance(name, str) or name not in offer["variants"].get(part, {}):
             raise Problem(f"{ascii(part)[:60]}: no variant {ascii(name)[:60]} is offered")
     others = {part: name for part, name in swap.items() if name != USUAL}
     return MachineChoice(Path(now.system).with_name(system), pose, others, now.set)

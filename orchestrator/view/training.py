@@ -4,7 +4,6 @@ The server calls `update` a few times a second, and sends `status`, which is pla
 attempt equals that of `score.score` for the same samples. A page with a machine of its own scores by task.js.
 """
 
-import csv
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import write_rows
 from orchestrator.drive import score
 from orchestrator.drive.score import Exercise, Progress, Samples, Task
 from orchestrator.realtime.setup import Machine
@@ -103,15 +103,7 @@ class Training:
         """Write the table as CSV."""
         if not self.table:
             raise Problem(f"{path}: expected a finished attempt, found none")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.DictWriter(file, [*self.table[0]], lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(self.table)
-        except OSError as error:
-            raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
-        return path
+        return write_rows(path, [[*self.table[0]], *(row.values() for row in self.table)])
 
     def _fit(self) -> None:
         """Begin an attempt at the task of the machine that is shown now."""

@@ -56,7 +56,7 @@ class CallSlot(ctypes.Structure):
 
     function   number of the FMI function, see FUNCTIONS; 0: none
     fmi        2 or 3; 0: the slot is free
-    clock      last communication point, and beginning of the last step [s]
+    clock      last communication point, beginning and end of the last step [s]
     label      component and file of the FMU
     """
 
@@ -66,8 +66,8 @@ class CallSlot(ctypes.Structure):
     _fields_ = [
         ("function", ctypes.c_int32),
         ("fmi", ctypes.c_int32),
-        ("clock", ctypes.c_double * 2),
-        ("label", ctypes.c_char * 488),
+        ("clock", ctypes.c_double * 3),
+        ("label", ctypes.c_char * 480),
     ]
 
     def __str__(self) -> str:
@@ -108,7 +108,7 @@ def new_slot(label: str, fmi: int) -> CallSlot:
     """A slot for an instance; freed by setting `fmi` to 0."""
     slot = next((slot for slot in _slots if not slot.fmi), None) or CallSlot()
     slot.function, slot.fmi, slot.label = 0, fmi, label.encode()[: CallSlot.label.size - 1]  # type: ignore[attr-defined]
-    slot.clock[:] = math.nan, math.nan
+    slot.clock[:] = [math.nan] * 3
     return slot
 
 
@@ -194,7 +194,9 @@ NONE = bytes(Activity(time=math.nan))
 def activity_in(file: bytes) -> Activity:
     """The activity in a file; none if it is incomplete, or if an FMU has written to it."""
     last = Activity.from_buffer_copy(file if len(file) == ACTIVITY_SIZE else NONE)
-    return last if last.name.decode("latin-1").isprintable() else Activity.from_buffer_copy(NONE)
+    text = (last.name + last.text).decode(errors="replace")
+    ours = last.name.isascii() and text.isprintable() and text.count("\ufffd") < 2  # one that was cut
+    return last if ours else Activity.from_buffer_copy(NONE)
 
 
 def share_activity(file: Path, keep: Callable[[mmap.mmap], mmap.mmap] = lambda memory: memory) -> Activity:

@@ -10,7 +10,6 @@ import locale
 import mmap
 import os
 import pickle
-import shutil
 import signal
 import struct
 import sys
@@ -23,8 +22,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
+from orchestrator.base.processes import remove_folder
 from orchestrator.worker.calls import share_activity, share_calls
-from orchestrator.worker.wire import DISCONNECTED, packed
+from orchestrator.worker.wire import DISCONNECTED, FULL, packed
 
 NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares
 PATIENCE = 2.0  # [s] for the parent to end this process
@@ -47,10 +47,14 @@ class Channel:
         self.activity = share_activity(folder / "activity", self.keep)
         self.keep(share_calls(folder / "calls"))
         self._owner, self._numbers = os.getpid(), self.keep(mmap.mmap(-1, NUMBER.size))
-        self._answers, self._writing = os.dup(sys.stdout.fileno()), threading.Lock()
+        self._input, self._answers = os.dup(sys.stdin.fileno()), os.dup(sys.stdout.fileno())
+        self._writing, self._pipe = threading.Lock(), identity(self._answers)
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what an FMU prints is no answer
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, sys.stdin.fileno())  # what an FMU reads is no message
+        os.close(nothing)
         self._messages: SimpleQueue[Any] = SimpleQueue()
-        threading.Thread(target=self._read, args=(sys.stdin.buffer,), daemon=True).start()
+        threading.Thread(target=self._read, args=(os.fdopen(self._input, "rb"),), daemon=True).start()
 
     def get(self) -> Any:
         """The next message; raises EOFError when the parent has closed its end."""
@@ -72,13 +76,28 @@ class Channel:
             (number,) = NUMBER.unpack(self._numbers[:])
             parts = packed(number, name, content)
             self._numbers[:] = NUMBER.pack(number + 1)
+            if identity(self._answers) != self._pipe:  # an FMU has put another file in its place
+                self._lost()
             try:
+                make_blocking(self._answers)
                 for part in parts:
                     rest = memoryview(part)
                     while rest:
                         rest = rest[os.write(self._answers, rest) :]
             except OSError:
-                os._exit(DISCONNECTED)
+                self._lost()
+
+    def _lost(self) -> None:
+        """End this process, which has lost its connection: because of an FMU, or of the end of the parent."""
+        for _ in range(20):
+            if os.getppid() != self._parent:  # the parent closes its files before it has ended
+                self.end()
+            time.sleep(0.01)
+        os._exit(DISCONNECTED)
+
+    def identities(self) -> list[tuple[int, ...]]:
+        """What the standard streams and the connection to the parent are."""
+        return [identity(descriptor) for descriptor in (0, 1, 2, self._input, self._answers)]
 
     def keep(self, memory: mmap.mmap) -> mmap.mmap:
         """Keep a map of shared memory to this process: one that an FMU forks ends where it would write there.
@@ -100,49 +119,73 @@ class Channel:
         self._owner = os.getpid()
         return pid
 
-    def end(self) -> None:
+    def end(self, status: int = 0) -> None:
         """Remove the folder, and end this process; if the parent has ended, also those that FMUs started."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        remove_folder(self.folder)
         if hasattr(os, "killpg") and os.getppid() != self._parent and os.getpgrp() == os.getpid():
             os.killpg(os.getpgrp(), signal.SIGKILL)
-        os._exit(0)
+        os._exit(status)
 
     def _read(self, source: IO[bytes]) -> None:
         """Queue messages until the input ends; then end the process, even during a call of an FMU."""
         try:
             while True:
+                make_blocking(self._input)
                 self._messages.put(pickle.load(source))
-        except (EOFError, pickle.UnpicklingError, OSError, AttributeError, ImportError, TypeError):
+        except Exception as error:  # of any kind, for what an FMU has written to the pipe
+            if not isinstance(error, EOFError):
+                os._exit(DISCONNECTED)
             self.ended.set()
             self._messages.put(_END_OF_INPUT)
             end = time.monotonic() + self.grace + PATIENCE
             time.sleep(self.grace)
             while os.getppid() == self._parent and time.monotonic() < end:
                 time.sleep(0.05)  # the parent also ends what this process has started
-            self.end()
+            self.end(DISCONNECTED)
 
 
-def left_behind(threads: bool = True) -> tuple[Any, ...]:
+def identity(descriptor: int) -> tuple[int, ...]:
+    """What a file descriptor stands for; empty if it is closed."""
+    with suppress(OSError):
+        found = os.fstat(descriptor)
+        return found.st_dev, found.st_ino
+    return ()
+
+
+def make_blocking(descriptor: int) -> None:
+    """Undo what an FMU may have done to a pipe."""
+    if hasattr(os, "set_blocking"):  # not in older versions of Python on Windows
+        os.set_blocking(descriptor, True)
+
+
+def left_behind(channel: Channel, threads: bool = True) -> tuple[Any, ...]:
     """What FMUs may change in this process and leave to the next run, as far as the system tells.
 
     threads: their number counts. In a study it does not: many libraries keep threads for the next run of the
     same FMU.
     """
     names = (*(("Threads",) if threads else ()), "SigBlk", "SigIgn", "SigCgt")
-    found: list[Any] = [locale.setlocale(locale.LC_NUMERIC)]
+    found: list[Any] = [locale.setlocale(locale.LC_NUMERIC), *channel.identities()]
+    process = Path("/proc/self")
     with suppress(OSError):  # Linux
-        lines = Path("/proc/self/status").read_text("utf-8", "replace").splitlines()
+        lines = (process / "status").read_text("utf-8", "replace").splitlines()
         found += [line for line in lines if line.startswith(names)]
+        found += [file.read_text("ascii") for file in process.glob("task/*/children")]
+        found.append((process / "timers").read_text("ascii"))
     if sys.platform != "win32":
         import resource
 
         found += [resource.getrlimit(getattr(resource, name)) for name in dir(resource) if "RLIMIT_" in name]
+        found += [signal.getitimer(getattr(signal, name)) for name in dir(signal) if "ITIMER_" in name]
     return (*found,)
 
 
 def main(target: str, folder: Path) -> None:
     """Run the function, then end the process without the exit handlers of FMUs."""
-    channel = Channel(folder)
+    try:
+        channel = Channel(folder)
+    except OSError:
+        os._exit(FULL)
     if sys.platform == "linux":  # the parent finds also a process whose parent has ended
         ctypes.CDLL(None).prctl(SUBREAPER, 1)
     module, _, name = target.partition(":")
@@ -150,6 +193,9 @@ def main(target: str, folder: Path) -> None:
         getattr(import_module(module), name)(channel)
     except EOFError:
         channel.ended.wait(1.0)
+        if not channel.grace:  # the parent finds what FMUs have started as long as this process lives
+            time.sleep(PATIENCE)
+            channel.end(DISCONNECTED)
     except BaseException:  # the parent reports the last line of the traceback
         traceback.print_exc()
         sys.stderr.flush()

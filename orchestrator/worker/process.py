@@ -10,7 +10,6 @@ import io
 import math
 import os
 import pickle
-import shutil
 import signal
 import stat
 import subprocess
@@ -28,9 +27,9 @@ from queue import Empty, Queue, SimpleQueue
 from typing import Any
 
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.processes import resident_memory
+from orchestrator.base.processes import remove_folder, resident_memory
 from orchestrator.worker.calls import ACTIVITY_SIZE, CALLS_SIZE, OUTSIDE, Activity, activity_in, calls_in
-from orchestrator.worker.wire import DISCONNECTED, Garbled, read_message
+from orchestrator.worker.wire import DISCONNECTED, FULL, Garbled, read_message
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 CLOSE_TIME = 0.5  # [s] from the end of its messages to its end, else it has lost its connection
@@ -47,6 +46,7 @@ SIGNAL_NAMES = {
     "SIGFPE": "arithmetic exception",
     "SIGILL": "illegal instruction",
     "SIGKILL": "killed by the system (out of memory?)",
+    "SIGALRM": "SIGALRM (a timer that an FMU has set)",
 }
 # Ctrl-C in the terminal interrupts only this process, which then ends the worker. Linux also schedules
 # sessions fairly, so that a browser with many threads takes less time from a real-time machine.
@@ -192,6 +192,8 @@ class Worker:
             return self._stopped or CLOSED
         if code is None:
             return ""
+        if code == FULL:
+            return f"the process cannot write its files to {self.folder.parent}; the disk may be full"
         if code >= 0:
             return f"exit status {code}"
         name = {int(s): s.name for s in signal.Signals}.get(-code, f"signal {-code}")
@@ -376,11 +378,12 @@ def _kill(child: subprocess.Popen[bytes], folder: Path) -> None:
 
 
 def _started_in(folder: Path) -> Iterator[int]:
-    """Processes that have inherited the environment variable TMPDIR of a worker (Linux)."""
-    mark = b"TMPDIR=" + os.fsencode(folder) + b"\0"
+    """Processes that have inherited the environment variable TMPDIR of a worker, or its outputs (Linux)."""
+    mark, printed = b"TMPDIR=" + os.fsencode(folder) + b"\0", str(folder / "errors")
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has ended, or belongs to another user
-            if mark in (process / "environ").read_bytes():
+            outputs = (process / "fd" / number for number in "12")
+            if mark in (process / "environ").read_bytes() or printed in map(os.readlink, outputs):
                 yield int(process.name)
 
 
@@ -439,4 +442,4 @@ def _end(
         if child.stdout is not None and not reader.is_alive():  # closing it would wait for the reader
             child.stdout.close()
     last.append(_where(folder))
-    shutil.rmtree(folder, ignore_errors=True)
+    remove_folder(folder)

@@ -1,8 +1,10 @@
 """The cache of compiled code: only what nobody but the user can change is loaded."""
 
+import ctypes
 import logging
 import os
 import sys
+from functools import partial
 
 import pytest
 
@@ -71,6 +73,33 @@ def test_a_folder_of_another_user_is_not_used(cache, caplog, monkeypatch):
     assert cache not in (own.parent, again.parent)
     (message,) = [record.getMessage() for record in caplog.records]
     assert message.startswith(f"{cache}: expected a folder of your own")
+
+
+@pytest.mark.parametrize("damage", [lambda _: b"", lambda code: code[:5], lambda code: code[:-1] + b"x"])
+@pytest.mark.usefixtures("cache")
+def test_a_damaged_file_is_made_again(damage):
+    """After a power cut a library may be empty, cut or have other bytes, which would end the process."""
+    library, kept = made(), partial(compiler.kept, "text", lambda: b"some text", [b"key"])
+    assert kept() == b"some text"
+    for file in library.parent.glob("*-*"):
+        if file.suffix != ".sha256":
+            file.write_bytes(damage(file.read_bytes()))
+    assert ctypes.CDLL(str(made())).one() == 1
+    assert kept() == b"some text"
+
+
+def test_only_fmus_that_were_noted_are_generated(cache, tmp_path, monkeypatch):
+    """By sources and description; in the cache of another user, or without one, nothing is."""
+    code = {"sources/model.c": b"int x;", "modelDescription.xml": b"<x/>", "icon.png": b"1"}
+    assert not compiler.is_generated(code)
+    compiler.note_generated(code)
+    assert compiler.is_generated(code | {"icon.png": b"2"})
+    for name in ("sources/model.c", "modelDescription.xml", "sources/more.h"):
+        assert not compiler.is_generated(code | {name: b"another"})
+    next(cache.glob("*-generated")).chmod(0o622)  # anybody could have made it
+    assert not compiler.is_generated(code)
+    monkeypatch.setattr(compiler, "cache_folder", lambda: tmp_path / "none")
+    assert not compiler.is_generated(code)
 
 
 def test_a_file_that_others_can_write_to_is_made_again(cache):

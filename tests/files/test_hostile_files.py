@@ -386,6 +386,17 @@ DESCRIPTIONS = [
 ]
 
 
+@pytest.mark.parametrize(
+    "place", ["<fmiModelDescription ", CO.split()[0] + " ", "<ScalarVariable ", "<Unit "]
+)
+def test_an_element_may_have_many_attributes(place: str, tmp_path: Path) -> None:
+    """The effort grows with their number: by its square it would be a hundred times the limit."""
+    path = fmu(tmp_path / "x.fmu", (place, place + " ".join(f'a{i}="1"' for i in range(100_000)) + " "))
+    start = time.process_time()
+    load(path)
+    assert time.process_time() - start < LONGEST
+
+
 @pytest.mark.parametrize(("old", "new", "message"), DESCRIPTIONS, ids=[d[-1][:50] for d in DESCRIPTIONS])
 def test_a_description_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
     """By one line without control characters, in bounded time; a check finds something wrong, too."""

@@ -208,15 +208,32 @@ def test_every_variant_runs_in_lanes(system, variants):
         check(sweep.Machine(swapped, None, None, mass, scenario, stop=4.0))
 
 
-def test_sources_of_earlier_fmus_are_read(system, tmp_path):
-    """FMUs of earlier versions have model.c where those of today have model.c.inc."""
+@pytest.mark.parametrize(
+    "changed", ["sources/model.c.inc", "sources/opening_curve.h", "modelDescription.xml"]
+)
+def test_only_code_that_this_installation_has_generated_runs_in_lanes(system, tmp_path, changed):
+    """Lanes are in the process of the caller; another page of documentation changes no code."""
     component = system.components["swing"]
-    names = component.source.names()
-    assert "sources/model.c.inc" in names
-    content = {name.removesuffix(".inc"): component.source.member(name).read() for name in names}
+    content = {name: component.source.member(name).read() for name in component.source.names()}
+    page = "documentation/index.html"
+    for file in (page, changed):
+        write_zip(tmp_path / f"{len(file)}.fmu", content | {file: content[file] + b"\n"})
+    same, other = (replace(component, source=Location(tmp_path / f"{len(f)}.fmu")) for f in (page, changed))
+    assert sources_of(same) == sources_of(component)
+    with pytest.raises(NotInLanes, match=r"swing \(.*\): expected an FMU that this installation"):
+        sources_of(other)
+
+
+def test_a_changed_fmu_runs_one_by_one(system, tmp_path):
+    """With a note, and the results of its library."""
+    source = system.components["swing"].source
+    content = {name: source.member(name).read() for name in source.names()}
+    content["sources/model.c.inc"] += b"#error this code must not be compiled\n"
     write_zip(tmp_path / "swing.fmu", content)
-    earlier = replace(component, source=Location(tmp_path / "swing.fmu"))
-    assert sources_of(earlier) == sources_of(component)
+    other = with_swaps(system, {"swing": str(tmp_path / "swing.fmu")})
+    result = batch(other, {MASS: [300.0, 400.0]}, stop=0.01, record=["manipulator.boom_angle"])
+    assert result.status.tolist() == ["ok"] * 2
+    assert any("one by one: swing" in note and "this installation" in note for note in result.notes)
 
 
 def test_the_fmus_of_fmi_3_run_in_lanes(fmi3_dir):

@@ -12,6 +12,7 @@ from kit.mistakes import problem
 from kit.shards import thinned
 
 from orchestrator import assemble, run
+from orchestrator.fmi.instance import FmuInstance
 from orchestrator.ssp.coupling import Coupling
 
 STUCK = "hermite makes one pass per step, because q cannot restore a saved state"
@@ -213,6 +214,23 @@ def test_an_fmu_may_end_the_run(each, both, master):
     at_once = both(circle(each, "unwilling", when=0.0, how=ENOUGH), master=master).result
     assert at_once.complete
     assert at_once.trace.time.tolist() == [0.0]
+
+
+@pytest.mark.parametrize("reached", [np.inf, -np.inf, 0.7, 0.4, 1e9])
+def test_a_last_successful_time_outside_of_the_step_is_none(each, monkeypatch, reached):
+    """The step is that from 0.5 s to 0.6 s; the run ends with the row before it, and a note has the time."""
+    end = FmuInstance.step_end
+
+    def wrong(fmu, status):
+        found = end(fmu, status)
+        return replace(found, reached=reached) if found.terminate else found
+
+    monkeypatch.setattr(FmuInstance, "step_end", wrong)
+    system = assemble({"q": circle(each, "enough", when=0.45, how=ENOUGH).components["q"].source.path}, [])
+    result = run(system, step=0.1, stop=1.0, isolate=False)
+    assert result.trace.time[-1] == 0.5
+    got = f"at t = {reached:.9g} s, a time outside of the step from 0.5 s to 0.6 s"
+    assert result.card.notes[-1].endswith(got)
 
 
 def test_an_estimate_of_the_error_covers_what_there_is(each):

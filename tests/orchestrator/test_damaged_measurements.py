@@ -246,7 +246,7 @@ def test_a_file_beyond_any_memory_is_refused_by_its_size(tmp_path):
 
 CELLS = [  # the csv module refuses more than 131 072 characters by an exception of its own
     ("time,x\n0," + "1" * 200_000 + "\n1,2\n", "line 2: column 'x': expected a finite number, got inf"),
-    ('time,x\n0,"' + "y" * 200_000 + '"\n1,2\n', "column 'x': expected a number, got 'yyyyyyyyyy"),
+    ('time,x\n0,"' + "y" * 200_000 + '"\n1,2\n', "line 2: field larger than field limit (131072)"),
     ('time,"' + "y" * 200_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, \"yyyyyyyyyy"),
     ("time," + '"' * 5_000_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, "),
 ]
@@ -301,6 +301,32 @@ def test_links_inside_a_mat_file_are_no_obstacle(tmp_path):
     assert columns["again.y"].tolist() == list(range(10))
     with pytest.raises(Problem, match=r"column 'soft\.y': expected numbers, got a link to /run"):
         read_columns(tmp_path / "a.mat", {"time", "soft.y"})
+
+
+END, NEXT = "expected its end, got none in the file", "expected its end, got none before the next row"
+QUOTES = [  # (text, line and reason of the refusal, or the column y): a row is never part of a cell
+    ('x,note,y\n0,"a,0\n1,b,1\n2,c",2\n3,d,3\n', f"line 2: a quoted cell: {NEXT}"),
+    ('x,y,note\n0,0,"\n1,1,b\n2,2,"\n3,3,d\n', f"line 2: a quoted cell: {NEXT}"),
+    ('x,y,note\n0,0,a\n1,1,"b\n2,2,c\n', f"line 3: a quoted cell: {END}"),
+    ('x,y,note\n0,0,a\n1,1,"b\n', f"line 3: a quoted cell: {END}"),
+    ('y\n"0\n1\n2"\n3\n', f"line 2: a quoted cell: {NEXT}"),
+    ('x,y,note\n0,0,"a ""b"" c"\n1,1,"d,e"\n2,2,5" hose\n', [0.0, 1.0, 2.0]),
+    ('x,note,y\n0,"two\nlines",0\n\n1,"",1\n"2",b,"2"\n', [0.0, 1.0, 2.0]),
+    ('x;note;y\n0;"a;b";"0.5"\n1;c;\n', [0.5, np.nan]),
+    ('x,note,y\r\n0,"two\r\nlines",0\r\n1,"",1\r\n', [0.0, 1.0]),
+]
+
+
+@pytest.mark.parametrize(("text", "expected"), QUOTES)
+def test_quotes_follow_rfc_4180_and_never_join_rows(tmp_path, text, expected):
+    """A quoted cell may have delimiters, doubled quotes and line breaks, but not whole rows."""
+    path, form = tmp_path / "a.csv", TextFormat(delimiter=";" if ";" in text else None)
+    path.write_bytes(text.encode())
+    if isinstance(expected, str):
+        with pytest.raises(Problem, match=rf"a\.csv: {expected}$"):
+            read_columns(path, {"y"}, form)
+    else:
+        np.testing.assert_array_equal(read_columns(path, {"y"}, form).values["y"], expected)
 
 
 def test_quoted_numbers_may_have_spaces_around(tmp_path):

@@ -238,11 +238,23 @@ def test_a_forked_process_has_its_own_process_for_runs(fmus, oscillator):
     assert process() == before
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="misuses of Linux")
+@pytest.mark.parametrize("fault", ["timers", "files", "daemon", "none"])
+def test_a_process_in_which_an_fmu_left_something_is_not_used_again(tmp_path, fault):
+    """Timers, another standard input, a child: they would end or disturb the run of another FMU."""
+    good, other = faulty(tmp_path, name="good").fmu, faulty(tmp_path, fault).fmu
+    run(good, **STEPS)
+    before = process()
+    run(other, **STEPS)
+    assert len(run(good, **STEPS).trace.time) == 101
+    assert (process() == before) == (fault == "none")
+
+
 def test_a_defect_has_the_traceback_of_the_child(oscillator):
     """A mistake of ours is not taken for one of the user."""
     broken = load(next(iter(oscillator.components.values())).source.path)
     broken.components["mass_a"].__dict__["start"] = {"mass": object()}
-    with pytest.raises(RuntimeError, match=r"Traceback(.|\n)*TypeError"):
+    with pytest.raises(Problem, match=r"^the process failed \(Traceback.*line \d+.*TypeError"):
         run(broken, **STEPS)
     assert run(oscillator, **STEPS).complete
 

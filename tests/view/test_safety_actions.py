@@ -12,9 +12,11 @@ import httpx
 import pytest
 from view.standin import DESCRIPTION, LEVERS, SILENCE_LIMIT, TIMEOUT, StandIn, pages
 
+from orchestrator.base.errors import Problem
 from orchestrator.view import live
 from orchestrator.view.authority import ControlAuthority
-from orchestrator.view.live import ACTIONS, PATIENT, OpenPage
+from orchestrator.view.choice import MachineChoice
+from orchestrator.view.live import ACTIONS, PATIENT, OpenPage, chosen
 from orchestrator.view.server import application
 
 Result = TypeVar("Result")
@@ -124,6 +126,34 @@ def test_the_end_of_a_replay_is_played_again_without_a_driver(room: Room) -> Non
     room.machine.state = "ended"
     room.ask(room.driver, "toggle")
     assert (room.done, room.role()) == (["again"], "free")
+
+
+@pytest.mark.parametrize("variant", [{"a": 1}, ["b"], 5])
+def test_a_variant_that_is_no_name_is_refused_in_one_line(
+    variant: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No page of ours sends one."""
+    offer = {"systems": ["a.ssp"], "variants": {"arm": {"long": "long"}}}
+    monkeypatch.setattr(live, "offered", lambda _: offer)
+    now = MachineChoice(Path("a.ssp"))
+    asked = {"system": "a.ssp", "pose": "", "swap": {"arm": variant}}
+    with pytest.raises(Problem, match=r"'arm': no variant .* is offered"):
+        chosen(now, asked)
+
+
+def test_a_message_that_an_action_did_not_foresee_is_told_in_one_line(
+    room: Room, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """To the page, and on the terminal of the server."""
+
+    def fails(*_: object) -> None:
+        raise TypeError("unhashable\n\x1b[2J")
+
+    monkeypatch.setitem(ACTIONS, "shown", fails)
+    room.ask(room.watcher, "shown", number=1)
+    (line,) = [r.getMessage() for r in caplog.records if r.levelname == "ERROR"]
+    assert line.isprintable()
+    assert "TypeError" in line
 
 
 def test_actions_count_for_the_limit_of_messages(room: Room) -> None:

@@ -5,14 +5,19 @@
  * The fault is committed in a phase (instantiate, initialise, step, free), in a step from t = 0.5 s on, unless the
  * parameter `rate` is 3. Before, the process id (after a fork: that of the child) is written to the file.
  */
+#define _GNU_SOURCE
+#include <fcntl.h>
 #include <fenv.h>
 #include <math.h>
 #include <pthread.h>
+#include <stdint.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
 static void phase(const char *name, double *values, double t, const char *token);
@@ -125,6 +130,91 @@ static void *go_on(void *nothing) {
     return nothing;
 }
 
+#ifdef __linux__
+enum { LEVELS = 5000 }; /* of folders; Python calls 1000 functions inside each other */
+
+static int is_pipe(int fd, int mode) {
+    char link[32], target[8] = {0};
+    snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+    return readlink(link, target, 5) == 5 && !strcmp(target, "pipe:") && (fcntl(fd, F_GETFL) & O_ACCMODE) == mode;
+}
+
+static void forget_files(void) {
+    for (int fd = 0; fd < DESCRIPTORS; fd++) fcntl(fd, F_SETFL, fcntl(fd, F_GETFL) | O_NONBLOCK);
+    dup2(open("/dev/zero", O_RDONLY), 0);
+}
+
+/* What the parent sends to this process gets company. */
+static void write_to_inputs(void) {
+    char link[32];
+    for (int fd = 0; fd < DESCRIPTORS; fd++) {
+        if (!is_pipe(fd, O_RDONLY)) continue;
+        snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+        if (write(open(link, O_WRONLY | O_NONBLOCK), "AAAAAAAAAAAAAAAA", 16) < 0) continue;
+    }
+    usleep(500000); /* until it has read that */
+}
+
+/* The connection goes nowhere, and nobody sees its end. */
+static void divert_outputs(void) {
+    for (int fd = 3; fd < DESCRIPTORS; fd++)
+        if (is_pipe(fd, O_WRONLY)) dup2(fd, fd + 200), dup2(open("/dev/null", O_WRONLY), fd);
+}
+
+static void set_timers(void) {
+    struct sigevent event = {.sigev_notify = SIGEV_SIGNAL, .sigev_signo = SIGKILL};
+    const struct itimerspec when = {{0, 0}, {1, 0}};
+    timer_t timer;
+    alarm(1);
+    timer_create(CLOCK_MONOTONIC, &event, &timer), timer_settime(timer, 0, &when, NULL);
+}
+
+static void nest(void) {
+    if (chdir(getenv("TMPDIR"))) return;
+    for (int i = 0; i < LEVELS; i++)
+        if (mkdir("d", 0755) || chdir("d")) return;
+}
+
+/* A process of which no parent and no environment tells whose it is; then this one crashes. */
+static void leave_orphan(void) {
+    char *const none[] = {NULL}, *const sleeps[] = {"sleep", "1000", NULL};
+    if (!fork()) {
+        setsid();
+        if (fork()) _exit(0);
+        note(getpid());
+        execve("/bin/sleep", sleeps, none);
+        _exit(1);
+    }
+    usleep(200000);
+    raise(SIGSEGV);
+}
+
+static uint32_t checksum(uint32_t sum, const void *data, size_t size) {
+    for (const unsigned char *c = data; size--; c++) {
+        sum ^= *c;
+        for (int k = 0; k < 8; k++) sum = sum & 1 ? sum >> 1 ^ 0xEDB88320u : sum >> 1;
+    }
+    return sum;
+}
+
+/* A frame of orchestrator/worker/wire.py with the number that comes next, which is in a shared page. */
+static void forge(void) {
+    static const char text[] = "[\"failed\", \"all is well\\n\\u001b[2Jharvester: done\"]";
+    FILE *maps = fopen("/proc/self/maps", "r");
+    unsigned long first, number = 0;
+    for (char line[512]; maps && fgets(line, sizeof line, maps);)
+        if (strstr(line, "/dev/zero") && sscanf(line, "%lx", &first)) number = *(uint32_t *)first;
+    if (maps) fclose(maps);
+    const uint32_t parts[] = {(uint32_t)number, sizeof text - 1, 0, 0}, next = (uint32_t)number;
+    const uint32_t sum = ~checksum(checksum(~0u, parts, sizeof parts), text, sizeof text - 1);
+    char frame[256] = "hvw1";
+    memcpy(frame + 4, parts, sizeof parts), memcpy(frame + 20, &sum, 4), memcpy(frame + 24, text, sizeof text - 1);
+    memcpy(frame + 23 + sizeof text, "1wvh", 4), memcpy(frame + 27 + sizeof text, &next, 4);
+    for (int fd = 3; fd < DESCRIPTORS; fd++)
+        if (is_pipe(fd, O_WRONLY) && write(fd, frame, 31 + sizeof text) < 0) continue;
+}
+#endif
+
 static int is(const char *name) { return !strcmp(fault, name); }
 
 static void phase(const char *name, double *values, double t, const char *token) {
@@ -160,6 +250,15 @@ static void phase(const char *name, double *values, double t, const char *token)
 #endif
     if (is("signals")) ignore_signals(), where[0] = 0;
     if (is("limits")) set_limits(), where[0] = 0;
+#ifdef __linux__
+    if (is("files")) forget_files(), where[0] = 0;
+    if (is("inputs")) write_to_inputs(), where[0] = 0;
+    if (is("divert")) divert_outputs(), where[0] = 0;
+    if (is("timers")) set_timers(), where[0] = 0;
+    if (is("nest")) nest(), where[0] = 0;
+    if (is("orphan")) leave_orphan();
+    if (is("forge")) forge(), where[0] = 0;
+#endif
     if (is("thread")) {
         pthread_t thread;
         pthread_create(&thread, NULL, go_on, NULL), where[0] = 0;

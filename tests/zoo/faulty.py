@@ -4,6 +4,7 @@ The library is compiled once per version of FMI: the instantiation token of an F
 """
 
 import shutil
+import sys
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -14,7 +15,14 @@ from kit.compile import library
 
 from orchestrator.base.compiler import SUFFIX
 
-FLAGS = ("-std=gnu11", "-fno-sanitize=undefined", "-Wno-unused-parameter", "-Wno-infinite-recursion", "-s")
+FLAGS = (
+    "-std=gnu11",
+    "-fno-sanitize=undefined",
+    "-Wno-unused-parameter",
+    "-Wno-infinite-recursion",
+    "-s",
+)
+FLAGS += ("-lrt",) if sys.platform == "linux" else ()
 HANGS = ("spin", "sleep")
 # An FMU that does not fail, but does what no FMU may. benchmarks/hostile.py runs each through each command.
 MISUSES = {
@@ -30,6 +38,13 @@ MISUSES = {
     "signals": "ignores and blocks all signals",
     "limits": "sets the limits of open files and of their size to 0",
     "thread": "leaves a thread that never ends",
+    "files": "makes all files non-blocking, and takes another standard input",
+    "inputs": "writes to the pipe from which its process reads",
+    "divert": "sends the results elsewhere, and keeps the connection open",
+    "timers": "leaves timers that end the process after 1 s",
+    "nest": "makes 5000 folders inside each other",
+    "orphan": "starts a process without parent, session and environment, and crashes",
+    "forge": "sends a message that only the process of the run may send",
 }
 HARMLESS = ("none", "fork", "daemon", "print")  # the run ends as if nothing had happened
 CAUSES = {  # what a message calls a fault that ends the process

@@ -1,7 +1,6 @@
 """The FMU on which a probe works in a child process, and the function that runs one task there."""
 
 import os
-import shutil
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.processes import remove_folder
 from orchestrator.fmi.description import Entry, ModelDescription
 from orchestrator.fmi.instance import CallFailed, Crashed, FmuInstance, resources_location
 from orchestrator.fmi.library import Library, find_library
@@ -132,7 +132,7 @@ def main(channel: Channel) -> None:
             os.kill(os.getpid(), max(-end, 0))
             os._exit(end)
         for left in {*channel.folder.iterdir()} - own:
-            shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
+            remove_folder(left) if left.is_dir() else left.unlink(missing_ok=True)
         channel.put("idle")
     channel.put("pid", os.getpid())
     trial = Trial(**job["trial"], activity=channel.activity, begin_case=lambda n: channel.put("case", n))

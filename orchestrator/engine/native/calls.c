@@ -197,6 +197,7 @@ int component_step(Simulation *sim, int k, Real begin, Real end) {
     Component *p = &sim->components[k];
     const double t = sim->t + begin, h = p->fixed_step != 0.0 ? p->fixed_step : sim->t + end - t;
     p->clock[0] = p->clock[1] = t;
+    p->clock[2] = t + h;
     if (!p->do_step) return sim->call_python(STEP, k, t, h);
     int status;
     *p->call = STEP;

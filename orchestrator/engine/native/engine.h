@@ -247,7 +247,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     void *instance, *do_step, *get_state, *set_state, *state;
     void *event, *terminate, *early, *last; /* results of a step in FMI 3.0 */
     const uint32_t *flags;                  /* the first three of them; NULL in FMI 2.0 */
-    double *clock;                          /* the last communication point, and the beginning of the step */
+    double *clock;                          /* the last communication point, beginning and end of the step */
     int32_t *call;                          /* as in Access */
     double busy;                            /* time in its steps [ticks] */
     double fixed_step;                      /* length of each of its own steps; 0 if it may vary */

@@ -5,7 +5,6 @@ The tables have a row for each setting and a column for each communication step.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
@@ -15,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder, require_system
+from orchestrator.base.files import make_folder, require_system, write_rows, write_whole
 from orchestrator.base.options import chosen, seconds
 from orchestrator.base.text import TextTable, error_display_unit
 from orchestrator.base.units import factor_and_offset
@@ -132,17 +131,13 @@ def with_progress(runs: Iterable[SettingRun], total: int) -> Iterator[SettingRun
 
 def write(study: ConvergenceStudy, home: Path) -> list[Path]:
     """Write convergence.csv, .json, .png and work_precision.png to a folder; figures of the first group."""
-    home.mkdir(parents=True, exist_ok=True)
     csv_path, json_path = home / "convergence.csv", home / "convergence.json"
-    with csv_path.open("w", newline="", encoding="utf-8") as file:
-        rows = [_csv_row(study, run) for run in study.runs]
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    rows = [_csv_row(study, run) for run in study.runs]
+    write_rows(csv_path, [[*rows[0]], *(row.values() for row in rows)])
     write_json(json_path, as_dict(study))
     figures = {"convergence.png": draw_error(study), "work_precision.png": draw_work_precision(study)}
     for name, figure in figures.items():
-        (home / name).write_bytes(png(figure, DPI))
+        write_whole(home / name, png(figure, DPI))
     return [csv_path, json_path, *(home / name for name in figures)]
 
 

@@ -1,0 +1,105 @@
+"""Files are written completely or not at all, whatever stops the work, and by one function."""
+
+import errno
+import json
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import put, write_columns, write_rows, write_whole
+from orchestrator.engine.result import read_metadata
+from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot, still
+from orchestrator.pages.html_page import write_json, write_text
+
+ROOT = Path(__file__).parents[2]
+WRITERS = [
+    partial(write_whole, content=b"new"),
+    partial(write_whole, content="new"),
+    partial(write_text, text="new"),
+    partial(write_json, values=[1]),
+    partial(write_rows, rows=[["a"], [1]]),
+    partial(write_columns, names=["a"], rows=np.ones((2, 1)), digits=6),
+]
+# file -> why it writes under a name of its own: rows of a run, folders of a worker, temporary folders
+OWN = {
+    "orchestrator/base/files.py": "write_whole itself, and members of archives in temporary folders",
+    "orchestrator/base/compiler.py": "temporary folders, whose files get their names when they are complete",
+    "orchestrator/data/trace_writer.py": "partial traces, which grow during a run",
+    "orchestrator/engine/isolated.py": "the folder of a worker",
+    "orchestrator/modelica/modelica_package.py": "a temporary folder, named when it is complete",
+    "orchestrator/realtime/deadlines.py": "a setting of the system",
+    "orchestrator/studies/processes.py": "the temporary folder of a study",
+    "orchestrator/studies/store.py": "a log to which lines are added; it is not part of the results",
+    "orchestrator/worker/calls.py": "the folder of a worker",
+    "orchestrator/worker/process.py": "the folder of a worker",
+    "fmus/export/python/build.py": "a temporary folder",
+    "fmus/package_files.py": "a temporary folder, which gets its name when it is complete",
+}
+WRITES = re.compile(
+    r"""(?<!html_page)\.write_text\(|\.write_bytes\(|open\(["'][wax+]|savefig\(f?["']|\.to_csv\([^)f]"""
+)
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_a_full_disk_leaves_the_earlier_file_and_names_the_new_one(tmp_path, monkeypatch, write):
+    """And nothing else in the folder."""
+    path = tmp_path / "folder" / "a.txt"
+    write(path)
+    before, real = path.read_bytes(), Path.write_bytes
+
+    def full(file, data):
+        real(file, data[:1])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(Problem, match=r"folder/a\.txt: cannot be written: No space left on device$"):
+        write(path)
+    assert [*path.parent.iterdir()] == [path]
+    assert path.read_bytes() == before
+
+
+def test_a_link_stays_a_link_and_a_pipe_is_written_to(tmp_path):
+    """The file behind a link is replaced; what is no file, such as /dev/stdout, is not."""
+    file, link = tmp_path / "file", tmp_path / "link"
+    file.write_bytes(b"old")
+    link.symlink_to(file)
+    assert write_whole(link, "new\n") == link
+    assert link.is_symlink()
+    assert file.read_bytes() == b"new\n"
+    folder, given = tmp_path / "folder", []
+    folder.mkdir()
+    put(folder, given.append)
+    assert given == [folder]
+
+
+def test_no_other_code_writes_files_under_their_final_names():
+    """A new place must use `write_whole` or `put`, or be listed with its reason."""
+    files = [p for room in ("fmus", "orchestrator") for p in sorted((ROOT / room).rglob("*.py"))]
+    found = {p.relative_to(ROOT).as_posix() for p in files if WRITES.search(p.read_text("utf-8"))}
+    assert found == OWN.keys()
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, '{"sha256": ' + "[" * 50_000])
+def test_metadata_that_are_nested_too_deeply_are_refused_in_one_line(tmp_path, text):
+    """As other damaged ones are."""
+    trace = tmp_path / "a.csv"
+    trace.write_text("time,a.y\n0,0\n1,1\n", "utf-8")
+    trace.with_suffix(".run.json").write_text(text, "utf-8")
+    with pytest.raises(Problem, match=r"a\.run\.json: expected what harvester run writes"):
+        read_metadata(trace)
+
+
+@pytest.mark.parametrize("time", [0.0, 0.04, -2.0])
+@pytest.mark.parametrize("window", [False, True])
+def test_a_figure_of_one_point_in_time_has_axes_around_it(time, window):
+    """Such as the bands of a study that stops before its first band step."""
+    line = TraceLine(np.array([time]), np.array([1.0]), {"color": "black"}, "a")
+    figure = TraceFigure([TracePanel("m", [line])], (time, time) if window else None)
+    start, stop = figure.span
+    assert start < time < stop
+    assert "nan" not in still(figure, "a")
+    assert json.dumps(str(plot(figure, "a")))
