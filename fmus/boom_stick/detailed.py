@@ -24,6 +24,7 @@ from fmus.boom_stick.variables import (
     SIDES,
     AxisInputs,
     BoomStickInputs,
+    DetailedAxisOutputs,
     DetailedBoomStickOutputs,
     DetailedBoomStickParameters,
     OilState,
@@ -32,10 +33,10 @@ from fmus.components import hose, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.circuit import Circuit
 from fmus.components.cylinder import Cylinder
-from fmus.components.detailed_drive import DetailedNames
+from fmus.components.detailed_drive import DetailedStates
 from fmus.components.hose import Hose, HydraulicLine
 from fmus.components.spool_valve import SpoolState
-from fmus.contract import Group, Quantity, Scalar, Subsystem, family, make_group, quantities
+from fmus.contract import Group, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
 
 
@@ -47,15 +48,15 @@ def line(p: DetailedBoomStickParameters, axis: str) -> HydraulicLine:
 
 
 def _drive(
-    names: Mapping[str, DetailedNames],
-    states: Mapping[str, type[Any]],
+    states: Mapping[str, DetailedStates],
+    groups: Mapping[str, type[Any]],
     axis: str,
     x: Any,
     u: AxisInputs,
     p: DetailedBoomStickParameters,
 ) -> Drive:
-    state, size, oil = states[axis].of(x, axis), Cylinder.of(p, axis), Fluid.of(p)
-    valve, load, spool_rates = names[axis].valve_and_lines(p, u, u.command, line(p, axis), state)
+    state, size, oil = groups[axis].of(x, axis), Cylinder.of(p, axis), Fluid.of(p)
+    valve, load, spool_rates = states[axis].valve_and_lines(p, u, u.command, line(p, axis), state)
     circuit = drive.cylinder_circuit(size, u, state, oil) | valve
     circuit |= Circuit({}, drive.reliefs(p, "relief", CHAMBERS))
     shown = {
@@ -66,31 +67,22 @@ def _drive(
     return Drive(size, u, circuit, load, spool_rates, shown)
 
 
-def _names(lumps: int, unsteady_friction: bool) -> DetailedNames:
-    """Names of the states of one drive, without prefix."""
+def _states(lumps: int, unsteady_friction: bool) -> DetailedStates:
+    """States of one drive, without prefix."""
+    declared = {**quantities(OilState), **quantities(DetailedAxisOutputs)}
     head, rod = (
-        hose.state_names(f"{side}_valve_flow", f"{side}_flow", f"{side}_hose", "", lumps, unsteady_friction)
+        hose.line_states(
+            {name: declared[name] for name in (f"{side}_valve_flow", f"{side}_flow")},
+            *(f"{side}_hose", "", f"the {side} hose of the {{}}", lumps, unsteady_friction),
+        )
         for side in SIDES
     )
     spool = SpoolState("spool_position", "spool_speed")
-    return DetailedNames(spool, (head, rod), CHAMBERS, PORTS)
-
-
-def _state(names: DetailedNames) -> type[Any]:
-    """The group of the states of one drive."""
-    lines = [
-        (
-            f"the {side} hose of the {{}}",
-            Quantity("m3/s", f"Flow from the valve into the {side} hose of the {{}}", 1e-3),
-            quantities(OilState)[f"{side}_flow"],
-        )
-        for side in SIDES
-    ]
-    return make_group("DetailedDriveState", dict(names.declarations("{}", lines, quantities(OilState))))
+    return DetailedStates(spool, (head, rod), {name: declared[name] for name in CHAMBERS}, PORTS)
 
 
 def _initial(
-    names: Mapping[str, DetailedNames], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
+    states: Mapping[str, DetailedStates], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> dict[str, Scalar]:
     """Initial state: pressures in balance with the holding forces, no flow, spools at their commands."""
     chambers = drive.holding_pressures(u, p)
@@ -99,7 +91,7 @@ def _initial(
             spool_valve.commanded_position(getattr(u, f"{axis}_command"), p.valve_full_command),
             (chambers[f"{axis}_head_pressure"], chambers[f"{axis}_rod_pressure"]),
         )
-        for axis, n in names.items()
+        for axis, n in states.items()
     )
     return drive.prefixed(boom, stick)
 
@@ -118,20 +110,20 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
     """
     count = default_lumps() if lumps is None else lumps
     by_axis = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
-    names = {axis: _names(n, unsteady_friction) for axis, n in by_axis.items()}
-    states = {axis: _state(n) for axis, n in names.items()}
+    of_axis = {axis: _states(n, unsteady_friction) for axis, n in by_axis.items()}
+    groups = {axis: make_group("DetailedDriveState", states.all("{}")) for axis, states in of_axis.items()}
 
-    class State(Group, **states):
+    class State(Group, **groups):
         """State of both drives."""
 
     sub = drive.variant(
-        partial(_drive, names, states),
+        partial(_drive, of_axis, groups),
         Hose,
         text="Detailed hydraulic drives of boom and stick: spool dynamics, lines, air, relief valves",
         parameters=DetailedBoomStickParameters,
         states=State,
         outputs=DetailedBoomStickOutputs,
-        initial=partial(_initial, names),
+        initial=partial(_initial, of_axis),
         require=drive.require,
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
     )

@@ -40,7 +40,7 @@ Signs: flows are positive from inlet to outlet; pressures are gauge.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -229,17 +229,21 @@ class HydraulicLine:
 
 
 @dataclass(frozen=True)
-class LineNames:
-    """Names of the states of a line of N lumps.
+class LineStates:
+    """States of a line of N lumps, by name.
 
     flows       N+1 flows [m3/s] from inlet to outlet
     pressures   N pressures [Pa]
     layers      for each flow the q_i [m3/s] of the frequency-dependent friction; empty without it
     """
 
-    flows: tuple[str, ...]
-    pressures: tuple[str, ...]
-    layers: tuple[tuple[str, ...], ...]
+    flows: Mapping[str, Quantity]
+    pressures: Mapping[str, Quantity]
+    layers: Sequence[Mapping[str, Quantity]]
+
+    def all(self) -> dict[str, Quantity]:
+        """All states in order."""
+        return {**self.flows, **self.pressures, **{name: q for of in self.layers for name, q in of.items()}}
 
 
 def length_fractions(lumps: int) -> tuple[float, ...]:
@@ -248,19 +252,19 @@ def length_fractions(lumps: int) -> tuple[float, ...]:
 
 
 def ladder(
-    line: HydraulicLine, names: LineNames, x: Any, inlet: str, outlet: str, pressure: Scalar
+    line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str, pressure: Scalar
 ) -> Circuit:
-    """The line between two nodes, from a state x with these names; pressure: at the outlet [Pa]."""
-    n = len(names.pressures)
+    """The line between two nodes, from a state x; pressure: at the outlet [Pa]."""
+    n = len(states.pressures)
     wall = line.volume / n / line.wall_modulus
     nodes = {
         name: Node(getattr(x, name), f"C_{k}", wall, line.volume / n, line.fluid, cavity=1 / n)
-        for k, name in enumerate(names.pressures, 1)
+        for k, name in enumerate(states.pressures, 1)
     }
     branches: dict[str, Branch] = {}
-    ends = pairwise((inlet, *names.pressures, outlet))
+    ends = pairwise((inlet, *states.pressures, outlet))
     for name, w, (start, end), layers in zip(
-        *(names.flows, length_fractions(n), ends, names.layers or [()] * (n + 1)), strict=True
+        *(states.flows, length_fractions(n), ends, states.layers or [{}] * (n + 1)), strict=True
     ):
         q, behind = getattr(x, name), nodes[end].pressure if end in nodes else pressure
         for layer, (r, rate) in zip(layers, _friction_terms(line), strict=False):
@@ -276,16 +280,34 @@ def ladder(
     return Circuit(nodes, branches)
 
 
-def state_names(
-    first: str, last: str, inner: str, side: str, lumps: int, unsteady_friction: bool
-) -> LineNames:
-    """Names of the states: `first` and `last` for the flows at the ends, else from `inner` and `side`."""
-    flows = (first, *(f"{inner}_flow{side}_{k}" for k in range(1, lumps)), last)
-    pressures = tuple(f"{inner}_pressure{side}_{k}" for k in range(1, lumps + 1))
-    layers = tuple(
-        tuple(f"{inner}_layer{side}_{k}_{i}" for i in range(1, TERMS + 1)) for k in range(lumps + 1)
-    )
-    return LineNames(flows, pressures, layers if unsteady_friction else ())
+def line_states(
+    ends: Mapping[str, Quantity], inner: str, side: str, line: str, lumps: int, unsteady_friction: bool
+) -> LineStates:
+    """States of a line.
+
+    ends          both flows at its ends
+    inner, side   begin and end of the other names
+    line          the line in descriptions: "swing line A"
+    """
+    (first, first_flow), (last, last_flow) = ends.items()
+    middle = {
+        f"{inner}_flow{side}_{k}": Quantity("m3/s", f"Flow from lump {k} to {k + 1} of {line}", 1e-3)
+        for k in range(1, lumps)
+    }
+    pressures = {
+        f"{inner}_pressure{side}_{k}": chamber.pressure(f"Pressure of lump {k} of {line}")
+        for k in range(1, lumps + 1)
+    }
+    text = "Layer flow q_{} of the frequency-dependent friction of flow {} in {}"
+    layers = [
+        {
+            f"{inner}_layer{side}_{k}_{i}": Quantity("m3/s", text.format(i, k, line), 1e-3)
+            for i in range(1, TERMS + 1)
+        }
+        for k in range(lumps + 1)
+    ]
+    flows = {first: first_flow, **middle, last: last_flow}
+    return LineStates(flows, pressures, layers if unsteady_friction else [])
 
 
 def lumps_needed(
@@ -317,25 +339,6 @@ def _angle(error: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if math.sin(middle) > (1 - error) * middle else (low, middle)
     return low
-
-
-def state_quantities(
-    names: LineNames, line: str, first: Quantity, last: Quantity
-) -> Iterator[tuple[str, Quantity]]:
-    """(name, declaration) of the states of a line.
-
-    line          the line in descriptions: "swing line A"
-    first, last   declarations of the flows at its ends
-    """
-    inner = (f"Flow from lump {k} to {k + 1} of {line}" for k in range(1, len(names.pressures)))
-    middle = [Quantity("m3/s", text, 1e-3) for text in inner]
-    yield from zip(names.flows, (first, *middle, last), strict=True)
-    for k, name in enumerate(names.pressures, 1):
-        yield name, chamber.pressure(f"Pressure of lump {k} of {line}")
-    for k, layers in enumerate(names.layers):
-        for i, name in enumerate(layers, 1):
-            text = f"Layer flow q_{i} of the frequency-dependent friction of flow {k} in {line}"
-            yield name, Quantity("m3/s", text, 1e-3)
 
 
 def default_lumps(line: HydraulicLine) -> int:

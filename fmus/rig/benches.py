@@ -42,12 +42,12 @@ import numpy as np
 
 from fmus import boom_stick, swing
 from fmus.boom_stick import detailed as boom_stick_detailed
-from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickParameters
+from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickParameters, OilState
 from fmus.components import circuit, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.components.hose import LumpedHose
-from fmus.contract import Scalar, column
+from fmus.contract import Scalar, column, quantities
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import values
 from fmus.swing.variables import DetailedSwingParameters
@@ -191,19 +191,20 @@ def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]
 def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
     p = detailed()
     of, lumps = boom_stick_detailed.line(p, "stick"), boom_stick_detailed.default_lumps()["stick"]
-    names = hose.state_names("flow_in", "flow_out", "inner", "", lumps, unsteady_friction=False)
+    ends = {"flow_in": quantities(OilState)["head_flow"], "flow_out": quantities(OilState)["head_flow"]}
+    states = hose.line_states(ends, "inner", "", "the hose", lumps, unsteady_friction=False)
 
     def line(x: ByName) -> Circuit:
         # without volume, so the flow out of the hose gives the drop of the throttle
         drop = spool_valve.turbulent_drop(x["flow_out"], resistance, p.valve_transition_flow)
         between = (SimpleNamespace(**x), "pressure_in", "pressure_out", RETURN + drop)
         end = Branch("pressure_out", TANK, Kind.THROTTLE, x["flow_out"])
-        return hose.ladder(of, names, *between) | Circuit(
+        return hose.ladder(of, states, *between) | Circuit(
             {"pressure_out": Node(RETURN + drop)}, {"throttle": end}
         )
 
-    start = dict.fromkeys(names.flows, (start_flow(p.valve_leakage), 1e-3))
-    return line, start | dict.fromkeys(names.pressures, (RETURN, 1e7))
+    start = dict.fromkeys(states.flows, (start_flow(p.valve_leakage), 1e-3))
+    return line, start | dict.fromkeys(states.pressures, (RETURN, 1e7))
 
 
 MOTOR_THROTTLE = 1e10  # R [Pa.s/m3]; time constant of a side 10 ms, pressure drop by leakage 0.3 MPa

@@ -18,14 +18,14 @@ from typing import Any
 from fmus.components import circuit, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.circuit import Circuit, Node
-from fmus.components.detailed_drive import DetailedNames
+from fmus.components.detailed_drive import DetailedStates
 from fmus.components.hose import HydraulicLine
 from fmus.components.spool_valve import SpoolState
-from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
+from fmus.contract import Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import group_of
 from fmus.swing import compensated, drive, lumped
 from fmus.swing.drive import LINES, Drive
-from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs, SwingState
+from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs
 
 
 def line(p: DetailedSwingParameters) -> HydraulicLine:
@@ -34,9 +34,9 @@ def line(p: DetailedSwingParameters) -> HydraulicLine:
     return HydraulicLine(p.line_length, p.line_bore, p.line_turbulent_resistance, wall, Fluid.of(p))
 
 
-def _drive(names: DetailedNames, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> Drive:
+def _drive(states: DetailedStates, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> Drive:
     oil = Fluid.of(p)
-    valve, load, spool_rates = names.valve_and_lines(p, u, u.swing_command, line(p), x)
+    valve, load, spool_rates = states.valve_and_lines(p, u, u.swing_command, line(p), x)
     whole = valve | Circuit(
         {
             **circuit.lines(u),
@@ -53,35 +53,25 @@ def _drive(names: DetailedNames, x: Any, u: SwingInputs, p: DetailedSwingParamet
     return Drive(whole, load, spool_rates, shown)
 
 
-def _initial(names: DetailedNames, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
+def _initial(states: DetailedStates, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
     """Initial state: both lines at the preload, oil at rest, no torque, spool at its command."""
     position = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
     a, b = (u.tank_pressure + p.initial_preload for _ in SIDES)
-    return names.start(position, (a, b))
+    return states.start(position, (a, b))
 
 
-def _names(lumps: int, unsteady_friction: bool) -> DetailedNames:
-    """Names of the states."""
+def _states(lumps: int, unsteady_friction: bool) -> DetailedStates:
+    declared = quantities(DetailedSwingOutputs)
     a, b = (
-        hose.state_names(
-            *(f"swing_flow_{side}", f"swing_motor_flow_{side}", "swing_line", f"_{side}"),
-            *(lumps, unsteady_friction),
+        hose.line_states(
+            {name: declared[name] for name in (f"swing_flow_{side}", f"swing_motor_flow_{side}")},
+            *("swing_line", f"_{side}", f"swing line {side.upper()}", lumps, unsteady_friction),
         )
         for side in SIDES
     )
     spool = SpoolState("swing_spool_position", "swing_spool_speed")
-    return DetailedNames(spool, (a, b), LINES, ("swing_valve_pressure_a", "swing_valve_pressure_b"))
-
-
-def _state(names: DetailedNames) -> type[Any]:
-    """The group of the states."""
-    declared = quantities(SwingState)
-    lines = []
-    for side in SIDES:
-        text = f"swing line {side.upper()}"
-        last = Quantity("m3/s", f"Flow from {text} to the motor", 1e-3)
-        lines.append((text, declared[f"swing_flow_{side}"], last))
-    return make_group("DetailedSwingState", dict(names.declarations("swing", lines, declared)))
+    pressures = {name: declared[name] for name in LINES}
+    return DetailedStates(spool, (a, b), pressures, ("swing_valve_pressure_a", "swing_valve_pressure_b"))
 
 
 def default_lumps() -> int:
@@ -96,14 +86,14 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
     unsteady_friction   whether lines have frequency-dependent friction: three more states for each flow
     """
     count = default_lumps() if lumps is None else lumps
-    names = _names(count, unsteady_friction)
+    states = _states(count, unsteady_friction)
     sub = drive.variant(
-        partial(_drive, names),
-        _state(names),
+        partial(_drive, states),
+        make_group("DetailedSwingState", states.all("swing")),
         DetailedSwingOutputs,
         text="Detailed hydraulic swing drive: spool dynamics, lines, motor and gear, air, relief valves",
         parameters=DetailedSwingParameters,
-        initial=partial(_initial, names),
+        initial=partial(_initial, states),
         require=drive.require,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
     )

@@ -20,7 +20,7 @@ from fmus.components import hose
 from fmus.components.chamber import Fluid
 from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import HydraulicLine, lumps_needed
-from fmus.contract import quantities
+from fmus.contract import Quantity, quantities
 from fmus.parameters import values
 
 # the hose of verification cases V02, V11, V19: 4 m of 3/4 in, rigid wall, no air
@@ -46,11 +46,11 @@ def in_between(
     one: HydraulicLine, lumps: int, unsteady: bool, pressure: float
 ) -> tuple[dict[str, ca.SX], Circuit]:
     """States of a line between two nodes of one pressure, and the circuit."""
-    names = hose.state_names("first", "last", "inner", "", lumps, unsteady)
-    layers = (name for layer in names.layers for name in layer)
-    x = {name: ca.SX.sym(name) for name in (*names.flows, *names.pressures, *layers)}
+    flows = dict.fromkeys(("first", "last"), Quantity("m3/s", "Flow"))
+    states = hose.line_states(flows, "inner", "", "the line", lumps, unsteady)
+    x = {name: ca.SX.sym(name) for name in states.all()}
     ends = Circuit({"inlet": Node(pressure), "outlet": Node(pressure)}, {})
-    return x, ends | hose.ladder(one, names, SimpleNamespace(**x), "inlet", "outlet", pressure)
+    return x, ends | hose.ladder(one, states, SimpleNamespace(**x), "inlet", "outlet", pressure)
 
 
 @cache
