@@ -45,12 +45,12 @@ def branches(ports: Pair, displaced: Scalar, internal: Scalar, external: Scalar)
     displaced            flow D w [m3/s]
     internal, external   leakage resistances R_in and R_ex [Pa.s/m3]
     """
-    a, b = ports
+    (a, b), g_in, g_ex = ports, 1 / internal, 1 / external
     return {
         "motor": Branch(a, b, Kind.MOTOR, displaced, "D_m N"),
-        "internal_leakage": Branch(a, b, Kind.LEAKAGE, lambda drop: drop / internal, "R_in"),
-        "drain_a": Branch(a, TANK, Kind.DRAIN, lambda drop: drop / external, "R_e1"),
-        "drain_b": Branch(b, TANK, Kind.DRAIN, lambda drop: drop / external, "R_e2"),
+        "internal_leakage": Branch(a, b, Kind.LEAKAGE, lambda drop: g_in * drop, "R_in"),
+        "drain_a": Branch(a, TANK, Kind.DRAIN, lambda drop: g_ex * drop, "R_e1"),
+        "drain_b": Branch(b, TANK, Kind.DRAIN, lambda drop: g_ex * drop, "R_e2"),
     }
 
 

@@ -47,6 +47,7 @@ from fmus.components import circuit, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.components.hose import LumpedHose
+from fmus.components.spool_valve import Edges, Spool, SpoolState, Valve
 from fmus.contract import Scalar, column, quantities
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import values
@@ -128,31 +129,31 @@ class BenchValve:
         self._spool = machine == "detailed"
         self.states = {"position": (0.0, 1.0), "speed": (0.0, 10.0)} if self._spool else {}
 
-    def rates(self, x: ByName, command: Scalar) -> ByName:
-        """Time derivatives of the states."""
-        if not self._spool:
-            return {}
-        p = detailed()
-        commanded = spool_valve.commanded_position(command, p.valve_full_command)
-        state = spool_valve.SpoolState(x["position"], x["speed"])
-        rate = spool_valve.spool_rates(spool_valve.Spool.of(p, "spool"), state, commanded)
-        return {"position": rate.position, "speed": rate.speed}
+    def circuit(
+        self, x: ByName, command: Scalar, port: str, flow: Scalar, at: str = "A"
+    ) -> tuple[Circuit, ByName]:
+        """Lines and edges, and rates of the spool.
 
-    def circuit(self, x: ByName, command: Scalar, port: str, flow: Scalar, at: str = "A") -> Circuit:
-        """Lines and edges; flow [m3/s] out of port `at`, the node `port`; the other one is closed."""
+        port, flow, at   name of the node, flow [m3/s] out of it, A or B; the other port is closed
+        """
         a, b = (flow, 0.0) if at == "A" else (0.0, flow)
+        rates: ByName = {}
         if self._spool:
-            of = detailed()
-            parts = (spool_valve.Edges.of(of, "valve"), spool_valve.Spool.of(of, "spool"), x["position"])
-            ports = spool_valve.spool_ports(*parts, a, b, SUPPLY, RETURN, of.density)
+            p, state = detailed(), SpoolState(x["position"], x["speed"])
+            spool, commanded = (
+                Spool.of(p, "spool"),
+                spool_valve.commanded_position(command, p.valve_full_command),
+            )
+            edges = (Edges.of(p, "valve"), spool, state.position)
+            ports = spool_valve.spool_ports(*edges, a, b, SUPPLY, RETURN, p.density)
+            rates = vars(spool_valve.spool_rates(spool, state, commanded))
         else:
-            p = lumped()
-            valve = spool_valve.Valve.of(p, "valve")
-            ports = spool_valve.ports_from_flow(valve, command, a, b, SUPPLY, RETURN, p.density)
+            valve = (Valve.of(lumped(), "valve"), command)
+            ports = spool_valve.ports_from_flow(*valve, a, b, SUPPLY, RETURN, lumped().density)
         names = (port, "closed port") if at == "A" else ("closed port", port)
         nodes = {name: Node(found.pressure) for name, found in zip(names, ports, strict=True)}
         nodes |= {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
-        return Circuit(nodes, spool_valve.branches(ports, *names))
+        return Circuit(nodes, spool_valve.branches(ports, *names)), rates
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
@@ -162,10 +163,11 @@ def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> 
     line, start = (_detailed_hose if machine == "detailed" else _lumped_hose)(resistance)
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
-        whole = spool.circuit(x, u["command"], "pressure_in", x["flow_in"]) | line(x)
+        valve, rates = spool.circuit(x, u["command"], "pressure_in", x["flow_in"])
+        whole = valve | line(x)
         known = whole.pressures | whole.flows
         shown = ("pressure_in", "pressure_out", "flow_in", "flow_out")
-        return whole, spool.rates(x, u["command"]), {name: known[name] for name in shown}
+        return whole, rates, {name: known[name] for name in shown}
 
     return run(start | spool.states, bench, time, {"command": command})
 
@@ -255,7 +257,8 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
         flow = x["flow"]  # out of the port
-        whole = spool.circuit(x, u["command"], "port", flow, "A" if "A" in edge else "B") | Circuit(
+        of_valve, rates = spool.circuit(x, u["command"], "port", flow, "A" if "A" in edge else "B")
+        whole = of_valve | Circuit(
             {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)},
             {
                 "flow": hose.column("port", "block", flow, "I", fraction * p.stick_hose_inertance, *friction),
@@ -265,7 +268,7 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
         at_port = whole.pressures["port"]
         measured = (SUPPLY, at_port, flow) if from_supply else (at_port, RETURN, -flow)
         names = ("pressure_in", "pressure_out", "flow")
-        return whole, spool.rates(x, u["command"]), dict(zip(names, measured, strict=True))
+        return whole, rates, dict(zip(names, measured, strict=True))
 
     leakage = start_flow(p.valve_leakage) * (1 if from_supply else -1)
     states = {"flow": (leakage, 1e-3), "block": (start, 1e7)}
