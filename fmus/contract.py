@@ -201,6 +201,7 @@ class Subsystem:
     next_event (x, u, p) -> seconds to the next time event, a known instant at which a rate jumps; infinite
                without one. In Model Exchange no solver steps over it
     terminals  ports
+    circuits   (x, u, p) -> {name: `fmus.components.circuit.Circuit`}: linear graphs of the part
     numbers    content of a parameters.toml (`parameters.read`), for a subsystem that has no such file
     step       longest communication step [s] at which its ports are exchanged without an error that matters:
                the FMU suggests no longer one
@@ -228,6 +229,7 @@ class Subsystem:
     next_event: Callable[[Any, Any, Any], Scalar] = no_event
     numbers: Mapping[str, Mapping[str, Any]] | None = None
     terminals: tuple[Terminal, ...] = ()
+    circuits: Callable[[Any, Any, Any], Mapping[str, Any]] = _none
     step: float = math.inf
     stiff: bool = True
     part: str = ""

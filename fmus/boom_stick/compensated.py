@@ -19,12 +19,10 @@ ratio (docs/equations.md). The other meter-out edges are so small that their cou
 open in motion.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 from fmus.boom_stick import drive
-from fmus.boom_stick.drive import Pair
+from fmus.boom_stick.drive import PORTS, Drive
 from fmus.boom_stick.variables import (
     AXES,
     SIDES,
@@ -35,14 +33,15 @@ from fmus.boom_stick.variables import (
     Pressures,
     QuasistaticDriveParameters,
 )
-from fmus.components import chamber, counterbalance_valve, cylinder, hose, load_sensing, orifice, spool_valve
+from fmus.components import chamber, counterbalance_valve, load_sensing, spool_valve
 from fmus.components import pressure_compensator as compensator
-from fmus.components.chamber import AeratedOil
+from fmus.components.chamber import AeratedOil, Air
+from fmus.components.circuit import Branch, Circuit, Kind
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
 from fmus.components.orifice import AntiCavitationParameters, PressureValve
-from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
+from fmus.components.pressure_compensator import Compensator, Section, SectionValve
 from fmus.contract import Group, Quantity, Scalar
 
 
@@ -100,11 +99,7 @@ class Lines(Group):
 
 
 class AxisState(Pressures, Lines):
-    """State of one drive; also used for its rates."""
-
-    def pair(self, name: str) -> Pair:
-        """The values of a name at head and rod side."""
-        return getattr(self, f"head_{name}"), getattr(self, f"rod_{name}")
+    """State of one drive."""
 
 
 class State(Group, boom=AxisState, stick=AxisState):
@@ -127,118 +122,6 @@ class Outputs(BoomStickOutputs, boom=AxisOutputs, stick=AxisOutputs):
     """Outputs of every variant, and signals of sections and valves."""
 
 
-@dataclass(frozen=True)
-class Side:
-    """Head or rod side of a cylinder at one instant.
-
-    pressure, line, opening   states: pressures of chamber and hose [Pa], opening of the counterbalance valve
-    pilot_ratio               of the counterbalance valve
-    port                      of the section
-    flow                      through the counterbalance valve into the chamber [m3/s]
-    relief, anti_cavitation   flows of the valves at the port [m3/s]
-    """
-
-    pressure: Scalar
-    line: Scalar
-    opening: Scalar
-    pilot_ratio: Scalar
-    port: SectionPort
-    flow: Scalar
-    relief: Scalar
-    anti_cavitation: Scalar
-
-
-@dataclass(frozen=True)
-class CompensatedDrive:
-    """One drive at one instant: parameters, state, inputs and both sides, the head side first."""
-
-    cylinder: Cylinder
-    hose: VolumeHose
-    section: Section
-    counterbalance: Counterbalance
-    oil: AeratedOil
-    x: AxisState
-    u: AxisInputs
-    sides: tuple[Side, Side]
-
-    @property
-    def volumes(self) -> Pair:
-        """Volumes [m3] of both chambers."""
-        return self.cylinder.volumes(self.u.position)
-
-    @property
-    def hose_volume(self) -> Scalar:
-        """Volume [m3] of each hose."""
-        return hose.area(self.hose.bore) * self.hose.length
-
-    def rates(self) -> AxisState:
-        """Time derivative of the state."""
-        (head, rod), c, result = self.cylinder.areas, self.counterbalance, {}
-        swept = (-head * self.u.velocity, rod * self.u.velocity)
-        sides = zip(SIDES, self.sides, self.sides[::-1], swept, self.volumes, strict=True)
-        for name, s, opposite, displaced, volume in sides:
-            result[f"{name}_pressure"] = chamber.pressure_rate(
-                s.pressure, s.flow + displaced, volume * chamber.compliance(self.oil, s.pressure)
-            )
-            result[f"{name}_valve_pressure"] = chamber.pressure_rate(
-                s.line,
-                s.port.edges.line - s.flow - s.relief + s.anti_cavitation,
-                self.hose.capacitance + self.hose_volume * chamber.air_compliance(self.oil, s.line),
-            )
-            balance = counterbalance_valve.balance(
-                c, s.pilot_ratio, s.pressure, opposite.line, s.line, self.u.tank_pressure
-            )
-            result[f"{name}_counterbalance_opening"] = (balance - s.opening) / c.lag
-        return AxisState(**result)
-
-    def observe(self) -> dict[str, Any]:
-        """Outputs by name without prefix, for `drive.joint_outputs`."""
-        (head, rod), rates = self.cylinder.areas, self.rates()
-        chambers, lines = self.x.pair("pressure"), self.x.pair("valve_pressure")
-        supply, tank = self.u.supply_pressure, self.u.tank_pressure
-        ports = (self.sides[0].port, self.sides[1].port)
-        meter_in, metering_drop, compensator_drop = compensator.shown(self.section, ports, self.u.command)
-        edges = sum(spool_valve.throttling_loss(port.edges, supply, tank) for port in ports)
-        relieved = [s.relief - s.anti_cavitation for s in self.sides]
-        heat = edges + sum(
-            s.flow * (s.line - s.pressure) + out * (s.line - tank)
-            for s, out in zip(self.sides, relieved, strict=True)
-        )
-        densities = tuple(chamber.energy_density(self.oil, p) for p in chambers)
-        compression = sum(
-            v * e + chamber.stored_energy(p, 0.0)
-            for v, e, p in zip(self.volumes, densities, chambers, strict=True)
-        ) + sum(
-            chamber.stored_energy(p, self.hose.capacitance)
-            + self.hose_volume * chamber.air_energy_density(self.oil, p)
-            for p in lines
-        )
-        return {
-            **vars(self.x),
-            "force": cylinder.force(head, rod, *chambers),
-            "force_rate": cylinder.force(head, rod, *rates.pair("pressure")),
-            "void_volume": sum(map(chamber.cavity_volume, (*chambers, *lines))),
-            "meter_in_flow": meter_in,
-            "metering_drop": metering_drop,
-            "compensator_drop": compensator_drop,
-            "relief_flow": sum(s.relief for s in self.sides),
-            "anti_cavitation_flow": sum(s.anti_cavitation for s in self.sides),
-            "supply_flow": meter_in,
-            "return_flow": sum(port.edges.tank for port in ports) + sum(relieved),
-            "stored_energy": compression,
-            "dissipated_power": heat,
-            "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
-            drive.LOAD: load_sensing.load_pressure(
-                *(self.u.command, self.u.command_rate),
-                *(self.section.dead_bands(), self.section.valve.full_command),
-                *(lines, rates.pair("valve_pressure")),
-                self.u,
-            ),
-            **{f"{name}_flow": s.flow for name, s in zip(SIDES, self.sides, strict=True)},
-            **{f"{name}_valve_flow": s.port.edges.line for name, s in zip(SIDES, self.sides, strict=True)},
-        }
-
-
 def section(p: Parameters, axis: str) -> Section:
     """Parameters of the section of a drive."""
     return Section(
@@ -251,40 +134,55 @@ def section(p: Parameters, axis: str) -> Section:
     )
 
 
-def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[CompensatedDrive]:
-    """Boom and stick drive from the variables of the subsystem."""
-    counterbalance = Counterbalance.of(p, "counterbalance")
-    relief, anti = PressureValve.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
-    for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
-        state, line, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
-        tank = inputs.tank_pressure
-        around = Restriction(
-            own.valve.discharge_coefficient, p.density, line.resistance, own.valve.transition_flow
+def _drive(axis: str, x: State, u: AxisInputs, p: Parameters) -> Drive:
+    state, size, hose = AxisState.of(x, axis), Cylinder.of(p, axis), VolumeHose.of(p, f"{axis}_hose")
+    own, c, air = section(p, axis), Counterbalance.of(p, "counterbalance"), Air.of(p)
+    ports = compensator.section_ports(
+        *(own, u.command, (state.head_valve_pressure, state.rod_valve_pressure)),
+        *(u.supply_pressure, u.load_sensing_pressure, u.tank_pressure),
+    )
+    edges = (ports[0].edges, ports[1].edges)
+    around = Restriction(
+        own.valve.discharge_coefficient, p.density, hose.resistance, own.valve.transition_flow
+    )
+    head = partial(counterbalance_valve.flow, c, state.head_counterbalance_opening, around)
+    rod = partial(counterbalance_valve.flow, c, state.rod_counterbalance_opening, around)
+    circuit = drive.cylinder_circuit(size, u, state, AeratedOil.of(p)) | Circuit(
+        {
+            "head_valve_pressure": hose.node(state.head_valve_pressure, air),
+            "rod_valve_pressure": hose.node(state.rod_valve_pressure, air),
+        },
+        {
+            **spool_valve.branches(edges, *PORTS),
+            **drive.reliefs(p, "port_relief", PORTS),
+            "head_flow": Branch("head_valve_pressure", "head_pressure", Kind.COUNTERBALANCE, head),
+            "rod_flow": Branch("rod_valve_pressure", "rod_pressure", Kind.COUNTERBALANCE, rod),
+        },
+    )
+    meter_in, metering_drop, compensator_drop = compensator.shown(own, ports, u.command)
+    shown = {
+        **vars(state),
+        "meter_in_flow": meter_in,
+        "metering_drop": metering_drop,
+        "compensator_drop": compensator_drop,
+        "head_valve_flow": edges[0].line,
+        "rod_valve_flow": edges[1].line,
+    }
+    load = load_sensing.sensed(p, u.command, u.command_rate)
+    return Drive(size, u, circuit, load, _opening_rates(axis, state, u, p), shown, at=PORTS)
+
+
+def _opening_rates(axis: str, x: AxisState, u: AxisInputs, p: Parameters) -> dict[str, Scalar]:
+    """Rates of the openings of the counterbalance valves, each piloted by the other side."""
+    c, rates = Counterbalance.of(p, "counterbalance"), {}
+    for side, pilot in (("head", "rod"), ("rod", "head")):
+        name = f"{side}_counterbalance_opening"
+        balance = counterbalance_valve.balance(
+            *(c, getattr(p, f"{axis}_{side}_pilot_ratio"), getattr(x, f"{side}_pressure")),
+            *(getattr(x, f"{pilot}_valve_pressure"), getattr(x, f"{side}_valve_pressure"), u.tank_pressure),
         )
-        ports = compensator.section_ports(
-            *(own, inputs.command, state.pair("valve_pressure")),
-            *(inputs.supply_pressure, u.load_sensing_pressure, tank),
-        )
-        head, rod = (
-            Side(
-                *(pressure, valve_pressure, opening),
-                getattr(p, f"{axis}_{name}_pilot_ratio"),
-                port,
-                flow=counterbalance_valve.flow(counterbalance, opening, valve_pressure, pressure, around),
-                relief=orifice.relief_flow(relief, valve_pressure - tank),
-                anti_cavitation=orifice.relief_flow(anti, tank - valve_pressure),
-            )
-            for name, port, pressure, valve_pressure, opening in zip(
-                *(SIDES, ports, state.pair("pressure"), state.pair("valve_pressure")),
-                state.pair("counterbalance_opening"),
-                strict=True,
-            )
-        )
-        yield CompensatedDrive(
-            *(Cylinder.of(p, axis), line, own, counterbalance),
-            *(AeratedOil.of(p), state, inputs),
-            (head, rod),
-        )
+        rates[name] = (balance - getattr(x, name)) / c.lag
+    return rates
 
 
 def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
@@ -304,7 +202,7 @@ def require(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
 
 
 BOOM_STICK = drive.variant(
-    _drives,
+    _drive,
     VolumeHose,
     text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
     parameters=Parameters,

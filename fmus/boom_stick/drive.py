@@ -16,114 +16,95 @@ Signs: line flows are positive into the cylinder; x from the closed end; x' and 
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fmus import ports
-from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveInputs, OilState, Pressures
-from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, spool_valve
+from fmus.boom_stick.variables import AXES, AxisInputs, BoomStickInputs, DriveInputs
+from fmus.components import circuit, cylinder, hose, load_sensing, spool_valve
+from fmus.components.chamber import Oil
+from fmus.components.circuit import GROUND, TANK, Branch, Circuit, Kind, Node
 from fmus.components.cylinder import Cylinder
-from fmus.components.hose import Hose, LumpedHose
+from fmus.components.hose import Hose
+from fmus.components.load_sensing import Sensed
 from fmus.components.oil import at_temperature
-from fmus.components.opening_curve import OpeningCurves
-from fmus.components.spool_valve import EdgeFlows, Valve
-from fmus.contract import Group, Scalar, Subsystem, Terminal
+from fmus.components.orifice import PressureValve
+from fmus.contract import Group, Scalar, Subsystem, Terminal, quantities
 from fmus.ports import LineInputs
 
 PARAMETERS = Path(__file__).with_name("parameters.toml")
 Pair = tuple[Scalar, Scalar]  # (head side, rod side)
+CHAMBERS = ("head_pressure", "rod_pressure")
+PORTS = ("head_valve_pressure", "rod_valve_pressure")  # A at the head side, B at the rod side
 
 
 @dataclass(frozen=True)
-class CylinderDrive:
+class Drive:
     """One drive at one instant.
 
-    curves         tables of its valve
-    bulk_modulus   of the oil [Pa]
-    x, u           pressures and line flows; inputs
-    ports          of the valve: A at the head side, B at the rod side
+    circuit   with the nodes CHAMBERS
+    load      its load pressure, from the pressures of the nodes `at`
+    others    rates of the states that are not in the circuit
+    shown     outputs of the variant that are not in the circuit
     """
 
     cylinder: Cylinder
-    hose: LumpedHose
-    valve: Valve
-    curves: OpeningCurves
-    bulk_modulus: Scalar
-    x: OilState
     u: AxisInputs
-    ports: tuple[EdgeFlows, EdgeFlows]
+    circuit: Circuit
+    load: Sensed
+    others: Mapping[str, Scalar] = field(default_factory=dict)
+    shown: Mapping[str, Scalar] = field(default_factory=dict)
+    at: tuple[str, str] = CHAMBERS
 
-    def capacitances(self) -> Pair:
-        """C_h and C_r [m3/Pa]."""
-        head, rod = self.cylinder.areas
-        at_head, at_rod = self.cylinder.volumes(0)  # with the piston at x = 0
-        return (
-            self.hose.capacitance + at_head / self.bulk_modulus + head / self.bulk_modulus * self.u.position,
-            self.hose.capacitance + at_rod / self.bulk_modulus - rod / self.bulk_modulus * self.u.position,
-        )
-
-    def pressure_rates(self) -> Pair:
-        """Time derivatives of the pressures [Pa/s]."""
-        (head, rod), (c_head, c_rod), x = self.cylinder.areas, self.capacitances(), self.x
-        return (
-            chamber.pressure_rate(x.head_pressure, x.head_flow - head * self.u.velocity, c_head),
-            chamber.pressure_rate(x.rod_pressure, x.rod_flow + rod * self.u.velocity, c_rod),
-        )
-
-    def rates(self) -> Pressures:
-        """Time derivative of the state."""
-        (port_a, port_b), x = self.ports, self.x
-        head, rod = self.pressure_rates()
-        line = (self.hose.inertance, self.hose.resistance, self.valve.transition_flow)
-        return OilState(
-            head_pressure=head,
-            rod_pressure=rod,
-            head_flow=hose.flow_rate(port_a.pressure, x.head_pressure, x.head_flow, *line),
-            rod_flow=hose.flow_rate(port_b.pressure, x.rod_pressure, x.rod_flow, *line),
-        )
-
-    def hose_heat(self) -> Scalar:
-        """Power [W] dissipated by the hoses."""
-        return sum(
-            q * spool_valve.turbulent_drop(q, self.hose.resistance, self.valve.transition_flow)
-            for q in (self.x.head_flow, self.x.rod_flow)
-        )
+    def rates(self) -> dict[str, Scalar]:
+        """Time derivative of the state, by name."""
+        return {**self.circuit.rates, **self.others}
 
     def observe(self) -> dict[str, Any]:
-        """Outputs by name without prefix, for `joint_outputs`.
-
-        The convected power is P^2 / (2 beta) times the volume rate of the growing chamber, minus that of the
-        shrinking one. It is required for the energy balance (docs/equations.md, section 7).
-        """
-        (head, rod), x, u, rates = self.cylinder.areas, self.x, self.u, self.pressure_rates()
-        pressures = (x.head_pressure, x.rod_pressure)
-        compression = sum(map(chamber.stored_energy, pressures, self.capacitances()))
-        edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in self.ports)
-        bands = opening_curve.meter_in_dead_bands(self.curves, self.valve.dead_band, self.valve.dead_band)
+        """Outputs by name without prefix, for `joint_outputs`."""
+        pressures, rates, areas = self.circuit.pressures, self.circuit.rates, self.cylinder.areas
+        sensed, sensed_rates = ((of[self.at[0]], of[self.at[1]]) for of in (pressures, rates))
         return {
-            **vars(x),
-            "force": cylinder.force(head, rod, *pressures),
-            "force_rate": cylinder.force(head, rod, *rates),
-            "void_volume": sum(map(chamber.cavity_volume, pressures)),
-            "supply_flow": sum(node.supply for node in self.ports),
-            "return_flow": sum(node.tank for node in self.ports),
-            "stored_energy": compression + self.hose.inertance * (x.head_flow**2 + x.rod_flow**2) / 2,
-            "dissipated_power": edges + self.hose_heat(),
-            "convected_power": (head * x.head_pressure**2 - rod * x.rod_pressure**2)
-            * u.velocity
-            / (2 * self.bulk_modulus),
-            LOAD: load_sensing.load_pressure(
-                u.command, u.command_rate, bands, self.valve.full_command, pressures, rates, u
-            ),
+            **self.circuit.outputs(),
+            **self.shown,
+            "force": cylinder.force(*areas, *(pressures[name] for name in CHAMBERS)),
+            "force_rate": cylinder.force(*areas, *(rates[name] for name in CHAMBERS)),
+            LOAD: self.load(sensed, sensed_rates, self.u),
         }
 
 
-def inputs(u: BoomStickInputs) -> Iterator[AxisInputs]:
-    """Inputs of the boom drive and of the stick drive."""
-    for axis in AXES:
-        yield AxisInputs(**vars(DriveInputs.of(u, axis)), **vars(LineInputs.of(u)))
+def cylinder_circuit(size: Cylinder, u: AxisInputs, x: Any, oil: Oil, capacitance: Scalar = 0) -> Circuit:
+    """The lines, the chambers, and the piston as two gyrators; capacitance: of each hose [m3/Pa]."""
+    (head, rod), (v_head, v_rod) = size.areas, size.volumes(u.position)
+    return Circuit(
+        {
+            **circuit.lines(u),
+            "head_pressure": Node(x.head_pressure, "C_1", capacitance, v_head, oil),
+            "rod_pressure": Node(x.rod_pressure, "C_2", capacitance, v_rod, oil),
+        },
+        {
+            "head_piston": Branch("head_pressure", GROUND, Kind.PISTON, head * u.velocity, "gy_1"),
+            "rod_piston": Branch(GROUND, "rod_pressure", Kind.PISTON, rod * u.velocity, "gy_2"),
+        },
+    )
+
+
+def reliefs(p: Any, relief: str, at: tuple[str, str]) -> dict[str, Branch]:
+    """Relief and anti-cavitation valves at two nodes; relief: prefix of the parameters."""
+    out, back = PressureValve.of(p, relief), PressureValve.of(p, "anti_cavitation")
+    return {
+        "head_relief": Branch(at[0], TANK, Kind.RELIEF, out.flow),
+        "rod_relief": Branch(at[1], TANK, Kind.RELIEF, out.flow),
+        "head_anti_cavitation": Branch(TANK, at[0], Kind.ANTI_CAVITATION, back.flow),
+        "rod_anti_cavitation": Branch(TANK, at[1], Kind.ANTI_CAVITATION, back.flow),
+    }
+
+
+def inputs(u: BoomStickInputs, axis: str) -> AxisInputs:
+    """Inputs of one drive."""
+    return AxisInputs(**vars(DriveInputs.of(u, axis)), **vars(LineInputs.of(u)))
 
 
 def derive(hose_group: type[Hose], p: Any) -> dict[str, Scalar]:
@@ -202,7 +183,7 @@ TERMINALS: tuple[Terminal, ...] = (
 
 
 def variant(
-    drives: Callable[[Any, BoomStickInputs, Any], Iterable[Any]],
+    drive: Callable[[str, Any, AxisInputs, Any], Drive],
     hoses: type[Hose],
     states: type[Any],
     outputs: type[Any],
@@ -215,18 +196,27 @@ def variant(
 ) -> Subsystem:
     """A variant with the parameters of warm oil; the others are those of `Subsystem`.
 
-    drives   (x, u, p) -> boom and stick drive, with the methods `rates` and `observe` of `CylinderDrive`
+    drive   (axis, x, inputs of the axis, p) -> drive
     """
+
+    def drives(x: Any, u: BoomStickInputs, p: Any) -> Iterator[Drive]:
+        """Boom and stick drive."""
+        return (drive(axis, x, inputs(u, axis), p) for axis in AXES)
 
     def dynamics(x: Any, u: BoomStickInputs, p: Any) -> Any:
         """Time derivative of the state."""
-        boom, stick = (vars(d.rates()) for d in drives(x, u, p))
+        boom, stick = (d.rates() for d in drives(x, u, p))
         return states(**prefixed(boom, stick))
 
     def observe(x: Any, u: BoomStickInputs, p: Any) -> Any:
         """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
         boom, stick = (d.observe() for d in drives(x, u, p))
-        return outputs(**joint_outputs(boom, stick))
+        known = joint_outputs(boom, stick)
+        return outputs(**{name: known[name] for name in quantities(outputs)})
+
+    def circuits(x: Any, u: BoomStickInputs, p: Any) -> dict[str, Circuit]:
+        """The circuits of both drives."""
+        return {axis: d.circuit for axis, d in zip(AXES, drives(x, u, p), strict=True)}
 
     return at_temperature(
         Subsystem(
@@ -236,6 +226,7 @@ def variant(
             outputs=outputs,
             dynamics=dynamics,
             observe=observe,
+            circuits=circuits,
             derive=partial(derive, hoses),
             values=PARAMETERS,
             terminals=TERMINALS,

@@ -4,12 +4,10 @@ The equations are those of `fmus.boom_stick.drive` for the boom and for the stic
 and the oil in common and are otherwise independent.
 """
 
-from collections.abc import Iterator
-
 from fmus.boom_stick import drive
-from fmus.boom_stick.drive import CylinderDrive
+from fmus.boom_stick.drive import PORTS, Drive
 from fmus.boom_stick.variables import (
-    AXES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickOutputs,
     BoomStickParameters,
@@ -17,23 +15,33 @@ from fmus.boom_stick.variables import (
     OilState,
 )
 from fmus.components import spool_valve
+from fmus.components.chamber import Oil
+from fmus.components.circuit import Circuit, Node
 from fmus.components.cylinder import Cylinder
-from fmus.components.hose import LumpedHose
+from fmus.components.hose import LumpedHose, column
+from fmus.components.load_sensing import sensed
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, quantities
 
 
-def _drives(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> Iterator[CylinderDrive]:
-    """Boom and stick drive from the variables of the subsystem."""
+def _drive(axis: str, x: BoomStickState, u: AxisInputs, p: BoomStickParameters) -> Drive:
+    state, size, line = OilState.of(x, axis), Cylinder.of(p, axis), LumpedHose.of(p, f"{axis}_hose")
     valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
-    for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
-        cylinder, hose, oil = Cylinder.of(p, axis), LumpedHose.of(p, f"{axis}_hose"), OilState.of(x, axis)
-        ports = spool_valve.ports_from_flow(
-            *(valve, inputs.command, oil.head_flow, oil.rod_flow),
-            *(inputs.supply_pressure, inputs.tank_pressure, p.density, curves),
-        )
-        yield CylinderDrive(cylinder, hose, valve, curves, p.bulk_modulus, oil, inputs, ports)
+    a, b = spool_valve.ports_from_flow(
+        *(valve, u.command, state.head_flow, state.rod_flow),
+        *(u.supply_pressure, u.tank_pressure, p.density, curves),
+    )
+    hose_values = (line.inertance, line.resistance, valve.transition_flow)
+    circuit = drive.cylinder_circuit(size, u, state, Oil.of(p), line.capacitance) | Circuit(
+        {"head_valve_pressure": Node(a.pressure), "rod_valve_pressure": Node(b.pressure)},
+        {
+            **spool_valve.branches((a, b), *PORTS),
+            "head_flow": column("head_valve_pressure", "head_pressure", state.head_flow, "I_1", *hose_values),
+            "rod_flow": column("rod_valve_pressure", "rod_pressure", state.rod_flow, "I_2", *hose_values),
+        },
+    )
+    return Drive(size, u, circuit, sensed(p, u.command, u.command_rate))
 
 
 def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:
@@ -42,7 +50,7 @@ def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> di
 
 
 BOOM_STICK = drive.variant(
-    _drives,
+    _drive,
     LumpedHose,
     text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
     parameters=BoomStickParameters,

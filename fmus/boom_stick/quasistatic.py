@@ -5,23 +5,22 @@ without inertance. The hoses are volumes, and resistances in series with the ope
 states but follow from the pressures.
 """
 
-from collections.abc import Iterator
-
 from fmus.boom_stick import drive
-from fmus.boom_stick.drive import CylinderDrive
+from fmus.boom_stick.drive import CHAMBERS, Drive
 from fmus.boom_stick.variables import (
-    AXES,
+    AxisInputs,
     BoomStickInputs,
     BoomStickOutputs,
-    OilState,
     Preload,
     Pressures,
     QuasistaticDriveParameters,
 )
 from fmus.components import spool_valve
 from fmus.components.chamber import Oil
+from fmus.components.circuit import Circuit
 from fmus.components.cylinder import Cylinder
-from fmus.components.hose import LumpedHose, ReferenceHose, VolumeHose
+from fmus.components.hose import ReferenceHose, VolumeHose
+from fmus.components.load_sensing import sensed
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import CurvedValve, Valve
 from fmus.contract import Group, Scalar
@@ -42,31 +41,17 @@ class State(Group, boom=Pressures, stick=Pressures):
     """State of the quasistatic drives: pressures."""
 
 
-class VolumeDrive(CylinderDrive):
-    """A drive whose line flows follow from the pressures."""
-
-    def rates(self) -> Pressures:
-        """Time derivative of the state."""
-        head, rod = self.pressure_rates()
-        return Pressures(head_pressure=head, rod_pressure=rod)
-
-    def hose_heat(self) -> Scalar:
-        """None: the ports have the pressures of the chambers, so that of the edges includes it."""
-        return 0
-
-
-def _drives(x: State, u: BoomStickInputs, p: Parameters) -> Iterator[VolumeDrive]:
-    """Boom and stick drive from the variables of the subsystem; line flows follow from the pressures."""
+def _drive(axis: str, x: State, u: AxisInputs, p: Parameters) -> Drive:
+    state, size, hose = Pressures.of(x, axis), Cylinder.of(p, axis), VolumeHose.of(p, f"{axis}_hose")
     valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
-    for axis, inputs in zip(AXES, drive.inputs(u), strict=True):
-        hose = LumpedHose(**vars(VolumeHose.of(p, f"{axis}_hose")), inertance=0.0)
-        pressures = Pressures.of(x, axis)
-        ports = spool_valve.ports_from_pressure(
-            *(valve, inputs.command, pressures.head_pressure, pressures.rod_pressure),
-            *(inputs.supply_pressure, inputs.tank_pressure, p.density, hose.resistance, curves),
-        )
-        oil = OilState(**vars(pressures), head_flow=ports[0].line, rod_flow=ports[1].line)
-        yield VolumeDrive(Cylinder.of(p, axis), hose, valve, curves, p.bulk_modulus, oil, inputs, ports)
+    a, b = spool_valve.ports_from_pressure(
+        *(valve, u.command, state.head_pressure, state.rod_pressure),
+        *(u.supply_pressure, u.tank_pressure, p.density, hose.resistance, curves),
+    )
+    circuit = drive.cylinder_circuit(size, u, state, Oil.of(p), hose.capacitance)
+    circuit |= Circuit({}, spool_valve.branches((a, b), *CHAMBERS))
+    flows = {"head_flow": a.line, "rod_flow": b.line}
+    return Drive(size, u, circuit, sensed(p, u.command, u.command_rate), shown=flows)
 
 
 def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
@@ -75,7 +60,7 @@ def initial(x: State, u: BoomStickInputs, p: Parameters) -> dict[str, Scalar]:
 
 
 BOOM_STICK = drive.variant(
-    _drives,
+    _drive,
     VolumeHose,
     text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
     parameters=Parameters,

@@ -99,6 +99,14 @@ class Oil(Group):
     density: Scalar = Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0, group="Oil")
     bulk_modulus: Scalar = Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7)
 
+    def compliance(self, _pressure: Scalar) -> Scalar:
+        """kappa [1/Pa] at a gauge pressure."""
+        return 1 / self.bulk_modulus
+
+    def energy_density(self, pressure: Scalar) -> Scalar:
+        """e [J/m3] at a gauge pressure."""
+        return pressure**2 / (2 * self.bulk_modulus)
+
 
 class AeratedOil(Oil):
     """Parameters of the oil with entrained air."""
@@ -107,6 +115,26 @@ class AeratedOil(Oil):
         "1", "Volume of free air at atmospheric pressure per volume of oil", 1e-2, minimum=0.0, maximum=0.2
     )
     air_exponent: Scalar = Quantity("1", "Polytropic exponent of the air", minimum=1.01, maximum=1.7)
+
+    def compliance(self, pressure: Scalar) -> Scalar:
+        """kappa [1/Pa] at a gauge pressure."""
+        return super().compliance(pressure) + air_compliance(self, pressure)
+
+    def energy_density(self, pressure: Scalar) -> Scalar:
+        """e [J/m3] at a gauge pressure."""
+        return super().energy_density(pressure) + air_energy_density(self, pressure)
+
+
+class Air(AeratedOil):
+    """The air in a volume whose capacitance already contains the oil."""
+
+    def compliance(self, pressure: Scalar) -> Scalar:
+        """kappa - 1/beta [1/Pa] at a gauge pressure."""
+        return air_compliance(self, pressure)
+
+    def energy_density(self, pressure: Scalar) -> Scalar:
+        """e - P^2/(2 beta) [J/m3] at a gauge pressure."""
+        return air_energy_density(self, pressure)
 
 
 class Fluid(AeratedOil):
@@ -133,21 +161,6 @@ def air_compliance(fluid: AeratedOil, pressure: Scalar) -> Scalar:
     absolute, depth = _floored(pressure)
     _, air = _air(fluid, absolute)
     return air * (1 + (1 + 1 / fluid.air_exponent) * depth / absolute)
-
-
-def compliance(fluid: AeratedOil, pressure: Scalar) -> Scalar:
-    """kappa [1/Pa] at a gauge pressure."""
-    return 1 / fluid.bulk_modulus + air_compliance(fluid, pressure)
-
-
-def bulk_modulus(fluid: AeratedOil, pressure: Scalar) -> Scalar:
-    """beta_eff [Pa] at a gauge pressure, for rigid walls."""
-    return 1 / compliance(fluid, pressure)
-
-
-def energy_density(fluid: AeratedOil, pressure: Scalar) -> Scalar:
-    """e [J/m3], the energy per volume at a gauge pressure."""
-    return pressure**2 / (2 * fluid.bulk_modulus) + air_energy_density(fluid, pressure)
 
 
 def air_energy_density(fluid: AeratedOil, pressure: Scalar) -> Scalar:

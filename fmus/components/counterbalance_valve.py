@@ -100,9 +100,8 @@ def balance(
     return ramp(z, ROUNDING) - ramp(z - 1, ROUNDING)
 
 
-def flow(c: Counterbalance, opening: Scalar, line: Scalar, chamber: Scalar, around: Restriction) -> Scalar:
-    """Flow [m3/s] from the line into the chamber."""
-    drop = line - chamber
+def flow(c: Counterbalance, opening: Scalar, around: Restriction, drop: Scalar) -> Scalar:
+    """Flow [m3/s] from the line into the chamber at a pressure difference [Pa]."""
     check = s_curve((drop - c.check_pressure) / c.check_range)
     gain = spool_valve.flow_gain(
         c.area * opening + c.check_area * check, around.discharge_coefficient, around.density

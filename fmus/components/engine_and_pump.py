@@ -182,11 +182,6 @@ def torque(d: Pump, stroke: Scalar, speed: Scalar, rise: Scalar) -> Scalar:
     return displaced(d, stroke, speed) * rise + pump_friction(d, speed, rise)
 
 
-def loss(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
-    """Power [W] dissipated by leakage and friction; never negative."""
-    return d.leakage * rise**2 + pump_friction(d, speed, rise) * speed
-
-
 def limited_stroke(
     d: Pump, cut_off: Scalar, band: Scalar, torque: Scalar, pressure: Scalar, rise: Scalar
 ) -> Scalar:
@@ -225,6 +220,6 @@ def dead_head(d: Pump, speed: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
     return stroke, tank + stroke * d.displacement * speed / d.leakage
 
 
-def check_flow(upstream: Scalar, downstream: Scalar, resistance: Scalar, opening: Scalar) -> Scalar:
+def check_flow(resistance: Scalar, opening: Scalar, drop: Scalar) -> Scalar:
     """Flow [m3/s] through a check valve with its line: zero backwards; opens over `opening` [Pa]."""
-    return ramp(upstream - downstream, opening) / resistance
+    return ramp(drop, opening) / resistance

@@ -40,7 +40,7 @@ Signs: flows are positive from inlet to outlet; pressures are gauge.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -48,7 +48,8 @@ from typing import Any
 import casadi as ca
 
 from fmus.components import chamber
-from fmus.components.chamber import Fluid
+from fmus.components.chamber import Air, Fluid
+from fmus.components.circuit import Branch, Circuit, Kind, Node
 from fmus.components.spool_valve import turbulent_drop
 from fmus.contract import Group, Quantity, Scalar
 
@@ -86,6 +87,10 @@ class VolumeHose(Hose):
     capacitance: Scalar = Quantity(
         "m3/Pa", "Capacitance of each {}; 0: derived from length, bore and bulk modulus", 1e-12, minimum=0.0
     )
+
+    def node(self, pressure: Scalar, air: Air) -> Node:
+        """The hose as a volume with air in its oil."""
+        return Node(pressure, "C", self.capacitance, area(self.bore) * self.length, air)
 
 
 class LumpedHose(VolumeHose):
@@ -133,16 +138,15 @@ def derived_parameters(
     return {name: value for name, value in parameters.items() if hasattr(h, name)}
 
 
-def flow_rate(
-    inlet: Scalar,
-    outlet: Scalar,
-    flow: Scalar,
-    inertance: Scalar,
-    resistance: Scalar,
-    transition_flow: Scalar,
-) -> Scalar:
-    """dQ/dt [m3/s2] of the oil column: I dQ/dt = P_in - P_out - C_R Q |Q|, eq. (9a) with correction E3."""
-    return (inlet - outlet - turbulent_drop(flow, resistance, transition_flow)) / inertance
+def column(
+    start: str, end: str, flow: Scalar, symbol: str, inertance: Scalar, resistance: Scalar, transition: Scalar
+) -> Branch:
+    """The oil column of one lump: I dQ/dt = P_start - P_end - C_R Q |Q|, eq. (9a) with correction E3.
+
+    transition   flow below which it is laminar [m3/s]
+    """
+    drop = turbulent_drop(flow, resistance, transition)
+    return Branch(start, end, Kind.COLUMN, flow, symbol, inertance, drop)
 
 
 def area(diameter: Scalar) -> Scalar:
@@ -192,26 +196,6 @@ def _friction_terms(line: HydraulicLine) -> tuple[tuple[Scalar, Scalar], ...]:
     return tuple((m * r / 2, n * diffusion) for m, n in zip(WEIGHTS, DECAYS, strict=True))
 
 
-def layer_drop(line: HydraulicLine, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
-    """Pressure drop [Pa] of the frequency-dependent friction, in addition to the steady drop."""
-    return sum(r * (flow - q) for (r, _), q in zip(_friction_terms(line), layers, strict=True))
-
-
-def layer_rates(line: HydraulicLine, flow: Scalar, layers: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """dq_i/dt [m3/s2]."""
-    return tuple(n * (flow - q) for (_, n), q in zip(_friction_terms(line), layers, strict=True))
-
-
-def layer_energy(line: HydraulicLine, layers: Sequence[Scalar]) -> Scalar:
-    """Kinetic energy [J] of the flow profile, in addition to I Q^2/2."""
-    return sum(r / n * q**2 / 2 for (r, n), q in zip(_friction_terms(line), layers, strict=True))
-
-
-def layer_heat(line: HydraulicLine, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
-    """Power [W] dissipated by the frequency-dependent friction; never negative."""
-    return sum(r * (flow - q) ** 2 for (r, _), q in zip(_friction_terms(line), layers, strict=True))
-
-
 def impedance(line: HydraulicLine, omega: float) -> complex:
     """dp/Q [Pa.s/m3] of the whole line for laminar flow at the angular frequency `omega` [rad/s]."""
     unsteady = sum(r * 1j * omega / (1j * omega + n) for r, n in _friction_terms(line))
@@ -245,29 +229,21 @@ class HydraulicLine:
 
 
 @dataclass(frozen=True)
-class LineState:
-    """State of a line of N lumps; also used for the rates and for the names of the states.
+class LineStates:
+    """States of a line of N lumps, by name.
 
     flows       N+1 flows [m3/s] from inlet to outlet
     pressures   N pressures [Pa]
     layers      for each flow the q_i [m3/s] of the frequency-dependent friction; empty without it
     """
 
-    flows: tuple[Any, ...]
-    pressures: tuple[Any, ...]
-    layers: tuple[tuple[Any, ...], ...]
+    flows: Mapping[str, Quantity]
+    pressures: Mapping[str, Quantity]
+    layers: Sequence[Mapping[str, Quantity]]
 
-    def apply(self, function: Callable[[Any], Any]) -> LineState:
-        """The function applied to every entry."""
-        return LineState(
-            tuple(map(function, self.flows)),
-            tuple(map(function, self.pressures)),
-            tuple(tuple(map(function, q)) for q in self.layers),
-        )
-
-    def all(self) -> tuple[Any, ...]:
-        """All entries in order."""
-        return (*self.flows, *self.pressures, *(q for layers in self.layers for q in layers))
+    def all(self) -> dict[str, Quantity]:
+        """All states in order."""
+        return {**self.flows, **self.pressures, **{name: q for of in self.layers for name, q in of.items()}}
 
 
 def length_fractions(lumps: int) -> tuple[float, ...]:
@@ -275,76 +251,63 @@ def length_fractions(lumps: int) -> tuple[float, ...]:
     return (0.5 / lumps, *(1 / lumps,) * (lumps - 1), 0.5 / lumps)
 
 
-def _friction(line: HydraulicLine, x: LineState) -> tuple[Scalar, ...]:
-    """For each flow the pressure drop [Pa] over the whole line with this flow."""
-    steady = (q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2) for q in x.flows)
-    if not x.layers:
-        return tuple(steady)
-    unsteady = (layer_drop(line, q, layers) for q, layers in zip(x.flows, x.layers, strict=True))
-    return tuple(a + b for a, b in zip(steady, unsteady, strict=True))
+def ladder(
+    line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str, pressure: Scalar
+) -> Circuit:
+    """The line between two nodes, from a state x; pressure: at the outlet [Pa]."""
+    n = len(states.pressures)
+    wall = line.volume / n / line.wall_modulus
+    nodes = {
+        name: Node(getattr(x, name), f"C_{k}", wall, line.volume / n, line.fluid, cavity=1 / n)
+        for k, name in enumerate(states.pressures, 1)
+    }
+    branches: dict[str, Branch] = {}
+    ends = pairwise((inlet, *states.pressures, outlet))
+    for name, w, (start, end), layers in zip(
+        *(states.flows, length_fractions(n), ends, states.layers or [{}] * (n + 1)), strict=True
+    ):
+        q, behind = getattr(x, name), nodes[end].pressure if end in nodes else pressure
+        for layer, (r, rate) in zip(layers, _friction_terms(line), strict=False):
+            q_i, node = getattr(x, layer), f"{layer}_pressure"
+            drop = w * r * (q - q_i)
+            behind += drop
+            nodes[node] = Node(behind)
+            branches[f"{layer}_drag"] = Branch(node, end, Kind.RESISTANCE, q - q_i, drop=drop)
+            branches[layer] = Branch(node, end, Kind.COLUMN, q_i, "", w * r / rate, 0)
+            end = node
+        steady = w * q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2)
+        branches[name] = Branch(start, end, Kind.COLUMN, q, "I", w * line.inertance, steady)
+    return Circuit(nodes, branches)
 
 
-def rates(line: HydraulicLine, x: LineState, inlet: Scalar, outlet: Scalar) -> LineState:
-    """Time derivative of the state at the pressures [Pa] of inlet and outlet."""
-    n = len(x.pressures)
-    nodes = (inlet, *x.pressures, outlet)
-    drops = (a - b for a, b in pairwise(nodes))
-    flows = tuple(
-        (dp / w - friction) / line.inertance
-        for dp, w, friction in zip(drops, length_fractions(n), _friction(line, x), strict=True)
-    )
-    pressures = tuple(
-        chamber.pressure_rate(p, q_in - q_out, _capacitance(line, p) / n, 1 / n)
-        for p, (q_in, q_out) in zip(x.pressures, pairwise(x.flows), strict=True)
-    )
-    layers = tuple(layer_rates(line, q, q_i) for q, q_i in zip(x.flows, x.layers, strict=False))
-    return LineState(flows, pressures, layers)
+def line_states(
+    ends: Mapping[str, Quantity], inner: str, side: str, line: str, lumps: int, unsteady_friction: bool
+) -> LineStates:
+    """States of a line.
 
-
-def _capacitance(line: HydraulicLine, pressure: Scalar) -> Scalar:
-    return line.volume * (chamber.compliance(line.fluid, pressure) + 1 / line.wall_modulus)
-
-
-def stored_energy(line: HydraulicLine, x: LineState) -> Scalar:
-    """Energy [J] of oil compression, wall expansion, cavities and flow."""
-    n = len(x.pressures)
-    elastic = sum(
-        line.volume * (chamber.energy_density(line.fluid, p) + p**2 / (2 * line.wall_modulus))
-        + chamber.stored_energy(p, 0.0)
-        for p in x.pressures
-    )
-    kinetic = sum(w * q**2 for w, q in zip(length_fractions(n), x.flows, strict=True))
-    layers = sum(w * layer_energy(line, q_i) for w, q_i in zip(length_fractions(n), x.layers, strict=False))
-    return elastic / n + line.inertance * kinetic / 2 + layers
-
-
-def heat(line: HydraulicLine, x: LineState) -> Scalar:
-    """Power [W] dissipated by friction; never negative."""
-    w = length_fractions(len(x.pressures))
-    if not x.layers:
-        return sum(a * q * dp for a, q, dp in zip(w, x.flows, _friction(line, x), strict=True))
-    steady = _friction(line, LineState(x.flows, x.pressures, ()))
-    return sum(
-        a * (q * dp + layer_heat(line, q, layers))
-        for a, q, dp, layers in zip(w, x.flows, steady, x.layers, strict=True)
-    )
-
-
-def cavity_volume(x: LineState) -> Scalar:
-    """Volume of the cavities [m3]."""
-    return sum(chamber.cavity_volume(p) for p in x.pressures) / len(x.pressures)
-
-
-def state_names(
-    first: str, last: str, inner: str, side: str, lumps: int, unsteady_friction: bool
-) -> LineState:
-    """Names of the states: `first` and `last` for the flows at the ends, else from `inner` and `side`."""
-    flows = (first, *(f"{inner}_flow{side}_{k}" for k in range(1, lumps)), last)
-    pressures = tuple(f"{inner}_pressure{side}_{k}" for k in range(1, lumps + 1))
-    layers = tuple(
-        tuple(f"{inner}_layer{side}_{k}_{i}" for i in range(1, TERMS + 1)) for k in range(lumps + 1)
-    )
-    return LineState(flows, pressures, layers if unsteady_friction else ())
+    ends          both flows at its ends
+    inner, side   begin and end of the other names
+    line          the line in descriptions: "swing line A"
+    """
+    (first, first_flow), (last, last_flow) = ends.items()
+    middle = {
+        f"{inner}_flow{side}_{k}": Quantity("m3/s", f"Flow from lump {k} to {k + 1} of {line}", 1e-3)
+        for k in range(1, lumps)
+    }
+    pressures = {
+        f"{inner}_pressure{side}_{k}": chamber.pressure(f"Pressure of lump {k} of {line}")
+        for k in range(1, lumps + 1)
+    }
+    text = "Layer flow q_{} of the frequency-dependent friction of flow {} in {}"
+    layers = [
+        {
+            f"{inner}_layer{side}_{k}_{i}": Quantity("m3/s", text.format(i, k, line), 1e-3)
+            for i in range(1, TERMS + 1)
+        }
+        for k in range(lumps + 1)
+    ]
+    flows = {first: first_flow, **middle, last: last_flow}
+    return LineStates(flows, pressures, layers if unsteady_friction else [])
 
 
 def lumps_needed(
@@ -376,25 +339,6 @@ def _angle(error: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if math.sin(middle) > (1 - error) * middle else (low, middle)
     return low
-
-
-def state_quantities(
-    names: LineState, line: str, first: Quantity, last: Quantity
-) -> Iterator[tuple[str, Quantity]]:
-    """(name, declaration) of the states of a line.
-
-    line          the line in descriptions: "swing line A"
-    first, last   declarations of the flows at its ends
-    """
-    inner = (f"Flow from lump {k} to {k + 1} of {line}" for k in range(1, len(names.pressures)))
-    middle = [Quantity("m3/s", text, 1e-3) for text in inner]
-    yield from zip(names.flows, (first, *middle, last), strict=True)
-    for k, name in enumerate(names.pressures, 1):
-        yield name, chamber.pressure(f"Pressure of lump {k} of {line}")
-    for k, layers in enumerate(names.layers):
-        for i, name in enumerate(layers, 1):
-            text = f"Layer flow q_{i} of the frequency-dependent friction of flow {k} in {line}"
-            yield name, Quantity("m3/s", text, 1e-3)
 
 
 def default_lumps(line: HydraulicLine) -> int:

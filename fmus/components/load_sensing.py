@@ -25,11 +25,15 @@ for a line whose own volume is negligible; its lag belongs to the supply.
 Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias
 
 import casadi as ca
 
+from fmus.components import opening_curve
+from fmus.components.opening_curve import OpeningCurves
 from fmus.contract import Scalar
 from fmus.smooth import lowest, ramp, s_curve
 
@@ -51,6 +55,10 @@ def _connected(command: Scalar, command_rate: Scalar, dead_band: Scalar) -> tupl
     z = slope * command - 1
     inside = ca.fmin(ca.fmax(z, 0), 1)
     return s_curve(z), 30 * (inside * (1 - inside)) ** 2 * slope * command_rate
+
+
+# (pressures of the chambers, their rates, inputs) -> load pressure of a section
+Sensed: TypeAlias = Callable[[tuple[Scalar, Scalar], tuple[Scalar, Scalar], Any], LoadPressure]
 
 
 def load_pressure(
@@ -78,6 +86,14 @@ def load_pressure(
         value += weight * (p - tank)
         rate += weight * (p_rate - tank_rate) + weight_rate * (p - tank)
     return LoadPressure(value, rate)
+
+
+def sensed(p: Any, command: Scalar, command_rate: Scalar) -> Sensed:
+    """Load pressure of a valve without dynamics; p: parameters with the prefix "valve"."""
+    bands = opening_curve.meter_in_dead_bands(
+        OpeningCurves.of(p, "valve"), p.valve_dead_band, p.valve_dead_band
+    )
+    return partial(load_pressure, command, command_rate, bands, p.valve_full_command)
 
 
 def highest(a: LoadPressure, b: LoadPressure) -> LoadPressure:

@@ -28,77 +28,77 @@ so q stays within 0 ... 1. Validity: static and sliding torque alike, no wear, n
 body is that of viscoplasticity, P. Perzyna, Advances in Applied Mechanics 9 (1966) 243.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp, s_curve
 
+Pair = tuple[str, str]  # names of the nodes at A and B
 BRAKE_ROUNDING = 1e-3  # b relative to T_b
 
 
-@dataclass(frozen=True)
-class MotorNodes:
-    """Pressures [Pa] of both motor ports, flows from the lines into them and case drain flow [m3/s]."""
+def branches(ports: Pair, displaced: Scalar, internal: Scalar, external: Scalar) -> dict[str, Branch]:
+    """The motor between its ports, and its leakage, eqs. (11), (12).
 
-    pressure_1: Scalar
-    pressure_2: Scalar
-    flow_1: Scalar
-    flow_2: Scalar
-    drain: Scalar
+    displaced            flow D w [m3/s]
+    internal, external   leakage resistances R_in and R_ex [Pa.s/m3]
+    """
+    (a, b), g_in, g_ex = ports, 1 / internal, 1 / external
+    return {
+        "motor": Branch(a, b, Kind.MOTOR, displaced, "D_m N"),
+        "internal_leakage": Branch(a, b, Kind.LEAKAGE, lambda drop: g_in * drop, "R_in"),
+        "drain_a": Branch(a, TANK, Kind.DRAIN, lambda drop: g_ex * drop, "R_e1"),
+        "drain_b": Branch(b, TANK, Kind.DRAIN, lambda drop: g_ex * drop, "R_e2"),
+    }
 
 
-def nodes(
+def behind_lines(
+    nodes: Mapping[str, Node], lines: Pair, ports: Pair, line_resistance: Scalar, *motor: Scalar
+) -> Circuit:
+    """The motor with its ports, which have no oil, behind laminar lines; motor: as in `branches`."""
+    p_a, p_b = (nodes[line].pressure for line in lines)
+    found = port_pressures(p_a, p_b, nodes[TANK].pressure, line_resistance, *motor)
+    at_ports = Circuit({**nodes, **dict(zip(ports, map(Node, found), strict=True))}, branches(ports, *motor))
+    # line flows from the node balance, because (P_c1 - P1)/R_1 is a difference of nearly equal values
+    flow_a, flow_b = (-at_ports.into(port) for port in ports)
+    return at_ports | Circuit(
+        {},
+        {
+            "line_a": Branch(
+                *(lines[0], ports[0], Kind.RESISTANCE, flow_a, "R_1"), drop=flow_a * line_resistance
+            ),
+            "line_b": Branch(
+                *(lines[1], ports[1], Kind.RESISTANCE, flow_b, "R_2"), drop=flow_b * line_resistance
+            ),
+        },
+    )
+
+
+def port_pressures(
     line_1: Scalar,
     line_2: Scalar,
     tank: Scalar,
-    displaced_flow: Scalar,
-    line_resistance_1: Scalar,
-    line_resistance_2: Scalar,
-    internal_resistance: Scalar,
-    external_resistance: Scalar,
-) -> MotorNodes:
-    """Solve the port nodes of eq. (9a) (corrections E1, E2), G = 1/R:
+    line_resistance: Scalar,
+    displaced: Scalar,
+    internal: Scalar,
+    external: Scalar,
+) -> tuple[Scalar, Scalar]:
+    """Solve the port nodes of eq. (9a) (corrections E1, E2), G = 1/R, for their pressures [Pa]:
 
-        [G1 + G_in + G_ex   -G_in           ] [P1]   [G1 P_c1 + G_ex P_t - D w]
-        [-G_in              G2 + G_in + G_ex] [P2] = [G2 P_c2 + G_ex P_t + D w]
+        [G + G_in + G_ex   -G_in          ] [P1]   [G P_c1 + G_ex P_t - D w]
+        [-G_in             G + G_in + G_ex] [P2] = [G P_c2 + G_ex P_t + D w]
 
-    with the pressures P_c of the lines, P_t of the tank, and the displaced flow D w.
+    with the pressures P_c of the lines, P_t of the tank, and the displaced flow D w. Linear, so from rates it
+    returns rates.
     """
-    g1, g2 = 1 / line_resistance_1, 1 / line_resistance_2
-    g_in, g_ex = 1 / internal_resistance, 1 / external_resistance
-    a, d = g1 + g_in + g_ex, g2 + g_in + g_ex
-    b1 = g1 * line_1 + g_ex * tank - displaced_flow
-    b2 = g2 * line_2 + g_ex * tank + displaced_flow
-    determinant = a * d - g_in**2
-    p1 = (d * b1 + g_in * b2) / determinant
-    p2 = (a * b2 + g_in * b1) / determinant
-    # line flows from the node balance, because (P_c1 - P1)/R_1 is a difference of nearly equal values
-    return nodes_at_port_pressures(p1, p2, tank, displaced_flow, internal_resistance, external_resistance)
-
-
-def nodes_at_port_pressures(
-    pressure_1: Scalar,
-    pressure_2: Scalar,
-    tank: Scalar,
-    displaced_flow: Scalar,
-    internal_resistance: Scalar,
-    external_resistance: Scalar,
-) -> MotorNodes:
-    """Nodes at given port pressures, eqs. (11), (12), without line resistances."""
-    g_in, g_ex = 1 / internal_resistance, 1 / external_resistance
-    cross = g_in * (pressure_1 - pressure_2)
-    drain_1, drain_2 = g_ex * (pressure_1 - tank), g_ex * (pressure_2 - tank)
-    flow_1, flow_2 = displaced_flow + cross + drain_1, -displaced_flow - cross + drain_2
-    return MotorNodes(pressure_1, pressure_2, flow_1, flow_2, drain_1 + drain_2)
-
-
-def leakage_loss(
-    node: MotorNodes, tank: Scalar, internal_resistance: Scalar, external_resistance: Scalar
-) -> Scalar:
-    """Power [W] dissipated by both leakages; never negative."""
-    p1, p2 = node.pressure_1, node.pressure_2
-    drain = ((p1 - tank) ** 2 + (p2 - tank) ** 2) / external_resistance
-    return drain + (p1 - p2) ** 2 / internal_resistance
+    g, g_in, g_ex = 1 / line_resistance, 1 / internal, 1 / external
+    own = g + g_in + g_ex
+    b1 = g * line_1 + g_ex * tank - displaced
+    b2 = g * line_2 + g_ex * tank + displaced
+    determinant = own**2 - g_in**2
+    return (own * b1 + g_in * b2) / determinant, (own * b2 + g_in * b1) / determinant
 
 
 # ---- holding brake

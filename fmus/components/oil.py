@@ -101,4 +101,5 @@ def at_temperature(sub: Subsystem) -> Subsystem:
         observe=lambda x, u, p: sub.observe(x, u, _warmed(p)),
         initial=lambda x, u, p: sub.initial(x, u, _warmed(p)),
         require=lambda x, u, p: sub.require(x, u, _warmed(p)),
+        circuits=lambda x, u, p: sub.circuits(x, u, _warmed(p)),
     )

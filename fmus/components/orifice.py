@@ -55,15 +55,13 @@ class PressureValve(Group):
     )
     rounding: Scalar = Quantity("Pa", "Pressure range over which a {} valve begins to open", 1e5, minimum=1.0)
 
+    def flow(self, drop: Scalar) -> Scalar:
+        """Flow [m3/s] at a pressure difference [Pa]; never negative if P_set >= 0."""
+        return self.gain * ramp(drop - self.pressure, self.rounding)
 
-def relief_flow(valve: PressureValve, drop: Scalar) -> Scalar:
-    """Flow [m3/s] at a pressure difference [Pa]; never negative if P_set >= 0."""
-    return valve.gain * ramp(drop - valve.pressure, valve.rounding)
-
-
-def cross_flow(valve: PressureValve, drop: Scalar) -> Scalar:
-    """Flow [m3/s] of two cross-port valves, with the sign of the pressure difference [Pa]."""
-    return relief_flow(valve, drop) - relief_flow(valve, -drop)
+    def cross_flow(self, drop: Scalar) -> Scalar:
+        """Flow [m3/s] of two cross-port valves, with the sign of the pressure difference [Pa]."""
+        return self.flow(drop) - self.flow(-drop)
 
 
 class AntiCavitationParameters(Group):

@@ -37,6 +37,7 @@ from typing import Any
 import casadi as ca
 
 from fmus.components import opening_curve
+from fmus.components.circuit import SUPPLY, TANK, Branch, Kind
 from fmus.components.opening_curve import EDGES, OpeningCurves, OpeningTable, StraightOpening
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp
@@ -307,9 +308,14 @@ def ports_from_pressure(
     )
 
 
-def throttling_loss(node: EdgeFlows, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:
-    """Power [W] dissipated by the two edges of a port; never negative."""
-    return node.supply * (supply_pressure - node.pressure) + node.tank * (node.pressure - tank_pressure)
+def branches(ports: tuple[EdgeFlows, EdgeFlows], a: str, b: str) -> dict[str, Branch]:
+    """The metering edges of ports A and B, which are these nodes of a circuit."""
+    return {
+        "P-A": Branch(SUPPLY, a, Kind.EDGE, ports[0].supply, "C_R"),
+        "A-T": Branch(a, TANK, Kind.EDGE, ports[0].tank, "C_Re"),
+        "P-B": Branch(SUPPLY, b, Kind.EDGE, ports[1].supply, "C_R"),
+        "B-T": Branch(b, TANK, Kind.EDGE, ports[1].tank, "C_Re"),
+    }
 
 
 # ---- a spool with dynamics

@@ -34,6 +34,7 @@ is that of the line, and the meter is between line and motor.
 """
 
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import TypeAlias
 
 import casadi as ca
@@ -41,17 +42,22 @@ import numpy as np
 
 from fmus import boom_stick, swing
 from fmus.boom_stick import detailed as boom_stick_detailed
-from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickParameters
-from fmus.components import chamber, hose, motor, spool_valve
+from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickParameters, OilState
+from fmus.components import circuit, hose, motor, spool_valve
 from fmus.components.chamber import Fluid
-from fmus.contract import Scalar, column
+from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
+from fmus.components.hose import LumpedHose
+from fmus.components.spool_valve import Edges, Spool, SpoolState, Valve
+from fmus.contract import Scalar, column, quantities
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import values
 from fmus.swing.variables import DetailedSwingParameters
 from orchestrator.data.table import Array
 
 ByName: TypeAlias = dict[str, Scalar]
-Equations: TypeAlias = Callable[[ByName, ByName], tuple[ByName, ByName]]
+Start: TypeAlias = dict[str, tuple[Scalar, float]]  # initial and nominal value of each state
+# (states, inputs) -> circuit, rates of the states that are not in it, outputs
+Bench: TypeAlias = Callable[[ByName, ByName], tuple[Circuit, ByName, ByName]]
 
 SUPPLY = 20.684e6  # Pa, as in the machine
 RETURN = 0.5e6  # Pa
@@ -76,23 +82,24 @@ def start_flow(leakage: Scalar) -> Scalar:
     return leakage * (SUPPLY - RETURN)
 
 
-def throttle(drop: Scalar, resistance: float, transition_flow: Scalar) -> Scalar:
-    """Flow [m3/s] through a throttle C_R [Pa.s2/m6] from the pressure drop, eq. (1)."""
-    y = drop / resistance
-    return y * spool_valve.turbulent_factor(y, transition_flow)
+def throttle(start: str, end: str, resistance: float, transition_flow: Scalar) -> Branch:
+    """A throttle C_R [Pa.s2/m6], eq. (1)."""
+
+    def flow(drop: Scalar) -> Scalar:
+        y = drop / resistance
+        return y * spool_valve.turbulent_factor(y, transition_flow)
+
+    return Branch(start, end, Kind.THROTTLE, flow)
 
 
-def run(
-    states: Mapping[str, tuple[Scalar, float]], equations: Equations, time: Array, inputs: Mapping[str, Array]
-) -> dict[str, Array]:
+def run(states: Start, bench: Bench, time: Array, inputs: Mapping[str, Array]) -> dict[str, Array]:
     """Simulate a bench; returns its outputs over time, each of shape (n,).
 
-    states      initial and nominal value of each state
-    equations   (states, inputs) -> (time derivatives, outputs), by name
-    inputs      samples (n,) of each input, linear between them
+    inputs   samples (n,) of each input, linear between them
     """
     x, u = {n: ca.SX.sym(n) for n in states}, {n: ca.SX.sym(n) for n in inputs}
-    rates, outputs = equations(dict(x), dict(u))
+    circuit, others, outputs = bench(dict(x), dict(u))
+    rates = circuit.rates | others
     arguments = [column(*x.values()), column(*u.values()), ca.SX.sym("p", 0)]
     start = np.array([float(value) for value, _ in states.values()])
     model = Monolith(
@@ -112,9 +119,6 @@ def run(
     return dict(zip(outputs, results.T, strict=True))
 
 
-Ports: TypeAlias = tuple[spool_valve.EdgeFlows, spool_valve.EdgeFlows]
-
-
 class BenchValve:
     """The valve of the lumped or of the detailed machine between supply and return line of the bench.
 
@@ -125,69 +129,84 @@ class BenchValve:
         self._spool = machine == "detailed"
         self.states = {"position": (0.0, 1.0), "speed": (0.0, 10.0)} if self._spool else {}
 
-    def rates(self, x: ByName, command: Scalar) -> ByName:
-        """Time derivatives of the states."""
-        if not self._spool:
-            return {}
-        p = detailed()
-        commanded = spool_valve.commanded_position(command, p.valve_full_command)
-        state = spool_valve.SpoolState(x["position"], x["speed"])
-        rate = spool_valve.spool_rates(spool_valve.Spool.of(p, "spool"), state, commanded)
-        return {"position": rate.position, "speed": rate.speed}
+    def circuit(
+        self, x: ByName, command: Scalar, port: str, flow: Scalar, at: str = "A"
+    ) -> tuple[Circuit, ByName]:
+        """Lines and edges, and rates of the spool.
 
-    def ports(self, x: ByName, command: Scalar, flow_a: Scalar, flow_b: Scalar) -> Ports:
-        """Both ports, for the flows out of them [m3/s]."""
-        if not self._spool:
-            p = lumped()
-            given = (spool_valve.Valve.of(p, "valve"), command, flow_a, flow_b, SUPPLY, RETURN, p.density)
-            return spool_valve.ports_from_flow(*given)
-        of = detailed()
-        parts = (spool_valve.Edges.of(of, "valve"), spool_valve.Spool.of(of, "spool"))
-        return spool_valve.spool_ports(*parts, x["position"], flow_a, flow_b, SUPPLY, RETURN, of.density)
+        port, flow, at   name of the node, flow [m3/s] out of it, A or B; the other port is closed
+        """
+        a, b = (flow, 0.0) if at == "A" else (0.0, flow)
+        rates: ByName = {}
+        if self._spool:
+            p, state = detailed(), SpoolState(x["position"], x["speed"])
+            spool, commanded = (
+                Spool.of(p, "spool"),
+                spool_valve.commanded_position(command, p.valve_full_command),
+            )
+            edges = (Edges.of(p, "valve"), spool, state.position)
+            ports = spool_valve.spool_ports(*edges, a, b, SUPPLY, RETURN, p.density)
+            rates = vars(spool_valve.spool_rates(spool, state, commanded))
+        else:
+            valve = (Valve.of(lumped(), "valve"), command)
+            ports = spool_valve.ports_from_flow(*valve, a, b, SUPPLY, RETURN, lumped().density)
+        names = (port, "closed port") if at == "A" else ("closed port", port)
+        nodes = {name: Node(found.pressure) for name, found in zip(names, ports, strict=True)}
+        nodes |= {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
+        return Circuit(nodes, spool_valve.branches(ports, *names)), rates
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
     """Pressures [Pa] and flows [m3/s] at both ends of the hose, for commands [V] and the throttle's C_R."""
-    return (_detailed_hose if machine == "detailed" else _lumped_hose)(resistance, time, command)
+    # also for the lumped machine: the ideal valve would cause steps within a sample, which cannot be recorded
+    spool = BenchValve("detailed")
+    line, start = (_detailed_hose if machine == "detailed" else _lumped_hose)(resistance)
+
+    def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
+        valve, rates = spool.circuit(x, u["command"], "pressure_in", x["flow_in"])
+        whole = valve | line(x)
+        known = whole.pressures | whole.flows
+        shown = ("pressure_in", "pressure_out", "flow_in", "flow_out")
+        return whole, rates, {name: known[name] for name in shown}
+
+    return run(start | spool.states, bench, time, {"command": command})
 
 
-def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
-    # the ideal valve would cause pressure steps within a sample, which cannot be recorded
-    spool, p = BenchValve("detailed"), lumped()
+def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
+    p, of = lumped(), LumpedHose.of(lumped(), "stick_hose")
 
-    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-        inlet = spool.ports(x, u["command"], x["flow"], 0.0)[0].pressure
-        out = throttle(x["outlet"] - RETURN, resistance, p.valve_transition_flow)
-        hose_values = (p.stick_hose_inertance, p.stick_hose_resistance, p.valve_transition_flow)
-        rates = {
-            "flow": hose.flow_rate(inlet, x["outlet"], x["flow"], *hose_values),
-            "outlet": chamber.pressure_rate(x["outlet"], x["flow"] - out, p.stick_hose_capacitance),
-        }
-        outputs = {"pressure_in": inlet, "pressure_out": x["outlet"], "flow_in": x["flow"], "flow_out": out}
-        return rates | spool.rates(x, u["command"]), outputs
+    def line(x: ByName) -> Circuit:
+        friction = (of.resistance, p.valve_transition_flow)
+        return Circuit(
+            {"pressure_out": Node(x["pressure_out"], "C", of.capacitance)},
+            {
+                "flow_in": hose.column(
+                    *("pressure_in", "pressure_out", x["flow_in"], "I", of.inertance), *friction
+                ),
+                "flow_out": throttle("pressure_out", TANK, resistance, p.valve_transition_flow),
+            },
+        )
 
-    start = {"flow": (0.0, 1e-3), "outlet": (RETURN, 1e7)}
-    return run(start | spool.states, equations, time, {"command": command})
+    return line, {"flow_in": (0.0, 1e-3), "pressure_out": (RETURN, 1e7)}
 
 
-def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
-    spool, p = BenchValve("detailed"), detailed()
-    of = boom_stick_detailed.line(p, "stick")
-    lumps = boom_stick_detailed.default_lumps()["stick"]
-    names = hose.state_names("first_flow", "last_flow", "inner", "", lumps, unsteady_friction=False)
+def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
+    p = detailed()
+    of, lumps = boom_stick_detailed.line(p, "stick"), boom_stick_detailed.default_lumps()["stick"]
+    ends = {"flow_in": quantities(OilState)["head_flow"], "flow_out": quantities(OilState)["head_flow"]}
+    states = hose.line_states(ends, "inner", "", "the hose", lumps, unsteady_friction=False)
 
-    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-        state = names.apply(lambda name: x[name])
-        inlet = spool.ports(x, u["command"], state.flows[0], 0.0)[0].pressure
-        outlet = RETURN + spool_valve.turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
-        along = hose.rates(of, state, inlet, outlet)
-        rates = dict(zip(names.all(), along.all(), strict=True)) | spool.rates(x, u["command"])
-        outputs = {"pressure_in": inlet, "pressure_out": outlet}
-        return rates, outputs | {"flow_in": state.flows[0], "flow_out": state.flows[-1]}
+    def line(x: ByName) -> Circuit:
+        # without volume, so the flow out of the hose gives the drop of the throttle
+        drop = spool_valve.turbulent_drop(x["flow_out"], resistance, p.valve_transition_flow)
+        between = (SimpleNamespace(**x), "pressure_in", "pressure_out", RETURN + drop)
+        end = Branch("pressure_out", TANK, Kind.THROTTLE, x["flow_out"])
+        return hose.ladder(of, states, *between) | Circuit(
+            {"pressure_out": Node(RETURN + drop)}, {"throttle": end}
+        )
 
-    start = dict.fromkeys(names.flows, (start_flow(p.valve_leakage), 1e-3))
-    start |= dict.fromkeys(names.pressures, (RETURN, 1e7))
-    return run(start | spool.states, equations, time, {"command": command})
+    start = dict.fromkeys(states.flows, (start_flow(p.valve_leakage), 1e-3))
+    return line, start | dict.fromkeys(states.pressures, (RETURN, 1e7))
 
 
 MOTOR_THROTTLE = 1e10  # R [Pa.s/m3]; time constant of a side 10 ms, pressure drop by leakage 0.3 MPa
@@ -199,27 +218,27 @@ def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[
     leaks = (p["internal_leakage_resistance"], p["external_leakage_resistance"])
     fluid = Fluid.of(DetailedSwingParameters(**p)) if is_detailed else None
 
-    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-        ends, still = (x["pressure_a"], x["pressure_b"]), (0.0, 0.0)
-        if fluid is not None:
-            nodes = motor.nodes_at_port_pressures(*ends, *still, *leaks)
-            ports, capacities = ends, [p["motor_volume"] * chamber.compliance(fluid, end) for end in ends]
-        else:
-            nodes = motor.nodes(*ends, *still, *(p["line_resistance"],) * 2, *leaks)
-            ports, capacities = (nodes.pressure_1, nodes.pressure_2), [p["line_capacitance"]] * 2
-        supplied = [(u[f"set_{side}"] - end) / MOTOR_THROTTLE for side, end in zip("ab", ends, strict=True)]
-        rates = {
-            f"pressure_{side}": chamber.pressure_rate(end, supply - flow, capacity)
-            for side, end, supply, flow, capacity in zip(
-                "ab", ends, supplied, (nodes.flow_1, nodes.flow_2), capacities, strict=True
-            )
-        }
-        flow_a = supplied[0] if is_detailed else nodes.flow_1
-        at_ports = {"pressure_a": ports[0], "pressure_b": ports[1]}
-        return rates, at_ports | {"flow_a": flow_a, "drain_flow": nodes.drain}
+    oil = (0.0, p["motor_volume"], fluid) if fluid else (p["line_capacitance"],)
+    sides, ports = ("line_a", "line_b"), ("port_a", "port_b")
 
-    states = {"pressure_a": (set_a[0], 1e7), "pressure_b": (set_b[0], 1e7)}
-    return run(states, equations, time, {"set_a": set_a, "set_b": set_b})
+    def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
+        nodes = {"set_a": Node(u["set_a"]), "set_b": Node(u["set_b"]), TANK: Node(0.0)}
+        nodes |= {side: Node(x[side], "C", *oil) for side in sides}
+        supplied = {
+            "supply_a": Branch("set_a", "line_a", Kind.THROTTLE, lambda drop: drop / MOTOR_THROTTLE),
+            "supply_b": Branch("set_b", "line_b", Kind.THROTTLE, lambda drop: drop / MOTOR_THROTTLE),
+        }
+        if fluid:
+            (a, b), meter, own = sides, "supply_a", Circuit(nodes, motor.branches(sides, 0.0, *leaks))
+        else:
+            (a, b), meter = ports, "line_a"
+            own = motor.behind_lines(nodes, sides, ports, p["line_resistance"], 0.0, *leaks)
+        whole = own | Circuit({}, supplied)
+        outputs = {"pressure_a": whole.pressures[a], "pressure_b": whole.pressures[b]}
+        return whole, {}, outputs | {"flow_a": whole.flows[meter], "drain_flow": whole.through(Kind.DRAIN)}
+
+    states = {"line_a": (set_a[0], 1e7), "line_b": (set_b[0], 1e7)}
+    return run(states, bench, time, {"set_a": set_a, "set_b": set_b})
 
 
 EDGES = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}  # sign of the command that opens the edge
@@ -231,24 +250,26 @@ BLOCK = 0.5e-3  # m3, volume
 def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Array]:
     """Pressures upstream and downstream of the edge [Pa] and its flow [m3/s], for commands [V]."""
     spool, p = BenchValve(machine), lumped()
-    from_supply, at_a = edge.startswith("P"), "A" in edge
-    throttle_end = RETURN if from_supply else SUPPLY
+    from_supply = edge.startswith("P")
+    other_end, start = (TANK, RETURN) if from_supply else (circuit.SUPPLY, SUPPLY)
     fraction = LINE / detailed().stick_hose_length
     friction = (hose.scaled_resistance(p.stick_hose_resistance, fraction, 1.0), p.valve_transition_flow)
 
-    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-        flow, block = x["flow"], x["block"]  # out of the port
-        ports = spool.ports(x, u["command"], *((flow, 0.0) if at_a else (0.0, flow)))
-        port = ports[0 if at_a else 1].pressure
-        throttle_flow = throttle(block - throttle_end, VALVE_THROTTLE, p.valve_transition_flow)
-        rates = {
-            "flow": hose.flow_rate(port, block, flow, fraction * p.stick_hose_inertance, *friction),
-            "block": chamber.pressure_rate(block, flow - throttle_flow, BLOCK / p.bulk_modulus),
-        }
-        measured = (SUPPLY, port, flow) if from_supply else (port, RETURN, -flow)
+    def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
+        flow = x["flow"]  # out of the port
+        of_valve, rates = spool.circuit(x, u["command"], "port", flow, "A" if "A" in edge else "B")
+        whole = of_valve | Circuit(
+            {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)},
+            {
+                "flow": hose.column("port", "block", flow, "I", fraction * p.stick_hose_inertance, *friction),
+                "throttle": throttle("block", other_end, VALVE_THROTTLE, p.valve_transition_flow),
+            },
+        )
+        at_port = whole.pressures["port"]
+        measured = (SUPPLY, at_port, flow) if from_supply else (at_port, RETURN, -flow)
         names = ("pressure_in", "pressure_out", "flow")
-        return rates | spool.rates(x, u["command"]), dict(zip(names, measured, strict=True))
+        return whole, rates, dict(zip(names, measured, strict=True))
 
     leakage = start_flow(p.valve_leakage) * (1 if from_supply else -1)
-    states = {"flow": (leakage, 1e-3), "block": (throttle_end, 1e7)}
-    return run(states | spool.states, equations, time, {"command": command})
+    states = {"flow": (leakage, 1e-3), "block": (start, 1e7)}
+    return run(states | spool.states, bench, time, {"command": command})

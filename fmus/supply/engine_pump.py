@@ -22,10 +22,10 @@ import casadi as ca
 
 from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import DieselEngine, Pump
-from fmus.contract import Group, Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar, quantities
 from fmus.supply import rail
-from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, TankParameters
-from fmus.supply.variables import SupplyInputs, line_pressure, supply_flow, variant
+from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, Supply, TankParameters
+from fmus.supply.variables import SupplyInputs, line_pressure, variant
 
 
 class PumpParameters(Group):
@@ -120,38 +120,31 @@ class EnginePumpOutputs(_Pumps, ShaftOutputs):
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
-def _outlets(x: EnginePumpState, p: EnginePumpParameters) -> tuple[Outlet, Outlet]:
+def _supply(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Supply:
     (first, second), line = p.pumps, (p.check_resistance, p.pump_line_capacitance)
-    return (
-        rail.outlet(first, line, x.pump_1_pressure, x.pump_1_stroke, x, p),
-        rail.outlet(second, line, x.pump_2_pressure, x.pump_2_stroke, x, p),
+    pumps = (
+        Outlet("pump_1", rail.viscous(first, x), *line, x.pump_1_pressure, x.pump_1_stroke),
+        Outlet("pump_2", rail.viscous(second, x), *line, x.pump_2_pressure, x.pump_2_stroke),
     )
+    return Supply(pumps, u, x, p)
 
 
 def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpState:
     """Time derivative of the state, field by field."""
-    a, b = _outlets(x, p)
+    first, second = p.pumps
     return EnginePumpState(
-        supply_pressure=rail.pressure_rate((a, b), supply_flow(u), x, p),
-        pump_1_pressure=a.pressure_rate,
-        pump_2_pressure=b.pressure_rate,
-        pump_1_stroke=engine_and_pump.stroke_rate(a.pump, x.pump_1_stroke, x.pump_1_pressure),
-        pump_2_stroke=engine_and_pump.stroke_rate(b.pump, x.pump_2_stroke, x.pump_2_pressure),
-        **rail.shaft_rate((a, b), 0, u, x, p),
+        **_supply(x, u, p).rates(),
+        pump_1_stroke=engine_and_pump.stroke_rate(first, x.pump_1_stroke, x.pump_1_pressure),
+        pump_2_stroke=engine_and_pump.stroke_rate(second, x.pump_2_stroke, x.pump_2_pressure),
     )
 
 
 def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
     """Outputs."""
-    (a, b), rates = _outlets(x, p), dynamics(x, u, p)
+    known = _supply(x, u, p).outputs()
     load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
-    return EnginePumpOutputs(
-        **rail.outputs((a, b), 0, rates, u, x, p),
-        load_sensing_pressure=load.value,
-        load_sensing_pressure_rate=load.rate,
-        pump_1_flow=a.delivered,
-        pump_2_flow=b.delivered,
-    )
+    known |= {"load_sensing_pressure": load.value, "load_sensing_pressure_rate": load.rate}
+    return EnginePumpOutputs(**{name: known[name] for name in quantities(EnginePumpOutputs)})
 
 
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
@@ -204,6 +197,7 @@ ENGINE_PUMP = variant(
     outputs=EnginePumpOutputs,
     dynamics=dynamics,
     observe=observe,
+    circuits=lambda x, u, p: {"supply": _supply(x, u, p).circuit},
     initial=initial,
     require=require,
     step=rail.STEP,

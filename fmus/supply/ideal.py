@@ -8,13 +8,14 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 """
 
 from fmus.components.chamber import ATMOSPHERE
+from fmus.components.circuit import GROUND, Branch, Circuit, Kind, Node
 from fmus.contract import Group, Quantity, Scalar
 from fmus.supply.variables import (
     CommonParameters,
     SupplyInputs,
     SupplyOutputs,
+    consumers,
     line_pressure,
-    return_flow,
     supply_flow,
     variant,
 )
@@ -37,11 +38,21 @@ def dynamics(x: IdealState, u: SupplyInputs, p: IdealParameters) -> IdealState:
     return IdealState()
 
 
+def circuit(x: IdealState, u: SupplyInputs, p: IdealParameters) -> Circuit:
+    """The source between the lines."""
+    nodes = {
+        "supply_pressure": Node(p.pressure_setting, "P_s"),
+        "tank_pressure": Node(p.reservoir_pressure, "P_t"),
+        GROUND: Node(0),
+    }
+    source = Branch("tank_pressure", "supply_pressure", Kind.SOURCE, supply_flow(u), "P_s")
+    return Circuit(nodes, {"source": source, **consumers(u)})
+
+
 def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs:
     """Outputs."""
-    supplied, returned = supply_flow(u), return_flow(u)
-    power = p.pressure_setting * supplied - p.reservoir_pressure * returned
-    load = line_pressure(u, p, p.pressure_setting)
+    whole, load = circuit(x, u, p), line_pressure(u, p, p.pressure_setting)
+    power = whole.work(Kind.CONSUMER)
     return SupplyOutputs(
         supply_pressure=p.pressure_setting,
         supply_pressure_rate=0,
@@ -49,8 +60,8 @@ def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs
         tank_pressure_rate=0,
         load_sensing_pressure=load.value,
         load_sensing_pressure_rate=load.rate,
-        supply_flow=supplied,
-        return_flow=returned,
+        supply_flow=whole.flows["supply_flow"],
+        return_flow=whole.flows["return_flow"],
         hydraulic_power=power,
         engine_power=power,
         stored_energy=0,
@@ -70,6 +81,7 @@ IDEAL = variant(
     outputs=SupplyOutputs,
     dynamics=dynamics,
     observe=observe,
+    circuits=lambda x, u, p: {"supply": circuit(x, u, p)},
     require=require,
     validity="while pumps and engine have flow and power to spare; no pressure ripple, no sag",
 )

@@ -37,13 +37,22 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 from dataclasses import dataclass, replace
 
 from fmus.components import engine_and_pump, load_sensing, oil
+from fmus.components.circuit import Branch, Kind
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.load_sensing import LoadPressure
-from fmus.contract import Group, Quantity, Scalar
+from fmus.contract import Group, Quantity, Scalar, quantities
 from fmus.smooth import ramp_inverse
 from fmus.supply import rail
-from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, TankParameters
-from fmus.supply.variables import SupplyInputs, limited, line_pressure, supply_flow, variant
+from fmus.supply.rail import (
+    RESERVOIR,
+    Outlet,
+    RailParameters,
+    ShaftOutputs,
+    ShaftState,
+    Supply,
+    TankParameters,
+)
+from fmus.supply.variables import SupplyInputs, limited, line_pressure, variant
 
 _ITERATIONS = 20  # of check valve and engine at standby; each gains about a digit
 
@@ -150,42 +159,37 @@ class LoadSensingOutputs(ShaftOutputs):
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
-def _outlet(x: LoadSensingState, p: LoadSensingParameters) -> Outlet:
+def _supply(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> Supply:
     line = (p.main_pump_check_resistance, p.main_pump_line_capacitance)
-    return rail.outlet(p.pump(x.load_sensing_pressure), line, x.pump_pressure, x.pump_stroke, x, p)
-
-
-def _leakage(x: LoadSensingState, p: LoadSensingParameters) -> Scalar:
-    conductance = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature)
-    return conductance * (x.supply_pressure - p.reservoir_pressure)
+    pump = rail.viscous(p.pump(x.load_sensing_pressure), x)
+    bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature)
+    leakage = Branch("supply_pressure", RESERVOIR, Kind.LEAKAGE, lambda drop: bleed * drop)
+    pumps = [Outlet("pump", pump, *line, x.pump_pressure, x.pump_stroke)]
+    return Supply(pumps, u, x, p, {"rail_leakage_flow": leakage})
 
 
 def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingState:
     """Time derivative of the state, field by field."""
-    pump, leakage = _outlet(x, p), _leakage(x, p)
+    pump = p.pump(x.load_sensing_pressure)
     target = engine_and_pump.limited_stroke(
-        pump.pump, p.pressure_cut_off, p.cut_off_band, p.torque_limit, x.pump_pressure, pump.rise
+        *(pump, p.pressure_cut_off, p.cut_off_band, p.torque_limit, x.pump_pressure),
+        x.pump_pressure - p.reservoir_pressure,
     )
+    load = line_pressure(u, p, p.pressure_cut_off).value
     return LoadSensingState(
-        supply_pressure=rail.pressure_rate((pump,), supply_flow(u) + leakage, x, p),
-        load_sensing_pressure=(line_pressure(u, p, p.pressure_cut_off).value - x.load_sensing_pressure)
-        / p.load_sensing_lag,
-        pump_pressure=pump.pressure_rate,
-        pump_stroke=engine_and_pump.servo_rate(pump.pump, x.pump_stroke, target),
-        **rail.shaft_rate((pump,), leakage, u, x, p),
+        **_supply(x, u, p).rates(),
+        load_sensing_pressure=(load - x.load_sensing_pressure) / p.load_sensing_lag,
+        pump_stroke=engine_and_pump.servo_rate(pump, x.pump_stroke, target),
     )
 
 
 def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingOutputs:
     """Outputs."""
-    pump, rates = _outlet(x, p), dynamics(x, u, p)
-    return LoadSensingOutputs(
-        **rail.outputs((pump,), _leakage(x, p), rates, u, x, p),
-        load_sensing_pressure_rate=rates.load_sensing_pressure,
-        pump_flow=pump.delivered,
-        pressure_margin=x.supply_pressure - x.load_sensing_pressure,
-        rail_leakage_flow=_leakage(x, p),
-    )
+    known = _supply(x, u, p).outputs() | {
+        "load_sensing_pressure_rate": dynamics(x, u, p).load_sensing_pressure,
+        "pressure_margin": x.supply_pressure - x.load_sensing_pressure,
+    }
+    return LoadSensingOutputs(**{name: known[name] for name in quantities(LoadSensingOutputs)})
 
 
 def _standby_line(p: LoadSensingParameters) -> Scalar:
@@ -261,6 +265,7 @@ LOAD_SENSING = variant(
     outputs=LoadSensingOutputs,
     dynamics=dynamics,
     observe=observe,
+    circuits=lambda x, u, p: {"supply": _supply(x, u, p).circuit},
     initial=initial,
     require=require,
     step=rail.STEP,

@@ -17,19 +17,22 @@ ends in the oil, because the arm comes back to its height. In between, the error
 the arm, 0.1 K. Friction outside the oil is counted too.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
 
-from fmus.components import chamber, engine_and_pump, oil, orifice
+from fmus.components import engine_and_pump, oil
+from fmus.components.circuit import GROUND, Branch, Circuit, Kind, Node
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar, quantities
 from fmus.smooth import unit_limited
-from fmus.supply.variables import CommonParameters, SupplyInputs, SupplyOutputs, return_flow, supply_flow
+from fmus.supply.variables import CommonParameters, SupplyInputs, SupplyOutputs, consumers
 
+RESERVOIR = "reservoir_pressure"  # node of the tank
 # Longest communication step [s]: a third of the time constant of the supply line with three compensated
 # sections fully open, 0.8 ms. At 1 ms the rate of its pressure leads to a steady and wrong motion.
 STEP = 2.5e-4
@@ -122,77 +125,147 @@ class ShaftOutputs(SupplyOutputs):
 
 @dataclass(frozen=True)
 class Outlet:
-    """A pump at work on its outlet line: pressure and its rise [Pa], flows [m3/s], torque [N.m].
+    """A pump at work on the line to its check valve.
 
-    capacitance   of the outlet line [m3/Pa]
+    name                      of the pump, in the names of its variables
+    pump                      with the oil at its temperature
+    resistance, capacitance   of check valve [Pa.s/m3] and line [m3/Pa]
+    pressure, stroke          states [Pa, 1]
     """
 
+    name: str
     pump: Pump
+    resistance: Scalar
     capacitance: Scalar
     pressure: Scalar
-    rise: Scalar
-    suction: Scalar
-    leakage: Scalar
-    delivered: Scalar
-    torque: Scalar
+    stroke: Scalar
 
-    @property
-    def pressure_rate(self) -> Scalar:
-        """Time derivative [Pa/s] of the pressure."""
-        return chamber.pressure_rate(
-            self.pressure, self.suction - self.leakage - self.delivered, self.capacitance
+    def circuit(self, speed: Scalar, p: RailParameters) -> Circuit:
+        """From the tank to the supply line, at a speed of the engine."""
+        node, check = f"{self.name}_pressure", (self.resistance, p.check_opening)
+        suction = engine_and_pump.suction_flow(self.pump, self.stroke, speed)
+        return Circuit(
+            {node: Node(self.pressure, "C_p", self.capacitance)},
+            {
+                self.name: Branch(RESERVOIR, node, Kind.PUMP, suction),
+                f"{self.name}_leakage": Branch(
+                    node, RESERVOIR, Kind.LEAKAGE, lambda rise: self.pump.leakage * rise
+                ),
+                f"{self.name}_flow": Branch(
+                    node, "supply_pressure", Kind.CHECK, partial(engine_and_pump.check_flow, *check)
+                ),
+            },
         )
 
 
-def outlet(
-    pump: Pump,
-    line: tuple[Scalar, Scalar],
-    pressure: Scalar,
-    stroke: Scalar,
-    x: ShaftState,
-    p: RailParameters,
-) -> Outlet:
-    """The pump on a line of (resistance, capacitance), at an outlet pressure and a stroke."""
-    rise, (resistance, capacitance) = pressure - p.reservoir_pressure, line
-    pump = engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature))
-    return Outlet(
-        pump,
-        *(capacitance, pressure, rise),
-        suction=engine_and_pump.suction_flow(pump, stroke, x.engine_speed),
-        leakage=pump.leakage * rise,
-        delivered=engine_and_pump.check_flow(pressure, x.supply_pressure, resistance, p.check_opening),
-        torque=engine_and_pump.torque(pump, stroke, x.engine_speed, rise),
-    )
+def viscous(pump: Pump, x: ShaftState) -> Pump:
+    """A pump with the oil at its temperature."""
+    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature))
 
 
-def relief_flow(x: ShaftState, p: RailParameters) -> Scalar:
-    """Flow [m3/s] of the main relief valve."""
-    return orifice.relief_flow(PressureValve.of(p, "relief"), x.supply_pressure - p.reservoir_pressure)
+@dataclass(frozen=True)
+class Supply:
+    """A supply with pumps at one instant: pumps, inputs, state, parameters, branches of the variant."""
 
+    pumps: Sequence[Outlet]
+    u: SupplyInputs
+    x: ShaftState
+    p: Any
+    branches: Mapping[str, Branch] = field(default_factory=dict)
 
-def pressure_rate(outlets: Sequence[Outlet], taken: Scalar, x: ShaftState, p: RailParameters) -> Scalar:
-    """Time derivative [Pa/s] of the supply pressure; taken: all flow [m3/s] out of the line but relief."""
-    net = sum(o.delivered for o in outlets) - taken - relief_flow(x, p)
-    return chamber.pressure_rate(x.supply_pressure, net, p.rail_capacitance)
+    @cached_property
+    def circuit(self) -> Circuit:
+        """From the tank over pumps and drives back to the tank."""
+        x, p = self.x, self.p
+        whole = Circuit(
+            {
+                RESERVOIR: Node(p.reservoir_pressure, "P_t"),
+                GROUND: Node(0),
+                "supply_pressure": Node(x.supply_pressure, "C_s", p.rail_capacitance),
+                "tank_pressure": Node(x.tank_pressure, "C_b", p.return_capacitance),
+            },
+            {
+                **consumers(self.u),
+                "relief_flow": Branch(
+                    "supply_pressure", RESERVOIR, Kind.RELIEF, PressureValve.of(p, "relief").flow
+                ),
+                "return_check": Branch("tank_pressure", RESERVOIR, Kind.CHECK, self._into_tank),
+                **self.branches,
+            },
+        )
+        for pump in self.pumps:
+            whole |= pump.circuit(x.engine_speed, p)
+        return whole
 
+    def _into_tank(self, drop: Scalar) -> Scalar:
+        """Flow Q_b [m3/s] from the return line into the tank."""
+        valve = partial(engine_and_pump.check_flow, self.p.return_resistance, self.p.check_opening)
+        return valve(drop - self.p.return_preload) - valve(-drop)
 
-def shaft_rate(
-    outlets: Sequence[Outlet], leakage: Scalar, u: SupplyInputs, x: ShaftState, p: RailParameters
-) -> dict[str, Scalar]:
-    """Time derivatives of `ShaftState`; leakage: flow [m3/s] from the supply line into the tank."""
-    engine, load, speed = DieselEngine.of(p, "engine"), sum(o.torque for o in outlets), x.engine_speed
-    drained = sum(o.leakage - o.suction for o in outlets) + relief_flow(x, p) + leakage
-    net = return_flow(u) - _into_tank(x, p)
-    # heat [W] into the oil: power that the drives take, and the losses without those of the engine
-    taken = x.supply_pressure * supply_flow(u) - x.tank_pressure * return_flow(u)
-    heat = taken + dissipated_power(outlets, leakage, x, p) - _engine_heat(x, p)
-    return {
-        "engine_speed": engine_and_pump.speed_rate(engine, speed, _engine_torque(x, p), load),
-        "engine_fuel_torque": engine_and_pump.torque_rate(engine, speed, x.engine_fuel_torque),
-        "tank_pressure": chamber.pressure_rate(x.tank_pressure, net, p.return_capacitance),
-        "oil_temperature": (heat - cooling_power(x, p)) / p.heat_capacity,
-        "reservoir_volume": _into_tank(x, p) + drained,
-    }
+    def _rise(self, pump: Outlet) -> Scalar:
+        return pump.pressure - self.p.reservoir_pressure
+
+    @property
+    def load(self) -> Scalar:
+        """Torque [N.m] of all pumps."""
+        return sum(
+            engine_and_pump.torque(o.pump, o.stroke, self.x.engine_speed, self._rise(o)) for o in self.pumps
+        )
+
+    @property
+    def engine_torque(self) -> Scalar:
+        """Torque [N.m] of the combustion."""
+        engine = DieselEngine.of(self.p, "engine")
+        return engine_and_pump.burning_share(engine, self.x.engine_speed) * self.x.engine_fuel_torque
+
+    @property
+    def oil_heat(self) -> Scalar:
+        """Heat [W] of all losses but those of the engine."""
+        w = self.x.engine_speed
+        friction = (engine_and_pump.pump_friction(o.pump, w, self._rise(o)) * w for o in self.pumps)
+        return sum(self.circuit.heat().values()) + sum(friction)
+
+    @property
+    def cooling_power(self) -> Scalar:
+        """Heat [W] from the oil to the air."""
+        p, temperature = self.p, self.x.oil_temperature
+        fan = unit_limited((temperature - p.cooler_setting) / p.cooler_band, _FAN_ROUNDING)
+        return (p.tank_conductance + p.cooler_conductance * fan) * (temperature - p.ambient_temperature)
+
+    def rates(self) -> dict[str, Scalar]:
+        """Time derivatives of all pressures and of `ShaftState`, by name."""
+        x, p, engine = self.x, self.p, DieselEngine.of(self.p, "engine")
+        heat = self.circuit.work(Kind.CONSUMER) + self.oil_heat
+        return {
+            **self.circuit.rates,
+            "engine_speed": engine_and_pump.speed_rate(engine, x.engine_speed, self.engine_torque, self.load),
+            "engine_fuel_torque": engine_and_pump.torque_rate(engine, x.engine_speed, x.engine_fuel_torque),
+            "oil_temperature": (heat - self.cooling_power) / p.heat_capacity,
+            "reservoir_volume": self.circuit.into(RESERVOIR),
+        }
+
+    def outputs(self) -> dict[str, Scalar]:
+        """States and outputs by name."""
+        x, p, w = self.x, self.p, self.x.engine_speed
+        engine_heat = engine_and_pump.engine_friction(DieselEngine.of(p, "engine"), w) * w
+        rotation = p.engine_inertia * w**2 / 2
+        return {
+            **vars(x),
+            **self.circuit.flows,
+            "supply_pressure_rate": self.circuit.rates["supply_pressure"],
+            "tank_pressure_rate": self.circuit.rates["tank_pressure"],
+            "hydraulic_power": self.circuit.work(Kind.CONSUMER),
+            "engine_speed_below_idle": ca.fmax(p.engine_idle_speed - w, 0),
+            "engine_speed_below_stall": ca.fmax(p.engine_stall_speed - w, 0),
+            "engine_torque": self.engine_torque,
+            "engine_power": self.engine_torque * w,
+            "engine_load": self.load,
+            "stored_energy": self.circuit.stored_energy
+            + rotation
+            + p.reservoir_pressure * x.reservoir_volume,
+            "dissipated_power": self.oil_heat + engine_heat,
+            "cooling_power": self.cooling_power,
+        }
 
 
 def start(p: TankParameters) -> dict[str, Scalar]:
@@ -212,76 +285,6 @@ def return_pressure(p: Any) -> Scalar:
 def at_start(pump: Pump, p: TankParameters) -> Pump:
     """A pump at the initial temperature of the oil."""
     return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(p.oil_temperature_start))
-
-
-def _into_tank(x: ShaftState, p: RailParameters) -> Scalar:
-    """Flow Q_b [m3/s] from the return line into the tank."""
-    valve = (p.return_resistance, p.check_opening)
-    return engine_and_pump.check_flow(
-        x.tank_pressure, return_pressure(p), *valve
-    ) - engine_and_pump.check_flow(p.reservoir_pressure, x.tank_pressure, *valve)
-
-
-def cooling_power(x: ShaftState, p: Any) -> Scalar:
-    """Heat [W] from the oil to the air."""
-    fan = unit_limited((x.oil_temperature - p.cooler_setting) / p.cooler_band, _FAN_ROUNDING)
-    conductance = p.tank_conductance + p.cooler_conductance * fan
-    return conductance * (x.oil_temperature - p.ambient_temperature)
-
-
-def _engine_torque(x: ShaftState, p: RailParameters) -> Scalar:
-    """Torque [N.m] of the combustion."""
-    share = engine_and_pump.burning_share(DieselEngine.of(p, "engine"), x.engine_speed)
-    return share * x.engine_fuel_torque
-
-
-def _engine_heat(x: ShaftState, p: RailParameters) -> Scalar:
-    """Power [W] of the engine's friction."""
-    return engine_and_pump.engine_friction(DieselEngine.of(p, "engine"), x.engine_speed) * x.engine_speed
-
-
-def stored_energy(outlets: Sequence[Outlet], x: ShaftState, p: RailParameters) -> Scalar:
-    """Energy [J] of compression in all lines, of rotation, and of the oil in the tank."""
-    lines = (
-        chamber.stored_energy(x.supply_pressure, p.rail_capacitance)
-        + chamber.stored_energy(x.tank_pressure, p.return_capacitance)
-        + sum(chamber.stored_energy(o.pressure, o.capacitance) for o in outlets)
-    )
-    return lines + p.engine_inertia * x.engine_speed**2 / 2 + p.reservoir_pressure * x.reservoir_volume
-
-
-def dissipated_power(outlets: Sequence[Outlet], leakage: Scalar, x: ShaftState, p: RailParameters) -> Scalar:
-    """Heat [W] of pumps, check valves, relief valve, engine friction and rail leakage [m3/s]."""
-    line = x.supply_pressure - p.reservoir_pressure
-    pumps = sum(
-        engine_and_pump.loss(o.pump, x.engine_speed, o.rise) + o.delivered * (o.rise - line) for o in outlets
-    )
-    preload = _into_tank(x, p) * (x.tank_pressure - p.reservoir_pressure)
-    return pumps + (relief_flow(x, p) + leakage) * line + preload + _engine_heat(x, p)
-
-
-def outputs(
-    outlets: Sequence[Outlet], leakage: Scalar, rates: ShaftState, u: SupplyInputs, x: ShaftState, p: Any
-) -> dict[str, Scalar]:
-    """Shown states and the outputs that all supplies with pumps have, by name; rates: of the state."""
-    supplied, returned = supply_flow(u), return_flow(u)
-    return {
-        **{name: value for name, value in vars(x).items() if name != "engine_fuel_torque"},
-        "supply_pressure_rate": rates.supply_pressure,
-        "tank_pressure_rate": rates.tank_pressure,
-        "supply_flow": supplied,
-        "return_flow": returned,
-        "hydraulic_power": x.supply_pressure * supplied - x.tank_pressure * returned,
-        "engine_speed_below_idle": ca.fmax(p.engine_idle_speed - x.engine_speed, 0),
-        "engine_speed_below_stall": ca.fmax(p.engine_stall_speed - x.engine_speed, 0),
-        "engine_torque": _engine_torque(x, p),
-        "engine_power": _engine_torque(x, p) * x.engine_speed,
-        "stored_energy": stored_energy(outlets, x, p),
-        "dissipated_power": dissipated_power(outlets, leakage, x, p),
-        "relief_flow": relief_flow(x, p),
-        "engine_load": sum(o.torque for o in outlets),
-        "cooling_power": cooling_power(x, p),
-    }
 
 
 def engine_requirements(p: RailParameters, idle_load: Scalar, pumps: str) -> dict[str, Scalar]:

@@ -7,6 +7,7 @@ import casadi as ca
 
 from fmus import ports
 from fmus.components.chamber import ATMOSPHERE
+from fmus.components.circuit import GROUND, Branch, Kind
 from fmus.components.load_sensing import LoadPressure, highest, relieved
 from fmus.contract import Group, Quantity, Scalar, Subsystem
 
@@ -84,6 +85,14 @@ def supply_flow(u: SupplyInputs) -> Scalar:
 def return_flow(u: SupplyInputs) -> Scalar:
     """Flow [m3/s] from all drives into the return line."""
     return u.return_flow_swing + u.return_flow_boom_stick
+
+
+def consumers(u: SupplyInputs) -> dict[str, Branch]:
+    """The drives, in the circuit of a supply."""
+    return {
+        "supply_flow": Branch("supply_pressure", GROUND, Kind.CONSUMER, supply_flow(u)),
+        "return_flow": Branch(GROUND, "tank_pressure", Kind.CONSUMER, return_flow(u)),
+    }
 
 
 def line_pressure(u: SupplyInputs, p: CommonParameters, setting: Scalar) -> LoadPressure:

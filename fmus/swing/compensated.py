@@ -11,19 +11,18 @@ as soon as the command leaves the dead band and the supply has pressure. Lines a
 no oil columns. C has elastic walls and the air of `chamber`. The torque depends only on states.
 """
 
-from dataclasses import dataclass
-
-from fmus.components import chamber, hose, motor
+from fmus.components import circuit, hose, motor, spool_valve
 from fmus.components import pressure_compensator as compensator
-from fmus.components.chamber import AeratedOil
+from fmus.components.chamber import AeratedOil, Air
+from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import HoseWall
-from fmus.components.motor import Brake, BrakeTorque, MotorNodes
-from fmus.components.oil import at_temperature
+from fmus.components.load_sensing import sensed
+from fmus.components.motor import Brake
 from fmus.components.orifice import ReliefParameters
-from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
+from fmus.components.pressure_compensator import Compensator, Section, SectionValve
 from fmus.contract import Group, Quantity, Scalar, quantities
 from fmus.swing import drive
-from fmus.swing.drive import MotorValves
+from fmus.swing.drive import LINES, Drive
 from fmus.swing.variables import (
     DriveParameters,
     LinePressures,
@@ -78,17 +77,6 @@ class Outputs(BrakeState, SwingOutputs):
     )
 
 
-@dataclass(frozen=True)
-class _Evaluated:
-    """The drive at one instant: ports, motor, brake, valves at the motor."""
-
-    ports: tuple[SectionPort, SectionPort]
-    nodes: MotorNodes
-    brake: BrakeTorque
-    release: Scalar
-    valves: MotorValves
-
-
 def section(p: Parameters) -> Section:
     """Parameters of the section."""
     return Section(
@@ -108,73 +96,43 @@ def _release(u: SwingInputs, p: Parameters) -> Scalar:
     return Brake.of(p, "brake").released(in_use, u.supply_pressure - u.tank_pressure)
 
 
-def _evaluate(x: State, u: SwingInputs, p: Parameters) -> _Evaluated:
-    pressures, tank = drive.pressures(x), u.tank_pressure
-    displaced = drive.displacement(p) * u.swing_speed
-    return _Evaluated(
-        compensator.section_ports(
-            *(section(p), u.swing_command, pressures),
-            *(u.supply_pressure, u.load_sensing_pressure, tank),
-        ),
-        motor.nodes_at_port_pressures(*pressures, tank, displaced, *drive.leakage(p)),
-        Brake.of(p, "brake").hold(x.swing_brake_torque, x.swing_brake_applied, u.swing_speed),
-        _release(u, p),
-        drive.motor_valves(p, u, x),
+def _drive(x: State, u: SwingInputs, p: Parameters) -> Drive:
+    own, pressures = section(p), (x.swing_pressure_a, x.swing_pressure_b)
+    ports = compensator.section_ports(
+        *(own, u.swing_command, pressures, u.supply_pressure, u.load_sensing_pressure, u.tank_pressure)
     )
-
-
-def _volume(p: Parameters) -> Scalar:
-    """Volume [m3] of a line with its motor side."""
-    return hose.area(p.line_bore) * p.line_length + p.motor_volume
-
-
-def _rates(n: _Evaluated, x: State, p: Parameters) -> State:
-    (a, b), volume = n.ports, _volume(p)
-    c_a, c_b = (
-        p.line_capacitance + volume * chamber.air_compliance(p, pressure) for pressure in drive.pressures(x)
+    edges = (ports[0].edges, ports[1].edges)
+    oil = (p.line_capacitance, hose.area(p.line_bore) * p.line_length + p.motor_volume, Air.of(p))
+    whole = Circuit(
+        {
+            **circuit.lines(u),
+            "swing_pressure_a": Node(x.swing_pressure_a, "C_1", *oil),
+            "swing_pressure_b": Node(x.swing_pressure_b, "C_2", *oil),
+        },
+        {
+            **spool_valve.branches(edges, *LINES),
+            **motor.branches(LINES, *drive.motor(u, p)),
+            **drive.reliefs(p),
+        },
     )
-    net_a = a.edges.line - n.nodes.flow_1 - n.valves.cross + n.valves.anti[0]
-    net_b = b.edges.line - n.nodes.flow_2 + n.valves.cross + n.valves.anti[1]
-    return State(
-        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c_a),
-        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c_b),
-        swing_brake_torque=n.brake.rate,
-        swing_brake_applied=Brake.of(p, "brake").applied_rate(x.swing_brake_applied, n.release),
-    )
-
-
-def dynamics(x: State, u: SwingInputs, p: Parameters) -> State:
-    """Time derivative of the state, field by field."""
-    return _rates(_evaluate(x, u, p), x, p)
-
-
-def observe(x: State, u: SwingInputs, p: Parameters) -> Outputs:
-    """Outputs; the torque depends only on states."""
-    n = _evaluate(x, u, p)
-    edges = (n.ports[0].edges, n.ports[1].edges)
-    meter_in, metering_drop, compensator_drop = compensator.shown(section(p), n.ports, u.swing_command)
-    rates, flows = drive.pressures(_rates(n, x, p)), (edges[0].line, edges[1].line)
-    outputs = drive.observe(p, u, x, rates, flows, edges, n.nodes)
-    outputs["swing_torque"] -= x.swing_brake_torque
-    outputs["swing_torque_rate"] -= n.brake.rate
-    outputs["return_flow"] -= sum(n.valves.anti)
-    outputs["dissipated_power"] += n.valves.heat + n.brake.heat
-    compression = sum(
-        chamber.stored_energy(pressure, p.line_capacitance)
-        + _volume(p) * chamber.air_energy_density(p, pressure)
-        for pressure in drive.pressures(x)
-    )
-    return Outputs(
-        **outputs,
-        stored_energy=compression + n.brake.stored,
-        swing_brake_torque=x.swing_brake_torque,
-        swing_brake_applied=x.swing_brake_applied,
-        swing_meter_in_flow=meter_in,
-        swing_metering_drop=metering_drop,
-        swing_compensator_drop=compensator_drop,
-        swing_relief_flow=n.valves.cross,
-        swing_anti_cavitation_flow=sum(n.valves.anti),
-    )
+    meter_in, metering_drop, compensator_drop = compensator.shown(own, ports, u.swing_command)
+    brake = Brake.of(p, "brake")
+    held = brake.hold(x.swing_brake_torque, x.swing_brake_applied, u.swing_speed)
+    rates = {
+        "swing_brake_torque": held.rate,
+        "swing_brake_applied": brake.applied_rate(x.swing_brake_applied, _release(u, p)),
+    }
+    shown = {
+        "swing_flow_a": edges[0].line,
+        "swing_flow_b": edges[1].line,
+        "swing_brake_torque": x.swing_brake_torque,
+        "swing_brake_applied": x.swing_brake_applied,
+        "swing_meter_in_flow": meter_in,
+        "swing_metering_drop": metering_drop,
+        "swing_compensator_drop": compensator_drop,
+    }
+    load = sensed(p, u.swing_command, u.swing_command_rate)
+    return Drive(whole, load, rates, shown, brake=(x.swing_brake_torque, held))
 
 
 def initial(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
@@ -188,18 +146,15 @@ def require(x: State, u: SwingInputs, p: Parameters) -> dict[str, Scalar]:
     return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
-        parameters=Parameters,
-        states=State,
-        outputs=Outputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=require,
-        derive=drive.derive_capacitance,
-        validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
-        " no spool dynamics",
-    )
+SWING = drive.variant(
+    _drive,
+    State,
+    Outputs,
+    text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
+    parameters=Parameters,
+    initial=initial,
+    require=require,
+    derive=drive.derive_capacitance,
+    validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
+    " no spool dynamics",
 )

@@ -4,23 +4,24 @@ torque = D (P_1 - P_2)           D = D_m N                                   eqs
 """
 
 import math
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fmus import ports
-from fmus.components import chamber, hose, load_sensing, motor, opening_curve, orifice, spool_valve
-from fmus.components.load_sensing import LoadPressure
-from fmus.components.motor import MotorNodes
-from fmus.components.opening_curve import OpeningCurves
+from fmus.components import hose, spool_valve
+from fmus.components.circuit import TANK, Branch, Circuit, Kind
+from fmus.components.load_sensing import Sensed
+from fmus.components.motor import BrakeTorque
+from fmus.components.oil import at_temperature
 from fmus.components.orifice import PressureValve
-from fmus.components.spool_valve import EdgeFlows
 from fmus.contract import Scalar, Subsystem, Terminal, quantities
 from fmus.swing.variables import LinePressures, SwingInputs
 
 PARAMETERS = Path(__file__).with_name("parameters.toml")
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
+LINES = ("swing_pressure_a", "swing_pressure_b")
 
 
 def displacement(p: Any) -> Scalar:
@@ -28,30 +29,67 @@ def displacement(p: Any) -> Scalar:
     return p.motor_displacement * p.gear_ratio
 
 
-def leakage(p: Any) -> Pair:
-    """Leakage resistances R_in and R_ex [Pa.s/m3]."""
-    return p.internal_leakage_resistance, p.external_leakage_resistance
-
-
 @dataclass(frozen=True)
-class MotorValves:
-    """Flows [m3/s] of the valves at the motor: relief from line A to line B, anti-cavitation into each line.
+class Drive:
+    """The drive at one instant.
 
-    heat   that they dissipate [W]
+    circuit       with the nodes LINES
+    load          its load pressure, from those of the lines
+    others        rates of the states that are not in the circuit
+    shown         outputs of the variant that are not in the circuit
+    ports         pressures of the ports of the motor, and their rates; default: those of the lines
+    brake         torque [N.m] against the motion, and what it does
     """
 
-    cross: Scalar
-    anti: Pair
-    heat: Scalar
+    circuit: Circuit
+    load: Sensed
+    others: Mapping[str, Scalar] = field(default_factory=dict)
+    shown: Mapping[str, Scalar] = field(default_factory=dict)
+    ports: tuple[Pair, Pair] | None = None
+    brake: tuple[Scalar, BrakeTorque] = (0, BrakeTorque(0, 0, 0))
+
+    def rates(self) -> dict[str, Scalar]:
+        """Time derivative of the state, by name."""
+        return {**self.circuit.rates, **self.others}
+
+    def observe(self, u: SwingInputs, p: Any) -> dict[str, Scalar]:
+        """Outputs by name."""
+        lines, line_rates = (
+            (of["swing_pressure_a"], of["swing_pressure_b"])
+            for of in (self.circuit.pressures, self.circuit.rates)
+        )
+        (one, two), (rate_1, rate_2) = self.ports or (lines, line_rates)
+        load, (torque, brake), known = self.load(lines, line_rates, u), self.brake, self.circuit.outputs()
+        return {
+            **known,
+            "swing_torque": displacement(p) * (one - two) - torque,
+            "swing_torque_rate": displacement(p) * (rate_1 - rate_2) - brake.rate,
+            "swing_load_pressure": load.value,
+            "swing_load_pressure_rate": load.rate,
+            "swing_motor_pressure_a": one,
+            "swing_motor_pressure_b": two,
+            "swing_drain_flow": self.circuit.through(Kind.DRAIN),
+            "swing_void_volume": known["void_volume"],
+            "swing_anti_cavitation_flow": known["anti_cavitation_flow"],
+            "stored_energy": known["stored_energy"] + brake.stored,
+            "dissipated_power": known["dissipated_power"] + brake.heat,
+            **self.shown,
+        }
 
 
-def motor_valves(p: Any, u: SwingInputs, x: Any) -> MotorValves:
-    """Crossover relief valves, and make-up from the return line."""
-    (a, b), tank, anti = pressures(x), u.tank_pressure, PressureValve.of(p, "anti_cavitation")
-    cross = orifice.cross_flow(PressureValve.of(p, "relief"), a - b)
-    into_a, into_b = orifice.relief_flow(anti, tank - a), orifice.relief_flow(anti, tank - b)
-    make_up = into_a * (tank - a) + into_b * (tank - b)
-    return MotorValves(cross, (into_a, into_b), cross * (a - b) + make_up)
+def reliefs(p: Any) -> dict[str, Branch]:
+    """Crossover relief valves at the motor, and make-up from the return line."""
+    back = PressureValve.of(p, "anti_cavitation")
+    return {
+        "swing_relief_flow": Branch(*LINES, Kind.RELIEF, PressureValve.of(p, "relief").cross_flow),
+        "anti_cavitation_a": Branch(TANK, LINES[0], Kind.ANTI_CAVITATION, back.flow),
+        "anti_cavitation_b": Branch(TANK, LINES[1], Kind.ANTI_CAVITATION, back.flow),
+    }
+
+
+def motor(u: SwingInputs, p: Any) -> tuple[Scalar, Scalar, Scalar]:
+    """Displaced flow D w [m3/s] and leakage resistances [Pa.s/m3], for `fmus.components.motor`."""
+    return displacement(p) * u.swing_speed, p.internal_leakage_resistance, p.external_leakage_resistance
 
 
 def derive_capacitance(p: Any) -> dict[str, Scalar]:
@@ -68,61 +106,6 @@ def derive(p: Any) -> dict[str, Scalar]:
         "line_inertance": hose.inertance(*size, p.density),
         "line_resistance": hose.laminar_resistance(*size, p.viscosity),
     }
-
-
-def pressures(x: Any) -> Pair:
-    """Pressures [Pa] of the lines in a state, or their rates [Pa/s] in its rates."""
-    return x.swing_pressure_a, x.swing_pressure_b
-
-
-def observe(
-    p: Any,
-    u: SwingInputs,
-    x: Any,
-    rates: Pair,
-    flows: Pair,
-    valve: tuple[EdgeFlows, EdgeFlows],
-    nodes: MotorNodes,
-    node_rates: Pair | None = None,
-    load: LoadPressure | None = None,
-) -> dict[str, Scalar]:
-    """Outputs except `stored_energy`.
-
-    x                   state, with the pressures of the lines
-    rates, flows        rates of the pressures of the lines, and their flows
-    valve, nodes        ports of valve and motor
-    node_rates          rates of the motor's port pressures; default: those of the lines
-    load                load pressure; default: that of a valve without dynamics
-
-    The dissipated power is that of edges and leakage; lines are added by the variants.
-    """
-    node_rates, load = node_rates or rates, load or _load_pressure(p, u, x, rates)
-    edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in valve)
-    return {
-        "swing_pressure_a": x.swing_pressure_a,
-        "swing_pressure_b": x.swing_pressure_b,
-        "swing_flow_a": flows[0],
-        "swing_flow_b": flows[1],
-        "swing_torque": displacement(p) * (nodes.pressure_1 - nodes.pressure_2),
-        "swing_torque_rate": displacement(p) * (node_rates[0] - node_rates[1]),
-        "supply_flow": valve[0].supply + valve[1].supply,
-        "return_flow": valve[0].tank + valve[1].tank + nodes.drain,
-        "swing_load_pressure": load.value,
-        "swing_load_pressure_rate": load.rate,
-        "swing_motor_pressure_a": nodes.pressure_1,
-        "swing_motor_pressure_b": nodes.pressure_2,
-        "swing_drain_flow": nodes.drain,
-        "swing_void_volume": sum(map(chamber.cavity_volume, pressures(x))),
-        "dissipated_power": edges + motor.leakage_loss(nodes, u.tank_pressure, *leakage(p)),
-    }
-
-
-def _load_pressure(p: Any, u: SwingInputs, x: Any, rates: Pair) -> LoadPressure:
-    """Load pressure of a valve without dynamics."""
-    curves = OpeningCurves.of(p, "valve")
-    bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
-    command = (u.swing_command, u.swing_command_rate)
-    return load_sensing.load_pressure(*command, bands, p.valve_full_command, pressures(x), rates, u)
 
 
 def initial_pressures(x: object, u: SwingInputs, p: Any) -> dict[str, Scalar]:
@@ -144,5 +127,30 @@ TERMINALS: tuple[Terminal, ...] = (
 )
 
 
-# what all variants declare alike
-variant = partial(Subsystem, name="swing", inputs=SwingInputs, values=PARAMETERS, terminals=TERMINALS)
+def variant(
+    drive: Callable[[Any, SwingInputs, Any], Drive], states: type[Any], outputs: type[Any], **others: Any
+) -> Subsystem:
+    """A variant with the parameters of warm oil; others: as in `Subsystem`.
+
+    drive   (x, u, p) -> the drive
+    """
+
+    def observe(x: Any, u: SwingInputs, p: Any) -> Any:
+        """Outputs."""
+        known = drive(x, u, p).observe(u, p)
+        return outputs(**{name: known[name] for name in quantities(outputs)})
+
+    return at_temperature(
+        Subsystem(
+            name="swing",
+            inputs=SwingInputs,
+            states=states,
+            outputs=outputs,
+            dynamics=lambda x, u, p: states(**drive(x, u, p).rates()),
+            observe=observe,
+            circuits=lambda x, u, p: {"swing": drive(x, u, p).circuit},
+            values=PARAMETERS,
+            terminals=TERMINALS,
+            **others,
+        )
+    )

@@ -10,55 +10,50 @@ laminar (R_line), and C_R,line is zero unless it is identified from measurements
 The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is required for conservation of power.
 """
 
-from fmus.components import chamber, hose, motor, spool_valve
-from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
+from fmus.components import circuit, motor, spool_valve
+from fmus.components.circuit import Circuit, Node
+from fmus.components.hose import column
+from fmus.components.load_sensing import sensed
 from fmus.components.opening_curve import OpeningCurves
-from fmus.components.spool_valve import EdgeFlows, Valve
+from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar
 from fmus.swing import drive
+from fmus.swing.drive import LINES, Drive
 from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, SwingState
 
+PORTS = ("swing_valve_pressure_a", "swing_valve_pressure_b")
+MOTOR = ("swing_motor_pressure_a", "swing_motor_pressure_b")
 
-def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[EdgeFlows, EdgeFlows]:
-    flows, pressures = (x.swing_flow_a, x.swing_flow_b), (u.supply_pressure, u.tank_pressure)
+
+def _drive(x: SwingState, u: SwingInputs, p: SwingParameters) -> Drive:
     valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
-    return spool_valve.ports_from_flow(valve, u.swing_command, *flows, *pressures, p.density, curves)
-
-
-def _motor(pressures: tuple[Scalar, Scalar, Scalar], speed: Scalar, p: SwingParameters) -> MotorNodes:
-    """Motor nodes from (P_a, P_b, P_t); linear, so from their rates it returns the rates of the nodes."""
-    lines = (p.line_resistance, p.line_resistance)
-    return motor.nodes(*pressures, drive.displacement(p) * speed, *lines, *drive.leakage(p))
-
-
-def dynamics(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingState:
-    """Time derivative of the state, field by field."""
-    port_a, port_b = _ports(x, u, p)
-    nodes = _motor((*drive.pressures(x), u.tank_pressure), u.swing_speed, p)
+    a, b = spool_valve.ports_from_flow(
+        *(valve, u.swing_command, x.swing_flow_a, x.swing_flow_b),
+        *(u.supply_pressure, u.tank_pressure, p.density, curves),
+    )
     line = (p.line_inertance, p.line_turbulent_resistance, p.valve_transition_flow)
-    c = p.line_capacitance
-    return SwingState(
-        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, x.swing_flow_a - nodes.flow_1, c),
-        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, x.swing_flow_b - nodes.flow_2, c),
-        swing_flow_a=hose.flow_rate(port_a.pressure, x.swing_pressure_a, x.swing_flow_a, *line),
-        swing_flow_b=hose.flow_rate(port_b.pressure, x.swing_pressure_b, x.swing_flow_b, *line),
+    nodes = {
+        **circuit.lines(u),
+        "swing_valve_pressure_a": Node(a.pressure),
+        "swing_valve_pressure_b": Node(b.pressure),
+        "swing_pressure_a": Node(x.swing_pressure_a, "C_1", p.line_capacitance),
+        "swing_pressure_b": Node(x.swing_pressure_b, "C_2", p.line_capacitance),
+    }
+    branches = {
+        **spool_valve.branches((a, b), *PORTS),
+        "swing_flow_a": column("swing_valve_pressure_a", "swing_pressure_a", x.swing_flow_a, "I_1", *line),
+        "swing_flow_b": column("swing_valve_pressure_b", "swing_pressure_b", x.swing_flow_b, "I_2", *line),
+    }
+    displaced, *leakage = drive.motor(u, p)
+    at_motor = motor.behind_lines(nodes, LINES, MOTOR, p.line_resistance, displaced, *leakage)
+    whole = Circuit(nodes, branches) | at_motor
+    # the motor's ports are linear in the pressures, so the rates of the pressures give their rates
+    rates = motor.port_pressures(
+        *(whole.rates["swing_pressure_a"], whole.rates["swing_pressure_b"], u.tank_pressure_rate),
+        *(p.line_resistance, drive.displacement(p) * u.swing_acceleration, *leakage),
     )
-
-
-def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
-    """Outputs."""
-    line_rates, flows = drive.pressures(dynamics(x, u, p)), (x.swing_flow_a, x.swing_flow_b)
-    nodes = _motor((*drive.pressures(x), u.tank_pressure), u.swing_speed, p)
-    rates = _motor((*line_rates, u.tank_pressure_rate), u.swing_acceleration, p)
-    node_rates = (rates.pressure_1, rates.pressure_2)
-    outputs = drive.observe(p, u, x, line_rates, flows, _ports(x, u, p), nodes, node_rates)
-    compression = sum(chamber.stored_energy(q, p.line_capacitance) for q in drive.pressures(x))
-    outputs["stored_energy"] = compression + p.line_inertance * (x.swing_flow_a**2 + x.swing_flow_b**2) / 2
-    outputs["dissipated_power"] += sum(q**2 * p.line_resistance for q in (nodes.flow_1, nodes.flow_2)) + sum(
-        q * spool_valve.turbulent_drop(q, p.line_turbulent_resistance, p.valve_transition_flow) for q in flows
-    )
-    return SwingOutputs(**outputs)
+    pressures = (whole.pressures["swing_motor_pressure_a"], whole.pressures["swing_motor_pressure_b"])
+    return Drive(whole, sensed(p, u.swing_command, u.swing_command_rate), ports=(pressures, rates))
 
 
 def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
@@ -66,17 +61,14 @@ def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scal
     return drive.initial_pressures(x, u, p) | {"swing_flow_a": 0, "swing_flow_b": 0}
 
 
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive: spool valve, lines, motor and gear",
-        parameters=SwingParameters,
-        states=SwingState,
-        outputs=SwingOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=initial,
-        require=drive.require,
-        derive=drive.derive,
-        validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
-    )
+SWING = drive.variant(
+    _drive,
+    SwingState,
+    SwingOutputs,
+    text="Hydraulic swing drive: spool valve, lines, motor and gear",
+    parameters=SwingParameters,
+    initial=initial,
+    require=drive.require,
+    derive=drive.derive,
+    validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
 )

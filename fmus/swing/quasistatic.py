@@ -9,59 +9,43 @@ lumped drive for lines without inertance and without laminar resistance, whose d
 pressures are those of the motor ports. The torque depends only on states.
 """
 
-from fmus.components import chamber, motor, spool_valve
-from fmus.components.motor import MotorNodes
-from fmus.components.oil import at_temperature
+from fmus.components import circuit, motor, spool_valve
+from fmus.components.circuit import Circuit, Node
+from fmus.components.load_sensing import sensed
 from fmus.components.opening_curve import OpeningCurves
-from fmus.components.spool_valve import EdgeFlows, Valve
+from fmus.components.spool_valve import Valve
 from fmus.swing import drive
+from fmus.swing.drive import LINES, Drive
 from fmus.swing.variables import LinePressures, QuasistaticSwingParameters, SwingInputs, SwingOutputs
 
 
-def _ports(
-    x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters
-) -> tuple[tuple[EdgeFlows, EdgeFlows], MotorNodes]:
-    """Ports of the valve, and nodes of the motor."""
-    lines = drive.pressures(x)
+def _drive(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> Drive:
     ports = spool_valve.ports_from_pressure(
-        *(Valve.of(p, "valve"), u.swing_command, *lines, u.supply_pressure, u.tank_pressure),
-        *(p.density, p.line_turbulent_resistance, OpeningCurves.of(p, "valve")),
+        *(Valve.of(p, "valve"), u.swing_command, x.swing_pressure_a, x.swing_pressure_b),
+        *(u.supply_pressure, u.tank_pressure, p.density),
+        *(p.line_turbulent_resistance, OpeningCurves.of(p, "valve")),
     )
-    displaced = drive.displacement(p) * u.swing_speed
-    return ports, motor.nodes_at_port_pressures(*lines, u.tank_pressure, displaced, *drive.leakage(p))
-
-
-def dynamics(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> LinePressures:
-    """Time derivative of the state, field by field."""
-    (a, b), nodes = _ports(x, u, p)
-    c = p.line_capacitance
-    return LinePressures(
-        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, a.line - nodes.flow_1, c),
-        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, b.line - nodes.flow_2, c),
+    whole = Circuit(
+        {
+            **circuit.lines(u),
+            "swing_pressure_a": Node(x.swing_pressure_a, "C_1", p.line_capacitance),
+            "swing_pressure_b": Node(x.swing_pressure_b, "C_2", p.line_capacitance),
+        },
+        {**spool_valve.branches(ports, *LINES), **motor.branches(LINES, *drive.motor(u, p))},
     )
+    flows = {"swing_flow_a": ports[0].line, "swing_flow_b": ports[1].line}
+    return Drive(whole, sensed(p, u.swing_command, u.swing_command_rate), shown=flows)
 
 
-def observe(x: LinePressures, u: SwingInputs, p: QuasistaticSwingParameters) -> SwingOutputs:
-    """Outputs."""
-    valve, nodes = _ports(x, u, p)
-    rates, flows = drive.pressures(dynamics(x, u, p)), (valve[0].line, valve[1].line)
-    outputs = drive.observe(p, u, x, rates, flows, valve, nodes)
-    energy = sum(chamber.stored_energy(q, p.line_capacitance) for q in drive.pressures(x))
-    return SwingOutputs(**outputs, stored_energy=energy)
-
-
-SWING = at_temperature(
-    drive.variant(
-        text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
-        parameters=QuasistaticSwingParameters,
-        states=LinePressures,
-        outputs=SwingOutputs,
-        dynamics=dynamics,
-        observe=observe,
-        initial=drive.initial_pressures,
-        require=drive.require,
-        derive=drive.derive_capacitance,
-        validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
-        stiff=False,
-    )
+SWING = drive.variant(
+    _drive,
+    LinePressures,
+    SwingOutputs,
+    text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
+    parameters=QuasistaticSwingParameters,
+    initial=drive.initial_pressures,
+    require=drive.require,
+    derive=drive.derive_capacitance,
+    validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
+    stiff=False,
 )

@@ -16,6 +16,7 @@ from kit.properties import examples
 from scipy.optimize import brentq
 
 from fmus.components import cylinder, motor, spool_valve
+from fmus.components.circuit import TANK, Node
 from fmus.contract import column, quantities, symbolic
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
@@ -130,14 +131,17 @@ def test_no_subsystem_creates_power(name, seed):
 def test_motor_turns_all_power_that_it_does_not_leak(p_a, p_b, tank, speed):
     """Power of both lines = D w (P_1 - P_2) + tank's share + losses of lines and leakage, none negative."""
     d, r, r_in, r_ex = 1.5e-3, 6.2e6, 2e12, 1.1e12
-    n = motor.nodes(p_a, p_b, tank, d * speed, r, r, r_in, r_ex)
-    p1, p2 = n.pressure_1, n.pressure_2
-    lines, leakage = r * (n.flow_1**2 + n.flow_2**2), (p1 - p2) ** 2 / r_in
+    nodes = {"a": Node(p_a), "b": Node(p_b), TANK: Node(tank)}
+    circuit = motor.behind_lines(nodes, ("a", "b"), ("1", "2"), r, d * speed, r_in, r_ex)
+    p1, p2, flows = circuit.pressures["1"], circuit.pressures["2"], circuit.flows
+    lines, leakage = r * (flows["line_a"] ** 2 + flows["line_b"] ** 2), (p1 - p2) ** 2 / r_in
     heat = lines + leakage + ((p1 - tank) ** 2 + (p2 - tank) ** 2) / r_ex
-    given_in = p_a * n.flow_1 + p_b * n.flow_2
-    # exact identity; rounding of up to 1e5 W
-    assert given_in == pytest.approx(d * speed * (p1 - p2) + tank * n.drain + heat, rel=1e-9, abs=1e-6)
-    assert n.flow_1 + n.flow_2 == pytest.approx(n.drain, rel=1e-6, abs=1e-15)
+    given_in = p_a * flows["line_a"] + p_b * flows["line_b"]
+    drain = circuit.into(TANK)
+    # exact identities; rounding of up to 1e5 W
+    assert given_in == pytest.approx(d * speed * (p1 - p2) + tank * drain + heat, rel=1e-9, abs=1e-6)
+    assert sum(circuit.heat().values()) == pytest.approx(heat, rel=1e-9, abs=1e-6)
+    assert -circuit.into("a") - circuit.into("b") == pytest.approx(drain, rel=1e-6, abs=1e-15)
 
 
 @given(st.floats(-0.03, 0.64), st.floats(-2.0, 2.0))

@@ -196,8 +196,8 @@ def evaluate(x: AxisState, u: AxisInputs, p: AxisParameters) -> Axis:
     return Axis(
         *port_flows(x, u, p),
         capacitances=(
-            p.head_line_capacitance + volumes[0] * chamber.compliance(oil, x.head_pressure),
-            p.rod_line_capacitance + volumes[1] * chamber.compliance(oil, x.rod_pressure),
+            p.head_line_capacitance + volumes[0] * oil.compliance(x.head_pressure),
+            p.rod_line_capacitance + volumes[1] * oil.compliance(x.rod_pressure),
         ),
         resistance=resistance,
         acceleration=(force - resistance.force - p.load + stop) / p.mass,
