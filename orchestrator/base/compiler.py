@@ -7,9 +7,8 @@ compiler.
 The key of a library in the cache is a hash of its sources, its arguments and the version of the compiler.
 The compiler's own cache identifies a source file by its path, which is of no use for temporary folders.
 
-A library is executed, so it is taken only from a folder and a file that nobody but the user can change. The
-same folder remembers which FMUs this installation has generated: only their C code may run in a process that
-nobody supervises, see `is_generated`.
+A library is executed, so it is taken only from a folder and a file that nobody but the user can change.
+The folder also has the hashes of all FMUs that this installation has generated, see `is_generated`.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import install
+from orchestrator.base.files import write_whole
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permission to write for others than the owner
@@ -131,7 +131,7 @@ def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) ->
                 return file.read_bytes()
             content = make()
             with tempfile.TemporaryDirectory(dir=folder) as temporary:
-                _write_sum(file, content, Path(temporary))
+                write_whole(_sum_file(file), _sum(content))
                 (Path(temporary) / name).write_bytes(content)
                 (Path(temporary) / name).chmod(0o600)
                 (Path(temporary) / name).replace(file)
@@ -223,22 +223,15 @@ def _is_private(file: Path) -> bool:
 def _is_whole(file: Path) -> bool:
     """True if a file of the cache is private and as it was made: the computer may have stopped meanwhile."""
     expected = _sum_file(file)
-    if not (_is_private(file) and _is_private(expected)):
-        return False
-    return expected.read_text("utf-8") == hashlib.sha256(file.read_bytes()).hexdigest()
+    return _is_private(file) and expected.is_file() and expected.read_bytes() == _sum(file.read_bytes())
 
 
 def _sum_file(file: Path) -> Path:
-    """Where the checksum of a file of the cache is."""
     return file.with_name(f"{file.name}.sha256")
 
 
-def _write_sum(file: Path, content: bytes, folder: Path) -> None:
-    """Write the checksum of a file that is going to have this content; folder: on the same disk."""
-    made = folder / "sha256"
-    made.write_text(hashlib.sha256(content).hexdigest(), "utf-8")
-    made.chmod(0o600)
-    made.replace(_sum_file(file))
+def _sum(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode()
 
 
 @cache
@@ -278,7 +271,7 @@ def _compile(
             raise _compiler_error(run)
         made = Path(folder) / name
         made.chmod(0o700)
-        _write_sum(library, made.read_bytes(), Path(folder))
+        write_whole(_sum_file(library), _sum(made.read_bytes()))
         try:
             made.replace(library)
         except OSError:  # on Windows, if another process compiled it meanwhile and has loaded it

@@ -208,17 +208,13 @@ class _Text:
             return {number: line for number, line in enumerate(lines, first) if line.strip(blank)}
         # a quote without an end takes the empty line at the end into its row
         reader = csv.reader([*lines, ""], delimiter=mark, skipinitialspace=mark != " ")
-        rows: dict[int, str | list[str]] = {}
-        begin = 0
+        rows, begin = dict[int, str | list[str]](), 0
         try:
             for cells in reader:
-                further = lines[begin + 1 : reader.line_num]
-                endless = begin < len(lines) < reader.line_num
-                if endless or any(line.count(mark) >= width - 1 for line in further):
+                inside, endless = lines[begin + 1 : reader.line_num], begin < len(lines) < reader.line_num
+                if endless or any(line.count(mark) >= width - 1 for line in inside):
                     got = "none in the file" if endless else "none before the next row"
-                    raise Problem(
-                        f"{self.file}: line {first + begin}: a quoted cell: expected its end, got {got}"
-                    )
+                    raise csv.Error(f"a quoted cell: expected its end, got {got}")
                 if "".join(lines[begin : begin + 1]).strip(blank):
                     rows[first + begin] = cells
                 begin = reader.line_num

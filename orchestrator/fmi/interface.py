@@ -185,7 +185,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         if u.declared.fault:
             raise Problem(f"modelDescription.xml line {u.line}: unit {u.name}: {u.declared.fault}")
     declared = list(_with_aliases(description))
-    for name, count in Counter(v.name for v in declared).items():
+    for name, count in Counter(v.name for v in declared).most_common(1):
         if count > 1:
             lines = ", ".join(str(v.line) for v in declared if v.name == name)
             raise Problem(

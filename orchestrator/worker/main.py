@@ -24,7 +24,7 @@ from typing import IO, Any
 
 from orchestrator.base.processes import remove_folder
 from orchestrator.worker.calls import share_activity, share_calls
-from orchestrator.worker.wire import DISCONNECTED, FULL, packed
+from orchestrator.worker.wire import DISCONNECTED, packed
 
 NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares
 PATIENCE = 2.0  # [s] for the parent to end this process
@@ -48,7 +48,8 @@ class Channel:
         self.keep(share_calls(folder / "calls"))
         self._owner, self._numbers = os.getpid(), self.keep(mmap.mmap(-1, NUMBER.size))
         self._input, self._answers = os.dup(sys.stdin.fileno()), os.dup(sys.stdout.fileno())
-        self._writing, self._pipe = threading.Lock(), identity(self._answers)
+        self._writing, self._pipe = threading.Lock(), os.fstat(self._answers).st_ino
+        self.descriptors = 0, 1, 2, self._input, self._answers
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what an FMU prints is no answer
         nothing = os.open(os.devnull, os.O_RDONLY)
         os.dup2(nothing, sys.stdin.fileno())  # what an FMU reads is no message
@@ -76,10 +77,10 @@ class Channel:
             (number,) = NUMBER.unpack(self._numbers[:])
             parts = packed(number, name, content)
             self._numbers[:] = NUMBER.pack(number + 1)
-            if identity(self._answers) != self._pipe:  # an FMU has put another file in its place
-                self._lost()
             try:
                 make_blocking(self._answers)
+                if os.fstat(self._answers).st_ino != self._pipe:  # an FMU has put a file in its place
+                    self._lost()
                 for part in parts:
                     rest = memoryview(part)
                     while rest:
@@ -94,10 +95,6 @@ class Channel:
                 self.end()
             time.sleep(0.01)
         os._exit(DISCONNECTED)
-
-    def identities(self) -> list[tuple[int, ...]]:
-        """What the standard streams and the connection to the parent are."""
-        return [identity(descriptor) for descriptor in (0, 1, 2, self._input, self._answers)]
 
     def keep(self, memory: mmap.mmap) -> mmap.mmap:
         """Keep a map of shared memory to this process: one that an FMU forks ends where it would write there.
@@ -133,7 +130,7 @@ class Channel:
                 make_blocking(self._input)
                 self._messages.put(pickle.load(source))
         except Exception as error:  # of any kind, for what an FMU has written to the pipe
-            if not isinstance(error, EOFError):
+            if not isinstance(error, EOFError) and "truncated" not in str(error):
                 os._exit(DISCONNECTED)
             self.ended.set()
             self._messages.put(_END_OF_INPUT)
@@ -142,14 +139,6 @@ class Channel:
             while os.getppid() == self._parent and time.monotonic() < end:
                 time.sleep(0.05)  # the parent also ends what this process has started
             self.end(DISCONNECTED)
-
-
-def identity(descriptor: int) -> tuple[int, ...]:
-    """What a file descriptor stands for; empty if it is closed."""
-    with suppress(OSError):
-        found = os.fstat(descriptor)
-        return found.st_dev, found.st_ino
-    return ()
 
 
 def make_blocking(descriptor: int) -> None:
@@ -165,12 +154,13 @@ def left_behind(channel: Channel, threads: bool = True) -> tuple[Any, ...]:
     same FMU.
     """
     names = (*(("Threads",) if threads else ()), "SigBlk", "SigIgn", "SigCgt")
-    found: list[Any] = [locale.setlocale(locale.LC_NUMERIC), *channel.identities()]
+    found: list[Any] = [locale.setlocale(locale.LC_NUMERIC)]
     process = Path("/proc/self")
     with suppress(OSError):  # Linux
         lines = (process / "status").read_text("utf-8", "replace").splitlines()
         found += [line for line in lines if line.startswith(names)]
         found += [file.read_text("ascii") for file in process.glob("task/*/children")]
+        found += [os.readlink(process / "fd" / str(descriptor)) for descriptor in channel.descriptors]
         found.append((process / "timers").read_text("ascii"))
     if sys.platform != "win32":
         import resource
@@ -182,10 +172,7 @@ def left_behind(channel: Channel, threads: bool = True) -> tuple[Any, ...]:
 
 def main(target: str, folder: Path) -> None:
     """Run the function, then end the process without the exit handlers of FMUs."""
-    try:
-        channel = Channel(folder)
-    except OSError:
-        os._exit(FULL)
+    channel = Channel(folder)
     if sys.platform == "linux":  # the parent finds also a process whose parent has ended
         ctypes.CDLL(None).prctl(SUBREAPER, 1)
     module, _, name = target.partition(":")

@@ -29,7 +29,7 @@ from typing import Any
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.processes import remove_folder, resident_memory
 from orchestrator.worker.calls import ACTIVITY_SIZE, CALLS_SIZE, OUTSIDE, Activity, activity_in, calls_in
-from orchestrator.worker.wire import DISCONNECTED, FULL, Garbled, read_message
+from orchestrator.worker.wire import DISCONNECTED, Garbled, read_message
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 CLOSE_TIME = 0.5  # [s] from the end of its messages to its end, else it has lost its connection
@@ -192,8 +192,6 @@ class Worker:
             return self._stopped or CLOSED
         if code is None:
             return ""
-        if code == FULL:
-            return f"the process cannot write its files to {self.folder.parent}; the disk may be full"
         if code >= 0:
             return f"exit status {code}"
         name = {int(s): s.name for s in signal.Signals}.get(-code, f"signal {-code}")

@@ -32,7 +32,6 @@ MAGIC = b"hvw1"
 MOST_TEXT = 1 << 24  # bytes: 64 000 names of 250 characters
 MOST_BYTES = 1 << 27  # of arrays: 256 points of 65 000 signals; the parent keeps a few frames at most
 ARRAY = "@"
-FULL = 93  # exit status of a worker that cannot write its files
 DISCONNECTED = 94  # exit status of a worker: an FMU has closed the connection to the parent
 
 
