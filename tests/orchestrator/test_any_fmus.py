@@ -226,8 +226,9 @@ def test_a_last_successful_time_outside_of_the_step_is_none(each, monkeypatch, r
         return replace(found, reached=reached) if found.terminate else found
 
     monkeypatch.setattr(FmuInstance, "step_end", wrong)
-    system = assemble({"q": circle(each, "enough", when=0.45, how=ENOUGH).components["q"].source.path}, [])
-    result = run(system, step=0.1, stop=1.0, isolate=False)
+    path = circle(each, "enough", when=0.45, how=ENOUGH).components["q"].source.path
+    asked = {"q.when": 0.45, "q.how": ENOUGH}
+    result = run(assemble({"q": path}, []), step=0.1, stop=1.0, set=asked, isolate=False)
     assert result.trace.time[-1] == 0.5
     got = f"at t = {reached:.9g} s, a time outside of the step from 0.5 s to 0.6 s"
     assert result.card.notes[-1].endswith(got)
