@@ -94,7 +94,6 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         text="Detailed hydraulic swing drive: spool dynamics, lines, motor and gear, air, relief valves",
         parameters=DetailedSwingParameters,
         initial=partial(_initial, states),
-        require=drive.require,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
     )
     others = {"lumped": lumped.SWING, "compensated": compensated.SWING}

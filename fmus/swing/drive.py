@@ -128,11 +128,20 @@ TERMINALS: tuple[Terminal, ...] = (
 
 
 def variant(
-    drive: Callable[[Any, SwingInputs, Any], Drive], states: type[Any], outputs: type[Any], **others: Any
+    drive: Callable[[Any, SwingInputs, Any], Drive],
+    states: type[Any],
+    outputs: type[Any],
+    text: str,
+    parameters: type[Any],
+    initial: Callable[[Any, Any, Any], Mapping[str, Scalar]],
+    validity: str,
+    require: Callable[[Any, Any, Any], Mapping[str, Scalar]] = require,
+    derive: Callable[[Any], Mapping[str, Scalar]] = lambda _: {},
+    stiff: bool = True,
 ) -> Subsystem:
-    """A variant with the parameters of warm oil; others: as in `Subsystem`.
+    """A variant with the parameters of warm oil; the others are those of `Subsystem`.
 
-    drive   (x, u, p) -> the drive
+    drive   (x, u, p) -> drive
     """
 
     def observe(x: Any, u: SwingInputs, p: Any) -> Any:
@@ -151,6 +160,12 @@ def variant(
             circuits=lambda x, u, p: {"swing": drive(x, u, p).circuit},
             values=PARAMETERS,
             terminals=TERMINALS,
-            **others,
+            text=text,
+            parameters=parameters,
+            initial=initial,
+            require=require,
+            derive=derive,
+            validity=validity,
+            stiff=stiff,
         )
     )

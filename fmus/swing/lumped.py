@@ -68,7 +68,6 @@ SWING = drive.variant(
     text="Hydraulic swing drive: spool valve, lines, motor and gear",
     parameters=SwingParameters,
     initial=initial,
-    require=drive.require,
     derive=drive.derive,
     validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
 )

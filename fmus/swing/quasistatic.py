@@ -44,7 +44,6 @@ SWING = drive.variant(
     text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
     parameters=QuasistaticSwingParameters,
     initial=drive.initial_pressures,
-    require=drive.require,
     derive=drive.derive_capacitance,
     validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
     stiff=False,

@@ -204,7 +204,7 @@ def _converted(
     if value.fault:
         raise Problem(value.fault)
     inlet = system.inputs.get(value.name)
-    text = str(inlet.items.get(value.text.strip(), value.text)) if inlet else value.text
+    text = str(inlet.number(value.text)) if inlet else value.text
     if inlet and system.passed(value.name):
         port, to_unit = Port("", value.name), value.map_to(inlet.unit, context, notes)
         yield port, coerce(context, system.variable(port), text, to_unit)

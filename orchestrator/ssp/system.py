@@ -122,6 +122,10 @@ class Inlet:
     items: Mapping[str, int] = field(default_factory=dict)
     start: Value | None = None
 
+    def number(self, given: Value | str) -> Value | str:
+        """The number of an item of the enumeration; any other value as it is."""
+        return self.items.get(str(given).strip(), given)
+
 
 @dataclass(frozen=True)
 class Outlet:
@@ -380,7 +384,7 @@ class System:
         connected = {c.target: c for c in self.connections}
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
         for name, given in values.items():
-            given = self.inputs[name].items.get(str(given).strip(), given) if name in self.inputs else given
+            given = self.inputs[name].number(given) if name in self.inputs else given
             if self.passed(name):
                 value, to_unit = self._without_unit(name, port := Port("", name), given)
                 start[""][name] = coerce(name, self.variable(port), value, to_unit)
