@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from orchestrator.check.finding import MAKE, Finding, note
@@ -19,6 +19,7 @@ from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
 
 MAX_VARIABLES = 20_000  # in a run; each of 50 tasks needs 1 s for 20 000 variables
 KINDS = ("CoSimulation", "ModelExchange")
+ONCE = "canBeInstantiatedOnlyOncePerProcess"
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,15 @@ def _first_run(subject: Subject) -> FirstRun:
 
     loaded = outcomes(kinds, "loading:load")
     ran = outcomes([k for k in kinds if not loaded[k].failed], "values:default")
+    for kind in [k for k in ran if ran[k].failure and not ran[k].late]:
+        entry = model.interfaces[kind]
+        once = replace(entry, attributes={**entry.attributes, ONCE: "true"})
+        single = replace(model, interfaces={**model.interfaces, kind: once})
+        outcome = run(folder, single, kind, "values:default")
+        if outcome.result is not None:
+            text = f"{ran[kind].failure} of a second instance in one process, expected {ONCE} to be declared"
+            outcome.remarks.append(("error", f"{text}; other probes make one instance each"))
+            model, ran[kind] = single, outcome
     return FirstRun(loaded, ran, model=model)
 
 

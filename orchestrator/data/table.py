@@ -113,6 +113,7 @@ def _read_text(
 ) -> Columns:
     text = _Text(file, form or TextFormat(), has_description=form is not None)
     header, first, lines = text.split_header(named)
+    header, lines = text.without_last_delimiter(header, lines)
     indices = _column_indices(header, names, str(file), f"line {text.form.skip_lines + 1}: ")
     rows = text.rows(lines, first, len(header))
     del lines
@@ -241,6 +242,15 @@ class _Text:
             expected = f"expected cells separated by {self.delimiter!r} ({origin})"
             raise Problem(f"{self.file}: line {number}: {expected}, got {other!r}{hint}")
 
+    def without_last_delimiter(self, header: list[str], lines: list[str]) -> tuple[list[str], list[str]]:
+        """Names and lines without the delimiter at the end of each line, which some tools write."""
+        mark, filled = self.mark, [line.rstrip() for line in lines if line.strip()]
+        if not mark or not filled or not all(line.endswith(mark) for line in filled):
+            return header, lines
+        names, last = header[:-1] if header[-1] == "" else header, len(_cells(filled[0], mark)[0]) - 1
+        without = [line.rstrip().removesuffix(mark) for line in lines]
+        return (names, without) if last == len(names) else (header, lines)
+
     def check_widths(self, rows: Mapping[int, str | list[str]], width: int) -> None:
         """Refuse a row with fewer or more cells than the row of names."""
         for number, row in rows.items():
@@ -325,11 +335,12 @@ def _name_list(names: Sequence[str]) -> str:
 
 
 def _number(cell: str) -> float | None:
-    """The number in a cell, NaN for a gap, None for any other text."""
+    """The number in a cell, 1 for true, 0 for false, NaN for a gap, None for any other text."""
     try:
         return float(cell)
     except ValueError:
-        return math.nan if cell.strip().lower() in GAP_MARKS else None
+        word = cell.strip().lower()
+        return math.nan if word in GAP_MARKS else {"true": 1.0, "false": 0.0}.get(word)
 
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
@@ -363,6 +374,8 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
     import pyarrow
 
     column_type, types = column.type, pyarrow.types
+    if types.is_boolean(column_type):
+        column, column_type = column.cast(pyarrow.int8()), pyarrow.int8()
     if types.is_integer(column_type) or types.is_floating(column_type) or types.is_decimal(column_type):
         return np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
     if types.is_string(column_type) or types.is_large_string(column_type):

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.files import Location, require
+from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.signals import found, matching
 from orchestrator.base.text import first_names
@@ -33,7 +33,23 @@ if TYPE_CHECKING:
 
 TIME = "time"
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
-JUMP = 1e-6  # s, in which a scenario goes from one row to the next one with the same time
+JUMP = 1e-6  # s, in which signals go from one row to the next one with the same time
+SAME_ROW = 4  # units in the last place of a time: rows of one event, whose time was computed twice
+# Times are equal if they differ by this fraction of the interval between them and their neighbours, or in the
+# last of these digits, which a text file may have, but never by more than the last fraction of an interval.
+SAME_TIME, TIME_DIGITS, LARGEST_ROUNDING = 1e-6, 1e-9, 1e-3
+
+
+def rounding(time: ArrayLike, interval: float) -> Array:
+    """Largest difference of equal times [s], near a time [s], if other times are an interval [s] apart."""
+    largest = np.abs(TIME_DIGITS * np.asarray(time, np.float64))
+    return np.asarray(np.clip(largest, SAME_TIME * interval, LARGEST_ROUNDING * interval))
+
+
+def inside(time: Array, start: float, stop: float) -> NDArray[np.bool_]:
+    """Whether each of these increasing times [s] is in a window, or equal to its ends up to rounding."""
+    margin = rounding(time, np.ptp(time) / (len(time) - 1)) if len(time) > 1 else 0.0
+    return np.asarray((time >= start - margin) & (time <= stop + margin))
 
 
 class Units(dict[str, str]):
@@ -191,13 +207,13 @@ class Trace(Mapping[str, Array]):
         """The samples from `start` to `stop`, [s] or such as "2 s", at least two; default: all."""
         start, stop = seconds(start, "start"), seconds(stop, "stop")
         first, last = (-np.inf if start is None else start), (np.inf if stop is None else stop)
-        inside = (self.time >= first) & (self.time <= last)
-        if len(self.time) and (start is not None or stop is not None) and inside.sum() < 2:
-            got = f"got {inside.sum()}; the samples cover {self.time[0]:g} to {self.time[-1]:g} s"
+        chosen = inside(self.time, first, last)
+        if len(self.time) and (start is not None or stop is not None) and chosen.sum() < 2:
+            got = f"got {chosen.sum()}; the samples cover {self.time[0]:g} to {self.time[-1]:g} s"
             raise Problem(f"time window {first:g} to {last:g} s: expected two or more samples, {got}")
-        if inside.all():
+        if chosen.all():
             return self
-        return self._with({n: v[inside] for n, v in self.signals.items()}, self.time[inside])
+        return self._with({n: v[chosen] for n, v in self.signals.items()}, self.time[chosen])
 
     def select(self, names: Iterable[str]) -> Self:
         """The trace with only these signals, in this order."""
@@ -207,12 +223,12 @@ class Trace(Mapping[str, Array]):
 Data: TypeAlias = "Trace | Mapping[str, ArrayLike] | pd.DataFrame"  # signals over time in memory
 
 
-def as_trace(data: Data, name: str = "data", jumps: bool = False) -> Trace:
+def as_trace(data: Data, name: str = "data") -> Trace:
     """A trace from columns: a mapping or a pandas DataFrame with a column `time` [s].
 
     The index of a DataFrame can be the time instead, if it is named `time`. Raises Problem, beginning with
     `name`, for columns of different lengths, times that do not increase, and values that are no numbers.
-    jumps: see `read_trace`.
+    Rows of one time: see `read_trace`.
     """
     if isinstance(data, Trace):
         return data
@@ -234,14 +250,14 @@ def as_trace(data: Data, name: str = "data", jumps: bool = False) -> Trace:
         if samples.shape != (expected := values[TIME].shape) or samples.ndim != 1:
             told = f"expected a vector of one number for each time, got shape {samples.shape}"
             raise Problem(f"{name}: column {column!r}: {told}, and {expected} of the time")
-    return _checked(Columns(name, values, range(1, 1 + len(values[TIME]))), jumps)
+    return _checked(Columns(name, values, range(1, 1 + len(values[TIME]))))
 
 
-def read_trace(path: str | Path | Location, jumps: bool = False) -> Trace:
+def read_trace(path: str | Path | Location) -> Trace:
     """Read a trace from a .csv, .parquet or .mat file, on disk or inside an archive.
 
-    jumps   two rows may have the same time, as in a scenario: the first one is moved 1 us back, or to the
-            middle of a shorter interval, and left out at the beginning
+    Two rows at one time are the limits from the left and from the right: the first one is moved 1 us back, or
+    to the middle of a shorter interval, and left out at the beginning. Rows between them are left out.
     """
     file = path if isinstance(path, Location) else Location(require(path, SUFFIXES))
     check_suffix(str(file))
@@ -252,7 +268,7 @@ def read_trace(path: str | Path | Location, jumps: bool = False) -> Trace:
     if first != TIME:
         where = "line 1: " if columns.row_word == "line" else ""
         raise Problem(f"{file}: {where}expected the first column to be named {TIME!r}, got {first!r}")
-    trace = _checked(columns, jumps)
+    trace = _checked(columns)
     return trace if file.members or columns.units else replace(trace, units=_units_of_run(file.path, trace))
 
 
@@ -266,7 +282,7 @@ def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
         return {}
 
 
-def _checked(columns: Columns, jumps: bool) -> Trace:
+def _checked(columns: Columns) -> Trace:
     """The trace; refuses empty rows, missing samples, times that do not increase, and missing rows."""
     time, rows = columns.values[TIME].copy(), np.asarray(columns.rows)
     for k in np.flatnonzero(np.diff(rows) > 1)[:1]:
@@ -276,20 +292,23 @@ def _checked(columns: Columns, jumps: bool) -> Trace:
         if (missing := np.isnan(values)).any():
             location = columns.location(int(missing.argmax()))
             raise Problem(f"{location}: column {name!r}: expected a number, got none")
-    equal = jumps & (np.diff(time) == 0)
-    # more than two equal times stay, and are refused
-    for k in np.flatnonzero(equal & ~np.append(equal[1:], False)):
-        time[k] -= min(JUMP, (time[k] - time[k - 1]) / 2) if k else JUMP
-    kept = slice(int(equal[:1].any()), None)
     steps = np.diff(time)
-    for k in np.flatnonzero(steps <= 0)[:1]:
+    equal = np.abs(steps) <= SAME_ROW * np.spacing(np.abs(time[1:]))
+    for k in np.flatnonzero((steps <= 0) & (~equal | equal.all()))[:1]:
         raise Problem(f"{columns.location(k + 1)}: expected a time after {time[k]!s} s, got {time[k + 1]!s}")
+    has_earlier, has_later = np.append(False, equal), np.append(equal, False)  # rows of the same time
+    for k in np.flatnonzero(has_earlier & has_later)[:1]:
+        tell_once(f"{columns.location(k)}: of more than two rows at one time the first and the last are read")
+    for k in np.flatnonzero(has_later & ~has_earlier):
+        time[k] -= min(JUMP, (time[k] - time[k - 1]) / 2) if k else JUMP
+    kept = np.flatnonzero(~(has_earlier & has_later))[int(equal[:1].any()) :]
+    time, steps = time[kept], np.diff(time[kept])
     if (gap := _gap(steps)) is not None:
         expected = f"a sample every {np.median(steps):.6g} s"
         interval = f"between {time[gap]!s} and {time[gap + 1]!s} s"
-        raise Problem(f"{columns.location(gap + 1)}: expected {expected}, got none {interval}")
+        raise Problem(f"{columns.location(kept[gap + 1])}: expected {expected}, got none {interval}")
     signals = {name: values[kept] for name, values in columns.values.items() if name != TIME}
-    return Trace(time[kept], signals, {n: u for n, u in columns.units.items() if n in signals})
+    return Trace(time, signals, {n: u for n, u in columns.units.items() if n in signals})
 
 
 def check_suffix(path: str | Path) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from orchestrator.base.errors import Problem
 from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.result import (
     BondEnergy,
@@ -22,7 +22,7 @@ from orchestrator.engine.result import (
     unreliable_errors,
 )
 from orchestrator.engine.scenario import Scenario
-from orchestrator.engine.time_grid import SAME_TIME, Grid
+from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.messages import Log
 from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
 from orchestrator.ssp.provenance import Provenance

@@ -50,13 +50,14 @@ class RunningComponent:
     input_writes   calls that set `values`, if there are any, and `derivatives`
     output_reads   calls that read the outputs that other components use
     slope_reads    calls that read the slopes of those outputs, if the FMU gives them
+    simplified     coupling inputs of which the FMU follows a lower degree than the master asks for
     held_inputs    calls that set the inputs that cannot change inside a step to the newest value of their
                    source, for sequential masters
     """
 
     def __init__(self, slave: Slave, struct: Any) -> None:
         self.slave, self.struct = slave, struct
-        self.inputs = range(0)
+        self.inputs, self.simplified = range(0), set[str]()
         self.output_reads: Sequence[Call] = ()
         self.slope_reads: Sequence[Call] = ()
         self.held_inputs: Sequence[Call] = ()
@@ -77,8 +78,9 @@ class RunningComponent:
         self.inputs = range(first, first + len(inputs))
         if not inputs:
             return
-        self.struct.simplifies_inputs = any(s.fmu_degree < s.requested_degree for s in inputs)
-        if self.struct.substeps > 1 or self.struct.simplifies_inputs or jumps:
+        pairs = zip(names, inputs, strict=True)
+        self.simplified = {n for n, s in pairs if s.fmu_degree < s.requested_degree}
+        if self.struct.substeps > 1 or self.simplified or jumps:
             # degree 0: the input is only watched and held over the step; other calls set it
             with_values = [n for n, s in zip(names, inputs, strict=True) if s.requested_degree]
             self.values = np.zeros(len(with_values))
@@ -219,8 +221,8 @@ class Network:
     passed           inputs of the system that its outputs pass on, with their start values
     connections      connections to inputs
     loops            potential algebraic loops
-    exchange_calls   all calls of one exchange, in order, except those for the driven inputs, which are set
-                     before
+    exchange_calls   all calls of one exchange, in order, except `first_reads`, of the outputs of stage 0, and
+                     those that set the driven inputs after them
     """
 
     def __init__(
@@ -242,12 +244,13 @@ class Network:
         self.components = {
             name: RunningComponent(slave, self._structs[k]) for k, (name, slave) in enumerate(slaves.items())
         }
-        self.order: OutputOrder = output_order(system)
         self._influential = influential_inputs(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
         self.rates = scenario.rates(system) if scenario else {}
         driven = [*scenario.columns, *self.rates] if scenario else []
+        self.order: OutputOrder = output_order(system, driven)
+        self._stages = max(self.order.count, 2 if driven else 1)
         output_blocks, input_blocks = self._allocate(recorded, driven)
         self.passed = system.passed_starts(scenario.passed if scenario else ())
         for port, value in self.passed.items():
@@ -257,6 +260,7 @@ class Network:
         self._block_of = {port: i for i, (_, block) in enumerate(self._blocks) for port in block.ports}
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)
         self.loops = [AlgebraicLoop(self.binding, slaves, cycle) for cycle, _ in self.order.cycles]
+        self.first_reads = [self._get_call(array, b) for array, b in output_blocks if 0 in b.stages]
         self.exchange_calls = self._exchange(output_blocks, input_blocks)
         self.driven: DrivenInputs | None = None
         if scenario:
@@ -274,10 +278,13 @@ class Network:
 
     # ---- calls
 
+    def connected_outputs(self, component: str) -> set[Port]:
+        """The outputs of a component that feed inputs."""
+        return {c.source for c in self.connections if c.source.component == component}
+
     def get_output_calls(self, component: str) -> list[Call]:
         """Calls that read all connected outputs of a component, for sequential masters."""
-        sources = {c.source for c in self.connections if c.source.component == component}
-        return [self._get_call(*block) for block in self._blocks_of(sources)]
+        return [self._get_call(*block) for block in self._blocks_of(self.connected_outputs(component))]
 
     def copy_and_set_calls(self, connections: Sequence[Connection]) -> list[Any]:
         """Calls that copy values along connections and set the inputs."""
@@ -327,7 +334,6 @@ class Network:
 
     def _allocate(self, recorded: Iterable[Port] | None, driven: Iterable[Port]) -> tuple[Blocks, Blocks]:
         """Assign indices to outputs, recorded ports and fed inputs; returns the blocks to read and to set."""
-        last_stage = max(self.order.count - 1, 0)
         requested = set(self.order.stages if recorded is None else recorded)
         requested |= {c.source for c in self.connections}
         numeric = {p for p in requested if self.system.variable(p).kind != "String"}
@@ -340,7 +346,8 @@ class Network:
         inputs |= {p: (SCENARIO_STAGE,) for p in driven}
         read = [o.source for o in self.system.outputs.values() if o.source.component]  # also local variables
         others = [*self.system.exposed, *read] if recorded is None else recorded
-        outputs |= {p: (last_stage,) for p in others if p not in outputs and p not in inputs}
+        given, last = {*self.system.ports("input")}, self._stages - 1
+        outputs |= {p: (0 if p in given else last,) for p in others if p not in outputs and p not in inputs}
         output_blocks, input_blocks = Blocks(), Blocks()
         for array in (self.reals, self.integers):
             for stages, blocks in ((outputs, output_blocks), (inputs, input_blocks)):
@@ -355,8 +362,8 @@ class Network:
         connections = [c for c in self.connections if c.target not in loop_inputs]
         for loop in self.loops:
             loop.set_indices(self.reals.indices(loop.inputs), self.reals.indices(loop.outputs))
-        for stage in range(max(self.order.count, 1)):
-            calls += [self._get_call(array, b) for array, b in output_blocks if stage in b.stages]
+        for stage in range(self._stages):
+            calls += [self._get_call(array, b) for array, b in output_blocks if stage and stage in b.stages]
             loops_with_stages = zip(self.loops, self.order.cycles, strict=True)
             calls += [loop.instruction for loop, (_, stages) in loops_with_stages if stage in stages]
             calls += self._copies([c for c in connections if stage in self.order.stages[c.source]])
@@ -377,7 +384,7 @@ class Network:
         sim.saved_reals, sim.saved_integers = binding.at(saved_reals), binding.at(saved_integers)
         sim.real_count, sim.integer_count = len(saved_reals), len(saved_integers)
         sim.input_ends = binding.at(self.input_ends)
-        sim.exchange = binding.program(self.exchange_calls)
+        sim.first_reads, sim.exchange = map(binding.program, (self.first_reads, self.exchange_calls))
         sim.loops = binding.at(np.array([loop.address for loop in self.loops], np.uint64))
         sim.loop_count = len(self.loops)
         # slopes of outputs of each stage need those of the one before

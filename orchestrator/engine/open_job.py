@@ -110,6 +110,7 @@ def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
 
     In a system of several FMUs the others are not there, so its last row is the last communication point.
     """
+    t = float(loop.times.aligned(np.array([t]))[0])
     if len(loop.network.slaves) == 1 and t > loop.state.t:
         loop.recorder.collect()
         loop.recorder.end_at(t, job.scenario.initial(job.system, t) if job.scenario else {})
@@ -278,7 +279,8 @@ class SimulationLoop:
         slaves, times, restore = self.network.slaves, self.times, partial(_restore_environment, self._binding)
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
         tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
-        initialise(job.system, slaves, driven, (times.start, times.stop), tolerances, restore)
+        stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
+        initialise(job.system, slaves, driven, (times.start, stop), tolerances, restore)
         self._binding.changed = partial(_warn_of_change, [*slaves.values()])
 
     # ---- the run
@@ -319,7 +321,7 @@ class SimulationLoop:
         """Fill all structures but that of the errors."""
         binding, network, order = self._binding, self.network, self._plan.order
         self._fill_times(self.times)
-        self._plan_rollback(self.times)
+        self._plan_rollback()
         network.fill()
         if driven := network.driven:
             driven.fill(binding, [self._inputs.ports.index(p) for p in driven.continuous])
@@ -342,17 +344,16 @@ class SimulationLoop:
             sim.error_tolerance = c.tolerance
             sim.by_energy = c.by_energy
 
-    def _plan_rollback(self, times: Grid) -> None:
+    def _plan_rollback(self) -> None:
         """Decide which components save their states or step in halves, and whether all can go back."""
         iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
         saves = iterates or (self._control is not None and self._control.repeats)
-        for c in self._components:
-            interface = c.slave.interface
+        pairs = [(c, c.slave.interface) for c in self._components]
+        for c, interface in pairs:
             c.struct.rollback = saves and interface.rollback
-            c.struct.fixed_step = 0.0 if interface.variable_step else times.step / c.struct.substeps
             c.struct.halved = self._plan.halves and c.struct.substeps == 1 and interface.variable_step
         self.state.saves = saves
-        self.state.rollback = all(c.struct.rollback and not c.struct.fixed_step for c in self._components)
+        self.state.rollback = all(c.struct.rollback and i.variable_step for c, i in pairs)
 
     def _fill_plan(self, order: Sequence[int], prediction: LinearPrediction | None) -> None:
         """Fill the plan, the coupling inputs, and the calls between the steps of two components."""
@@ -364,6 +365,12 @@ class SimulationLoop:
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
             component.output_reads = network.get_output_calls(name) if reads_outputs else []
+            # without feed-through outputs are the same before these inputs are set exactly: FMI 2.0, 4.2.4
+            read = network.connected_outputs(name) if reads_outputs else ()
+            direct = (u for y in read for u in component.slave.interface.direct_inputs(y.variable))
+            wide = component.simplified
+            needed = wide if component.slope_reads else wide.intersection(direct)
+            component.struct.simplifies_inputs = len(needed) > 0
             component.fill_inputs_and_outputs(self._binding)
             component.struct.repeated = k in plan.repeated
         at = self._binding.at

@@ -50,6 +50,7 @@ from orchestrator.engine.time_grid import (
     grid,
     record_interval,
     step_length,
+    with_events,
 )
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, take_coupling
@@ -190,9 +191,10 @@ class Request:
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
         divides = coupling.adaptive is not None or guarded(system, coupling)
-        corners = driving.table.corners() if driving and divides else ()
         span, fitted = (self.step, self.start, self.stop), self.execution.accuracy is not None
-        times = grid(system, trace, *span, record.step, fitted, corners)
+        times = grid(system, trace, *span, record.step, fitted)
+        driving = driving and replace(driving, table=driving.table.on(times))
+        times = with_events(times, driving.table.corners() if driving and divides else ())
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
         return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
@@ -203,8 +205,8 @@ def scenario_trace(scenario: ScenarioSource) -> tuple[ScenarioSource, Trace | No
     if isinstance(scenario, str | Path):
         scenario = find(scenario, SUFFIXES)
     if isinstance(scenario, Path | Location):
-        return scenario, read_trace(scenario, jumps=True), str(scenario)
-    return scenario, None if scenario is None else as_trace(scenario, "scenario", jumps=True), "scenario"
+        return scenario, read_trace(scenario), str(scenario)
+    return scenario, None if scenario is None else as_trace(scenario, "scenario"), "scenario"
 
 
 def requested(

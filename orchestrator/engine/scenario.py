@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from orchestrator.ssp.system import Port, System
 
 if TYPE_CHECKING:
     from orchestrator.engine.c_library import Binding
+    from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.calls import Call
 
 MAX_INTEGER = 2**31 - 1
@@ -41,6 +43,15 @@ class ScenarioTable:
         self._base = np.concatenate([columns[:1], columns])
         anchor = np.concatenate([time[:1], time]).astype(np.float64)
         self.arrays = time.astype(np.float64), self._base, self._slopes, anchor
+
+    def on(self, times: Grid) -> ScenarioTable:
+        """The table whose samples at communication points have exactly their times, whatever the rounding."""
+        time = times.aligned(self.arrays[0])
+        if np.array_equal(time, self.arrays[0]):
+            return self
+        table = copy(self)
+        table.arrays = time, self._base, self._slopes, np.concatenate([time[:1], time])
+        return table
 
     def interval(self, t: float) -> int:
         """Index of the interval that contains t; interval 0 is before the first sample."""
@@ -178,7 +189,10 @@ def _check_integers(variable: FmuVariable, values: NDArray[np.float64], context:
 def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearTransformation], ...]:
     """The inputs that a column drives."""
     try:
-        targets = system.targets(name)
+        tuned = [p for p in system.ports("parameter") if p.variable == name and _tunable(system.variable(p))]
+        is_input = name in system.inputs or name in {p.variable for p in system.ports("input")}
+        meant = [name] if is_input or not tuned else [*map(str, tuned)]
+        targets = tuple(target for one in meant for target in system.targets(one))
     except Problem as problem:
         if isinstance(problem, Unsupported) or name in {p.variable for p in system.ports("input")}:
             raise Problem(f"{label}: column {problem}") from None
@@ -191,10 +205,15 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
         ) from None
     for port, _ in targets:
         variable = system.variable(port)
-        if variable.causality != "input" or variable.kind == "String":
+        if (variable.causality != "input" and not _tunable(variable)) or variable.kind == "String":
             got = f"{variable.kind} {variable.causality}{f' {port}' * (name != str(port))}"
-            raise Problem(f"{label}: column {name!r}: expected an input, got a {got}")
+            raise Problem(f"{label}: column {name!r}: expected an input or a tunable parameter, got a {got}")
     return targets
+
+
+def _tunable(variable: FmuVariable) -> bool:
+    """Is it a parameter that may be set at communication points (FMI 2.0.5, 2.2.7)?"""
+    return variable.causality == "parameter" and variable.variability == "tunable"
 
 
 # ---- for the engine in C

@@ -6,14 +6,18 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, ulp
 
+import numpy as np
+
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace
+from orchestrator.data.table import Array
+from orchestrator.data.trace import SAME_TIME, Trace, rounding
 from orchestrator.ssp.coupling import OVERRIDE_HINT
 from orchestrator.ssp.system import System
 
 DEFAULT_STEP = 1e-3  # [s], without any suggestion
-SAME_TIME = 1e-9  # times closer than this fraction of the step are equal
 RESOLUTION = 1000  # shortest step over the rounding unit of the times, so that steps are equal to 0.1 %
+SAME_EVENT = 1e-9  # of the step: corners of a scenario that are closer, such as one at a point, are one
+DEFAULT_DURATION = 1.0  # [s], without any suggestion, as in FMPy
 MAX_STEPS = 10**12  # some weeks of the fastest FMUs
 RECORD_STEP = 5e-3  # [s], of the command line: 200 Hz, the sampling rate of the paper
 
@@ -43,6 +47,23 @@ class Grid:
     def stop(self) -> float:
         return self.start + self.steps * self.step
 
+    def announced_stop(self, parts: int) -> float:
+        """The stop time [s] for FMUs, which the last of equal parts of the last step may pass by rounding."""
+        last = self.start + (self.steps - 1) * self.step
+        return max(self.stop, last + self.step * (parts - 1) / parts + self.step / parts)
+
+    def aligned(self, times: Array) -> Array:
+        """These increasing times [s]; those that equal a communication point up to rounding are that point.
+
+        Of several times that equal one point only the nearest is: the others are the foot of a jump.
+        """
+        points = self.start + np.rint((times - self.start) / self.step) * self.step
+        off, one = np.abs(times - points), points[1:] == points[:-1]
+        equal = off <= rounding(points, self.step)
+        equal[1:] &= ~(one & (off[1:] > off[:-1]))
+        equal[:-1] &= ~(one & (off[:-1] >= off[1:]))
+        return np.where(equal, points, times)
+
     @property
     def rows(self) -> int:
         """Number of recorded points."""
@@ -67,7 +88,6 @@ def grid(
     stop: float | None,
     record_step: float | None = None,
     fitted: bool = False,
-    events: Iterable[float] = (),
 ) -> Grid:
     """The communication points; default values are suggestions of the system and its FMUs.
 
@@ -75,12 +95,12 @@ def grid(
 
     fitted   shorten equal steps so that they divide the record step, else the time span
     """
-    begin, end = _span(system, scenario, start, stop)
+    begin, end, notes = _span(system, scenario, start, stop)
     if system.coupling is None or system.coupling.adaptive is None:
         length = step_length(system, step)
         if fitted:
             whole = record_step or end - begin
-            length = whole / ceil(whole / length * (1.0 - 1e-9))
+            length = whole / ceil(whole / length - SAME_TIME)
         try:
             points = _whole_steps(begin, end, length)
         except Problem as problem:
@@ -96,7 +116,7 @@ def grid(
         _positive("step", first)
         _check_steps("largest step", begin, end, system.coupling.step_limits[1])
         points = replace(points, first=first, free=record_step is None)
-    return _noted(with_events(points, events), scenario)
+    return _noted(replace(points, notes=notes + points.notes), scenario)
 
 
 def with_events(points: Grid, events: Iterable[float]) -> Grid:
@@ -107,7 +127,7 @@ def with_events(points: Grid, events: Iterable[float]) -> Grid:
 
 def _distinct(events: Iterable[float], points: Grid) -> Iterator[float]:
     """The events that differ from all points of the grid and from the previous event."""
-    tolerance, last = SAME_TIME * points.step, points.start
+    tolerance, last = SAME_EVENT * points.step, points.start
     for t in events:
         nearest = points.start + round((t - points.start) / points.step) * points.step
         if abs(t - nearest) > tolerance and t - last > tolerance:
@@ -117,8 +137,8 @@ def _distinct(events: Iterable[float], points: Grid) -> Iterator[float]:
 
 def _span(
     system: System, scenario: Trace | None, start: float | None, stop: float | None
-) -> tuple[float, float]:
-    """Start and stop time [s]."""
+) -> tuple[float, float, tuple[str, ...]]:
+    """Start and stop time [s], and a note if nothing suggests a stop time."""
     begin = next((t for t in (start, system.start) if t is not None), 0.0)
     end = stop
     if end is None and scenario is not None and len(scenario.time) > 1 and scenario.time[-1] > begin:
@@ -128,14 +148,16 @@ def _span(
     if end is None:
         stops = (c.interface.stop for c in system.components.values())
         end = max((t for t in stops if t is not None), default=None)
+    notes: tuple[str, ...] = ()
     if end is None:
-        raise Problem("no stop time: neither the system nor its FMUs suggest one; set --stop")
+        end, suggests = begin + DEFAULT_DURATION, "neither the system nor its FMUs suggest a stop time"
+        notes = (f"{suggests}: the run ends at {end:g} s",)
     for name, value in (("start time", begin), ("stop time", end)):
         if not isfinite(value):
             raise Problem(f"{name}: expected a finite time, got {value:g} s")
     if not end > begin:
         raise Problem(f"stop time: expected more than the start time {begin:g} s, got {end:g} s")
-    return begin, end
+    return begin, end, notes
 
 
 def step_length(system: System, step: float | None) -> float:
@@ -159,7 +181,7 @@ def record_interval(step: float) -> float | None:
     """Record step [s] of the command line: the largest multiple of the step up to 5 ms; None: every step."""
     if not 0 < step < RECORD_STEP:
         return None
-    return int(RECORD_STEP / step + 1e-6) * step
+    return int(RECORD_STEP / step + SAME_TIME) * step
 
 
 def _steps_per_record(record_step: float | None, step: float) -> int:
@@ -168,7 +190,7 @@ def _steps_per_record(record_step: float | None, step: float) -> int:
         return 1
     ratio = record_step / step
     every = round(ratio) if isfinite(ratio) else 0
-    if every < 1 or abs(ratio - every) > 1e-6 * every:
+    if every < 1 or abs(ratio - every) > SAME_TIME * every:
         raise Problem(f"record step: expected a multiple of the step {step:g} s, got {record_step:g} s")
     return every
 
@@ -208,11 +230,11 @@ def _whole_steps(start: float, end: float, step: float, name: str = "step") -> G
     """The grid of the steps that fit between start and end."""
     _positive(name, step)
     _check_steps(name, start, end, step)
-    steps = int((end - start) / step + 1e-6)
+    steps = int((end - start) / step + SAME_TIME)
     if steps < 1:
         raise Problem(f"{name}: expected at most the time from {start:g} to {end:g} s, got {step:g} s")
     points = Grid(start, step, steps, shortest_step=_shortest_step(start, end))
-    if abs(end - points.stop) > 1e-6 * step:
+    if abs(end - points.stop) > rounding(end, step):
         note = f"{end - start:g} s is not a multiple of the {name}: the run ends at {points.stop:.9g} s"
         return replace(points, notes=(note,))
     return points

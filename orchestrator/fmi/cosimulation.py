@@ -40,9 +40,7 @@ class RunningFmu:
     exchange = False
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location) -> None:
-        names = (
-            {v.reference: v.name for v in interface.variables.values()} if interface.model.major == 3 else {}
-        )
+        names = {v.mark: v.name for v in interface.variables.values()}
         self.name, self.interface, self.log = name, interface, Log(name, names)
         self._label, self._stepping = f"{name} ({fmu})", False
         self._cleanup = ExitStack()
@@ -121,10 +119,23 @@ class RunningFmu:
             names=variables,
         )
 
+    def _hint(self, variables: Sequence[str]) -> str:
+        """Why outputs are read after inputs are set without a step, which FMI 2.0 does not allow."""
+        face = self.interface
+        late = [v for v in variables if face.variables[v].causality == "output" and face.direct_inputs(v)]
+        if self.exchange or face.model.major != 2 or not late:
+            return ""
+        y = min(late, key=lambda v: face.dependencies.get(v) is not None)
+        reason = f"declares that {y} depends on {', '.join(sorted(face.direct_inputs(y)))}"
+        reason = reason if face.dependencies.get(y) is not None else f"declares no dependencies of {y}"
+        return f" (read after inputs were set, because the FMU {reason}: FMI 2.0, 4.2.4)"
+
     def reader(self, variables: Sequence[str], into: Buffer) -> Access:
         """A call that gets the variables and stores them in `into`, shape (n,)."""
         type_ = self.interface.variables[variables[0]].function_type
-        return self._access(f"Get{type_}", variables, into, type_)
+        access = self._access(f"Get{type_}", variables, into, type_)
+        access.call.check_status = partial(access.call.check_status, hint=self._hint(variables))
+        return access
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Access:
         """A call that sets the variables to `values`, shape (n,)."""

@@ -160,6 +160,11 @@ class FmuVariable(Entry):
         return self.type if self.type != "Enumeration" else "Integer" if self.fmi == 2 else "Int64"
 
     @property
+    def mark(self) -> str:
+        """How messages of the FMU name it: 12 in FMI 3.0, r12 for a Real variable in FMI 2.0 (2.1.5)."""
+        return f"{self.function_type[0].lower() if self.fmi == 2 else ''}{self.reference}"
+
+    @property
     def is_real(self) -> bool:
         return self.type in FLOATS
 

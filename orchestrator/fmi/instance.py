@@ -211,11 +211,11 @@ class FmuInstance:
         names = f" of {', '.join(variables[:3])}{', ...' * (len(variables) > 3)}" if variables else ""
         return f"{self.library.prefix}{self.name(function)}{names}"
 
-    def check_status(self, status: int, description: str) -> None:
+    def check_status(self, status: int, description: str, hint: str = "") -> None:
         """Raise CallFailed for a status worse than a warning."""
         self.worst = max(self.worst, status)
         if status != WARNING:
-            details = f"with status {status_label(status)}"
+            details = f"with status {status_label(status)}{hint}"
             raise CallFailed(self.log.error_message(f"{description} failed", details), status)
 
     def flag(self, value: bool = False) -> Any:

@@ -53,7 +53,7 @@ class LogMessage:
 class Log:
     """The log messages of one component, in order.
 
-    names     value reference -> name, for messages of FMI 3.0
+    names     `FmuVariable.mark` -> name
     limit     largest number of stored messages; further messages are only counted
     dropped   number of messages that were not stored
     on_message   called with each message that is stored
@@ -61,7 +61,7 @@ class Log:
     """
 
     component: str = ""
-    names: Mapping[int, str] = field(default_factory=dict, metadata=LOCAL)
+    names: Mapping[str, str] = field(default_factory=dict, metadata=LOCAL)
     limit: int = 1000
     messages: list[LogMessage] = field(default_factory=list)
     dropped: int = 0
@@ -91,13 +91,12 @@ class Log:
         self.clock[:] = [t, t, t + h]
 
     def add(self, status: int, text: str, category: str | None = None) -> None:
-        """Store a message; in FMI 3.0, #12# is the variable with value reference 12 and ## is #."""
+        """Store a message, with the names of variables."""
         if len(self.messages) >= self.limit:
             self.dropped += 1
             return
         text = re.sub(r"^\s*fmi[23]\w+: ", "", text)  # without the name of the function
-        text = " ".join(with_variable_names(text, self.names).split() if self.names else text.split())
-        text = one_line(text)
+        text = one_line(" ".join(with_variable_names(text, self.names).split()))
         message = LogMessage(self.time, self.component, status_label(status), text, self.clock[1], category)
         self.messages.append(message)
         if self.on_message:
@@ -134,14 +133,9 @@ class Log:
         return [*lines, f"{self.component}: {self.dropped} more messages"] if self.dropped else lines
 
 
-def with_variable_names(text: str, names: Mapping[int, str]) -> str:
-    """Replace value references in an FMI 3.0 message by names: #12# is the variable 12, ## is #."""
-
-    def name(match: re.Match[str]) -> str:
-        reference = match.group(1)
-        return names.get(int(reference), match.group()) if reference else "#"
-
-    return re.sub(r"#(\d{0,10})#", name, text)  # a value reference is below 2^32
+def with_variable_names(text: str, names: Mapping[str, str]) -> str:
+    """Replace marks in a message by names: #12# or, in FMI 2.0, #r12# is a variable, ## is #."""
+    return re.sub(r"#([ribs]?\d+)?#", lambda found: names.get(found[1], found[0]) if found[1] else "#", text)
 
 
 def _merged(group: list[LogMessage], recorded: TraceSink | None) -> str:

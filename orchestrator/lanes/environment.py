@@ -11,6 +11,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import chosen
 from orchestrator.data.table import Array
+from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.arguments import MachinesArguments
 from orchestrator.lanes.machines import Machines
 from orchestrator.ssp.system import System
@@ -77,7 +78,7 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         """
         step = options["step"] = float(chosen(MachinesArguments, options, "MachinesEnv").get("step", STEP))
         self._per_action, self._last = round(interval / step), round(duration / interval)
-        if self._per_action < 1 or abs(self._per_action * step - interval) > 1e-9 * interval:
+        if self._per_action < 1 or abs(self._per_action * step - interval) > SAME_TIME * interval:
             raise Problem(f"interval: expected a multiple of the step of {step:g} s, got {interval:g} s")
         if self._last < 1:
             raise Problem(f"duration: expected at least one interval of {interval:g} s, got {duration:g} s")

@@ -5,8 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, temporary_folder
 from orchestrator.base.interrupts import in_threads
@@ -19,8 +17,6 @@ from orchestrator.engine.run import finished
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, Ended
 from orchestrator.ssp.system import Port, System
-
-SAME_TIME = 1e-6  # relative to the step: a point of a run is one of the result
 
 
 def run_one_by_one(
@@ -82,7 +78,7 @@ def _simulate(
     finally:
         if sink.rows:
             trace, count = sink.trace, min(sink.rows, len(points))
-            recorded = np.abs(trace.time[:count] - points[:count]) < SAME_TIME * times.step
+            recorded = times.aligned(trace.time[:count]) == points[:count]
             for row, name in zip(rows, job.record.signals or (), strict=True):
                 row[:count][recorded] = trace[name][:count][recorded]
     if reason := early_end(result.card.notes):

@@ -10,6 +10,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import chosen, documented
 from orchestrator.data.table import Array
+from orchestrator.data.trace import rounding
 from orchestrator.engine.arguments import LinearArguments
 from orchestrator.engine.run import ScenarioSource, opened, run, scenario_trace
 from orchestrator.engine.scenario import drive
@@ -40,7 +41,7 @@ def settle_at_time(
     names = [str(p) for p in (*plant.states, *plant.inputs)]
     result = run(system, scenario, step=step, stop=time, record=names, record_step=None)
     last = {name: float(result.trace[name][-1]) for name in names}
-    if abs(float(result.trace.time[-1]) - time) > 1e-9 * max(1.0, time):
+    if abs(float(result.trace.time[-1]) - time) > rounding(time, result.card.step):
         got = f"a run that ends at {result.trace.time[-1]:g} s"
         raise Problem(f"--time {time:g}: expected a multiple of the communication step, got {got}")
     plant.set_time(time)

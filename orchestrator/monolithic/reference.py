@@ -192,20 +192,20 @@ class _Integration:
         self._same = SAME_TIME * max(times.stop - times.start, abs(times.stop))
         self._rows = list[Array]()
         breaks = self._breaks()
-        changes = {*breaks}
         t, x, repeated = times.start, plant.x.copy(), 0
         self.settle(t, x)
         self._record(t, x)
         with DeferredInterrupts() as interrupts:
             while self._before(t, times.stop) and not plant.ended:
                 check(t)
-                target = min(times.stop, plant.next_event, breaks[bisect_right(breaks, t + self._same)])
-                begin = t
+                begin, change = t, breaks[bisect_right(breaks, t + self._same)]
+                ends = times.stop, plant.next_event, change
+                target = max(end for end in ends if self._equal(end, min(ends)))
                 if self._before(t, target):
                     t, x, event = self._advance(t, x, target, check)
                 else:
                     t, event = max(t, target), True
-                event |= self._equal(t, plant.next_event) or bool(self._sampled and t in changes)
+                event |= self._equal(t, plant.next_event) or bool(self._sampled and self._equal(t, change))
                 repeated = 1 if self._before(begin, t) else repeated + 1
                 if repeated > MAX_EVENTS:
                     expected = f"expected at most {MAX_EVENTS} events at one time"
@@ -353,6 +353,7 @@ class _Integration:
         simulated = float(time[-1] - time[0])
         notes = [
             *plant.system.notes,
+            *self.times.notes,
             *plant.notes,
             f"monolithic solution: {counts['evaluations']} evaluations, {counts['Jacobians']} Jacobians,"
             f" {counts['events']} events",

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
 from orchestrator.engine.job import Execution, Job, Record, with_default_guard
 from orchestrator.engine.open_job import opened
@@ -298,7 +298,7 @@ def _grid(system: System, coupling: Coupling, setup: Setup) -> tuple[Grid, int]:
     if ratio > NEVER:
         raise Problem(f"step: expected at least {setup.frame / NEVER:.3g} s, got {step:g} s")
     steps = round(ratio)
-    if steps < 1 or abs(ratio - steps) > 1e-6 * steps:
+    if steps < 1 or abs(ratio - steps) > SAME_TIME * steps:
         raise Problem(f"frame: expected a multiple of the step {step:g} s, got {setup.frame:g} s")
     return Grid(start, step, NEVER), steps
 

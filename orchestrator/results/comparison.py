@@ -15,7 +15,7 @@ from orchestrator.base.text import brief, first_names, percentage
 from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import Trace, inside
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
 from orchestrator.fmi.description import Value
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
@@ -219,7 +219,7 @@ def _other_experiment(reference: Run, run: Run) -> str:
     a, b, differences = reference.trace, run.trace, list[str]()
     sources = {*(reference.metadata.sources if reference.metadata else ())}
     common = [n for n in (run.metadata.sources if run.metadata else ()) if n in sources and n in a.signals]
-    time = a.time[(a.time >= b.time[0]) & (a.time <= b.time[-1])]
+    time = a.time[inside(a.time, b.time[0], b.time[-1])]
     at = {n: (np.interp(time, a.time, a[n]), np.interp(time, b.time, b[n])) for n in common if n in b.signals}
     differ = [name for name, values in at.items() if _differ(*values)]
     # the rate of a command tells nothing more, and is 0 where its connection was cut

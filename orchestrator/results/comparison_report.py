@@ -26,6 +26,7 @@ from orchestrator.base.text import (
     typeset,
 )
 from orchestrator.base.units import convert, factor_and_offset, pretty, reader_unit
+from orchestrator.data.trace import inside
 from orchestrator.engine.result import RunMetadata
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import REFERENCE, Style, TraceFigure, TraceLine, TracePanel, curve_style, plot
@@ -115,9 +116,9 @@ def _panel(comparison: Comparison, shown: Sequence[tuple[Run, str, Style]], name
     lines, errors, error_unit = list[TraceLine](), list[TraceLine](), ""
     for run, label, style in shown:
         time, values = run.trace.time, run.trace[name]
-        inside = (time >= comparison.window[0]) & (time <= comparison.window[1])
-        converted = convert(values[inside], run.trace.units.get(name, unit), reader_unit(unit), name)
-        lines.append(TraceLine(time[inside], converted, style, key=label))
+        within = inside(time, *comparison.window)
+        converted = convert(values[within], run.trace.units.get(name, unit), reader_unit(unit), name)
+        lines.append(TraceLine(time[within], converted, style, key=label))
         if run is not comparison.reference:
             row = comparison.against[run.label][name]
             error_unit = error_unit or error_display_unit(row.unit).display

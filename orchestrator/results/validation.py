@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.signals import found
@@ -23,7 +22,7 @@ from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Data, Trace, as_trace
+from orchestrator.data.trace import LARGEST_ROUNDING, Data, Trace, as_trace, inside, rounding
 from orchestrator.engine.result import Result, metadata, read_run
 from orchestrator.results.metrics import AT_REST, Metrics, measure
 
@@ -57,9 +56,6 @@ def without_repetitions(reference: Recording) -> Recording:
 
 def _variable(name: str) -> str:
     return name.partition(".")[2]
-
-
-ROUNDING = 1e-6  # of times in a text file, relative to a sampling interval
 
 
 @dataclass(frozen=True)
@@ -222,9 +218,9 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
     start = max(run[0], reference.time[0], reference.start)
     stop = min(run[-1], reference.time[-1], reference.stop)
     spans = "; ".join(f"the {name} covers {t[0]:g} to {t[-1]:g} s" for name, t in sides.items())
-    inside = {name: t[_inside(t, start, stop)] for name, t in sides.items()}
-    coarse = min(inside, key=lambda name: len(inside[name]))
-    grid = inside[coarse]
+    samples = {name: t[inside(t, start, stop)] for name, t in sides.items()}
+    coarse = min(samples, key=lambda name: len(samples[name]))
+    grid = samples[coarse]
     if len(grid) < 2:
         ends = {"begins": reference.start, "ends": reference.stop}
         limits = [f"{verb} at {t:g} s" for verb, t in ends.items() if np.isfinite(t)]
@@ -235,20 +231,14 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
     fine = "reference" if coarse == "run" else "run"
     if between := _between(grid, sides[fine]):
         notes.append(f"{between} of them are between samples of the {fine}: interpolated linearly")
-    if any(not _inside(t, grid[0], grid[-1]).all() for t in sides.values()):
+    if any(not inside(t, grid[0], grid[-1]).all() for t in sides.values()):
         notes.append(f"only a part was compared: {spans}")
     return grid, tuple(notes)
 
 
-def _inside(time: Array, start: float, stop: float) -> NDArray[np.bool_]:
-    """Whether each sample is in a window [s], with a tolerance for the rounding of times in a text file."""
-    tolerance = 1e-9 * max([1.0, *(abs(t) for t in (start, stop) if np.isfinite(t))])
-    return np.asarray((time >= start - tolerance) & (time <= stop + tolerance))
-
-
 def _between(grid: Array, time: Array) -> int:
     """Number of points of a grid between samples, with a tolerance for rounding."""
-    tolerance = 1e-6 * float(np.median(np.diff(time)))
+    tolerance = rounding(grid, np.ptp(time) / (len(time) - 1))
     at_or_after = np.minimum(np.searchsorted(time, grid - tolerance), len(time) - 1)
     return int(np.sum(np.abs(time[at_or_after] - grid) > tolerance))
 
@@ -267,7 +257,8 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
     factor, offset = factor_and_offset(reference.units[name], unit, where)
     recorded = factor * reference[name] + offset
     valid = np.isfinite(recorded)
-    outside_gaps = np.interp(grid, reference.time, ~valid) < ROUNDING  # 0 at a valid sample, 1 at a gap
+    # 0 at a valid sample, 1 at a gap
+    outside_gaps = np.interp(grid, reference.time, ~valid) < LARGEST_ROUNDING
     if not outside_gaps.all():
         count = int(np.sum(~outside_gaps))
         notes.append(f"{count} of {len(grid)} samples are in gaps of the reference, left out")
@@ -282,7 +273,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         resampled,
         span=None if criterion.span is None else criterion.span * factor,
         floor=criterion.floor,
-        recording=recorded[valid & _inside(reference.time, reference.start, reference.stop)],
+        recording=recorded[valid & inside(reference.time, reference.start, reference.stop)],
         rate=rate and listed,
         where=where,
     )

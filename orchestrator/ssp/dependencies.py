@@ -7,7 +7,7 @@ are first copied along the connections, and the loop is solved only if they do n
 (`engine/algebraic_loop.py`).
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -75,8 +75,11 @@ def influential_inputs(system: System) -> frozenset[Port]:
         found |= through & candidates
 
 
-def output_order(system: System) -> OutputOrder:
-    """The stages of all outputs of the system during the run."""
+def output_order(system: System, driven: Collection[Port] = ()) -> OutputOrder:
+    """The stages of all outputs of the system during the run.
+
+    driven   inputs and tunable parameters that are set after stage 0; any output may depend on a parameter
+    """
     feedthrough = Feedthrough(system)
     graph = feedthrough.graph
     stages: dict[Port, tuple[int, ...]] = {}
@@ -84,6 +87,9 @@ def output_order(system: System) -> OutputOrder:
     cycles: list[tuple[DependencyCycle, tuple[int, ...]]] = []
     for group in strongly_connected(graph):
         first = 1 + max((stages[p][-1] for y in group for p in graph[y] if p not in group), default=-1)
+        tuned = {p.component for p in driven if system.variable(p).causality != "input"}
+        if any(y.component in tuned or feedthrough.depends(y).intersection(driven) for y in group):
+            first = max(first, 1)
         cycle = feedthrough.cycle(group)
         cycle_stages = tuple(range(first, first + (cycle.rounds if cycle else 1)))
         stages |= dict.fromkeys(group, cycle_stages)

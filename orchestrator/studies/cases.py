@@ -16,7 +16,7 @@ from orchestrator.base.files import find
 from orchestrator.base.toml import quote_key
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.table import SUFFIXES
-from orchestrator.data.trace import Trace, read_trace
+from orchestrator.data.trace import Trace, read_trace, rounding
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.run import chooses_freely, run
@@ -34,7 +34,6 @@ from orchestrator.studies.study import Factor, Output, Study
 SCENARIO, PARAMETERS = "scenario", "parameters"  # names of choices that are not components
 ACCURACY = 1e-3  # default
 SAFETY = 0.5  # over the accuracy: the error at the start values, because it varies with the samples
-TIME_ROUNDING = 1e-9  # relative to a time that is a sum of steps
 
 Options = tuple[str, ...]  # one option of each choice, in the order of the choices
 
@@ -110,7 +109,7 @@ def _case(study: Study, system: System, options: Options) -> StudyCase:
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
     system = with_sets(with_swaps(system, chosen), sets)
-    trace = None if scenario is None else read_trace(scenario, jumps=True)
+    trace = None if scenario is None else read_trace(scenario)
     if trace is not None:
         drive(system, trace, str(scenario))
     return StudyCase(system, trace)
@@ -329,13 +328,14 @@ def _check_windows(study: Study, cases: Iterable[StudyCase]) -> None:
         coupling.check(case.system.components)
         times.append(grid(case.system, case.scenario, study.step, None, study.stop, study.record_step))
     begin, end = min(t.start for t in times), max(t.stop for t in times)
+    margin = max(float(rounding(t.stop, t.step)) for t in times)
     # A run ends at the communication point next to its stop time.
-    last = max(end + TIME_ROUNDING * abs(end), study.stop or end)
+    last = max(end + margin, study.stop or end)
     for output in study.outputs:
         where = f"outputs.{quote_key(output.name)}"
-        if output.start is not None and output.start > end:
+        if output.start is not None and output.start > end + margin:
             raise Problem(f"{where}: start: expected at most {end:g} s, got {output.start:g} s")
-        if output.stop is not None and output.stop < begin:
+        if output.stop is not None and output.stop < begin - margin:
             raise Problem(f"{where}: stop: expected at least {begin:g} s, got {output.stop:g} s")
         if output.stop is not None and output.stop > last:
             expected = f"at most {last:g} s, where the runs end"

@@ -11,6 +11,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
+from orchestrator.data.trace import inside
 from orchestrator.engine.result import BondEnergy, bonds_above
 from orchestrator.engine.run import prepare, run
 from orchestrator.engine.time_grid import Grid
@@ -164,10 +165,9 @@ def measure(output: Output, time: Array, signal: Array) -> float:
     Mean, rms and integral use linear interpolation between the points (rms: between the squares). The time
     of the maximum is the first of several.
     """
-    rounding = 1e-9 * float(time[-1] - time[0]) if len(time) else 0.0  # in a time that is a sum of steps
-    begin = 0 if output.start is None else int(np.searchsorted(time, output.start - rounding, "left"))
-    end = len(time) if output.stop is None else int(np.searchsorted(time, output.stop + rounding, "right"))
-    t, x = time[begin:end], signal[begin:end]
+    start, stop = -np.inf if output.start is None else output.start, output.stop
+    window = inside(time, start, np.inf if stop is None else stop)
+    t, x = time[window], signal[window]
     return MEASURES[output.measure](t, x) if len(t) else NAN
 
 

@@ -67,7 +67,7 @@ static void evaluate(Model *m) {
     rates(r, r[X], r[V], &r[DER_X], &r[DER_V]);
     r[TIME] = m->s.time;
     r[POSITION] = r[X];
-    r[FORCE] = r[DER_V];
+    r[FORCE] = r[DER_V] + (is("kink") || is("bent") ? fmax(r[U], 0) : 0);
 }
 
 static void integrate(Model *m, double length) {
@@ -96,6 +96,7 @@ static Model *make(const char *token, const char *location, int side) {
     }
     if (is("refuses") || (is("once") && alive)) return NULL;
     if (is("only") && made++) return NULL;
+    if (is("second") && made++) abort();
     if (is("slow")) usleep(20000);
     if (is("place") && location && strchr(location, '%')) abort();
     if (is("leak")) lost = malloc(64);
@@ -176,6 +177,7 @@ static int directional(Model *m, const unsigned *z, size_t nz, unsigned v, doubl
         if (z[i] == POSITION) d = v == X;
         if (z[i] == DER_V || z[i] == FORCE)
             d = v == U ? 1 : v == X ? -r[STIFFNESS] : v == V ? -r[DAMPING] : 0;
+        if ((is("kink") || is("bent")) && z[i] == FORCE && v == U) d += r[U] != 0 ? r[U] > 0 : is("kink") ? 0.3 : -0.5;
         result[i] = seed * (is("directional") && z[i] == FORCE ? -d : d);
     }
     return GOOD;

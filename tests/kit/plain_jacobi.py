@@ -48,7 +48,7 @@ def plain_jacobi(
         initialise(system, slaves, {}, (0.0, step * steps))
         for n in range(steps + 1):
             for slave in slaves.values() if n else ():
-                slave.step((n - 1) * step, n * step - (n - 1) * step)
+                slave.step((n - 1) * step, step)
             for _ in range(rounds):
                 for read in calls[0]:
                     read()

@@ -11,7 +11,7 @@ from kit.any_fmu.outcome import CIRCLE, HERMITE, MASTERS, NO_ROLLBACK, OPENERS, 
 from kit.mistakes import problem
 from kit.shards import thinned
 
-from orchestrator import assemble, run
+from orchestrator import Trace, assemble, run
 from orchestrator.fmi.instance import FmuInstance
 from orchestrator.ssp.coupling import Coupling
 
@@ -121,24 +121,55 @@ def test_a_missing_function_matters_where_it_is_called(each, both):
     assert f"{DIFFERENCES}q.y, p.y" in notes
 
 
+@pytest.mark.parametrize("varies", ["false", "true"])
 @pytest.mark.parametrize(("step", "factor"), [(0.1, 1), (1 / 60, 3)])
-def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor):
+def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor, varies):
     """The FMU refuses any other length; the differences of the communication points are not all the same."""
-    able = {"canHandleVariableCommunicationStepSize": "false"}
     for master in ("jacobi", "hermite"):
-        system = circle(each, "even", able=able, even=1)
+        able = {"canHandleVariableCommunicationStepSize": varies}
+        system = circle(each, f"even_{varies}", able=able, even=1)
         outcome = both(system, master=Coupling(master, factors={"q": factor}), step=step, stop=60 * step)
         assert outcome.error == ""
         assert outcome.result.card.steps == 60
     points = step * np.arange(61)
     assert len(set(np.diff(points))) > 1
-    varied = both(circle(each, "uneven", even=1), step=step, stop=60 * step)
-    assert "the step is longer than the first by" in varied.error
+    divided = both(
+        circle(each, "uneven", even=1), Coupling("jacobi", adaptive=1e-3), step=step, stop=60 * step
+    )
+    assert "the step is longer than the first by" in divided.error
+
+
+@pytest.mark.parametrize("master", [*MASTERS, Coupling("jacobi", adaptive=1e-3)])
+def test_outputs_without_feedthrough_are_read_before_inputs_are_set(fmus, both, master):
+    """FMI 2.0, 4.2.4 forbids the other order without a step in between; the values are the same."""
+    able = {"maxOutputDerivativeOrder": 0}  # slopes of outputs depend on inputs, which are set before
+    strict = fmus.make("quirk", "strict", changes={"u_rate": {"derives": None}}, able=able)
+    pair = assemble({"p": strict, "q": strict}, CIRCLE, TURNS)
+    wave = Trace(np.array([0.0, 1.0]), {"u": np.array([1.0, 2.0])})
+    for system, scenario in ((pair, None), (assemble({"p": strict}), wave)):
+        found = [
+            both(system.with_start(dict.fromkeys((f"{n}.strict" for n in system.components), value)), master,
+                 step=0.1, stop=1.0, scenario=scenario)
+            for value in (0, 1)
+        ]  # fmt: skip
+        assert [outcome.error for outcome in found] == ["", ""]
+        np.testing.assert_array_equal(*(outcome.result.trace["p.y"] for outcome in found))
+
+
+@pytest.mark.parametrize(
+    ("depends", "reason"), [(None, "declares no dependencies of y"), (["u"], "declares that y depends on u")]
+)
+def test_what_an_fmu_lacks_to_be_read_in_that_order_is_told(fmus, both, depends, reason):
+    """An output that may depend on an input has to be read after it."""
+    fmu = fmus.make("quirk", "lacks", changes={"y": {"depends": depends}, "u_rate": {"derives": None}})
+    wave = Trace(np.array([0.0, 1.0]), {"u": np.array([1.0, 2.0])})
+    error = both(assemble({"p": fmu}).with_start({"p.strict": 1}), step=0.1, scenario=wave).error
+    assert f"(read after inputs were set, because the FMU {reason}: FMI 2.0, 4.2.4)" in error
 
 
 @pytest.mark.parametrize(("master", "factor"), [("jacobi", 7), ("hermite", 3)])
 def test_steps_of_its_own_begin_where_the_last_one_ended(each, both, master, factor):
-    """Bit for bit, as the FMU requires."""
+    """But for the rounding of a sum, as the FMU requires, which takes no step beyond the stop time."""
     outcome = both(circle(each, "strict"), Coupling(master, factors={"q": factor}), stop=6.0)
     assert outcome.error == ""
 

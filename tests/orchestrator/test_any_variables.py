@@ -7,6 +7,8 @@ from kit.any_fmu.outcome import CIRCLE, HERMITE, MASTERS, TURNS, circle
 from kit.mistakes import problem
 
 from orchestrator import Trace, assemble, run
+from orchestrator.engine.run import prepare
+from orchestrator.ssp.coupling import Coupling
 
 
 @pytest.mark.parametrize("master", MASTERS)
@@ -38,7 +40,7 @@ def test_a_text_as_input_is_left_alone(each, both):
     assert "variables of type String and String cannot be connected" in message
     column = Trace(np.array([0.0, 1.0]), {"p.ear": np.zeros(2)})
     message = problem(lambda: run(assemble({"p": fmu}), column, step=0.1))
-    assert "column 'p.ear': expected an input, got a String input" in message
+    assert "column 'p.ear': expected an input or a tunable parameter, got a String input" in message
 
 
 LIMITS = {
@@ -128,6 +130,42 @@ def test_inputs_that_do_not_move_take_the_newest_value(each, both, master):
     # rounding of inner steps
     np.testing.assert_allclose(trace["q.y"], [0, *0.25 * np.cumsum(held)], rtol=1e-12)
     assert "q.u" not in " ".join(both(system, master).result.card.notes)
+
+
+@pytest.mark.parametrize("name", ["q.gain", "gain"])
+def test_tunable_parameters_follow_a_scenario(each, both, name):
+    """FMI 2.0.5, 2.2.7: from the communication point of a row on, also in outputs that are read there."""
+    fmu = each.make("quirk", "tuned", changes={"gain": {"steady": "tunable"}})
+    rows = Trace(np.array([0.0, 0.5, 1.0]), {name: np.array([1.0, 3.0, 7.0]), "u": np.full(3, 2.0)})
+    trace = both(assemble({"q": fmu}), scenario=rows, step=0.25).result.trace
+    np.testing.assert_array_equal(trace["q.gain"], [1, 1, 3, 3, 7])
+    np.testing.assert_allclose(trace["q.y"], [0, 0.5, 1, 2.5, 4], rtol=1e-12)  # rounding of inner steps
+    direct = each.make("gain", "tuned_gain", changes={"factor": {"steady": "tunable"}})
+    rows = Trace(rows.time, {"factor": np.array([1.0, 3.0, 7.0])})
+    trace = both(assemble({"g": direct}).with_start({"g.u": 2.0}), scenario=rows, step=0.25).result.trace
+    np.testing.assert_array_equal(trace["g.y"], [2, 2, 6, 6, 14])
+
+
+@pytest.mark.parametrize(("step", "at"), [(0.3, 0.9), (1 / 3, 0.3333333), (0.1, 0.30000000000000004 - 1e-16)])
+def test_a_row_is_at_the_communication_point_that_it_equals_but_for_rounding(each, both, step, at):
+    """The sum 0.3 + 0.3 + 0.3 is below 0.9, and a file has seven digits of 1/3: the input comes in time."""
+    fmu = each.make("quirk", "in_time", changes=HELD)
+    n = round(at / step)
+    assert n * step != at
+    row = Trace(np.array([0.0, at]), {"u": np.array([1.0, 5.0])})
+    trace = both(assemble({"q": fmu}), scenario=row, step=step, stop=6 * step).result.trace
+    np.testing.assert_array_equal(trace.time, np.arange(7) * step)
+    np.testing.assert_array_equal(trace["q.u"], np.where(np.arange(7) < n, 1.0, 5.0))
+
+
+def test_the_foot_of_a_steep_ramp_stays_where_it_is(fmus):
+    """Only the nearest of two rows is at a communication point; steps that may be divided end at both."""
+    time = np.array([0.0, 1.0, 1.0 + 2e-9, 2.0 - 1e-7, 2.0, 3.0])
+    rows = Trace(time, {"u": np.array([1.0, 1, 4, 4, 0, 0])})
+    trace = run(str(fmus["drift"]), rows, step=1.0, record=["drift.u"]).trace
+    np.testing.assert_array_equal(trace["drift.u"], [1, 1, 0, 0])
+    _, times = prepare(str(fmus["drift"]), rows, master=Coupling("jacobi", adaptive=1e-3), record_step=1.0)
+    assert times.events == (1.0 + 2e-9, 2.0 - 1e-7)
 
 
 def test_inputs_cannot_be_tunable(each):

@@ -125,10 +125,10 @@ def test_the_resources_are_a_path(fmus, fmus3, started):
 
 
 def test_messages_tell_names():
-    """FMI 3.0 writes variables as #reference# and the character # twice."""
-    assert (
-        with_variable_names("#12# of pump ##4 is above #13#", {12: "a.p"}) == "a.p of pump #4 is above #13#"
-    )
+    """FMI 3.0 writes variables as #12#, FMI 2.0 with a letter for the type; both write # twice."""
+    for mark in ("12", "r12", "i12", "b12", "s12"):
+        text = f"#{mark}# of pump ##4 is above #13#, #1"
+        assert with_variable_names(text, {mark: "a.p"}) == "a.p of pump #4 is above #13#, #1"
 
 
 # ---- platforms

@@ -197,7 +197,7 @@ def test_a_column_cannot_drive_a_parameter_of_a_component(fmus, zip_ssp):
         {"g.fmu": fmus["gain"]},
     )
     steps = {"time": [0.0, 0.5], "k": [1.0, 3.0]}
-    told = r"column 'k': expected an input, got a Real parameter g\.factor$"
+    told = r"column 'k': expected an input or a tunable parameter, got a Real parameter g\.factor$"
     problem(lambda: run(path, steps, step=0.25), told)
     assert run(path, step=0.5, set={"k": 3.0, "u": 2.0}).trace["g.y"][0] == 6.0
 

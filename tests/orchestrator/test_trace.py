@@ -77,6 +77,34 @@ def test_mistakes_in_a_csv_are_located(tmp_path, text, message):
     assert str(caught.value).startswith(str(path))
 
 
+@pytest.mark.parametrize(
+    ("text", "time", "u"),
+    [
+        ("time,u\n0,1\n0.1,2\n0.1,3\n0.2,4\n", [0, 0.1 - 1e-6, 0.1, 0.2], [1, 2, 3, 4]),
+        ("time,u\n0,1\n0.1,2\n0.1,9\n0.1,3\n0.2,4\n", [0, 0.1 - 1e-6, 0.1, 0.2], [1, 2, 3, 4]),
+        ("time,u\n0,1\n0.30000000000000004,2\n0.3,3\n0.5,4\n", [0, 0.3 - 1e-6, 0.3, 0.5], [1, 2, 3, 4]),
+        ("time,u,\n0,1,\n0.1,2,\n", [0, 0.1], [1, 2]),
+        ("time,u\n0,1,\n0.1,2,\n", [0, 0.1], [1, 2]),
+        ('time,"u",\n"0","1",\n"0.1","2",\n', [0, 0.1], [1, 2]),
+        ("time,u\n0,true\n0.1,False\n", [0, 0.1], [1, 0]),
+    ],
+)
+def test_files_as_other_tools_write_them(tmp_path, text, time, u):
+    """Rows of one event, whose first and last are its limits; a last comma; Booleans."""
+    (tmp_path / "t.csv").write_text(text, encoding="utf-8")
+    trace = read_trace(tmp_path / "t.csv")
+    np.testing.assert_allclose(trace.time, time, rtol=1e-15)  # rounding of 0.1 - 1e-6
+    np.testing.assert_array_equal(trace["u"], u)
+
+
+def test_a_window_has_the_samples_at_its_ends():
+    """Also if they differ from them in the last digit: three times 0.3 is less than 0.9."""
+    time = 0.3 * np.arange(6)
+    assert time[3] < 0.9
+    assert Trace(time, {"u": time}).window(0.9, 1.5).time[0] == time[3]
+    assert len(Trace(time, {"u": time}).window(0.0, 0.9 - 1e-3).time) == 3
+
+
 def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
     """A recording at 200 Hz that lacks ten rows is refused; a file with irregular times is not."""
     time = np.arange(100) * 0.005

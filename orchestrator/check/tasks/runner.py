@@ -100,7 +100,7 @@ class Trial:
             "canBeInstantiatedOnlyOncePerProcess"
         ):
             raise OnlyOnce
-        log = Log(limit=MAX_MESSAGES)
+        log = Log(names={v.mark: v.name for v in self.description.variables}, limit=MAX_MESSAGES)
         instance = FmuInstance(library, log, kind == "ModelExchange", self.activity.call)
         resources = resources_location(self.folder, self.description.major)
         usual: InstanceOptions = {"token": self.description.token, "resources": resources, "name": "probe"}

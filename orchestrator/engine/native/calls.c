@@ -193,18 +193,18 @@ int linearise(Simulation *sim, const JacobianColumn *columns, int32_t count, dou
     return CONTINUE;
 }
 
-int component_step(Simulation *sim, int k, Real begin, Real end) {
+int component_step(Simulation *sim, int k, Real begin, Real length) {
     Component *p = &sim->components[k];
-    const double t = sim->t + begin, h = p->fixed_step != 0.0 ? p->fixed_step : sim->t + end - t;
+    const double t = sim->t + begin;
     p->clock[0] = p->clock[1] = t;
-    p->clock[2] = t + h;
-    if (!p->do_step) return sim->call_python(STEP, k, t, h);
+    p->clock[2] = t + length;
+    if (!p->do_step) return sim->call_python(STEP, k, t, length);
     int status;
     *p->call = STEP;
-    if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, h, p->never_restored);
+    if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, length, p->never_restored);
     else
-        status = ((Step3 *)p->do_step)(p->instance, t, h, p->never_restored != 0, p->event, p->terminate, p->early,
-                                       p->last);
+        status = ((Step3 *)p->do_step)(p->instance, t, length, p->never_restored != 0, p->event, p->terminate,
+                                       p->early, p->last);
     *p->call = 0;
     if (!rounds_to_nearest()) environment_restore(sim, k);
     if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
@@ -253,7 +253,10 @@ int values_restore(Simulation *sim) {
 }
 
 /* Sets inputs again, which may not be part of the state of an FMU. */
-int values_set(Simulation *sim) { return simulation_exchange(sim, sim->t); }
+int values_set(Simulation *sim) {
+    set_clocks(sim, sim->t);
+    return exchange_after_reads(sim, sim->t);
+}
 
 void record(Simulation *sim) {
     Recorder *r = &sim->recorder;

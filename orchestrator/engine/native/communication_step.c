@@ -79,14 +79,13 @@ static int read_middle(Simulation *sim, int k, Real h) {
 int component_advance(Simulation *sim, int k, Real h, double *counter) {
     Component *p = &sim->components[k];
     const int32_t n = p->halved ? 2 : p->substeps;
-    Real begin = 0.0;
+    const Real length = h / (double)n;
     for (int32_t j = 0; j < n; j++) {
-        const Real end = j == n - 1 ? h : h * (double)(j + 1) / (double)n;
-        int verdict = component_set_inputs(sim, p, begin, end - begin, j == n - 1);
-        if (!verdict) verdict = component_step(sim, k, begin, end);
+        const Real begin = h * (double)j / (double)n;
+        int verdict = component_set_inputs(sim, p, begin, length, j == n - 1);
+        if (!verdict) verdict = component_step(sim, k, begin, length);
         if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);
         if (verdict) return verdict;
-        begin = end;
     }
     const double before = *counter;
     *counter = ticks();
@@ -143,7 +142,7 @@ static void set_driven_polynomials(Simulation *sim, Real h) {
     if (!d) return;
     scenario_evaluate(d, sim->t + 0.5 * h);
     memcpy((void *)d->at_midpoint, d->at_end, (size_t)d->count * sizeof *d->at_midpoint);
-    scenario_evaluate(d, sim->t + h);
+    scenario_evaluate(d, sim->end);
     for (int32_t i = 0; i < d->count; i++) {
         CouplingInput *s = &sim->inputs[d->inputs[i]];
         if (d->commands) s->value = d->at_end[i]; /* a command jumps at the beginning of a step */

@@ -250,7 +250,6 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     double *clock;                          /* the last communication point, beginning and end of the step */
     int32_t *call;                          /* as in Access */
     double busy;                            /* time in its steps [ticks] */
-    double fixed_step;                      /* length of each of its own steps; 0 if it may vary */
     int32_t fmi;
     int32_t never_restored;
     int32_t substeps;                   /* its own steps in one communication step */
@@ -258,7 +257,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     int32_t first_input, input_count;   /* its coupling inputs */
     int32_t first_fed;                  /* the first of the coupling inputs that it feeds, or -1 */
     int32_t sets_values;                /* values of the inputs are set, not only derivatives */
-    int32_t simplifies_inputs;          /* some inputs have a lower degree than the master asks for */
+    int32_t simplifies_inputs;          /* inputs that outputs depend on have a lower degree than the master asks for */
     int32_t rollback;                   /* its state is saved at the beginning of every step */
     int32_t repeated;                   /* further passes compute it again */
     Real *values, *derivatives;
@@ -341,7 +340,8 @@ typedef struct Plant {
 typedef struct Pool Pool;
 
 typedef struct Simulation {
-    Real t, length, length_before; /* time, lengths of the last two steps; 0: none [s] */
+    Real t, end;                /* time, and that of the end of the present step [s] */
+    Real length, length_before; /* of the last two steps; 0: none [s] */
     Real shortest, longest;
     Mask alive;    /* machines that have not failed */
     Mask moving;   /* those that take the present step */
@@ -350,6 +350,7 @@ typedef struct Simulation {
     Real *input_ends; /* shape (2, real_count): coupling inputs at both ends of the step */
     int32_t *integers, *saved_integers;
     int64_t real_count, integer_count;
+    Program first_reads; /* of outputs that depend on no input directly, before inputs are set: FMI 2.0, 4.2.4 */
     Program exchange;
     AlgebraicLoop **loops;
     Component *components;
@@ -415,7 +416,7 @@ static inline Real source_slope(const CouplingInput *s) {
 
 /* calls.c; machines.cpp for several machines */
 int execute(Simulation *, const Program *);
-int component_step(Simulation *, int k, Real begin, Real end); /* [s] after the start of the step */
+int component_step(Simulation *, int k, Real begin, Real length); /* begin: [s] after the start of the step */
 int component_save(Simulation *, int k);
 int component_restore(Simulation *, int k, Mask);
 void set_clocks(Simulation *, Real t);
@@ -529,6 +530,7 @@ EXPORT double step_size_next(StepSize *, double remaining);
 EXPORT int32_t step_size_accepts(StepSize *, double error, double h);
 
 /* simulation_loop.c; simulation_advance returns CONTINUE also at the end of the run */
+int exchange_after_reads(Simulation *, Real t);
 EXPORT int32_t simulation_exchange(Simulation *, Real t);
 EXPORT int32_t simulation_begin(Simulation *);
 EXPORT int32_t simulation_advance(Simulation *);

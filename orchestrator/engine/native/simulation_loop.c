@@ -12,11 +12,16 @@ static const double LEAST = 1e-9; /* smallest part of a discarded step that is r
 
 /* ---- communication points */
 
-/* Sets driven inputs to their value at t [s], then exchanges all outputs and inputs. */
-int32_t simulation_exchange(Simulation *sim, Real t) {
-    set_clocks(sim, t);
+/* Sets driven inputs to their value at t [s], then exchanges outputs and inputs; those of first_reads are known. */
+int exchange_after_reads(Simulation *sim, Real t) {
     const int verdict = scenario_set_inputs(sim, t);
     return verdict ? verdict : execute(sim, &sim->exchange);
+}
+
+int32_t simulation_exchange(Simulation *sim, Real t) {
+    set_clocks(sim, t);
+    const int verdict = execute(sim, &sim->first_reads);
+    return verdict ? verdict : exchange_after_reads(sim, t);
 }
 
 static int read_slopes(Simulation *sim) {
@@ -28,7 +33,7 @@ static int read_slopes(Simulation *sim) {
 
 /* Exchanges values at the end of a step, after all components have stepped. */
 static int exchange_at_end(Simulation *sim, Real h) {
-    int verdict = simulation_exchange(sim, sim->t + h);
+    int verdict = simulation_exchange(sim, sim->end);
     if (!verdict) verdict = read_slopes(sim);
     if (!verdict) set_source_ends(sim, h);
     return verdict;
@@ -152,37 +157,44 @@ static int try_step(Simulation *sim, Real h, Mask *done) {
     return any(sim->alive && !*done) ? go_back(sim, sim->alive && !*done) : CONTINUE;
 }
 
-/* The length of the next step of each machine, up to its next event or the next point at most; `target`: that time. */
-static Real next_length(Simulation *sim, double point, Real *target) {
+static double point_at(const Simulation *sim, int64_t n) { return sim->start + (double)n * sim->step; }
+
+/* The length of the next step of each machine, up to its next event or the next point at most; `target`: that time,
+ * `rest`: the time until then. From point to point it is exactly the step, not the difference of two rounded times. */
+static Real next_length(Simulation *sim, Real *target, Real *rest) {
     const int count = sim->step_size ? WIDTH : 1;
+    const double last = point_at(sim, sim->done), point = point_at(sim, sim->done + 1);
     Real h = sim->step; /* any for machines that wait at the point */
-    *target = point;
+    *target = point, *rest = sim->step;
     for (int i = 0; i < count; i++) {
         if (sim->step_size && !chosen(sim->moving, i)) continue;
         const double t = machine(sim->t, i);
         int64_t *event = &sim->event[i];
         while (*event < sim->event_count && sim->events[*event] <= t) ++*event;
-        const double to = *event < sim->event_count ? smaller(point, sim->events[*event]) : point, rest = to - t;
+        const double to = *event < sim->event_count ? smaller(point, sim->events[*event]) : point;
+        const double left = t == last && to == point ? sim->step : to - t;
         set_machine(target, i, count, to);
-        set_machine(&h, i, count, sim->step_size ? step_size_next(&sim->step_size[i], rest) : rest);
+        set_machine(rest, i, count, left);
+        set_machine(&h, i, count, sim->step_size ? step_size_next(&sim->step_size[i], left) : left);
     }
     return sim->shorter > 0.0 ? smaller(h, sim->shorter) : h;
 }
 
 /* Tries the next step of each machine once. */
 static int next_step(Simulation *sim) {
-    const double point = sim->start + (double)(sim->done + 1) * sim->step;
-    Real target;
+    const double point = point_at(sim, sim->done + 1);
+    Real target, rest;
     Mask done;
     machines_move(sim, sim->alive && sim->t < point);
-    const Real h = next_length(sim, point, &target);
+    const Real h = next_length(sim, &target, &rest);
+    sim->end = where(h == rest, target, sim->t + h);
     const int verdict = try_step(sim, h, &done);
     if (verdict) return verdict;
     if (!any(done)) {
         sim->repeated++;
         return CONTINUE;
     }
-    sim->t = where(done, where(h == target - sim->t, target, sim->t + h), sim->t);
+    sim->t = where(done, sim->end, sim->t);
     sim->shorter = 0.0;
     sim->steps++;
     sim->shortest = smaller(sim->shortest, h);
@@ -241,7 +253,7 @@ static int begin_inputs(Simulation *sim) {
 /* Exchanges values at the start and records them. */
 int32_t simulation_begin(Simulation *sim) {
     machines_move(sim, sim->alive = EVERY_MACHINE);
-    int verdict = simulation_exchange(sim, sim->t);
+    int verdict = sim->prediction ? CONTINUE : simulation_exchange(sim, sim->t); /* done to begin the prediction */
     list_fed_inputs(sim);
     mark_loops(sim);
     if (!verdict) verdict = begin_inputs(sim);

@@ -150,8 +150,8 @@ int machines_check(Simulation *sim) {
     return CONTINUE;
 }
 
-int component_step(Simulation *sim, int k, Real begin, Real end) {
-    group_of(sim)->models[k]->step(group_of(sim)->instances[k], end - begin, sim->computed);
+int component_step(Simulation *sim, int k, Real, Real length) {
+    group_of(sim)->models[k]->step(group_of(sim)->instances[k], length, sim->computed);
     collect_failures(sim, k);
     return CONTINUE;
 }
@@ -228,7 +228,7 @@ EXPORT int32_t group_advance(void *group, int64_t point) {
     const int commanded = sim->scenario && sim->scenario->commands;
     if (commanded) g->row = g->points;
     while (sim->done < point && any(sim->alive) && !*(volatile int32_t *)&g->stop) next_step(sim);
-    if (!any(sim->alive)) sim->done = point, sim->t = sim->start + (double)point * sim->step;
+    if (!any(sim->alive)) sim->done = point, sim->t = point_at(sim, point);
     if (commanded) g->row = 0, write_row(g);
     return any(sim->alive);
 }
@@ -242,7 +242,7 @@ EXPORT int32_t group_adopt(void *group, const void *other, const int64_t *lanes)
     memcpy((void *)&bits, lanes, sizeof bits);
     const Mask machines = {bits != 0};
     if (sim->step_size) sim->length = where(machines, from->sim.length, sim->length); /* else it is that of all */
-    sim->t = sim->start + (double)sim->done * sim->step; /* with steps of their own, failed ones have stopped */
+    sim->t = point_at(sim, sim->done); /* with steps of their own, failed ones have stopped */
     for (int i = 0; i < LANES; i++) {
         if (!lanes[i]) continue;
         g->failures[i] = from->failures[i];

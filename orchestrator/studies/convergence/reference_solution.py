@@ -19,7 +19,7 @@ from orchestrator.base.text import grouped
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import SAME_TIME, Trace, rounding
 from orchestrator.engine.arguments import CaseArguments
 from orchestrator.engine.result import widest_of_unit
 from orchestrator.engine.run import ScenarioSource, run
@@ -29,7 +29,6 @@ from orchestrator.ssp.system import System
 
 Indices = NDArray[np.intp]
 
-SAME_INSTANT = 1e-6  # relative to the step: instants that are closer than this are the same
 MOST_INSTANTS = 200  # at which an adaptive run is compared: a step has to end at each of them
 FEWEST_INSTANTS = 10  # in common, for a root mean square
 DEFAULT_QUANTITIES = ("speed", "pressure")  # compared if the user names no signals
@@ -90,25 +89,25 @@ class ReferenceSolution:
     def record_step(self, start: float, stop: float | None, step: float) -> float:
         """Record step [s] of a run with this communication step, so that both have instants in common."""
         last = self.time[-1] if stop is None else min(stop, self.time[-1])
-        points: Array = start + step * np.arange(int((last - start) / step + SAME_INSTANT) + 1.0)
+        points: Array = start + step * np.arange(int((last - start) / step + SAME_TIME) + 1.0)
         count = len(_common_instants(points, self.time, step)[0])
         if count < FEWEST_INSTANTS:
             expected = f"{FEWEST_INSTANTS} or more instants in common with {self.title}"
             raise Problem(f"step {step:g} s: expected {expected}, got {count}")
         interval = float(self.time[1] - self.time[0])
         steps = round(interval / step)
-        equal = max(abs(start - self.time[0]), np.ptp(np.diff(self.time))) < SAME_INSTANT * step
-        return steps * step if equal and steps and abs(interval / step - steps) < SAME_INSTANT else step
+        equal = max(abs(start - self.time[0]), np.ptp(np.diff(self.time))) < SAME_TIME * step
+        return steps * step if equal and steps and abs(interval / step - steps) < SAME_TIME else step
 
     def adaptive_record_step(self, start: float) -> float:
         """Record step [s] of a run with adaptive step size: steps have to end at these instants."""
         intervals = len(self.time) - 1
         duration = self.time[-1] - self.time[0]
         offset = (start - self.time[0]) * intervals / duration
-        equal = np.ptp(np.diff(self.time)) < SAME_INSTANT * duration
-        if not equal or abs(offset - round(offset)) > SAME_INSTANT:
+        equal = np.ptp(np.diff(self.time)) < SAME_TIME * duration
+        if not equal or abs(offset - round(offset)) > SAME_TIME:
             raise Problem(f"{self.title}: expected equally spaced samples from {start:g} s on")
-        return float(self.time[max(intervals // MOST_INSTANTS, 1)] - self.time[0])
+        return float(duration * max(intervals // MOST_INSTANTS, 1) / intervals)
 
     def errors(self, trace: Trace, step: float) -> dict[str, tuple[SignalDeviation, ...]]:
         """Group -> errors of its signals, the largest first."""
@@ -131,8 +130,9 @@ class ReferenceSolution:
 
 def _common_instants(run: Array, reference: Array, step: float) -> tuple[Indices, Indices]:
     """Indices of the common instants, in the run and in the reference."""
-    nearest = np.minimum(np.searchsorted(run, reference - SAME_INSTANT * step), len(run) - 1)
-    common = np.flatnonzero(np.abs(run[nearest] - reference) <= SAME_INSTANT * step)
+    margin = rounding(reference, step)
+    nearest = np.minimum(np.searchsorted(run, reference - margin), len(run) - 1)
+    common = np.flatnonzero(np.abs(run[nearest] - reference) <= margin)
     return nearest[common], common
 
 

@@ -69,6 +69,7 @@ fmi2Status fmi2Reset(fmi2Component c) { return as2(complain(c, FAILED, "no reset
     Instance *m = c;                                                                                   \
     if (m->mode == INSTANTIATED) return as2(complain(m, FAILED, "get before initialization", m->mode)); \
     outputs(m);                                                                                        \
+    if (m->model == QUIRK && m->i[Q_STRICT] && m->touched) return as2(complain(m, FAILED, "get after set", 0)); \
     enum Status status = odd(m, GET);                                                                  \
     if (status > WARNED) return as2(status);                                                           \
     for (size_t k = 0; k < n; k++) {                                                                   \
@@ -80,6 +81,7 @@ fmi2Status fmi2Reset(fmi2Component c) { return as2(complain(c, FAILED, "no reset
 #define SETS(FIELD, COUNT)                                                          \
     Instance *m = c;                                                               \
     enum Status status = odd(m, SET);                                              \
+    m->touched = m->mode == READY;                                                 \
     if (status > WARNED) return as2(status);                                       \
     for (size_t k = 0; k < n; k++) {                                               \
         if (vr[k] >= COUNT) return as2(complain(m, FAILED, "no variable", vr[k])); \

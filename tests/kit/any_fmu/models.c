@@ -227,7 +227,7 @@ static enum Status uneven(Instance *m, double t, double h) {
     if (m->length == 0) m->length = h;
     if (even && h != m->length) return complain(m, FAILED, "the step is longer than the first by", h - m->length);
     /* the sum of equal steps is not to the last bit where the steps are */
-    if (even ? fabs(t - m->time) > 1e-9 * h : t != m->time)
+    if (fabs(t - m->time) > 1e-9 * m->length + 4e-16 * fabs(t))
         return complain(m, FAILED, "the step does not start at the FMU's time", m->time);
     return GOOD;
 }
@@ -246,6 +246,6 @@ enum Status advance(Instance *m, double t, double h) {
     if (m->model == GLIDE) m->r[L_V] += h * m->r[L_A];
     m->trend = m->slope[0][0] + h * (m->slope[0][1] + h / 2 * m->slope[0][2]);
     memset(m->slope, 0, sizeof m->slope);
-    m->time = t + h;
+    m->time = t + h, m->touched = 0;
     return whole ? status : DISCARDED;
 }

@@ -2,9 +2,10 @@
  *
  * The GUID (instantiation token) tells which model an instance is. Variables of a family (real, whole, text)
  * are numbered from 0 in the order in which they are listed at each model; models.py lists the same
- * variables for modelDescription.xml. A call out of order, a step that does not start at the FMU's own time,
- * and a step beyond the stop time are errors, without any tolerance. QUIRK has what FMUs from elsewhere have:
- * trouble in any call, steps that it does in part, steps that must be of one length to the last bit.
+ * variables for modelDescription.xml. A call out of order and a step beyond the stop time are errors, without
+ * any tolerance; so is a step that does not start at the FMU's own time, but for the rounding of a sum of steps.
+ * QUIRK has what FMUs from elsewhere have: trouble in any call, steps that it does in part, steps that must be
+ * of one length to the last bit.
  */
 #include <stddef.h>
 
@@ -35,7 +36,7 @@ enum { T_LABEL, T_ECHO, T_RESOURCES };
 enum { D_U, D_RATE, D_Y };                     /* DRIFT: y' = u, where u moves at its rate */
 enum { L_X, L_V, L_A, L_Y };                   /* GLIDE: y' = x, where x moves at v, and v at a */
 enum { Q_U, Q_Y, Q_GAIN, Q_PUSH, Q_WHEN, Q_LONGEST, Q_RATE }; /* QUIRK: y' = gain u + push, u may move at its rate */
-enum { Q_HOW, Q_WHERE, Q_HIGHEST, Q_EVEN, Q_MUTE };
+enum { Q_HOW, Q_WHERE, Q_HIGHEST, Q_EVEN, Q_MUTE, Q_STRICT }; /* Q_STRICT: FMI 2.0, 4.2.4 to the letter */
 enum { W_PAIRS = 7, W_SIZE = 2 * W_PAIRS, W_SIZE_OUT }; /* WIDE: outputs follow inputs of all widths */
 
 typedef struct Instance Instance;
@@ -47,6 +48,7 @@ struct Instance {
     void (*say)(Instance *, enum Status, const char *category, const char *text);
     double time, stop, length; /* length of the first step */
     int stop_defined;
+    int touched; /* inputs were set since the last step */
     double r[REALS];
     double slope[REALS][ORDERS]; /* derivatives of inputs, for the next step only */
     double trend;                /* slope that the first input had where the last step ended */
