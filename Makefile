@@ -19,8 +19,9 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage mutants \
   docs pages clean release constraints extras test-lowest test-newest audit
 
-# FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
-demo: $(INSTALLED)
+# with all extras, for the commands in README.md. FMI 2.0, and the whole machine in FMI 3.0, which the report
+# shows; `harvester build` makes the rest
+demo: $(EVERYTHING)
 	$(BIN)/harvester build --fmi 2
 	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
@@ -145,7 +146,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/python tools/install.py build
 	touch $@
 
-$(EVERYTHING): $(INSTALLED)
+$(EVERYTHING): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python tools/install.py all
 	touch $@
 
@@ -154,7 +156,7 @@ $(TESTING): $(INSTALLED)
 	touch $@
 
 $(PEERS): $(INSTALLED)
-	$(BIN)/python tools/install.py build peers
+	$(BIN)/python tools/install.py build reference peers
 	touch $@
 
 $(DOCUMENTING): $(INSTALLED)

@@ -9,6 +9,8 @@ from orchestrator.base.files import VARIANTS
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, Folder, Text, command, system_file
 
+CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")  # that most models leave constant
+
 
 @command
 def modelica(
@@ -28,7 +30,6 @@ def modelica(
     constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default: those of
                supply_pressure, tank_pressure and payload_mass that the FMUs have.
     """
-    from fmus.machine.parts import CONSTANT_INPUTS
     from orchestrator.modelica import write_package
     from orchestrator.ssp.load import load
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Unpack
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
 from orchestrator.engine.arguments import CommandArguments, LinearArguments, ReferenceArguments
 
@@ -82,6 +83,7 @@ def linearize(
     from orchestrator.base.files import make_folder, require_system
     from orchestrator.linear.linearize import linearize as run_linearize
 
+    require("control", "harvester linearize", "scipy")
     if out.suffix != ".npz":
         raise Problem(f"--out {out}: expected a file name ending in .npz")
     linear = run_linearize(require_system(system_file(system)), scenario, **options)
