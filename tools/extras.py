@@ -3,7 +3,7 @@
     python tools/extras.py
 
 The packages of each extra are installed into an environment of its own in build/extras, in the versions of
-constraints.txt. The size of an extra is what it adds to that of the base, with the byte code that pip compiles.
+constraints.txt. The size of an extra is what it adds to that of the base, with compiled byte code.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_whole
 from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time, command, system_file
-from orchestrator.engine.arguments import CoupledArguments
+from orchestrator.engine.arguments import DEFAULT_ACCURACY, CoupledArguments
 
 
 @command
@@ -60,7 +60,7 @@ def validate(
         default_system=DEFAULT_SYSTEM if system else file,
         monolithic=monolithic,
         limit=limit,
-        default_accuracy=1e-4,
+        default_accuracy=DEFAULT_ACCURACY["validate"],
         report=partial(print, flush=True),
         **options,
     )

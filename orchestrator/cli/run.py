@@ -7,7 +7,12 @@ from typing import Unpack
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
-from orchestrator.engine.arguments import CommandArguments, LinearArguments, ReferenceArguments
+from orchestrator.engine.arguments import (
+    DEFAULT_ACCURACY,
+    CommandArguments,
+    LinearArguments,
+    ReferenceArguments,
+)
 
 NOT_RELIABLE = 3  # exit status
 
@@ -31,7 +36,7 @@ def run(
     start_process()  # before the slow imports
     from orchestrator.engine.run import run_to_file
 
-    result, line = run_to_file(file, scenario, out, default_accuracy=1e-3, **options)
+    result, line = run_to_file(file, scenario, out, default_accuracy=DEFAULT_ACCURACY["run"], **options)
     print(f"{result.card.text()}\n\n{line}")
     return 0 if result.reliable else NOT_RELIABLE
 

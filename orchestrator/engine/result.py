@@ -92,6 +92,9 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """As `Trace`: the values of a signal, in its unit, or the trace with the signals of a list."""
         return self.trace[key]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return self.trace._ipython_key_completions_()
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.trace)
 

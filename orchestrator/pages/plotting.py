@@ -11,6 +11,7 @@ import io
 import itertools
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -318,6 +319,20 @@ def show(figure: Figure, title: str) -> bool:
     canvas.get_tk_widget().pack(fill="both", expand=True)
     window.mainloop()
     return True
+
+
+def shown_at_end(figure: Figure) -> Figure:
+    """The figure; a cell of a notebook that ends with `;` shows it all the same, as it does with pyplot."""
+    shell: Any = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if hasattr(shell, "kernel"):
+
+        def after(*_: object) -> None:
+            shell.events.unregister("post_run_cell", after)
+            if shell.displayhook.quiet():
+                sys.modules["IPython"].display.display(figure)
+
+        shell.events.register("post_run_cell", after)
+    return figure
 
 
 def svg(figure: Figure, transparent: bool = True) -> str:
