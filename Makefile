@@ -47,6 +47,7 @@ lint: $(TESTING)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# ARGS: options of the benchmark, such as make bench-peers ARGS="--repeats 1"
 bench: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.speed
 	$(BIN)/python -m benchmarks.variants
@@ -56,27 +57,27 @@ bench-sensitivities: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.starts
 
 bench-live: $(TESTING)
-	$(BIN)/python -m benchmarks.live --browser
+	$(BIN)/python -m benchmarks.live --browser $(ARGS)
 
 bench-sweep: $(EVERYTHING)
 	test -f build/harvester.ssp || $(BIN)/harvester build
-	$(BIN)/python -m benchmarks.sweep
+	$(BIN)/python -m benchmarks.sweep $(ARGS)
 
 # every FMU and SSP in every tool that is found; writes the tables of docs/other-tools.md
 matrix: $(TESTING)
 	$(BIN)/harvester build
-	$(BIN)/python -m benchmarks.matrix
+	$(BIN)/python -m benchmarks.matrix $(ARGS)
 
 bench-peers: $(PEERS)
-	$(BIN)/python -m benchmarks.peers
-	$(BIN)/python -m benchmarks.peers.many
+	$(BIN)/python -m benchmarks.peers $(ARGS)
+	$(BIN)/python -m benchmarks.peers.many $(ARGS)
 
 # a sample of changed operators and numbers, and whether the tests near them notice; two hours
 mutants: $(TESTING)
 	$(BIN)/python -m benchmarks.mutants run
 
 coverage: $(EVERYTHING)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage $(ARGS)
 
 # the site, as build/site/index.html; its home page has the machine
 PARTS := swing boom_stick manipulator supply operator_input
