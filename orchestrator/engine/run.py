@@ -68,6 +68,7 @@ from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
+FIRST_SHARE = 0.001  # of a run, from which on the time that it will take is estimated
 MANY_STEPS = 10**7  # 20 s of the harvester's FMUs: from here on a run says in advance what it will take
 
 ScenarioSource: TypeAlias = "Data | str | Path | Location | None"
@@ -387,7 +388,7 @@ class ProgressBar(AbstractContextManager["ProgressBar"]):
             return
         share = simulated / self._total if self._total else 1.0
         bar = f"{'#' * round(30 * share):.<30}"
-        left = f", {passed * (1 / share - 1):.0f} s left" if share else ""
+        left = f", {passed * (1 / share - 1):.0f} s left" if share > FIRST_SHARE else ""
         text = f"{simulated:.2f} of {self._total:g} s simulated [{bar}]{left}"
         if self._line is None:
             self._line = Doing(text)
