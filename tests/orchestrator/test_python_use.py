@@ -1,14 +1,17 @@
 """What a person at a Python prompt or in a notebook types, and what comes back."""
 
 import inspect
+import re
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from orchestrator import Trace, batch, compare, run
+from orchestrator import Problem, Trace, batch, compare, run
+from orchestrator.base import files
 from orchestrator.base.options import declarations
 from orchestrator.data.trace import as_trace
 from orchestrator.engine.arguments import DEFAULT_ACCURACY, AccuracyArguments, RunArguments
@@ -129,3 +132,16 @@ def test_a_cell_that_ends_with_a_semicolon_shows_the_figure_once(quiet, monkeypa
     waiting[0](None)
     assert shown == ["figure"] * quiet
     assert waiting == []
+
+
+def test_a_name_is_found_from_any_folder_of_a_checkout(built, tmp_path, monkeypatch):
+    """A notebook runs in its own folder; without FMUs the message says where it looked and how to build."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(files, "CHECKOUT", built)
+    assert files.find("harvester", (".ssp",)) == built / "harvester.ssp"
+    assert files.find("swing_detailed", (".fmu",)) == built / "variants" / "swing_detailed.fmu"
+    assert files.find("build/harvester.ssp", (".ssp",)) == Path("build/harvester.ssp")  # a path is one
+    monkeypatch.setattr(files, "CHECKOUT", tmp_path / "none")
+    looked = f"in {tmp_path / 'build'}, {tmp_path / 'none'}"
+    with pytest.raises(Problem, match=re.escape(f"no such file {looked}; build it with: harvester build")):
+        run("harvester")
