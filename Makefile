@@ -19,8 +19,9 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage mutants \
   docs pages clean release constraints extras test-lowest test-newest audit
 
-# FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
-demo: $(INSTALLED)
+# with all extras, for the commands in README.md. FMI 2.0, and the whole machine in FMI 3.0, which the report
+# shows; `harvester build` makes the rest
+demo: $(EVERYTHING)
 	$(BIN)/harvester build --fmi 2
 	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
@@ -46,6 +47,7 @@ lint: $(TESTING)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# ARGS: options of the benchmark, such as make bench-peers ARGS="--repeats 1"
 bench: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.speed
 	$(BIN)/python -m benchmarks.variants
@@ -55,27 +57,27 @@ bench-sensitivities: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.starts
 
 bench-live: $(TESTING)
-	$(BIN)/python -m benchmarks.live --browser
+	$(BIN)/python -m benchmarks.live --browser $(ARGS)
 
 bench-sweep: $(EVERYTHING)
 	test -f build/harvester.ssp || $(BIN)/harvester build
-	$(BIN)/python -m benchmarks.sweep
+	$(BIN)/python -m benchmarks.sweep $(ARGS)
 
 # every FMU and SSP in every tool that is found; writes the tables of docs/other-tools.md
 matrix: $(TESTING)
 	$(BIN)/harvester build
-	$(BIN)/python -m benchmarks.matrix
+	$(BIN)/python -m benchmarks.matrix $(ARGS)
 
 bench-peers: $(PEERS)
-	$(BIN)/python -m benchmarks.peers
-	$(BIN)/python -m benchmarks.peers.many
+	$(BIN)/python -m benchmarks.peers $(ARGS)
+	$(BIN)/python -m benchmarks.peers.many $(ARGS)
 
 # a sample of changed operators and numbers, and whether the tests near them notice; two hours
 mutants: $(TESTING)
 	$(BIN)/python -m benchmarks.mutants run
 
 coverage: $(EVERYTHING)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage $(ARGS)
 
 # the site, as build/site/index.html; its home page has the machine
 PARTS := swing boom_stick manipulator supply operator_input
@@ -145,7 +147,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/python tools/install.py build
 	touch $@
 
-$(EVERYTHING): $(INSTALLED)
+$(EVERYTHING): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python tools/install.py all
 	touch $@
 
@@ -154,7 +157,7 @@ $(TESTING): $(INSTALLED)
 	touch $@
 
 $(PEERS): $(INSTALLED)
-	$(BIN)/python tools/install.py build peers
+	$(BIN)/python tools/install.py build reference peers
 	touch $@
 
 $(DOCUMENTING): $(INSTALLED)

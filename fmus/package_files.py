@@ -15,7 +15,7 @@ import sys
 import tarfile
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from io import BytesIO
 from itertools import groupby
@@ -23,7 +23,7 @@ from pathlib import Path, PurePosixPath
 
 from orchestrator.base.compiler import note_generated, private_cache, process_folder
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import FMI3, zip_bytes
+from orchestrator.base.files import FMI3, VARIANTS, write_whole, zip_bytes
 from orchestrator.base.progress import doing
 from orchestrator.base.xml import package_version
 
@@ -31,6 +31,7 @@ PACKAGE = Path(__file__).parent
 BUILT = PACKAGE / "built.tar.xz"  # what `harvester build --platform all` makes; only in the wheel
 ZIPS = (".fmu", ".ssp")
 NAMED = ("data/scenarios", "data/reference", "examples/swing_peaks")  # folders of files that have names
+SUBFOLDERS = {2: "", 3: FMI3}  # version of FMI -> folder of the FMUs
 OF_FMI3 = f"{FMI3}/"  # prefix of the last members of the archive
 
 
@@ -62,6 +63,17 @@ def files(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
         built = shipped_folder(fmi3=OF_FMI3 in name)
         found |= {f"build/{p.relative_to(built).as_posix()}": p for p in sorted(built.rglob("*"))}
     return {key: path for key, path in found.items() if path.suffix in suffixes}
+
+
+def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
+    """Copy the FMUs and systems that the package contains, for all platforms; the copies."""
+    built, paths = shipped_folder(fmi3=3 in versions), []
+    for fmi in versions:
+        for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
+            for source in sorted(p for p in (built / sub).iterdir() if p.is_file()):
+                paths.append(Path(folder) / sub / source.name)
+                write_whole(paths[-1], source.read_bytes())
+    return paths
 
 
 def shipped_folder(fmi3: bool = True) -> Path:

@@ -18,7 +18,9 @@ from benchmarks.peers.machine import describe
 from benchmarks.peers.measure import Job, jobs
 from benchmarks.peers.report import plain, table
 from benchmarks.peers.settings import SETTINGS, Setting
-from benchmarks.peers.tools import find
+from benchmarks.peers.tools import find, left_out
+from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 
 NOTES = """\
 us/step: {clock} time of a communication step of 1 ms, the loop over the steps alone, median of the runs,
@@ -31,6 +33,10 @@ with the accuracy card."""
 def main() -> None:
     """Measure what was asked for."""
     asked = _arguments()
+    try:
+        require("reference", "the exact solution, from which the errors are measured,", "sksundae")
+    except Problem as problem:
+        raise SystemExit(f"benchmarks.peers: {problem}") from None
     console = Console(width=max(190, Console().width), markup=False, highlight=False)
     settings = [s for s in SETTINGS if not asked.only or any(word in s.label for word in asked.only)]
     settings = _installed(settings, console)
@@ -82,7 +88,7 @@ def _installed(settings: Sequence[Setting], console: Console) -> list[Setting]:
             find(tool)
         except (ImportError, OSError) as reason:
             missing[tool] = reason
-            console.print(f"left out: {tool}: {reason}")
+            console.print(left_out(tool, reason))
     return [s for s in settings if s.tool not in missing]
 
 

@@ -23,7 +23,7 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.peers.oscillator import fmu
-from benchmarks.peers.tools import Spent, find
+from benchmarks.peers.tools import Spent, find, left_out
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
@@ -70,14 +70,21 @@ def main() -> None:
         print(json.dumps(once(asked.once[0], Path(asked.once[1]))))
         return
     console = Console(highlight=False)
+    labels = list(TOOLS)
+    for tool in dict.fromkeys(tool for tool, _ in TOOLS.values()):
+        try:
+            find(tool)
+        except (ImportError, OSError) as reason:
+            console.print(left_out(tool, reason))
+            labels = [label for label in labels if TOOLS[label][0] != tool]
     columns = "", "set-up [s]", "both [s]", "CPU of both [s]", "us per step and FMU"
     for count in asked.count:
         table = Table(*columns, title=f"{count} FMUs")
         with tempfile.TemporaryDirectory() as folder:
             system = chain(Path(folder), count)
-            found = {label: list[dict[str, list[float]]]() for label in TOOLS}
+            found = {label: list[dict[str, list[float]]]() for label in labels}
             for _ in track(range(asked.repeats), f"{count} FMUs", console=console, transient=True):
-                for label in TOOLS:
+                for label in labels:
                     command = [sys.executable, "-m", "benchmarks.peers.many", "--once", label, str(system)]
                     told = subprocess.run(command, capture_output=True, text=True, check=False)
                     if told.returncode:

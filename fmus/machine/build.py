@@ -15,17 +15,16 @@ from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import NAME, with_partners, write_systems
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
-from fmus.package_files import data, shipped_folder
+from fmus.package_files import SUBFOLDERS, data
 from fmus.parameters import ParameterSet, not_shipped, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import FMI3, VARIANTS, tell_once, write_whole
+from orchestrator.base.files import VARIANTS, tell_once, write_whole
 from orchestrator.base.units import doubt
 
-__all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
+__all__ = ["build_machine", "controller_of", "data", "parts_with_parameters"]
 
 STEP = 1e-3  # default communication step [s]
-SUBFOLDERS = {2: "", 3: FMI3}  # version of FMI -> folder of the FMUs
 
 
 def build_machine(
@@ -67,17 +66,6 @@ def build_machine(
         complete = fmus.keys() >= ALL.keys()
         systems = write_systems(folders[fmi], fmus, STEP, manipulator, boom_stick) if complete else []
         paths += [*built, *systems, *default]
-    return paths
-
-
-def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
-    """Copy the FMUs and systems that the package contains, for all platforms; the copies."""
-    built, paths = shipped_folder(fmi3=3 in versions), []
-    for fmi in versions:
-        for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
-            for source in sorted(p for p in (built / sub).iterdir() if p.is_file()):
-                paths.append(Path(folder) / sub / source.name)
-                write_whole(paths[-1], source.read_bytes())
     return paths
 
 

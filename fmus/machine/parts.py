@@ -44,7 +44,6 @@ SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MA
 ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, OPERATOR.name: OPERATOR}
 Connections: TypeAlias = tuple[tuple[str, str], ...]
 
-CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")  # that most models leave constant
 JOINT_SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))
 # power ports: both signals of each port
 SIGNALS: Connections = (

@@ -10,23 +10,27 @@ from orchestrator.base.errors import Problem
 
 # extra -> modules that it brings, as they are imported; the same packages are in pyproject.toml
 EXTRAS: Mapping[str, tuple[str, ...]] = {
-    "build": ("ziglang",),
+    "model": ("casadi", "scipy"),
+    "build": ("casadi", "fmpy", "latex2mathml", "markdown_it", "pythonfmu", "scipy", "ziglang"),
+    "check": ("fmpy",),
     "view": ("starlette", "uvicorn", "websockets"),
-    "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow"),
-    "identify": ("statsmodels", "ziglang"),
-    "files": ("h5py", "pandas", "pyarrow"),
-    "control": ("control",),
+    "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow", "scipy"),
+    "identify": ("casadi", "scipy", "statsmodels", "ziglang"),
+    "files": ("h5py", "pandas", "pyarrow", "scipy"),
+    "control": ("control", "scipy"),
     "reference": ("sksundae",),
     "learn": ("gymnasium",),
 }
 # extra -> what needs it, for the table in README.md
 NEEDED_BY: Mapping[str, str] = {
+    "model": "`harvester parameters`, `variants`, `track`, `rig`; the equations in `fmus`",
     "build": "`harvester build`, `fmus.build`; `batch` and `sweep` run several machines at once on each core",
+    "check": "in `harvester check`: validation by FMPy, and results of Model Exchange",
     "view": "`harvester view`",
-    "sweep": "`harvester sweep`",
+    "sweep": "`harvester sweep`, `convergence`",
     "identify": "`harvester identify`",
-    "files": "Parquet files, MATLAB files of version 7.3, `to_pandas()`",
-    "control": "`to_control()`: linear models for python-control",
+    "files": "Parquet and MATLAB files, `to_pandas()`",
+    "control": "`harvester linearize`; `to_control()`: linear models for python-control",
     "reference": "`harvester reference`, `harvester validate --monolithic`",
     "learn": "`MachinesEnv`: machines for reinforcement learning; needs `[build]`, too",
 }

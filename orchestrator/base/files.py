@@ -460,14 +460,18 @@ def _normalised(path: PurePosixPath) -> str:
 
 DEFAULT_SYSTEM, BUILD_COMMAND = Path("build/harvester.ssp"), "harvester build"
 SYSTEMS, FMUS = (".ssp", ".ssd", ".fmu"), (".fmu",)
+CHECKOUT = (
+    Path(__file__).parents[2] / DEFAULT_SYSTEM.parent
+)  # of the checkout that this code belongs to, if any
 _told = set[str]()
 
 
 def find(given: str | Path, suffixes: tuple[str, ...], folder: str | Path = "") -> Path:
     """The file that a user names, or else the given path, which does not exist.
 
-    Taken is a path that exists, then a file in the folder build by its name, such as `swing`, then one that
-    comes with a package, by its name or by its path in a checkout, such as data/scenarios/boom_up.csv.
+    Taken is a path that exists, then a file in the folder build, here or in the checkout, by its name, such
+    as `swing`, then one that comes with a package, by its name or by its path in a checkout, such as
+    data/scenarios/boom_up.csv.
 
     folder   that a relative path refers to
     """
@@ -476,7 +480,8 @@ def find(given: str | Path, suffixes: tuple[str, ...], folder: str | Path = "") 
         return path
     name = re.sub(r"^(\.\./)+", "", Path(given).as_posix())
     names = [name] if name.endswith(suffixes) else [f"{name}{suffix}" for suffix in suffixes]
-    built = [DEFAULT_SYSTEM.parent / sub / n for n in names for sub in ("", VARIANTS)]
+    folders = DEFAULT_SYSTEM.parent, CHECKOUT
+    built = [folder / sub / n for folder in folders for n in names for sub in ("", VARIANTS)]
     if "/" not in name and (file := next((p for p in built if p.is_file()), None)):
         return file
     shipped = _shipped(name, suffixes)
@@ -499,6 +504,14 @@ def tell_once(text: str) -> None:
             sys.stderr.write(f"{text}\n")
 
 
+def shipped_with(file: Path, name: str) -> Path | None:
+    """Another file of the package that a file comes from, such as fmi3/harvester.fmu; else None."""
+    if file not in _shipped(file.name, (file.suffix,)).values():
+        return None
+    others = _shipped(name, (Path(name).suffix,)).items()
+    return next((path for key, path in others if key.endswith(f"/{name}")), None)
+
+
 def _shipped(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
     return {key: path for files in SHIPPED for key, path in files(name, suffixes).items()}
 
@@ -518,6 +531,9 @@ def require(given: str | Path, suffixes: tuple[str, ...], context: str = "") -> 
     }
     similar = [known[stem] for stem in get_close_matches(path.stem, known, cutoff=SIMILAR)]
     build = f"; build it with: {BUILD_COMMAND}" if path == DEFAULT_SYSTEM else ""
+    if str(path) == DEFAULT_SYSTEM.stem:  # a name, not a path
+        looked = f"in {', '.join(dict.fromkeys(map(str, (DEFAULT_SYSTEM.parent.absolute(), CHECKOUT))))}"
+        build = f" {looked}; build it with: {BUILD_COMMAND}"
     hint = f"; did you mean {', '.join(similar)}?" if similar else ""
     raise Problem(f"{context or path}: no such file{build or hint}")
 

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from inspect import cleandoc
+from inspect import Parameter, cleandoc, signature
 from math import inf
 from pathlib import Path
 from textwrap import fill
@@ -44,6 +44,9 @@ class Kind:
     most: float = inf
     positional: bool = False
     text: str = ""
+
+    def __repr__(self) -> str:
+        return f"Kind({self.word!r})"
 
 
 Seconds: TypeAlias = Annotated[float | str | None, Kind("T", "s")]
@@ -194,6 +197,13 @@ def option_texts(group: Any) -> Mapping[str, str]:
     return {name: texts.get(name, "") for name in declarations(group)}
 
 
+# option of FMPy's simulate_fmu -> ours
+OF_FMPY = {
+    **{"start_time": "start", "stop_time": "stop", "step_size": "step", "output_interval": "record_step"},
+    **{"relative_tolerance": "tolerance", "start_values": "set", "timeout": "time_limit"},
+}
+
+
 def chosen(group: Any, options: Mapping[str, Any], function: str) -> dict[str, Any]:
     """The options of a call that are not None, in SI units.
 
@@ -202,7 +212,9 @@ def chosen(group: Any, options: Mapping[str, Any], function: str) -> dict[str, A
     known, values = declarations(group), dict[str, Any]()
     for name, value in options.items():
         if name not in known:
-            raise TypeError(f"{function}() has no option {name!r}{suggest(name, [*known, 'scenario'])}")
+            here = f"; did you mean {OF_FMPY[name]}?" if OF_FMPY.get(name) in known else ""
+            hint = here or suggest(name, [*known, "scenario"])
+            raise TypeError(f"{function}() has no option {name!r}{hint}")
         if value is not None:
             values[name] = _checked(name, known[name], value)
     return values
@@ -224,9 +236,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def documented(group: Any) -> Callable[[F], F]:
-    """Decorator: adds the texts of the options of a group to the docstring of a function."""
+    """Decorator: adds the options of a group to the docstring and the signature of a function."""
 
     def decorate(function: F) -> F:
+        plain = signature(function)
+        own = [p for p in plain.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+        options = [
+            Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=hint)
+            for name, hint in hints_of(group).items()
+        ]
+        function.__signature__ = plain.replace(parameters=[*own, *options])  # type: ignore[attr-defined]
         if function.__doc__:
             texts = option_texts(group)
             width = max(map(len, texts)) + 3

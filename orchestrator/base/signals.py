@@ -33,6 +33,12 @@ def matching(names: Collection[str], pattern: str) -> list[str]:
     return [name for name in names if fnmatchcase(name if whole else bare_name(name), pattern)]
 
 
+def completions(names: Collection[str]) -> list[str]:
+    """The names, then each that only one signal has without its component."""
+    bare = [bare_name(name) for name in names]
+    return [*names, *(name for name in bare if bare.count(name) == 1 and name not in names)]
+
+
 def found(names: Collection[str], name: object, among: str = "the run") -> str:
     """The signal of a name, which may lack the component if only one signal has it; raises UnknownSignal.
 

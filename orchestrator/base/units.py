@@ -93,7 +93,8 @@ DISPLAY: Mapping[str, str] = MappingProxyType(
 QUANTITIES = {
     "speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m",
     "acceleration": "m/s2", "angular acceleration": "rad/s2", "force": "N", "torque": "N.m",
-    "flow": "m3/s", "power": "W", "voltage": "V",
+    "flow": "m3/s", "power": "W", "voltage": "V", "mass": "kg", "mass flow": "kg/s", "volume": "m3",
+    "force rate": "N/s", "pressure rate": "Pa/s", "voltage rate": "V/s",
 }  # fmt: skip
 
 _SPELLING = str.maketrans({"²": "2", "³": "3", "·": ".", "*": ".", "µ": "u", "μ": "u", "^": None})
@@ -206,7 +207,7 @@ def quantity(unit: str) -> str:
     if name == "torque" and unit.endswith("J"):
         return "energy"
     if name == "power" and not unit.endswith("W"):
-        name = ""  # N.m/s is the rate of a torque
+        name = "torque rate" if unit.endswith("N.m/s") else ""
     return name or (f"[{unit}]" if unit else "without unit")
 
 

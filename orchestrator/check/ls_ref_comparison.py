@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import MissingExtra, require
 from orchestrator.base.signals import rms, span
 from orchestrator.check.finding import Finding, error, note, warning
 from orchestrator.check.probe_process import run
@@ -72,6 +73,8 @@ def compare(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
     if not signals:
         result.problems.append(f"{case.reference.name} has no column of a numeric variable of the model")
         return result
+    if kind == "ModelExchange":
+        require("check", "a run in Model Exchange", "fmpy")
     described = model.for_run(*signals, *job["inputs"], *job["parameters"])
     outcome = run(subject.folder, described, kind, "shipped_experiment:run", payload=job)
     errors = (text for severity, text in outcome.remarks if severity == "error")
@@ -242,6 +245,9 @@ def _case_findings(subject: Subject, case: ShippedExperiment) -> Iterator[Findin
         return
     try:
         result = compare(subject, case)
+    except MissingExtra as missing:
+        yield note(f'experiment "{case.name}" was not run: {missing}')
+        return
     except Problem as problem:
         yield warning(f'experiment "{case.name}": {_inside(subject.folder.resolve(), problem)}')
         return

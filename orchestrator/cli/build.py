@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.extras import require
+from orchestrator.base.extras import EXTRAS, require
 from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, command
 
@@ -40,20 +41,26 @@ def build(
     shipped      Copy the FMUs and systems from the installed package instead of building them; they are for
                  all platforms, and no compiler is needed.
     """
-    from fmus.export.compile import select
-    from fmus.package_files import BUILT
+    from fmus.package_files import BUILT, copy_shipped
     from orchestrator.base.files import make_folder
 
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
-    platforms = select(platform or ["host"])
     if shipped and (model or platform or parameters or only):
         raise Problem("--shipped: expected no MODEL, --platform, --parameters or --only, which need a build")
-    if model is None and not shipped:
-        copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_file() else ""
-        require("build", "harvester build", advice=copying)
+    if shipped:
+        make_folder(out)
+        _tell(copy_shipped(out, versions[fmi]))
+        return
+    copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_file() else ""
+    # an FMU whose code is Python takes its library from the package
+    needed = [name for name in EXTRAS["build"] if model is None or name != "ziglang"]
+    require("build", "harvester build", *needed, advice="" if model else copying)
     make_folder(out)
+    from fmus.export.compile import select
+
+    platforms = select(platform or ["host"])
     if model is not None:
         from fmus.export.python.build import build_model
 
@@ -63,13 +70,13 @@ def build(
             raise Problem(f"--parameters {parameters}: expected none with MODEL, which has its own values")
         print(build_model(model, out, platforms))
         return
-    from fmus.machine.build import build_machine, copy_shipped
+    from fmus.machine.build import build_machine
     from orchestrator.base.progress import doing
 
-    if shipped:
-        paths = copy_shipped(out, versions[fmi])
-    else:
-        with doing("building FMUs") as line:
-            paths = build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update)
+    with doing("building FMUs") as line:
+        _tell(build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update))
+
+
+def _tell(paths: list[Path]) -> None:
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

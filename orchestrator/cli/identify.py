@@ -20,6 +20,7 @@ def rig(out: Folder, machine: Text = "detailed", seed: Annotated[int, Kind("N")]
     machine   Variants of the simulated machine: lumped (as in the paper) or detailed.
     seed      Seed of the noise, 0 or more; equal seeds give equal files.
     """
+    require("model", "harvester rig")
     import os
 
     from fmus.rig import write_all

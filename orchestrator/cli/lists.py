@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.base.options import Kind, Swaps
 from orchestrator.cli.options import BUILD, File, System, command, system_file
 
@@ -36,6 +37,7 @@ def variants(
     combinations   Run the work cycle with every combination of variants instead.
     out            With `combinations`: file for the table (.csv).
     """
+    require("model", "harvester variants")
     from fmus.machine.parts import FAMILIES, JOINT_SPEEDS
     from fmus.machine.tables import variant_lines, variant_names
 
@@ -70,6 +72,7 @@ def parameters(
     source      Only parameters of this source: paper, derived, literature, assumed or identified; default:
                 all.
     """
+    require("model", "harvester parameters")
     from fmus.machine.tables import parameter_text
 
     print(parameter_text(subsystem, source, BUILD))

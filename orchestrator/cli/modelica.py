@@ -9,6 +9,16 @@ from orchestrator.base.files import VARIANTS
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, Folder, Text, command, system_file
 
+CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")  # that most models leave constant
+LEVERS = ("swing_command", "boom_command", "stick_command")  # 0 where nothing is connected
+EXAMPLE = """then a model of yours, such as
+  model Mine
+    {name}.FMUs.Harvester machine;
+    Modelica.Blocks.Sources.Sine lever(amplitude = 3, f = 0.3, startTime = 1);
+  equation
+    connect(lever.y, machine.boom_command);  // levers without connection are 0
+  end Mine;"""
+
 
 @command
 def modelica(
@@ -28,12 +38,18 @@ def modelica(
     constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default: those of
                supply_pressure, tank_pressure and payload_mass that the FMUs have.
     """
-    from fmus.machine.parts import CONSTANT_INPUTS
     from orchestrator.modelica import write_package
     from orchestrator.ssp.load import load
 
+    whole_machine = not files
     if not files:
         system = system_file(None)
         files = [system, system.with_suffix(".fmu"), *sorted((system.parent / VARIANTS).glob("*.fmu"))]
     inputs = {port.variable for file in files for port in load(file, exchange=True).ports("input")}
-    print(write_package(files, out, name, constant or [i for i in CONSTANT_INPUTS if i in inputs]))
+    default = [known for known in CONSTANT_INPUTS if known in inputs]
+    package = write_package(files, out, name, constant or default, LEVERS)
+    print(package)
+    script = f'loadModel(Modelica, {{"4.0.0"}}); loadFile("{package.as_posix()}");'
+    print(f"next, in OpenModelica: {script}")
+    if whole_machine:
+        print(EXAMPLE.format(name=name))

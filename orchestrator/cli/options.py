@@ -41,9 +41,7 @@ Scenario: TypeAlias = Annotated[
 ]
 
 
-app = typer.Typer(
-    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
-)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 def _print_version(requested: bool) -> None:

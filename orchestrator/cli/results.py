@@ -10,7 +10,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_whole
 from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time, command, system_file
-from orchestrator.engine.arguments import CoupledArguments
+from orchestrator.engine.arguments import DEFAULT_ACCURACY, CoupledArguments
 
 
 @command
@@ -60,7 +60,7 @@ def validate(
         default_system=DEFAULT_SYSTEM if system else file,
         monolithic=monolithic,
         limit=limit,
-        default_accuracy=1e-4,
+        default_accuracy=DEFAULT_ACCURACY["validate"],
         report=partial(print, flush=True),
         **options,
     )
@@ -69,7 +69,7 @@ def validate(
     return validation.passed
 
 
-FORMATS = (".png", ".svg")
+FORMATS = (".png", ".svg", ".pdf")
 
 
 @command
@@ -121,15 +121,15 @@ def plot(
               six signals of each of four quantities.
     start     Start of the time window [s]; default: all.
     stop      End of the time window [s]; default: all.
-    out       File of the picture (.png, .svg); default: a window, or build/plot.png without a display.
+    out       File of the picture (.png, .svg, .pdf); default: a window, or build/plot.png without a display.
     """
     from orchestrator.base.files import make_folder
     from orchestrator.engine.result import newest_trace
-    from orchestrator.pages.plotting import png, show, svg
+    from orchestrator.pages.plotting import pdf, png, show, svg
     from orchestrator.results.comparison import read_runs
 
     if out is not None and out.suffix.lower() not in FORMATS:
-        raise Problem(f"--out {out}: expected a file name ending in {' or '.join(FORMATS)}")
+        raise Problem(f"--out {out}: expected a file name ending in .png, .svg or .pdf")
     newest = None if files else newest_trace(BUILD)
     if not (chosen := files or ([newest] if newest else [])):
         raise Problem(f"{BUILD}: expected the trace of a run, got none; make one with: harvester run")
@@ -146,6 +146,6 @@ def plot(
         return
     picture = out or BUILD / "plot.png"
     make_folder(picture.parent)
-    as_svg = picture.suffix.lower() == ".svg"
-    write_whole(picture, svg(figure, transparent=False) if as_svg else png(figure))
+    drawn = {".svg": lambda: svg(figure, transparent=False).encode(), ".pdf": lambda: pdf(figure)}
+    write_whole(picture, drawn.get(picture.suffix.lower(), lambda: png(figure))())
     print(f"{'' if out else 'no display for a window; '}picture: {picture}")

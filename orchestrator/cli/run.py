@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import Unpack
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
-from orchestrator.engine.arguments import CommandArguments, LinearArguments, ReferenceArguments
+from orchestrator.engine.arguments import (
+    DEFAULT_ACCURACY,
+    CommandArguments,
+    LinearArguments,
+    ReferenceArguments,
+)
 
 NOT_RELIABLE = 3  # exit status
 
@@ -30,7 +36,7 @@ def run(
     start_process()  # before the slow imports
     from orchestrator.engine.run import run_to_file
 
-    result, line = run_to_file(file, scenario, out, default_accuracy=1e-3, **options)
+    result, line = run_to_file(file, scenario, out, default_accuracy=DEFAULT_ACCURACY["run"], **options)
     print(f"{result.card.text()}\n\n{line}")
     return 0 if result.reliable else NOT_RELIABLE
 
@@ -82,6 +88,7 @@ def linearize(
     from orchestrator.base.files import make_folder, require_system
     from orchestrator.linear.linearize import linearize as run_linearize
 
+    require("control", "harvester linearize", "scipy")
     if out.suffix != ".npz":
         raise Problem(f"--out {out}: expected a file name ending in .npz")
     linear = run_linearize(require_system(system_file(system)), scenario, **options)

@@ -43,6 +43,7 @@ def convergence(
     repeats     Number of times that each run is timed, at least 1; the median is reported.
     out         Folder of the tables and figures.
     """
+    require("sweep", "harvester convergence", "scipy")
     from fmus.package_files import data
     from orchestrator.studies.convergence.convergence_study import convergence as study
 
@@ -97,6 +98,7 @@ def track(
     limit     Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.
     out       Folder of tracking.png and tracking.json.
     """
+    require("model", "harvester track")
     from fmus.controller.paths import route_start_angles, start_angles, write_route
     from fmus.machine.parts import MACHINES
     from fmus.package_files import PACKAGE

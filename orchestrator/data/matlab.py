@@ -182,6 +182,7 @@ class _Hdf5:
 
 
 def _version_4(file: Location, data: bytes) -> dict[str, Any]:
+    require("files", f"{file}: a MATLAB file of version 4", "scipy")
     import scipy.io
 
     for name, shape, _ in scipy.io.whosmat(BytesIO(data)):

@@ -8,7 +8,7 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -22,7 +22,7 @@ from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.signals import found, matching
+from orchestrator.base.signals import completions, found, matching
 from orchestrator.base.text import first_names
 from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 
@@ -64,7 +64,7 @@ class Units(dict[str, str]):
         return self.get(found(self._signals, name), "")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Trace(Mapping[str, Array]):
     """Signals over a common, strictly increasing time axis, in SI units: a mapping of names to values.
 
@@ -110,6 +110,19 @@ class Trace(Mapping[str, Array]):
         units = {name: unit for name, unit in self.units.items() if name in signals}
         return replace(self, time=self.time if time is None else time, signals=signals, units=units)
 
+    def __eq__(self, other: object) -> bool:
+        """Equal times, signals and units; missing samples are equal."""
+        if not isinstance(other, Trace):
+            return NotImplemented
+        same = [*self] == [*other] and self.units == other.units and np.array_equal(self.time, other.time)
+        return same and all(np.array_equal(v, other.signals[n], equal_nan=True) for n, v in self.items())
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """What a console offers after `trace["`."""
+        return completions(self.signals)
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.signals)
 
@@ -142,16 +155,11 @@ class Trace(Mapping[str, Array]):
 
     def to_xarray(self) -> xr.Dataset:
         """A dataset with a variable for each signal over `time`, each with its unit in `attrs["units"]`."""
-        try:
-            import xarray as xr
-        except ImportError:
-            raise Problem("to_xarray() needs the package xarray; install with: pip install xarray") from None
-        values = {name: (TIME, values, {"units": self.units.get(name, "")}) for name, values in self.items()}
-        return xr.Dataset(values, {TIME: (TIME, self.time, {"units": "s"})})
+        return dataset(self.time, self.signals, self.units)
 
     def at(self, time: ArrayLike) -> Self:
-        """The signals at other times [s]: linear interpolation, constant before and after the samples."""
-        times = np.asarray(time, dtype=np.float64)
+        """The signals at other times [s], or at one: linear interpolation, constant beyond the samples."""
+        times = np.atleast_1d(np.asarray(time, dtype=np.float64))
         return self._with({n: np.interp(times, self.time, v) for n, v in self.signals.items()}, times)
 
     def plot(
@@ -173,7 +181,7 @@ class Trace(Mapping[str, Array]):
         others        label -> further traces or results, with other line styles; `label`: that of this one
         band          half width of a band around signals of this trace, in their units
         """
-        from orchestrator.pages.plotting import draw, signal_figure
+        from orchestrator.pages.plotting import draw, shown_at_end, signal_figure
 
         flat = [name for p in patterns for name in ([p] if isinstance(p, str) else p)]
         runs = {label or "1": self} | {n: getattr(t, "trace", t) for n, t in (others or {}).items()}
@@ -187,7 +195,7 @@ class Trace(Mapping[str, Array]):
             for run, trace in windows.items()
         }
         around = band.at(windows[label or "1"].time).signals if band else {}
-        return draw(signal_figure(curves, units, title, below, around))
+        return shown_at_end(draw(signal_figure(curves, units, title, below, around)))
 
     def chosen(self, patterns: Sequence[str] = ()) -> list[str]:
         """The signals that names and patterns select, see `matching`; default: those of a figure.
@@ -220,11 +228,12 @@ class Trace(Mapping[str, Array]):
         return self[list(names)]
 
 
-Data: TypeAlias = "Trace | Mapping[str, ArrayLike] | pd.DataFrame"  # signals over time in memory
+# signals over time in memory; a function of the time [s] is evaluated at the times of the others
+Data: TypeAlias = "Trace | Mapping[str, ArrayLike | Callable[[float], float]] | NDArray[Any] | pd.DataFrame"
 
 
 def as_trace(data: Data, name: str = "data") -> Trace:
-    """A trace from columns: a mapping or a pandas DataFrame with a column `time` [s].
+    """A trace from columns: a mapping, pandas DataFrame or structured array with a column `time` [s].
 
     The index of a DataFrame can be the time instead, if it is named `time`. Raises Problem, beginning with
     `name`, for columns of different lengths, times that do not increase, and values that are no numbers.
@@ -233,14 +242,19 @@ def as_trace(data: Data, name: str = "data") -> Trace:
     if isinstance(data, Trace):
         return data
     table: Any = data
+    if isinstance(data, np.ndarray) and data.dtype.names:  # as FMPy takes inputs and returns results
+        table = {column: data[column] for column in data.dtype.names}
     if TIME not in table and getattr(getattr(table, "index", None), "name", None) == TIME:
         table = table.reset_index()
     if TIME not in table:
         raise Problem(f"{name}: expected a column {TIME!r} [s], got {first_names(map(str, table)) or 'none'}")
-    values = {}
+    values = dict[str, Array]()
     for column in [TIME, *(c for c in table if c != TIME)]:
         try:
-            values[str(column)] = np.atleast_1d(np.asarray(table[column], dtype=np.float64))
+            samples = table[column]
+            if callable(samples):
+                samples = [samples(float(t)) for t in values[TIME]]
+            values[str(column)] = np.atleast_1d(np.asarray(samples, dtype=np.float64))
         except (TypeError, ValueError) as error:
             raise Problem(f"{name}: column {column!r}: expected numbers: {error}") from None
     for column, samples in values.items():
@@ -251,6 +265,23 @@ def as_trace(data: Data, name: str = "data") -> Trace:
             told = f"expected a vector of one number for each time, got shape {samples.shape}"
             raise Problem(f"{name}: column {column!r}: {told}, and {expected} of the time")
     return _checked(Columns(name, values, range(1, 1 + len(values[TIME]))))
+
+
+def dataset(
+    time: Array,
+    signals: Mapping[str, Array],
+    units: Mapping[str, str],
+    machines: Mapping[str, Any] | None = None,
+) -> xr.Dataset:
+    """An xarray dataset of signals, shape (n,), or (machines, n) with data of the `machines`."""
+    try:
+        import xarray as xr
+    except ImportError:
+        raise Problem("to_xarray() needs the package xarray; install with: pip install xarray") from None
+    over = (TIME,) if machines is None else ("machine", TIME)
+    values = {name: (over, samples, {"units": units.get(name, "")}) for name, samples in signals.items()}
+    about = {name: ("machine", each) for name, each in (machines or {}).items()}
+    return xr.Dataset(values, {TIME: (TIME, time, {"units": "s"}), **about})
 
 
 def read_trace(path: str | Path | Location) -> Trace:

@@ -482,6 +482,7 @@ class _Mat(_Csv):
     number_size = _Csv.number_size + 5  # the rows are in a CSV file until the whole file is complete
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
+        require("files", f"{path}: a MATLAB file", "scipy")
         super().__init__(path, names, units)
         self._names, self._units = names, units
 

@@ -35,7 +35,7 @@ import numpy as np
 from markupsafe import Markup
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import FMI3, Location
+from orchestrator.base.files import FMI3, Location, shipped_with
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
 from orchestrator.drive import drawing, score, sticks
@@ -78,8 +78,10 @@ def find_fmu(system: Path) -> Path | None:
 
     That of an SSP has the same name and is next to the file or in its subfolder fmi3.
     """
-    names = (system.with_suffix(".fmu"), system.parent / FMI3 / f"{system.stem}.fmu")
-    return next((path for path in names if path.is_file() and _module(load(path)) is not None), None)
+    name = f"{FMI3}/{system.stem}.fmu"
+    paths = (system.with_suffix(".fmu"), system.parent / name)
+    driven = (path for path in paths if path.is_file() and _module(load(path)) is not None)
+    return next(driven, None) or shipped_with(system, name)
 
 
 def fragment(
@@ -120,7 +122,7 @@ def write_page(path: Path, system: Path, title: str) -> Path:
     if find_fmu(system) is None:
         raise Problem(
             f"{system}: expected {system.stem}.fmu of FMI 3.0 with a WebAssembly module, next to the file or"
-            " in fmi3, found none; harvester build makes it"
+            " in fmi3, found none; harvester build makes it, from the wheel harvester build --shipped"
         )
     section = fragment(system, autostart=True)
     if not section:

@@ -304,18 +304,24 @@ def seen(values: NDArray[np.float64], most: int, part: float) -> int:
 
     It may leave the values at both ends by this part of its range.
     """
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
     span, samples = part * np.ptp(values), most
     while samples > 1:
-        middle = slice((samples + 1) // 2, len(values) - samples // 2)
         first, last = values[:-samples], values[samples:]
-        above = maximum_filter1d(values, samples + 1)[middle] - np.maximum(first, last)
-        below = np.minimum(first, last) - minimum_filter1d(values, samples + 1)[middle]
+        above = largest(values, samples + 1) - np.maximum(first, last)
+        below = np.minimum(first, last) + largest(-values, samples + 1)
         if max(above.max(), below.max()) <= span:
             break
         samples = 2 * samples // 3
     return samples
+
+
+def largest(values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """The largest of each `count` values in a row, shape (n - count + 1,)."""
+    width = 1
+    while 2 * width <= count:
+        values, width = np.maximum(values[:-width], values[width:]), 2 * width
+    rest = count - width
+    return np.maximum(values[: len(values) - rest], values[rest:])
 
 
 def _jumps(trace: Trace, name: str) -> bool:

@@ -65,6 +65,9 @@ class StepArguments(TypedDict, total=False):
     record_step: Seconds
 
 
+DEFAULT_ACCURACY = {"run": 1e-3, "validate": 1e-4}  # of the commands
+
+
 class AccuracyArguments(TypedDict, total=False):
     """How accurate a run is to be, in place of coupling, step and tolerance.
 

@@ -92,6 +92,9 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """As `Trace`: the values of a signal, in its unit, or the trace with the signals of a list."""
         return self.trace[key]
 
+    def _ipython_key_completions_(self) -> list[str]:
+        return self.trace._ipython_key_completions_()
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.trace)
 
@@ -154,10 +157,10 @@ class Result(Mapping[str, NDArray[np.float64]]):
         """
         if self.errors is None:
             return None
-        from scipy.ndimage import maximum_filter1d
+        from orchestrator.engine.accuracy import largest
 
-        largest = {n: maximum_filter1d(np.abs(e), 2 * NEARBY + 1) for n, e in self.errors.signals.items()}
-        signals = {name: BAND * values for name, values in largest.items()}
+        near = {n: np.pad(np.abs(e), NEARBY) for n, e in self.errors.signals.items()}
+        signals = {name: BAND * largest(values, 2 * NEARBY + 1) for name, values in near.items()}
         return Trace(self.errors.time, signals, self.errors.units).at(self.trace.time)
 
 

@@ -19,6 +19,7 @@ from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
+from orchestrator.base.signals import matching
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
@@ -68,6 +69,7 @@ from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
+FIRST_SHARE = 0.001  # of a run, from which on the time that it will take is estimated
 MANY_STEPS = 10**7  # 20 s of the harvester's FMUs: from here on a run says in advance what it will take
 
 ScenarioSource: TypeAlias = "Data | str | Path | Location | None"
@@ -90,11 +92,13 @@ def run(
     """Co-simulate a system.
 
     system       a System, or the path of an .ssp, .ssd or .fmu file
-    scenario     inputs over time: a .csv, .parquet or .mat file, a Trace, a pandas DataFrame, or a mapping
-                 such as {"time": [0, 1, 1.3], "boom_command": [0, 0, 5]}; a column has the name of an input
+    scenario     inputs over time: a .csv, .parquet or .mat file, a Trace, a pandas DataFrame, a structured
+                 array, or a mapping such as {"time": [0, 1, 1.3], "boom_command": [0, 0, 5]}, whose values
+                 may be functions of the time [s]; a column has the name of an input
                  of the system, of component.variable, or of all component inputs with this name; it replaces
                  the connection to its input
-    record       names of the signals to record, or a `Record`, also with step and power bonds
+    record       names of the signals to record, or patterns such as "boom_*", or a `Record`, also with step
+                 and power bonds
     execution    tolerance of the FMUs, error estimate, progress bar, other component classes: see
                  `Execution`
 
@@ -195,6 +199,10 @@ class Request:
         times = grid(system, trace, *span, record.step, fitted)
         driving = driving and replace(driving, table=driving.table.on(times))
         times = with_events(times, driving.table.corners() if driving and divides else ())
+        if record.signals is not None:
+            names = [str(port) for causality in ("output", "input") for port in system.ports(causality)]
+            wanted = (name for pattern in record.signals for name in matching(names, pattern) or [pattern])
+            record = replace(record, signals=tuple(dict.fromkeys(wanted)))
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
         return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
@@ -382,7 +390,7 @@ class ProgressBar(AbstractContextManager["ProgressBar"]):
             return
         share = simulated / self._total if self._total else 1.0
         bar = f"{'#' * round(30 * share):.<30}"
-        left = f", {passed * (1 / share - 1):.0f} s left" if share else ""
+        left = f", {passed * (1 / share - 1):.0f} s left" if share > FIRST_SHARE else ""
         text = f"{simulated:.2f} of {self._total:g} s simulated [{bar}]{left}"
         if self._line is None:
             self._line = Doing(text)

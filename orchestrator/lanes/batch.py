@@ -6,11 +6,11 @@ processes (`one_by_one`).
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +19,10 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
-from orchestrator.base.signals import found
+from orchestrator.base.signals import completions, found
 from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace import Trace, dataset
 from orchestrator.engine.arguments import BatchArguments
 from orchestrator.engine.job import Execution, Job
 from orchestrator.engine.result import Interrupted
@@ -37,9 +37,9 @@ from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 MEMORY_SHARE = 0.5  # of the memory of this computer, for the arrays of a result
 
 
-@dataclass(frozen=True)
-class BatchResult:
-    """The signals of n machines at m points.
+@dataclass(frozen=True, eq=False)
+class BatchResult(Mapping[str, Array]):
+    """The signals of n machines at m points: a mapping of names to values.
 
     time      shape (m,) [s]
     signals   name -> shape (n, m); NaN after the end of a machine that ended early
@@ -67,6 +67,19 @@ class BatchResult:
 
     def __getitem__(self, name: str) -> Array:
         return self.signals[found(self.signals, name)]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        return len(self.signals)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return completions(self.signals)
+
+    def to_xarray(self) -> Any:
+        """A dataset of the signals over `machine` and `time`, and the status of each machine."""
+        return dataset(self.time, self.signals, self.units, {"status": self.status})
 
     def trace(self, machine: int) -> Trace:
         """The signals of one machine, up to its failure."""

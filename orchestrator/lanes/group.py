@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.processes import available_cores
+from orchestrator.base.progress import doing
 from orchestrator.data.table import Array
 from orchestrator.engine.job import Job
 from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
@@ -116,7 +117,8 @@ class Lanes:
         """Raises NotInLanes if the system or its coupling is not supported."""
         self.job, self.system, self.times, self.signals = job, job.system, times, signals
         _check_coupling(job, times)
-        with ThreadPoolExecutor(available_cores()) as threads:  # several compilers at once
+        text = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
+        with doing(text), ThreadPoolExecutor(available_cores()) as threads:  # several compilers at once
             self.models = list(threads.map(compiled_model, self.system.components.values()))
         self.index = {name: k for k, name in enumerate(self.system.components)}
         with ExitStack() as stack:

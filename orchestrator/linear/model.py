@@ -75,7 +75,7 @@ class LinearModel:
 
     def to_control(self) -> Any:
         """Convert to a StateSpace of the package python-control; dots in names become underscores."""
-        require("control", "to_control()")
+        require("control", "to_control()", "control")
         import control
 
         groups = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eig, matrix_balance
 
 from orchestrator.base.text import short_names
 from orchestrator.base.units import DeclaredUnit
@@ -201,6 +200,8 @@ def eigen(a: Array, nominal: Array) -> tuple[NDArray[np.complex128], ...]:
     LAPACK). The Rayleigh quotient with left and right eigenvector then removes the rounding error of slow
     eigenvalues in the presence of fast ones, up to an error of second order.
     """
+    from scipy.linalg import eig, matrix_balance
+
     scaled, _ = matrix_balance(a * nominal / nominal[:, None], permute=False)
     values, left, right = eig(scaled, left=True, right=True)
     denominator = np.einsum("ik,ik->k", left.conj(), right)

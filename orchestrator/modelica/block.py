@@ -61,6 +61,7 @@ class FmuBlock:
     inputs, outputs   variables of the FMU, except those that are only for rates of inputs
     names             identifiers of inputs and outputs in Modelica
     optional          inputs that need not be connected, by name
+    levers            inputs that are 0 if nothing is connected to them
     scope             all identifiers of the block
     """
 
@@ -72,6 +73,7 @@ class FmuBlock:
     names: Mapping[str, str]
     parameters: Sequence[BlockParameter]
     optional: Mapping[str, OptionalInput]
+    levers: Collection[str]
     scope: Scope
 
     @property
@@ -151,11 +153,14 @@ class FmuBlock:
         return "fmu_states" if self.states else "fill(0.0, 0)"
 
 
-def fmu_block(name: str, folder: str, component: Component, constant_inputs: Collection[str]) -> FmuBlock:
+def fmu_block(
+    name: str, folder: str, component: Component, constant_inputs: Collection[str], levers: Collection[str]
+) -> FmuBlock:
     """The block of an FMU; raises Problem if the FMU cannot be a block.
 
     component         the FMU, read for Model Exchange, with its own values
     constant_inputs   inputs that have their start value if they are not connected
+    levers            inputs that are 0 if nothing is connected to them
     """
     interface, scope = component.interface, Scope()
     _check(f"{component.source}", interface)
@@ -172,7 +177,8 @@ def fmu_block(name: str, folder: str, component: Component, constant_inputs: Col
     for v in (v for v in inputs if v.name in constant_inputs):
         identifiers = [scope.add(n) for n in (f"use_{v.name}_in", f"{v.name}_constant", f"{v.name}_internal")]
         optional[v.name] = OptionalInput(v, float(component.value(v.name)), *identifiers)
-    return FmuBlock(name, folder, component, inputs, outputs, names, parameters, optional, scope)
+    free = [v.name for v in inputs if v.name in levers]
+    return FmuBlock(name, folder, component, inputs, outputs, names, parameters, optional, free, scope)
 
 
 def _check(where: str, interface: FmuInterface) -> None:

@@ -27,11 +27,13 @@ class PackageBlocks:
     """The blocks of a package; FMUs with the same model description share a block, which gets several names.
 
     constant_inputs   inputs that have their start value if they are not connected
+    levers            inputs that are 0 if nothing is connected to them
     blocks            by the bytes of modelDescription.xml
     names             class name and block by the file name of the FMU
     """
 
     constant_inputs: Collection[str]
+    levers: Collection[str]
     blocks: dict[bytes, FmuBlock] = field(default_factory=dict)
     names: dict[str, tuple[str, FmuBlock]] = field(default_factory=dict)
     classes: Scope = field(default_factory=Scope)
@@ -49,7 +51,9 @@ class PackageBlocks:
         name = self.names[stem][0] if stem in self.names else self.classes.add(class_name(stem))
         if block is None:
             fmu = replace(component, name=stem, start={})
-            block = self.blocks[key] = fmu_block(name, self._folder(stem), fmu, self.constant_inputs)
+            block = self.blocks[key] = fmu_block(
+                name, self._folder(stem), fmu, self.constant_inputs, self.levers
+            )
         self.names[stem] = name, block
         return block
 
@@ -72,18 +76,20 @@ def write_package(
     out: str | Path,
     name: str = "Harvester",
     constant_inputs: Collection[str] = (),
+    levers: Collection[str] = (),
 ) -> Path:
     """Write the package `name` into the folder `out`; returns the path of its package.mo.
 
     systems           .ssp files, with their FMUs and connections, and .fmu files; FMI 2.0 for Model Exchange
     constant_inputs   inputs that have their start value if they are not connected
+    levers            inputs that are 0 if nothing is connected to them
 
     An earlier package with this name is replaced, unless files in it were added or changed by hand.
     """
     if not re.fullmatch(PLAIN, name) or name in RESERVED:
         raise Problem(f"package name {name!r}: expected letters, digits and _, such as Harvester")
     loaded = [load(path, exchange=True) for path in systems]
-    blocks = PackageBlocks(constant_inputs)
+    blocks = PackageBlocks(constant_inputs, levers)
     parts = [{c.name: blocks.add(c) for c in system.components.values()} for system in loaded]
     inputs = {v.name for block in blocks.blocks.values() for v in block.inputs}
     for unknown in (n for n in constant_inputs if n not in inputs):
@@ -218,7 +224,13 @@ class ConnectedSystem:
 
     def _equation(self, target: Port, source: str, linear: LinearTransformation) -> None:
         mapped = f"{number(linear.factor)} * {source} + {number(linear.offset)}"
-        self.equations.append(f"{self._port_name(target)} = {source if linear == IDENTITY else mapped}")
+        value = source if linear == IDENTITY else mapped
+        if target.variable in self._blocks[target.component].levers:  # 0 unless it is connected
+            name = self._scope.add(f"{target.component}_{target.variable}_source")
+            self.declarations.append(f"Modelica.Blocks.Sources.RealExpression {name}(y = {value})")
+            self.equations.append(f"connect({name}.y, {self._port_name(target)})")
+        else:
+            self.equations.append(f"{self._port_name(target)} = {value}")
 
     def _unconnected_inputs(self) -> None:
         """Variables for the inputs of the system and for unconnected inputs of components."""

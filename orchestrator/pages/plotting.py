@@ -11,6 +11,7 @@ import io
 import itertools
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -320,6 +321,20 @@ def show(figure: Figure, title: str) -> bool:
     return True
 
 
+def shown_at_end(figure: Figure) -> Figure:
+    """The figure; a cell of a notebook that ends with `;` shows it all the same, as it does with pyplot."""
+    shell: Any = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if hasattr(shell, "kernel"):
+
+        def after(*_: object) -> None:
+            shell.events.unregister("post_run_cell", after)
+            if shell.displayhook.quiet():
+                sys.modules["IPython"].display.display(figure)
+
+        shell.events.register("post_run_cell", after)
+    return figure
+
+
 def svg(figure: Figure, transparent: bool = True) -> str:
     """The figure as reproducible SVG; texts are stored as text, not as paths."""
     buffer = io.StringIO()
@@ -332,6 +347,13 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
     """The figure as PNG with a white background."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+def pdf(figure: Figure) -> bytes:
+    """The figure as reproducible PDF."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
 
 

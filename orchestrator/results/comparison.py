@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, rea
 from orchestrator.fmi.description import Value
 from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Source = str | Path | Trace | Result
 
@@ -99,6 +103,7 @@ DEFAULT_QUANTITIES = ("speed", "pressure", "angle")  # shown if the user names n
 OTHER_START, OTHER_TIME = 0.01, 0.01  # [rad] or [m] between two poses at the start; of the duration
 # below AT_REST times the widest range of its quantity, a signal is at rest, too, and has no NRMSE
 CONSTANT = "constant reference"
+ROUNDING = 1e-9  # part of the largest value of a quantity: signals that differ by less are equal
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,18 @@ class Comparison:
         """Why runs are not reliable, with their labels."""
         told = ((run, run.metadata.unreliable) for run in self.runs if run.metadata)
         return tuple(f"{run.label}: {reason}" for run, reasons in told for reason in reasons)
+
+    def plot(self, *patterns: str) -> Figure:
+        """The signals that differ most, or those of patterns, in all runs, and below each its differences."""
+        from orchestrator.pages.plotting import shown_at_end
+        from orchestrator.results.comparison_report import draw
+
+        return shown_at_end(draw(self, self.reference.trace.chosen(patterns) if patterns else None))
+
+    def _repr_html_(self) -> str:
+        from orchestrator.results.comparison_report import worst_tables
+
+        return "".join(f"<div>{table.html()}</div>" for table in worst_tables(self))
 
     def __repr__(self) -> str:
         start, stop = self.window
@@ -151,7 +168,7 @@ class Comparison:
     def worst(self, label: str, quantity: str) -> ValidatedSignal | None:
         """The signal of a quantity with the largest NRMSE; None if all are at rest in both runs.
 
-        If the reference is at rest, NRMSE is over the range of the other run, and CONSTANT is a note.
+        If the reference is at rest, NRMSE is over the range of both runs, and CONSTANT is a note.
         Raises Problem for an unknown run or quantity.
         """
         rows = self._rows(label, quantity)
@@ -172,6 +189,12 @@ class Comparison:
             hint = suggest(quantity, groups) or f"; there are {', '.join(groups)}"
             raise Problem(f"no quantity {quantity!r}{hint}")
         return groups[quantity]
+
+    def equal(self, label: str, row: ValidatedSignal) -> bool:
+        """Is the difference of a signal rounding, next to the largest value of its quantity?"""
+        rows = self.against[label].groups[row.group]
+        sizes = (max(np.abs(r.reference).max(), r.metrics.normalised_by) for r in rows)
+        return bool(row.metrics.maximum_error <= max(ROUNDING * max(sizes), FLOOR))
 
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, including signals at rest."""
@@ -285,9 +308,11 @@ def _moving(row: ValidatedSignal, least: float) -> ValidatedSignal | None:
         least = max(least, row.metrics.normalised_by)
     if span(row.reference) > least:
         return row
-    moved = span(row.simulation)
-    metrics = replace(row.metrics, nrmse=row.metrics.rmse / moved) if moved > least else None
-    return replace(row, metrics=metrics, notes=(*row.notes, CONSTANT)) if metrics else None
+    if span(row.simulation) <= least:
+        return None
+    both = np.concatenate([row.reference, row.simulation])
+    metrics = replace(row.metrics, nrmse=row.metrics.rmse / span(both))
+    return replace(row, metrics=metrics, notes=(*row.notes, CONSTANT))
 
 
 def _validate(recording: Recording, run: Run) -> Validation:

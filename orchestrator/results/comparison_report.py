@@ -58,12 +58,14 @@ WRITTEN = {
     **{"step": "s", "steps": "", "passes": "", "repeated": "", "simulated": "s", "wall": "s", "inside": "s"},
 }
 FLOORED = " *"  # after an NRMSE over the floor
+EQUAL = "equal"
 SAME_CURVE = 0.01  # relative to the range: curves that are closer cannot be distinguished in the figure
 
 
 def chosen(comparison: Comparison) -> list[str]:
     """The signals of the figure: of each quantity those with the largest differences, in their order."""
-    groups = grouped(_shown(comparison), lambda row: row.group)
+    rows = _different(comparison) or _shown(comparison)
+    groups = grouped(rows, lambda row: row.group)
     most = MOST_OF_QUANTITY if len(groups) > 1 else MOST_PANELS
     shown = {row.signal for rows in groups.values() for row in _distinct(rows, most)}
     return [signal for signal in comparison.signals if signal in shown][:MOST_PANELS]
@@ -72,6 +74,14 @@ def chosen(comparison: Comparison) -> list[str]:
 def _shown(comparison: Comparison) -> list[ValidatedSignal]:
     """The rows of the signals to show, of all runs."""
     return [row for v in comparison.against.values() for row in v.rows if row.signal in comparison.signals]
+
+
+def _different(comparison: Comparison) -> list[ValidatedSignal]:
+    """The same without those that are equal."""
+    runs = comparison.against
+    return [
+        r for n in runs for r in runs[n].rows if r.signal in comparison.signals and not comparison.equal(n, r)
+    ]
 
 
 def _distinct(rows: Sequence[ValidatedSignal], most: int) -> list[ValidatedSignal]:
@@ -147,6 +157,11 @@ def tables(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     yield from ((table, []) for table in _signals(comparison))
 
 
+def worst_tables(comparison: Comparison) -> Iterator[TextTable]:
+    """The worst signals of each run, as on the page."""
+    return (_typeset(_worst(comparison, label)) for label in comparison.against)
+
+
 def _different_values(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     """Table of the parameters in which the runs differ, with their origins; and FMUs that differ."""
     runs, values = comparison.runs, different_values(comparison.runs)
@@ -174,7 +189,7 @@ def _notes(comparison: Comparison) -> Iterator[str]:
     yield from comparison.notes
     rows = (comparison.worst(label, q) for label in comparison.against for q in comparison.quantities())
     if any(row and CONSTANT in row.notes for row in rows):
-        yield f"{CONSTANT}: its NRMSE is over the range of the other run"
+        yield f"{CONSTANT}: its NRMSE is over the range of both runs"
     if any(note.startswith(HARDLY_MOVES) for row in _shown(comparison) for note in row.metrics.notes):
         yield f"{FLOORED.strip()} {HARDLY_MOVES}: NRMSE over {percentage(AT_REST)} of the nominal value"
     notes = {label: validation.notes for label, validation in comparison.against.items()}
@@ -232,9 +247,12 @@ def _worst(comparison: Comparison, label: str) -> TextTable:
     rows = []
     for quantity in order:
         worst, largest = comparison.worst(label, quantity), comparison.largest(label, quantity)
+        equal = comparison.equal(label, largest)
         first = _worst_row(worst) if worst else ["all are constant", NO_VALUE, _difference(largest)]
+        if equal:
+            first = [EQUAL, "", ""]
         rows.append([quantity, str(len(groups[quantity])), *first])
-        if worst and largest.signal != worst.signal and largest.metrics.maximum_error:
+        if worst and largest.signal != worst.signal and not equal:
             rows.append(["", "", *_worst_row(largest)])
     against = f"{label} against {comparison.reference.label}"
     head = [against, "signals", "worst signal", "NRMSE", "largest difference"]
@@ -272,7 +290,11 @@ def _signal_table(comparison: Comparison, labels: Sequence[str]) -> TextTable:
         if row.group != group:
             rows.append([f"{row.group}"] + [""] * len(by_run))
         group = row.group
-        rows.append([f"  {signal}", *(", ".join(_cells(of_run[signal])) for of_run in by_run)])
+        cells = (
+            EQUAL if comparison.equal(label, of_run[signal]) else ", ".join(_cells(of_run[signal]))
+            for label, of_run in zip(labels, by_run, strict=True)
+        )
+        rows.append([f"  {signal}", *cells])
     return TextTable(["NRMSE, largest difference", *labels], rows)
 
 
@@ -280,8 +302,9 @@ def _cells(row: ValidatedSignal) -> tuple[str, str]:
     """NRMSE, none for a constant reference, and the largest difference in a convenient unit."""
     m = row.metrics
     is_constant = any(note.startswith("the reference is") for note in row.metrics.notes)
-    nrmse = NO_VALUE if is_constant and m.rmse else percentage(m.nrmse)
-    nrmse += FLOORED if any(note.startswith(HARDLY_MOVES) for note in m.notes) else ""
+    at_rest = any(note.startswith(HARDLY_MOVES) for note in m.notes)
+    undefined = (is_constant and m.rmse) or (at_rest and m.rmse > m.normalised_by)
+    nrmse = NO_VALUE if undefined else f"{percentage(m.nrmse)}{FLOORED if at_rest else ''}"
     return nrmse, error_display_unit(row.unit).ascii(m.maximum_error)
 
 

@@ -10,6 +10,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions
 from pathlib import Path
 
+import fmpy
 import pytest
 from kit import shards
 
@@ -19,6 +20,7 @@ from orchestrator import read_recording, read_study, run
 from orchestrator.__main__ import main
 from orchestrator.base import compiler, files
 from orchestrator.base.extras import EXTRAS
+from orchestrator.check.rules import identity
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -65,7 +67,7 @@ def test_the_extras_are_those_of_the_project_file():
     declared = PROJECT["optional-dependencies"]
     for extra, modules in EXTRAS.items():
         named = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in declared[extra]}
-        assert named == {package_of(module) for module in modules}
+        assert named == {package_of(module) for module in modules}, extra
     assert declared["all"] == [f"harvester-cosim[{','.join(EXTRAS)}]"]
 
 
@@ -75,23 +77,29 @@ def test_the_base_has_no_package_of_an_extra():
     assert not base & {package_of(module) for module in EVERY}
 
 
+# command -> extra, arguments, and the modules that it looks for; default: all of the extra
 COMMANDS = {
-    "build": ["build"],
-    "view": ["view"],
-    "sweep": ["sweep", "study.toml"],
-    "identify": ["identify", "."],
+    "build": ("build", [], ()),
+    "view": ("view", [], ()),
+    "sweep": ("sweep", ["study.toml"], ()),
+    "convergence": ("sweep", [], ("scipy",)),
+    "identify": ("identify", ["."], ()),
+    "linearize": ("control", [], ("scipy",)),
+    "parameters": ("model", [], ()),
+    "variants": ("model", [], ()),
+    "rig": ("model", ["--out", "x"], ()),
+    "track": ("model", [], ()),
 }
 
 
-@pytest.mark.parametrize("extra", COMMANDS)
-def test_a_command_without_its_extra_says_what_to_install(extra, tmp_path):
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_without_its_extra_says_what_to_install(name, tmp_path):
     """One line with the packages and the command, and the exit status of a mistake; nothing is written."""
-    done = without(EXTRAS[extra], COMMAND.format(arguments=COMMANDS[extra]), tmp_path)
-    line = (
-        f'harvester: harvester {extra} needs .*; install with: pip install "harvester-cosim\\[{extra}\\]"\n'
-    )
+    extra, arguments, modules = COMMANDS[name]
+    done = without(EVERY, COMMAND.format(arguments=[name, *arguments]), tmp_path)
+    line = f'harvester: harvester {name} needs .*; install with: pip install "harvester-cosim\\[{extra}\\]"\n'
     assert re.fullmatch(line, done.stderr), done.stderr
-    assert all(module in done.stderr for module in EXTRAS[extra])
+    assert all(module in done.stderr for module in modules or EXTRAS[extra])
     assert (done.returncode, done.stdout) == (2, "")
     assert not any(tmp_path.iterdir())
 
@@ -134,9 +142,8 @@ BASE = {
     # the probes are imported all the same, and run in processes of their own
     "check": ["check", "{fmu}", "--static"],
     "signals": ["signals", "{system}"],
-    "parameters": ["parameters"],
-    "variants": ["variants"],
-    "linearize": ["linearize", "{system}"],
+    "plot": ["plot", "a.csv", "--out", "a.png"],
+    "accuracy": ["run", "{system}", "--stop", "0.05", "--accuracy", "1e-3"],
     "modelica": ["modelica", "{system}"],
     "compare": ["compare", "a.csv", "b.csv"],
 }
@@ -153,6 +160,16 @@ def test_a_command_of_the_base_needs_no_extra(fmu_dir, tmp_path):
     done = without(EVERY, code, tmp_path)
     assert done.returncode == 0, done.stderr
     assert "harvester: " not in done.stderr
+    told = 'validation by FMPy needs the package fmpy; install with: pip install "harvester-cosim[check]"'
+    assert told in done.stdout
+
+
+@pytest.mark.parametrize("path", sorted(identity.FOLDER.rglob("*.xsd")), ids=lambda path: path.name)
+def test_the_schemas_are_those_of_the_standard(path):
+    """As FMPy contains them, too."""
+    assert (
+        Path(fmpy.__file__).parent / "schema" / path.relative_to(identity.FOLDER)
+    ).read_bytes() == path.read_bytes()
 
 
 # ---- the wheel: built FMUs and compiled libraries
@@ -185,6 +202,7 @@ def wheel(archive, tmp_path_factory, tmp_path, monkeypatch):
     cache = tmp_path_factory.mktemp("cache")
     monkeypatch.setattr(package_files, "BUILT", archive)
     monkeypatch.setattr(compiler, "cache_folder", lambda: cache)
+    monkeypatch.setattr(files, "CHECKOUT", Path("none"))
     monkeypatch.chdir(tmp_path)
     return cache
 

@@ -1,6 +1,7 @@
 """The last commit in an empty folder: the site, and the wheel alone with the commands of README."""
 
 import os
+import re
 import subprocess
 from pathlib import Path
 
@@ -9,9 +10,39 @@ from kit import shards
 from kit.tutorial import Page
 
 # s, ten times what they take on two idle cores; these only bound a failure
-pytestmark = [shards.fresh, pytest.mark.timeout(6000)]
+SLOW = pytest.mark.timeout(6000)
 ROOT = Path(__file__).parents[2]
-EXTRAS = "build,view,sweep,identify"  # of README's commands
+EXTRAS = "model,build,view,sweep,identify,control"  # of README's commands
+ONE = "tests/documents/test_package.py"
+# target -> variables of make with which it does little of everything
+TRIED = {
+    "test": [f"PYTEST=.venv/bin/python -m pytest {ONE}"],
+    "test-fresh": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
+    "test-search": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
+    "lint": [],
+    "bench": [],
+    "bench-live": ["ARGS=--seconds 1"],
+    "bench-peers": ["ARGS=--repeats 1"],
+    "bench-sweep": ["ARGS=--runs 4 --seconds 1"],
+    "coverage": ["ARGS=--seeds 1 --only openings"],
+    "matrix": ["ARGS=--tool harvester"],
+    "extras": [],
+    "test-lowest": [f"FAST={ONE}"],
+    "test-newest": [f"FAST={ONE}"],
+}
+# target -> where it is run, or why not
+ELSEWHERE = {
+    "demo": "test_the_commands_of_readme_after_make_demo",
+    "docs": "test_make_docs_needs_nothing_else",
+    "release": "test_the_wheel_alone_runs_what_readme_prints",
+    "test-long": "each of its shards is a run of .ci/run",
+    "bench-sensitivities": "20 minutes without a smaller form; its packages are those of bench",
+    "mutants": "two hours; tests/documents/test_package.py imports it",
+    "pages": "an hour; the shard documents runs what it calls",
+    "constraints": "changes the versions that everything else is tried with",
+    "audit": "asks a database on the internet",
+    "clean": "the fixture `clone` begins without what it removes",
+}
 
 
 @pytest.fixture
@@ -37,6 +68,32 @@ def ran(folder, *command):
     return done.stdout
 
 
+def test_every_target_of_the_makefile_has_a_trial():
+    """In a fresh clone, or the reason why not."""
+    text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    targets = set(re.findall(r"^\.PHONY: (.*)$", text, re.MULTILINE)[0].split())
+    assert targets - {*TRIED, *ELSEWHERE} == set()
+
+
+@shards.fresh
+@SLOW
+@pytest.mark.parametrize("target", TRIED)
+def test_a_target_runs_in_a_fresh_clone(target, clone):
+    """It installs what it needs. The environment is its own, so that it cannot profit from another target."""
+    assert "Traceback" not in ran(clone, "make", target, *TRIED[target])
+
+
+@shards.fresh
+@SLOW
+def test_the_commands_of_readme_after_make_demo(clone):
+    """In order, with what `make demo` has installed and built."""
+    ran(clone, "make", "demo")
+    assert "Demonstration" in (clone / "build" / "report.html").read_text(encoding="utf-8")
+    Page(clone / "README.md", clone, programs=clone / ".venv" / "bin").run()
+
+
+@shards.fresh
+@SLOW
 def test_make_docs_needs_nothing_else(clone):
     """It installs what it needs, builds the FMUs of the home page, and writes every page."""
     ran(clone, "make", "docs")
@@ -47,6 +104,8 @@ def test_make_docs_needs_nothing_else(clone):
     assert 'class="harvester-machine"' in (site / "docs" / "index.html").read_text(encoding="utf-8")
 
 
+@shards.fresh
+@SLOW
 def test_the_wheel_alone_runs_what_readme_prints(clone, tmp_path):
     """In an environment with the wheel and the extras of the commands, from an empty folder."""
     ran(clone, "make", "release", "PLATFORMS=host")
@@ -57,3 +116,21 @@ def test_the_wheel_alone_runs_what_readme_prints(clone, tmp_path):
     ran(clone, uv, "pip", "install", "--quiet", "--python", place, "-c", "constraints.txt", wanted)
     (tmp_path / "empty").mkdir()
     Page(clone / "README.md", tmp_path / "empty", programs=place / "bin").run()
+    ran(tmp_path / "empty", place / "bin" / "harvester", "page")
+    assert 'data-part="module"' in (tmp_path / "empty" / "build" / "report.html").read_text(encoding="utf-8")
+
+
+@shards.fresh
+@SLOW
+def test_the_wheel_without_extras_is_small(clone, tmp_path):
+    """run, validate, check and plot in an environment of at most 350 MB, with byte code and pip."""
+    ran(clone, "make", "release", "PLATFORMS=host")
+    (wheel,) = (clone / "dist").glob("*.whl")
+    place = tmp_path / "environment"
+    ran(clone, ".venv/bin/python", "-m", "venv", place)
+    pip = [place / "bin" / "python", "-m", "pip", "install", "--quiet", "-c", "constraints.txt", wheel]
+    ran(clone, *pip)
+    size = sum(p.lstat().st_size for p in place.rglob("*") if p.is_file() and not p.is_symlink())
+    assert size <= 350e6, f"{size / 1e6:.0f} MB"
+    for command in ("run --stop 1", "validate", "check swing", "plot build/trace.csv"):
+        ran(tmp_path, place / "bin" / "harvester", *command.split())

@@ -92,7 +92,7 @@ def test_a_signal_at_rest_is_not_the_worst():
 
 
 def test_a_constant_reference_counts_where_the_other_run_moves():
-    """NRMSE is then over the range of the other run, and marked; only what moves in neither is left out."""
+    """NRMSE is then over the range of both runs, and marked; only what moves in neither is left out."""
     found = compare({"usual": trace(rest=1.0), "other": trace(0.01, rest=1.0 + 0.5 * SPEED)})
     worst = found.worst("other", "speed")
     span = np.ptp(0.5 * SPEED)
@@ -100,7 +100,7 @@ def test_a_constant_reference_counts_where_the_other_run_moves():
     assert worst.metrics.nrmse == pytest.approx(np.sqrt(np.mean((0.5 * SPEED) ** 2)) / span, rel=1e-12)
     told = text(found)
     assert "arm.rest (constant reference)" in told
-    assert "note: constant reference: its NRMSE is over the range of the other run" in told
+    assert "note: constant reference: its NRMSE is over the range of both runs" in told
     alone = {"usual": trace(rest=1.0).select(["arm.rest"]), "other": trace(rest=SPEED).select(["arm.rest"])}
     assert "all are constant" not in text(compare(alone))
     assert compare({**alone, "other": alone["usual"]}).worst("other", "speed") is None

@@ -121,8 +121,10 @@ def test_plot_draws_the_newest_trace_to_a_file(here, fmus, capsys):
     picture = Path("a/b.svg").read_text(encoding="utf-8")
     assert picture.startswith("<?xml")
     assert all(word in picture for word in ("new", "old", "time [s]"))
+    assert main(["plot", "build/new.mat", "--out", "b.pdf"]) == 0
+    assert Path("b.pdf").read_bytes().startswith(b"%PDF")
     assert main(["plot", "--out", "a.jpg"]) == 2
-    assert "a.jpg: expected a file name ending in .png or .svg" in capsys.readouterr().err
+    assert "a.jpg: expected a file name ending in .png, .svg or .pdf" in capsys.readouterr().err
 
 
 def test_with_a_display_a_window_opens(here, monkeypatch, capsys):

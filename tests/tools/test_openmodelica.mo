@@ -125,9 +125,7 @@ package Tested "The machine under sources and controllers of the Modelica Standa
       Harvester.FMUs.BoomStick boom_stick(use_supply_pressure_in = true, use_tank_pressure_in = true);
       Harvester.FMUs.Manipulator manipulator;
     equation
-      swing.swing_command = 0;
-      boom_stick.stick_command = 0;
-      connect(command, boom_stick.boom_command);
+      connect(command, boom_stick.boom_command);  // the other levers are 0
       connect(swing.swing_torque, manipulator.swing_torque);
       connect(manipulator.swing_speed, swing.swing_speed);
       connect(boom_stick.boom_force, manipulator.boom_force);

@@ -64,7 +64,7 @@ def simulate(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Program
     folder = tmp_path_factory.mktemp("openmodelica")
     (folder / "imported").mkdir()
     files = [fmu_dir / "harvester.ssp", fmu_dir / "harvester_control.ssp"]
-    write_package(files, folder, constant_inputs=CONSTANT_INPUTS)
+    write_package(files, folder, constant_inputs=CONSTANT_INPUTS, levers=list(AMPLITUDE))
 
     @cache
     def program(model: str) -> Path:

@@ -52,6 +52,12 @@ def nothing(spent: Spent, steps: int) -> Run:
     return Run(spent, steps, np.zeros(0), {})
 
 
+def left_out(tool: str, reason: Exception) -> str:
+    """One line about a tool that cannot be loaded."""
+    advice = "; Debian and Ubuntu: apt-get install libtbb12" if "libtbb" in str(reason) else ""
+    return f"left out: {tool}: {reason}{advice}"
+
+
 def find(tool: str) -> Callable[..., Run]:
     """`run(system, stop, record, judged, **options)` of a tool; raises ImportError or OSError without it."""
     run: Callable[..., Run] = import_module(f"{__name__}.{tool}").run

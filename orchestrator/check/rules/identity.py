@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from orchestrator.base.extras import MissingExtra, require
 from orchestrator.base.text import MODELICA
 from orchestrator.base.xml import local_name
 from orchestrator.check.finding import Finding, error, note, warning
@@ -13,6 +14,7 @@ from orchestrator.check.rules.variables import CPP, C
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.description import parse_float
 
+FOLDER = Path(__file__).parents[1] / "schemas"  # of the FMI standard, as they are published
 SCHEMAS = {2: "fmi2/fmi2ModelDescription.xsd", 3: "fmi3/fmi3ModelDescription.xsd"}
 FMPY = "fmpy.validate"
 MAX_NAMES = 2000  # variables above which FMPy does not check names, which takes milliseconds for each
@@ -62,11 +64,10 @@ def xml_schema(subject: Subject) -> Iterator[str]:
 
 
 def violations(root: Any, name: str) -> Iterator[tuple[int, str]]:
-    """Line and message of each violation of one of the schemas that FMPy ships."""
-    import fmpy
+    """Line and message of each violation of one of the schemas of FMI."""
     from lxml import etree
 
-    xsd = etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "schema" / name))
+    xsd = etree.XMLSchema(file=str(FOLDER / name))
     xsd.validate(root)
     for entry in xsd.error_log:
         yield entry.line, re.sub(r"\{[^}]*\}", "", entry.message)
@@ -77,6 +78,11 @@ def fmpy_validate(subject: Subject) -> Iterator[Finding]:
     if subject.root.xpath("count(//*)") > MAX_ELEMENTS:
         text = f"{MAX_ELEMENTS} elements, for which FMPy's validation takes too long: it was left out"
         yield note(f"{DESCRIPTION} has more than {text}", "fmpy")
+        return
+    try:
+        require("check", "validation by FMPy", "fmpy")
+    except MissingExtra as missing:
+        yield note(str(missing))
         return
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError

@@ -1,0 +1,147 @@
+"""What a person at a Python prompt or in a notebook types, and what comes back."""
+
+import inspect
+import re
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+from orchestrator import Problem, Trace, batch, compare, run
+from orchestrator.base import files
+from orchestrator.base.options import declarations
+from orchestrator.data.trace import as_trace
+from orchestrator.engine.arguments import DEFAULT_ACCURACY, AccuracyArguments, RunArguments
+from orchestrator.pages.plotting import shown_at_end
+
+TIME = np.linspace(0.0, 2.0, 201)
+SIGNALS = {"arm.boom_speed": np.sin(TIME), "arm.boom_angle": 1 - np.cos(TIME), "oil.boom_speed": TIME}
+
+
+def trace(**changed):
+    """Three signals; two differ only in their component."""
+    return Trace(TIME, SIGNALS | changed, {"arm.boom_angle": "rad", "arm.boom_speed": "rad/s"})
+
+
+def test_names_complete_without_their_component_where_it_may_be_left_out():
+    """Each that is offered is a key."""
+    offered = trace()._ipython_key_completions_()
+    assert offered == [*SIGNALS, "boom_angle"]
+    assert all(len(trace()[name]) == len(TIME) for name in offered)
+
+
+def test_traces_are_equal_if_all_their_values_are():
+    """Times, values, missing ones too, units and names; any other object is not equal."""
+    gap = np.where(TIME > 1, np.nan, TIME)
+    assert trace() == trace()
+    assert trace(**{"oil.boom_speed": gap}) == trace(**{"oil.boom_speed": gap.copy()})
+    assert trace() != trace(**{"oil.boom_speed": gap})
+    assert trace() != Trace(TIME, SIGNALS)
+    assert trace() != Trace(TIME + 1.0, SIGNALS, trace().units)
+    assert trace() != trace(more=TIME)
+    assert trace() != dict(trace())
+
+
+def test_a_trace_at_one_time():
+    """One sample, by linear interpolation between 0.50 and 0.51 s."""
+    one = trace().at(0.505)
+    # exact identity; the interpolation rounds
+    assert one["arm.boom_speed"] == pytest.approx([(np.sin(0.5) + np.sin(0.51)) / 2], rel=1e-14)
+    assert "at 1 times" in repr(one)
+
+
+def test_the_signature_of_run_has_every_option():
+    """A prompt completes them, and they are what `run` accepts."""
+    names = set(inspect.signature(run).parameters)
+    assert names == {"system", "scenario", "record", "execution", *declarations(RunArguments)}
+    assert inspect.signature(run).parameters["stop"].default is None
+    with pytest.raises(TypeError, match=r"run\(\) has no option 'stop_time'; did you mean stop\?"):
+        run("harvester", stop_time=1.0)
+
+
+def test_the_default_accuracies_are_those_of_the_help():
+    """One place in the code; the text of the option names both."""
+    assert (
+        f"master or step, and all FMUs have directional derivatives: {DEFAULT_ACCURACY['run']:.0e}".replace(
+            "e-0", "e-"
+        )
+        in " ".join(AccuracyArguments.__doc__.split())
+    )
+    assert f"validate: {DEFAULT_ACCURACY['validate']:.0e}".replace("e-0", "e-") in AccuracyArguments.__doc__
+
+
+def test_a_scenario_may_be_a_structured_array_or_have_functions():
+    """As FMPy takes inputs; a function is evaluated at the times of the mapping."""
+    rows = np.array([(0.0, 0.0), (1.0, 3.0)], dtype=[("time", float), ("boom_command", float)])
+    assert as_trace(rows) == as_trace({"time": [0.0, 1.0], "boom_command": [0.0, 3.0]})
+    assert as_trace({"time": [0.0, 1.0], "boom_command": lambda t: 3 * t}) == as_trace(rows)
+
+
+def test_record_takes_patterns_and_names_without_component(built):
+    """As `plot` does."""
+    found = run(built / "harvester.ssp", stop=0.01, record=["boom_angle", "swing.swing_pressure_?"])
+    assert list(found) == ["manipulator.boom_angle", "swing.swing_pressure_a", "swing.swing_pressure_b"]
+
+
+def test_a_batch_is_a_mapping(built):
+    """Length, iteration and values are those of its signals; xarray has machines and times."""
+    masses = {"manipulator.head_mass": [300.0, 400.0]}
+    found = batch(built / "harvester.ssp", masses, stop=0.02, record="boom_angle", lanes=False)
+    assert (len(found), list(found)) == (1, ["manipulator.boom_angle"])
+    assert np.array_equal(next(iter(found.values())), found["boom_angle"])
+    dataset = found.to_xarray()
+    assert dict(dataset.sizes) == {"machine": 2, "time": 21}
+    assert dataset["manipulator.boom_angle"].attrs["units"] == "rad"
+    assert list(dataset["status"].values) == ["ok", "ok"]
+
+
+def test_a_comparison_has_a_picture_and_a_table():
+    """The table names the worst signal; rounding is no difference, and has no panel."""
+    noise = trace(**{"arm.boom_angle": SIGNALS["arm.boom_angle"] * (1 + 1e-14)})
+    other = trace(
+        **{"arm.boom_angle": 1.1 * SIGNALS["arm.boom_angle"], "arm.boom_speed": np.sin(TIME) + 1e-15}
+    )
+    found = compare({"a": trace(), "b": other})
+    assert "arm.boom_angle" in found._repr_html_()
+    axes = found.plot().axes
+    titles = [text.get_text() for a in axes for text in a.findobj(Text)]
+    assert any("boom_angle" in title for title in titles)
+    assert not any("boom_speed" in title for title in titles)
+    assert found.equal("b", found.against["b"]["arm.boom_speed"])
+    # 1e-9 of the largest value, 1.42, is the limit
+    assert compare({"a": trace(), "b": noise}).equal(
+        "b", compare({"a": trace(), "b": noise}).against["b"].rows[1]
+    )
+    assert not found.equal("b", found.against["b"]["arm.boom_angle"])
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_a_cell_that_ends_with_a_semicolon_shows_the_figure_once(quiet, monkeypatch):
+    """IPython shows the value of a cell itself unless it ends so."""
+    waiting, shown = [], []
+    events = SimpleNamespace(
+        register=lambda _, call: waiting.append(call), unregister=lambda _, call: waiting.remove(call)
+    )
+    shell = SimpleNamespace(kernel=1, events=events, displayhook=SimpleNamespace(quiet=lambda: quiet))
+    ipython = SimpleNamespace(get_ipython=lambda: shell, display=SimpleNamespace(display=shown.append))
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    assert shown_at_end("figure") == "figure"
+    waiting[0](None)
+    assert shown == ["figure"] * quiet
+    assert waiting == []
+
+
+def test_a_name_is_found_from_any_folder_of_a_checkout(built, tmp_path, monkeypatch):
+    """A notebook runs in its own folder; without FMUs the message says where it looked and how to build."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(files, "CHECKOUT", built)
+    assert files.find("harvester", (".ssp",)) == built / "harvester.ssp"
+    assert files.find("swing_detailed", (".fmu",)) == built / "variants" / "swing_detailed.fmu"
+    assert files.find("build/harvester.ssp", (".ssp",)) == Path("build/harvester.ssp")  # a path is one
+    monkeypatch.setattr(files, "CHECKOUT", tmp_path / "none")
+    looked = f"in {tmp_path / 'build'}, {tmp_path / 'none'}"
+    with pytest.raises(Problem, match=re.escape(f"no such file {looked}; build it with: harvester build")):
+        run("harvester")
