@@ -42,8 +42,18 @@ DEFAULT_STOP = 1.0  # s
 EQUAL = 1e-6  # of the range of an output
 TIME = 120.0  # s of wall time for each side
 FMPY = """
-import numpy, sys, fmpy
+import fmpy.fmi2, fmpy.fmi3, math, numpy, sys
 fmu, start, stop, step, file, *outputs = sys.argv[1:]
+
+def with_equal_steps(do_step):
+    def call(self, currentCommunicationPoint, communicationStepSize, **others):
+        size = communicationStepSize
+        size = float(step) if math.isclose(size, float(step), rel_tol=1e-6) else size
+        return do_step(self, currentCommunicationPoint, size, **others)
+    return call
+
+for slave in (fmpy.fmi2.FMU2Slave, fmpy.fmi3.FMU3Slave):
+    slave.doStep = with_equal_steps(slave.doStep)
 times = dict(start_time=float(start), stop_time=float(stop), output_interval=float(step))
 numpy.save(file, fmpy.simulate_fmu(fmu, False, fmi_type="CoSimulation", output=outputs, **times))
 """

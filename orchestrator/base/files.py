@@ -21,7 +21,7 @@ from functools import lru_cache
 from io import BytesIO, StringIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
-from threading import Lock
+from threading import Lock, get_native_id
 from typing import IO, TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
@@ -601,7 +601,7 @@ def put(path: Path, write: Callable[[Path], object]) -> Path:
             write(path)
             return path
         target = path.resolve()  # behind a symbolic link
-        temporary = target.with_name(f".{target.name}.{os.getpid()}{PARTIAL}")
+        temporary = target.with_name(f".{target.name}.{os.getpid()}.{get_native_id()}{PARTIAL}")
         try:
             write(temporary)
             with temporary.open("rb+") as file:

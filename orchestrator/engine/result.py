@@ -387,9 +387,10 @@ def bonds_above(bonds: Sequence[BondEnergy], limit: float) -> list[BondEnergy]:
 def energies_above(residual: Array, exchanged: Array, limit: float = UNRELIABLE) -> NDArray[np.bool_]:
     """Where energy errors [J] exceed `limit` of the exchanged energies [J], both of the shape (bonds, ...).
 
-    A bond that exchanges less than SMALL_EXCHANGE of the largest exchange does not count.
+    A bond that exchanges less than SMALL_EXCHANGE of the largest exchange, or no energy, does not count.
     """
-    relevant = (exchanged >= SMALL_EXCHANGE * np.max(exchanged, axis=0, initial=0.0)) & (exchanged > 0)
+    most = np.max(exchanged, axis=0, initial=0.0)
+    relevant = exchanged > np.maximum(NO_EXCHANGE_ENERGY, SMALL_EXCHANGE * most)
     return np.asarray(relevant & (np.abs(residual) > limit * exchanged))
 
 

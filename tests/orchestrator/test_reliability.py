@@ -59,6 +59,12 @@ def test_a_bond_that_hardly_exchanges_energy_does_not_count(exchanged, counts):
     assert unreliable_energies([]) == []
 
 
+@pytest.mark.parametrize(("exchanged", "counts"), [(4e-33, False), (0.9e-12, False), (1.1e-12, True)])
+def test_a_machine_at_rest_exchanges_rounding_errors(exchanged, counts):
+    """Their energy, below 1e-12 J, is no energy: the card says so, too."""
+    assert len(unreliable_energies([BondEnergy("idle", 0.5 * exchanged, 1.0, exchanged)])) == counts
+
+
 def test_machines_are_judged_one_by_one():
     """Shape (bonds, machines): the largest exchange is that of the same machine."""
     residual = np.array([[0.0, 0.0], [1.0, 1.0]])

@@ -246,4 +246,4 @@ def test_invalid_names_are_reported(decay, tmp_path):
 def test_the_command_takes_any_fmu(decay, tmp_path, capsys):
     """Its inputs that stay constant by default are those of the machine, which this FMU does not have."""
     assert main(["modelica", str(decay()), "--out", str(tmp_path), "--name", "Mine"]) == 0
-    assert capsys.readouterr().out.strip() == str(tmp_path / "Mine" / "package.mo")
+    assert capsys.readouterr().out.splitlines()[0] == str(tmp_path / "Mine" / "package.mo")
