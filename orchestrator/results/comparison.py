@@ -142,7 +142,8 @@ class Comparison:
 
         return "".join(f"<div>{table.html()}</div>" for table in worst_tables(self))
 
-    def __repr__(self) -> str:
+    def text(self) -> str:
+        """The largest differences of each run, in a few lines."""
         start, stop = self.window
         lines = [
             *self.unreliable,
@@ -153,6 +154,8 @@ class Comparison:
             worst = sorted(rows.values(), key=lambda row: -(row.metrics.nrmse or 0.0))[:3]
             lines.append(f"{label}: {', '.join(f'{r.signal} {percentage(r.metrics.nrmse)}' for r in worst)}")
         return "\n".join(lines)
+
+    __repr__ = text
 
     @property
     def window(self) -> tuple[float, float]:
