@@ -96,6 +96,7 @@ def shared_library(
     code: Mapping[str, bytes],
     arguments: Sequence[str],
     dependencies: Iterable[bytes] = (),
+    *,
     begin: Callable[[], object] | None = None,
 ) -> Path:
     """Path of the library `name` made by `zig cc ARGUMENTS` from C files.
