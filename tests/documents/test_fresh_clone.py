@@ -19,7 +19,7 @@ ONE = "tests/documents/test_package.py"
 # installation follow each other in one clone, so none profits from what another installs
 TRIED = {
     "all extras": {
-        "bench": [],
+        "bench": ["ARGS=--repeats 1"],
         "bench-sweep": ["ARGS=--runs 4 --seconds 1"],
         "coverage": ["ARGS=--seeds 1 --only openings"],
     },
