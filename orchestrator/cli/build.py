@@ -57,10 +57,10 @@ def build(
     # an FMU whose code is Python takes its library from the package
     needed = [name for name in EXTRAS["build"] if model is None or name != "ziglang"]
     require("build", "harvester build", *needed, advice="" if model else copying)
-    make_folder(out)
     from fmus.export.compile import select
 
     platforms = select(platform or ["host"])
+    make_folder(out)
     if model is not None:
         from fmus.export.python.build import build_model
 
