@@ -49,7 +49,7 @@ lint: $(TESTING)
 
 # ARGS: options of the benchmark, such as make bench-peers ARGS="--repeats 1"
 bench: $(EVERYTHING)
-	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.speed $(ARGS)
 	$(BIN)/python -m benchmarks.variants
 
 bench-sensitivities: $(EVERYTHING)

@@ -15,7 +15,7 @@ from orchestrator.base.extras import extra_of, install
 from orchestrator.base.interrupts import signals_interrupt
 from orchestrator.cli import application
 
-INTERRUPTED = 130  # exit status, as of a shell
+INTERRUPTED = 130  # exit status: 128 and the number of SIGINT
 
 
 class PrintableStream:
@@ -47,17 +47,18 @@ def main(arguments: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a console that lacks the sign of a unit shows another one
+    received = list[int]()
     try:
-        with signals_interrupt(), redirect_stdout(PrintableStream(sys.stdout)):
+        with signals_interrupt(received), redirect_stdout(PrintableStream(sys.stdout)):
             status = _with_notes(arguments)
     except KeyboardInterrupt as interrupt:
-        return _stopped(str(interrupt))
+        return _stopped(received, str(interrupt))
     except Stopped as end:
-        return _stopped(str(end))
+        return _stopped(received, str(end))
     except Exception as error:
-        return _stopped() if isinstance(error.__cause__, KeyboardInterrupt) else _told(error)
+        return _stopped(received) if isinstance(error.__cause__, KeyboardInterrupt) else _told(error)
     if status == INTERRUPTED:  # some versions of the command-line library swallow the interrupt itself
-        return _stopped()
+        return _stopped(received)
     return status if isinstance(status, int) else 0
 
 
@@ -72,10 +73,10 @@ def _with_notes(arguments: list[str] | None) -> Any:
         raise
 
 
-def _stopped(what: str = "") -> int:
-    """Tell the end, and what is left of the work if the command says it."""
+def _stopped(received: list[int], what: str = "") -> int:
+    """Tell the end, and what is left of the work if the command says it; the exit status, as of a shell."""
     print(f"harvester: interrupted{what and '; '}{what}", file=sys.stderr)
-    return INTERRUPTED
+    return 128 + received[0] if received else INTERRUPTED
 
 
 def _told(error: Exception) -> int:

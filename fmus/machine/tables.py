@@ -29,6 +29,17 @@ def variant_names() -> list[tuple[str, str]]:
     return [(part, variant) for part, variants in FAMILIES.items() for variant in variants]
 
 
+def variant_rows(costs: Costs) -> list[dict[str, object]]:
+    """The variants as data, each with its cost [us] if it is in `costs`."""
+    return [
+        {"part": part, "variant": variant, "text": sub.text, "validity": sub.validity}
+        | {name: len(quantities(getattr(sub, name))) for name in ("states", "inputs", "parameters")}
+        | {"cost": costs.get((part, variant))}
+        for part, variants in FAMILIES.items()
+        for variant, sub in variants.items()
+    ]
+
+
 def variant_lines(costs: Costs) -> Iterator[str]:
     """Lines of the table of variants; the cost is empty for a variant that is not in `costs`."""
     head = f"{'states':>8}{'inputs':>8}{'parameters':>12}"
@@ -58,6 +69,28 @@ def parameter_text(name: str | None = None, source: str | None = None, folder: P
 
     folder   of built FMUs; values that were built into them are shown, with the shipped ones
     """
+    subs, word = _chosen(name, source, folder)
+    told = set[tuple[str, str]]()  # by part, as variants of a part share parameters
+    tables = ["\n".join(_parameter_lines(sub, source, word, told)) for sub in subs]
+    return "\n\n".join(filter(None, [*tables, LEGEND, "" if word else _count(subs, source)]))
+
+
+def parameter_rows(
+    name: str | None = None, source: str | None = None, folder: Path | None = None
+) -> list[dict[str, object]]:
+    """The same as data, in SI units."""
+    subs, word = _chosen(name, source, folder)
+    return [
+        {"part": sub.name, "name": key, "start": section == "start"} | vars(number)
+        for sub in subs
+        for section, entries in complete(sub).items()
+        for key, number in entries.items()
+        if source in (None, number.source) and word in key
+    ]
+
+
+def _chosen(name: str | None, source: str | None, folder: Path | None) -> tuple[list[Subsystem], str]:
+    """The subsystems, and the part of the names of their parameters."""
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
     by_name = {**ALL, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
     if source is not None and source not in SOURCES:
@@ -72,9 +105,7 @@ def parameter_text(name: str | None = None, source: str | None = None, folder: P
         raise Problem(f"unknown subsystem or parameter {name!r}{hint}")
     if folder is not None:
         subs = [_as_built(sub, folder) for sub in subs]
-    told = set[tuple[str, str]]()  # by part, as variants of a part share parameters
-    tables = ["\n".join(_parameter_lines(sub, source, word, told)) for sub in subs]
-    return "\n\n".join(filter(None, [*tables, LEGEND, "" if word else _count(subs, source)]))
+    return subs, word
 
 
 def _parameter_lines(

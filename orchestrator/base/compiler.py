@@ -92,7 +92,12 @@ class CompilerError(Problem):
 
 
 def shared_library(
-    name: str, code: Mapping[str, bytes], arguments: Sequence[str], dependencies: Iterable[bytes] = ()
+    name: str,
+    code: Mapping[str, bytes],
+    arguments: Sequence[str],
+    dependencies: Iterable[bytes] = (),
+    *,
+    begin: Callable[[], object] | None = None,
 ) -> Path:
     """Path of the library `name` made by `zig cc ARGUMENTS` from C files.
 
@@ -100,6 +105,7 @@ def shared_library(
 
     code           file name -> content; all files are in the working directory of the compiler
     dependencies   contents that the library depends on besides `code`, such as headers in other folders
+    begin          is called before a compilation
 
     Each compilation has a new temporary folder, so that no build path can get into the library.
     """
@@ -111,12 +117,12 @@ def shared_library(
     try:
         folder = private_cache()
         if folder is not None:
-            return _compile(folder / file, name, code, arguments)
+            return _compile(folder / file, name, code, arguments, begin)
     except OSError:  # the cache is not writable
         pass
     own = process_folder()
     zig = {"ZIG_GLOBAL_CACHE_DIR": str(own / "zig"), **os.environ}  # of the compiler, next to ours
-    return _compile(own / file, name, code, arguments, zig)
+    return _compile(own / file, name, code, arguments, begin, zig)
 
 
 def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) -> bytes:
@@ -254,6 +260,7 @@ def _compile(
     name: str,
     code: Mapping[str, bytes],
     arguments: Sequence[str],
+    begin: Callable[[], object] | None,
     environment: Mapping[str, str] | None = None,
 ) -> Path:
     if _is_whole(library):
@@ -263,6 +270,8 @@ def _compile(
             return library
         for file, data in code.items():
             (Path(folder) / file).write_bytes(data)
+        if begin:
+            begin()
         command = [sys.executable, "-m", "ziglang", "cc", *arguments, "-o", name]
         run = subprocess.run(
             command, cwd=folder, capture_output=True, text=True, check=False, env=environment

@@ -27,10 +27,14 @@ def _in_main_thread() -> bool:
 
 
 @contextmanager
-def signals_interrupt() -> Iterator[None]:
-    """Context in which SIGTERM and SIGHUP raise KeyboardInterrupt instead of ending the process."""
+def signals_interrupt(received: list[int]) -> Iterator[None]:
+    """Context in which SIGTERM and SIGHUP raise KeyboardInterrupt instead of ending the process.
 
-    def interrupt(*_: Any) -> None:
+    received   gets their numbers
+    """
+
+    def interrupt(number: int, _: object) -> None:
+        received.append(number)
         raise KeyboardInterrupt
 
     unhandled = [n for n in _ENDING if _in_main_thread() and signal.getsignal(n) is signal.SIG_DFL]

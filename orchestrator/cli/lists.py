@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 from functools import partial
+from json import dumps
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from orchestrator.base.errors import Problem
@@ -28,6 +29,7 @@ def variants(
     cost: bool = False,
     combinations: bool = False,
     out: File = BUILD / "combinations.csv",
+    json: bool = False,
 ) -> bool:
     """List the variants of each part, with numbers of states and inputs, and the range of validity.
 
@@ -36,14 +38,18 @@ def variants(
     cost           Also measure the simulation time of each variant on this computer, a few seconds.
     combinations   Run the work cycle with every combination of variants instead.
     out            With `combinations`: file for the table (.csv).
+    json           Print the list as JSON.
     """
     require("model", "harvester variants")
     from fmus.machine.parts import FAMILIES, JOINT_SPEEDS
-    from fmus.machine.tables import variant_lines, variant_names
+    from fmus.machine.tables import variant_lines, variant_names, variant_rows
 
     if not (cost or combinations):
         if system:
             raise Problem(f"variants {system}: a system is only read with --cost or --combinations")
+        if json:
+            print(dumps(variant_rows({}), indent=1))
+            return True
         print("\n".join(variant_lines({})))
         print("To measure the cost of each variant on this computer: harvester variants --cost")
         return True
@@ -54,7 +60,8 @@ def variants(
     if combinations:
         families = {part: list(family) for part, family in FAMILIES.items()}
         return table(file, families, JOINT_SPEEDS, out, partial(print, flush=True))
-    print("\n".join(variant_lines(costs(file, variant_names()))))
+    measured = costs(file, variant_names())
+    print(dumps(variant_rows(measured), indent=1) if json else "\n".join(variant_lines(measured)))
     return True
 
 
@@ -62,6 +69,7 @@ def variants(
 def parameters(
     subsystem: Annotated[str | None, Kind(positional=True)] = None,
     source: Annotated[str | None, Kind("SOURCE")] = None,
+    json: bool = False,
 ) -> None:
     """Print the parameters of the model with value, unit and source.
 
@@ -71,32 +79,48 @@ def parameters(
                 parameters, such as hose; default: the whole machine.
     source      Only parameters of this source: paper, derived, literature, assumed or identified; default:
                 all.
+    json        Print them as JSON.
     """
     require("model", "harvester parameters")
-    from fmus.machine.tables import parameter_text
+    from fmus.machine.tables import parameter_rows, parameter_text
 
-    print(parameter_text(subsystem, source, BUILD))
+    chosen = subsystem, source, BUILD
+    print(dumps(parameter_rows(*chosen), indent=1) if json else parameter_text(*chosen))
 
 
 @command
 def signals(
-    system: System = None, kind: Annotated[str | None, Kind("KIND")] = None, swap: Swaps = None
+    system: System = None,
+    kind: Annotated[str | None, Kind("KIND")] = None,
+    swap: Swaps = None,
+    json: bool = False,
 ) -> None:
     """List the variables of a system with unit and description.
 
     kind   Only this kind: input, output or parameter; default: all.
+    json   Print them as JSON.
     """
     from orchestrator.base.files import require_system
     from orchestrator.ssp.load import load
     from orchestrator.ssp.swap import with_swaps
 
-    print("\n".join(lines(with_swaps(load(require_system(system_file(system))), swap or {}), kind)))
+    if kind not in (None, *KINDS):
+        raise Problem(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
+    found = with_swaps(load(require_system(system_file(system))), swap or {})
+    print(dumps([*rows(found, kind)], indent=1) if json else "\n".join(lines(found, kind)))
+
+
+def rows(system: FmuSystem, kind: str | None) -> Iterator[dict[str, str | None]]:
+    """Inputs of the system, then the variables of each FMU, as data; or one kind."""
+    for causality in (k for k in KINDS if kind in (None, k)):
+        entries = _inlets(system) if causality == "input" else []
+        entries += [e for c in system.components.values() for e in _variables(system, c, causality)]
+        for name, unit, text in dict.fromkeys(entries):
+            yield {"name": name, "kind": causality, "unit": unit.name if unit else None, "text": text}
 
 
 def lines(system: FmuSystem, kind: str | None = None) -> Iterator[str]:
     """Inputs and outputs of the system, then outputs, inputs and parameters of each FMU; or one kind."""
-    if kind not in (None, *KINDS):
-        raise Problem(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
     single = len(system.components) == 1 and not system.inputs  # the table of its FMU has the same inputs
     if kind in (None, "input") and not single:
         yield from _table(f"{system.name}: inputs for --set and scenarios", _inlets(system))

@@ -11,12 +11,17 @@ from orchestrator.cli.options import BUILD, Folder, Text, command, system_file
 
 CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")  # that most models leave constant
 LEVERS = ("swing_command", "boom_command", "stick_command")  # 0 where nothing is connected
-EXAMPLE = """then a model of yours, such as
+NEXT = """\
+next, in OpenModelica:
+  loadModel(Modelica, {{"4.0.0"}}); loadFile("{package}");"""
+MINE = """\
+  loadFile("Mine.mo"); simulate(Mine, stopTime = 8);
+with a file Mine.mo, such as
   model Mine
-    {name}.FMUs.Harvester machine;
+    {block} machine;
     Modelica.Blocks.Sources.Sine lever(amplitude = 3, f = 0.3, startTime = 1);
   equation
-    connect(lever.y, machine.boom_command);  // levers without connection are 0
+    connect(lever.y, machine.boom_command);  // levers without connection or modifier are 0
   end Mine;"""
 
 
@@ -39,17 +44,16 @@ def modelica(
                supply_pressure, tank_pressure and payload_mass that the FMUs have.
     """
     from orchestrator.modelica import write_package
+    from orchestrator.modelica.syntax import class_name
     from orchestrator.ssp.load import load
 
-    whole_machine = not files
     if not files:
         system = system_file(None)
         files = [system, system.with_suffix(".fmu"), *sorted((system.parent / VARIANTS).glob("*.fmu"))]
-    inputs = {port.variable for file in files for port in load(file, exchange=True).ports("input")}
-    default = [known for known in CONSTANT_INPUTS if known in inputs]
+    inputs = {file: {port.variable for port in load(file, exchange=True).ports("input")} for file in files}
+    default = [known for known in CONSTANT_INPUTS if known in set().union(*inputs.values())]
     package = write_package(files, out, name, constant or default, LEVERS)
-    print(package)
-    script = f'loadModel(Modelica, {{"4.0.0"}}); loadFile("{package.as_posix()}");'
-    print(f"next, in OpenModelica: {script}")
-    if whole_machine:
-        print(EXAMPLE.format(name=name))
+    print(f"{package}\n{NEXT.format(package=package.as_posix())}")
+    machines = (f for f in files if f.suffix == ".fmu" and inputs[f].issuperset(LEVERS))
+    if machine := next(machines, None):
+        print(MINE.format(block=f"{name}.FMUs.{class_name(machine.stem)}"))

@@ -6,7 +6,7 @@ They run in the process of the caller, so the code must be of an FMU that this i
 """
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -144,8 +144,11 @@ def sources_of(component: Component) -> dict[str, bytes]:
     return code
 
 
-def compiled_model(component: Component) -> Model:
-    """The compiled model of a component; raises NotInLanes if that is impossible."""
+def compiled_model(component: Component, begin: Callable[[], object] | None = None) -> Model:
+    """The compiled model of a component; raises NotInLanes if that is impossible.
+
+    begin   is called before a compilation
+    """
     if component.source is None:
         raise NotInLanes(f"{component.name} is not an FMU")
     variables = component.interface.variables.values()
@@ -153,14 +156,14 @@ def compiled_model(component: Component) -> Model:
         raise NotInLanes(f"{component.name}.{others[0]} is not a Real variable")
     code = sources_of(component)
     made = recipe(component.interface.identifier, "model.cpp", code, processor())
-    library = _loaded(f"{component.name}: ", *made)
+    library = _loaded(f"{component.name}: ", *made, begin=begin)
     library.lane_model.restype = ctypes.c_void_p
     struct = header().Model.from_address(library.lane_model())
     return Model(component.name, library, struct, {v.name: v.reference for v in variables})
 
 
-def _loaded(context: str, *library: Any) -> ctypes.CDLL:
+def _loaded(context: str, *library: Any, begin: Callable[[], object] | None = None) -> ctypes.CDLL:
     try:
-        return ctypes.CDLL(str(shared_library(*library)))
+        return ctypes.CDLL(str(shared_library(*library, begin=begin)))
     except (CompilerError, OSError) as error:
         raise NotInLanes(f"{context}{error}") from None

@@ -11,6 +11,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -27,13 +29,14 @@ from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import BondEnergy, energies_above, unreliable_energies
 from orchestrator.engine.scenario import DrivenInputs
 from orchestrator.engine.time_grid import Grid
-from orchestrator.lanes.compiled import LANES, NotInLanes, compiled_model, header, machines_library
-from orchestrator.ssp.system import Connection, Port, System
+from orchestrator.lanes.compiled import LANES, Model, NotInLanes, compiled_model, header, machines_library
+from orchestrator.ssp.system import Component, Connection, Port, System
 
 MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
 ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
+COMPILING = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
 OK, EARLY, FAILED, NOT_RELIABLE = "ok", "early", "failed", "unreliable"
 
 
@@ -105,6 +108,18 @@ class Instances:
             np.ctypeslib.as_array(pointer, (row + 1, LANES))[row] = value
 
 
+def _compiled(components: Collection[Component]) -> list[Model]:
+    """The models, by several compilers at once, and a line if anything is to be compiled."""
+    with ExitStack() as stack, ThreadPoolExecutor(available_cores()) as threads:
+        first = Lock()
+
+        def begin() -> None:
+            if first.acquire(blocking=False):
+                stack.enter_context(doing(COMPILING))
+
+        return list(threads.map(partial(compiled_model, begin=begin), components))
+
+
 class Lanes:
     """A system in lanes: its models, and what all groups of machines have in common.
 
@@ -117,9 +132,7 @@ class Lanes:
         """Raises NotInLanes if the system or its coupling is not supported."""
         self.job, self.system, self.times, self.signals = job, job.system, times, signals
         _check_coupling(job, times)
-        text = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
-        with doing(text), ThreadPoolExecutor(available_cores()) as threads:  # several compilers at once
-            self.models = list(threads.map(compiled_model, self.system.components.values()))
+        self.models = _compiled(self.system.components.values())
         self.index = {name: k for k, name in enumerate(self.system.components)}
         with ExitStack() as stack:
             slaves = {}

@@ -61,7 +61,7 @@ class FmuBlock:
     inputs, outputs   variables of the FMU, except those that are only for rates of inputs
     names             identifiers of inputs and outputs in Modelica
     optional          inputs that need not be connected, by name
-    levers            inputs that are 0 if nothing is connected to them
+    levers            variable with the start value of an input to which nothing is connected, by its name
     scope             all identifiers of the block
     """
 
@@ -73,7 +73,7 @@ class FmuBlock:
     names: Mapping[str, str]
     parameters: Sequence[BlockParameter]
     optional: Mapping[str, OptionalInput]
-    levers: Collection[str]
+    levers: Mapping[str, str]
     scope: Scope
 
     @property
@@ -160,7 +160,7 @@ def fmu_block(
 
     component         the FMU, read for Model Exchange, with its own values
     constant_inputs   inputs that have their start value if they are not connected
-    levers            inputs that are 0 if nothing is connected to them
+    levers            inputs that have their start value unless a connection or a modifier gives another
     """
     interface, scope = component.interface, Scope()
     _check(f"{component.source}", interface)
@@ -177,7 +177,7 @@ def fmu_block(
     for v in (v for v in inputs if v.name in constant_inputs):
         identifiers = [scope.add(n) for n in (f"use_{v.name}_in", f"{v.name}_constant", f"{v.name}_internal")]
         optional[v.name] = OptionalInput(v, float(component.value(v.name)), *identifiers)
-    free = [v.name for v in inputs if v.name in levers]
+    free = {v.name: scope.add(f"{v.name}_default") for v in inputs if v.name in levers}
     return FmuBlock(name, folder, component, inputs, outputs, names, parameters, optional, free, scope)
 
 

@@ -27,7 +27,7 @@ class PackageBlocks:
     """The blocks of a package; FMUs with the same model description share a block, which gets several names.
 
     constant_inputs   inputs that have their start value if they are not connected
-    levers            inputs that are 0 if nothing is connected to them
+    levers            inputs that have their start value unless a connection or a modifier gives another
     blocks            by the bytes of modelDescription.xml
     names             class name and block by the file name of the FMU
     """
@@ -82,7 +82,7 @@ def write_package(
 
     systems           .ssp files, with their FMUs and connections, and .fmu files; FMI 2.0 for Model Exchange
     constant_inputs   inputs that have their start value if they are not connected
-    levers            inputs that are 0 if nothing is connected to them
+    levers            inputs that have their start value unless a connection or a modifier gives another
 
     An earlier package with this name is replaced, unless files in it were added or changed by hand.
     """
@@ -178,10 +178,12 @@ class ConnectedSystem:
         self._names = {component: self._scope.add(component) for component in system.components}
         targets = [port for system_input in system.inputs.values() for port, _ in system_input.targets]
         self._connected = {c.target for c in system.connections}.union(targets)
-        self.declarations = [self._component(c) for c in system.components.values()]
+        self.declarations: list[str] = []
         self.equations: list[str] = []
+        self._modifiers: dict[str, list[str]] = {component: [] for component in system.components}
         self._connections()
         self._unconnected_inputs()
+        self.declarations[:0] = [self._component(c) for c in system.components.values()]
 
     def _in_block(self, port: Port) -> bool:
         """False for an input that Model Exchange does not need, the rate of another input."""
@@ -193,7 +195,7 @@ class ConnectedSystem:
 
     def _component(self, component: Component) -> str:
         """Declaration of a component with the values that differ from those of its FMU."""
-        block, changed = self._blocks[component.name], []
+        block, changed = self._blocks[component.name], self._modifiers[component.name]
         for p in block.parameters:
             if (value := component.value(p.variable.name)) != p.value:
                 changed.append(f"{p.name} = {literal(value)}")
@@ -225,10 +227,9 @@ class ConnectedSystem:
     def _equation(self, target: Port, source: str, linear: LinearTransformation) -> None:
         mapped = f"{number(linear.factor)} * {source} + {number(linear.offset)}"
         value = source if linear == IDENTITY else mapped
-        if target.variable in self._blocks[target.component].levers:  # 0 unless it is connected
-            name = self._scope.add(f"{target.component}_{target.variable}_source")
-            self.declarations.append(f"Modelica.Blocks.Sources.RealExpression {name}(y = {value})")
-            self.equations.append(f"connect({name}.y, {self._port_name(target)})")
+        block = self._blocks[target.component]
+        if target.variable in block.levers:  # an equation could not replace their start value
+            self._modifiers[target.component].append(f"{block.names[target.variable]} = {value}")
         else:
             self.equations.append(f"{self._port_name(target)} = {value}")
 

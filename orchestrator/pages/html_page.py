@@ -35,7 +35,7 @@ def render(template: Path, *, title: str, plots: bool = False, **content: object
     environment = jinja_environment(template.parent, TEMPLATES, escaped=True)
     environment.filters.update(
         number=lambda value, digits=3: typeset(number(value, digits)),
-        typeset=typeset,
+        typeset=lambda text: Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(typeset(text))))),
         pretty=pretty,
         breakable=lambda name: Markup(re.sub(r"([._])(?=\w)", r"\1<wbr>", str(escape(name)))),
         upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",

@@ -6,7 +6,7 @@ Nested systems, also those in other .ssd and .ssp files, are flattened: the name
 and each component input is traced back through the connectors of systems to the output that feeds it.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,8 +118,16 @@ def _connected(flat: FlatStructure, system: System) -> System:
         connections=tuple(connections),
         inputs={name: replace(inlet, start=start[""].get(name)) for name, inlet in inputs.items()},
         outputs=outputs,
-        notes=tuple(dict.fromkeys(notes)),
+        notes=tuple(dict.fromkeys([*notes, *_driven_parameters(system, connections)])),
     )
+
+
+def _driven_parameters(system: System, connections: Iterable[Connection]) -> Iterator[str]:
+    """A note on each connection of an output to a parameter, which the standard allows."""
+    for c in connections:
+        variable = system.variable(c.target)
+        if variable.causality == "parameter" and system.variable(c.source).causality == "output":
+            yield f"{c}: expected an input, got a {variable.variability} parameter, which is set like one"
 
 
 def _inlet(
@@ -186,7 +194,7 @@ def assemble(
         inputs=inlets,
         stop=seconds(stop, "stop"),
         suggestion=suggestion,
-        notes=tuple(notes),
+        notes=(*notes, *_driven_parameters(system, checked)),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
     ).with_start(start or {}, origin="")
     system.check_sharing()

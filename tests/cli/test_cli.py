@@ -1,13 +1,15 @@
 """The command line on the machine itself: build, parameters, signals, run; validate: test_validate.py."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from kit.mistakes import problem, refused, table
 
+from fmus.contract import quantities
 from fmus.machine.build import data
-from fmus.machine.parts import ALL, FAMILIES
+from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import POSES
 from orchestrator import read_trace
 from orchestrator.__main__ import main
@@ -77,6 +79,25 @@ def test_signals_are_listed(capsys, fmu_dir):
     assert heads == [
         f"{name}: parameters" for name in ("manipulator", "supply", "boom_stick", "swing", "operator_input")
     ]
+
+
+def printed_json(capsys, *command):
+    assert main([*command, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.usefixtures("here")
+def test_lists_as_data(capsys):
+    """The rows of signals, parameters and variants, with units."""
+    pressure = {"name": "supply.supply_pressure", "kind": "output", "unit": "Pa"}
+    outputs = printed_json(capsys, "signals", "--kind", "output")
+    assert [row for row in outputs if row.items() >= pressure.items()]
+    assert {row["kind"] for row in printed_json(capsys, "signals")} == {"input", "output", "parameter"}
+    (mass,) = (r for r in printed_json(capsys, "parameters", "manipulator") if r["name"] == "head_mass")
+    assert (mass["value"], mass["unit"], mass["part"]) == (350.0, "kg", "manipulator")
+    assert {r["source"] for r in printed_json(capsys, "parameters", "--source", "paper")} == {"paper"}
+    found = {(r["part"], r["variant"]): r for r in printed_json(capsys, "variants")}
+    assert found["swing", "lumped"]["states"] == len(quantities(SUBSYSTEMS["swing"].states))
 
 
 @pytest.mark.usefixtures("here")

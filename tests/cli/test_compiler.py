@@ -22,8 +22,8 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def made():
-    return compiler.shared_library("one.so", CODE, ARGUMENTS)
+def made(begin=None):
+    return compiler.shared_library("one.so", CODE, ARGUMENTS, begin=begin)
 
 
 def test_the_cache_is_private(cache):
@@ -36,6 +36,14 @@ def test_the_cache_is_private(cache):
     assert library.parent == cache
     assert (cache.stat().st_mode & 0o777, library.stat().st_mode & 0o777) == (0o700, 0o700)
     assert made() == library
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_compilation_is_announced():
+    """Not the library of the cache."""
+    begun = []
+    assert made(partial(begun.append, 1)) == made(partial(begun.append, 2))
+    assert begun == [1]
 
 
 def test_an_own_folder_that_others_can_write_to_becomes_private(cache, caplog):

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 from pathlib import Path
+from time import perf_counter
 
 import pytest
 from kit import shards
@@ -14,27 +15,30 @@ SLOW = pytest.mark.timeout(6000)
 ROOT = Path(__file__).parents[2]
 EXTRAS = "model,build,view,sweep,identify,control"  # of README's commands
 ONE = "tests/documents/test_package.py"
-# target -> variables of make with which it does little of everything
+# installation -> target -> variables of make with which it does little of everything. Targets with the same
+# installation follow each other in one clone, so none profits from what another installs
 TRIED = {
-    "test": [f"PYTEST=.venv/bin/python -m pytest {ONE}"],
-    "test-fresh": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
-    "test-search": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
-    "lint": [],
-    "bench": [],
-    "bench-live": ["ARGS=--seconds 1"],
-    "bench-peers": ["ARGS=--repeats 1"],
-    "bench-sweep": ["ARGS=--runs 4 --seconds 1"],
-    "coverage": ["ARGS=--seeds 1 --only openings"],
-    "matrix": ["ARGS=--tool harvester"],
-    "extras": [],
-    "test-lowest": [f"FAST={ONE}"],
-    "test-newest": [f"FAST={ONE}"],
+    "all extras": {
+        "bench": ["ARGS=--repeats 1"],
+        "bench-sweep": ["ARGS=--runs 4 --seconds 1"],
+        "coverage": ["ARGS=--seeds 1 --only openings"],
+    },
+    "tests": {
+        "test": [f"PYTEST=.venv/bin/python -m pytest {ONE}"],
+        "test-fresh": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
+        "test-search": ["PYTEST=.venv/bin/python -m pytest --collect-only"],
+        "lint": [],
+        "bench-live": ["ARGS=--seconds 1"],
+        "matrix": ["ARGS=--tool harvester"],
+    },
+    "other tools": {"bench-peers": ["ARGS=--repeats 1"]},
+    "release": {"extras": [], "test-lowest": [f"FAST={ONE}"], "test-newest": [f"FAST={ONE}"]},
 }
 # target -> where it is run, or why not
 ELSEWHERE = {
     "demo": "test_the_commands_of_readme_after_make_demo",
     "docs": "test_make_docs_needs_nothing_else",
-    "release": "test_the_wheel_alone_runs_what_readme_prints",
+    "release": "test_the_wheel_alone",
     "test-long": "each of its shards is a run of .ci/run",
     "bench-sensitivities": "20 minutes without a smaller form; its packages are those of bench",
     "mutants": "two hours; tests/documents/test_package.py imports it",
@@ -72,15 +76,19 @@ def test_every_target_of_the_makefile_has_a_trial():
     """In a fresh clone, or the reason why not."""
     text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     targets = set(re.findall(r"^\.PHONY: (.*)$", text, re.MULTILINE)[0].split())
-    assert targets - {*TRIED, *ELSEWHERE} == set()
+    tried = {target for group in TRIED.values() for target in group}
+    assert targets - {*tried, *ELSEWHERE} == set()
 
 
 @shards.fresh
 @SLOW
-@pytest.mark.parametrize("target", TRIED)
-def test_a_target_runs_in_a_fresh_clone(target, clone):
-    """It installs what it needs. The environment is its own, so that it cannot profit from another target."""
-    assert "Traceback" not in ran(clone, "make", target, *TRIED[target])
+@pytest.mark.parametrize("installation", TRIED)
+def test_targets_run_in_a_fresh_clone(installation, clone):
+    """Each installs what it needs."""
+    for target, variables in TRIED[installation].items():
+        begin = perf_counter()
+        assert "Traceback" not in ran(clone, "make", target, *variables), target
+        print(f"make {target}: {perf_counter() - begin:.0f} s")
 
 
 @shards.fresh
@@ -106,31 +114,23 @@ def test_make_docs_needs_nothing_else(clone):
 
 @shards.fresh
 @SLOW
-def test_the_wheel_alone_runs_what_readme_prints(clone, tmp_path):
-    """In an environment with the wheel and the extras of the commands, from an empty folder."""
+def test_the_wheel_alone(clone, tmp_path):
+    """In an empty folder: some commands without extras, then those of README with theirs.
+
+    The environment without extras has at most 350 MB, with byte code and pip.
+    """
     ran(clone, "make", "release", "PLATFORMS=host")
     (wheel,) = (clone / "dist").glob("*.whl")
-    place, uv = tmp_path / "environment", clone / ".venv" / "bin" / "uv"
-    ran(clone, uv, "venv", "--quiet", "--python", ".venv/bin/python", place)
-    wanted = f"harvester-cosim[{EXTRAS}] @ {wheel.as_uri()}"
-    ran(clone, uv, "pip", "install", "--quiet", "--python", place, "-c", "constraints.txt", wanted)
-    (tmp_path / "empty").mkdir()
-    Page(clone / "README.md", tmp_path / "empty", programs=place / "bin").run()
-    ran(tmp_path / "empty", place / "bin" / "harvester", "page")
-    assert 'data-part="module"' in (tmp_path / "empty" / "build" / "report.html").read_text(encoding="utf-8")
-
-
-@shards.fresh
-@SLOW
-def test_the_wheel_without_extras_is_small(clone, tmp_path):
-    """run, validate, check and plot in an environment of at most 350 MB, with byte code and pip."""
-    ran(clone, "make", "release", "PLATFORMS=host")
-    (wheel,) = (clone / "dist").glob("*.whl")
-    place = tmp_path / "environment"
+    place, empty = tmp_path / "environment", tmp_path / "empty"
+    empty.mkdir()
     ran(clone, ".venv/bin/python", "-m", "venv", place)
-    pip = [place / "bin" / "python", "-m", "pip", "install", "--quiet", "-c", "constraints.txt", wheel]
-    ran(clone, *pip)
+    pip = [place / "bin" / "python", "-m", "pip", "install", "--quiet", "-c", "constraints.txt"]
+    ran(clone, *pip, wheel)
     size = sum(p.lstat().st_size for p in place.rglob("*") if p.is_file() and not p.is_symlink())
     assert size <= 350e6, f"{size / 1e6:.0f} MB"
     for command in ("run --stop 1", "validate", "check swing", "plot build/trace.csv"):
         ran(tmp_path, place / "bin" / "harvester", *command.split())
+    ran(clone, *pip, f"harvester-cosim[{EXTRAS}] @ {wheel.as_uri()}")
+    Page(clone / "README.md", empty, programs=place / "bin").run()
+    ran(empty, place / "bin" / "harvester", "page")
+    assert 'data-part="module"' in (empty / "build" / "report.html").read_text(encoding="utf-8")

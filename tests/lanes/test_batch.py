@@ -2,6 +2,7 @@
 
 import re
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from importlib import import_module
 from itertools import product
@@ -21,7 +22,7 @@ from orchestrator import Coupling, Interrupted, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError, host
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, write_zip
-from orchestrator.lanes import compiled
+from orchestrator.lanes import compiled, group
 from orchestrator.lanes.compiled import NotInLanes, sources_of
 from orchestrator.worker.process import CLOSED
 
@@ -305,7 +306,7 @@ def test_a_tighter_tolerance_is_passed_to_the_models(system):
 def test_without_a_compiler_the_machines_run_one_by_one(system, monkeypatch):
     """With a note that says how to install it, and the same results."""
 
-    def missing(*_):
+    def missing(*_, **__):
         raise CompilerError("no C compiler: the package ziglang is not installed")
 
     monkeypatch.setattr(compiled, "shared_library", missing)
@@ -313,6 +314,28 @@ def test_without_a_compiler_the_machines_run_one_by_one(system, monkeypatch):
     (note,) = [note for note in result.notes if "one by one" in note]
     assert note.endswith("no C compiler: the package ziglang is not installed")
     assert max(differences(system, result, stop=0.2).values()) == 0.0
+
+
+def test_a_line_announces_a_compilation(system, monkeypatch):
+    """Once for all FMUs, and not if the libraries are in the cache."""
+    lines, shared_library = [], compiled.shared_library
+
+    def announced(text):
+        lines.append(text)
+        return nullcontext()
+
+    def anew(*library, begin):
+        if begin:
+            begin()
+        return shared_library(*library)
+
+    batch(system, MASSES, stop=0.01, lanes=True)
+    monkeypatch.setattr(group, "doing", announced)
+    batch(system, MASSES, stop=0.01, lanes=True)
+    assert lines == []
+    monkeypatch.setattr(compiled, "shared_library", anew)
+    batch(system, MASSES, stop=0.01, lanes=True)
+    assert lines == [group.COMPILING]
 
 
 # ---- other FMUs, one by one

@@ -254,3 +254,12 @@ def test_elements_of_no_ssp_get_a_note(fmus, zip_ssp):
     )
     (note,) = load(zip_ssp(text.replace("<ssd:Elements>", inside), {"g.fmu": fmus["gain"]})).notes
     assert note.endswith("SystemStructure.ssd: line 8: Banana: left out, no element of SSP")
+
+
+def test_a_connection_to_a_parameter_is_noted(fmus):
+    """FMI and SSP allow it; a user may have meant an input."""
+    parts = {"a": fmus["gain"], "b": fmus["gain"]}
+    assert assemble(parts, ["a.y -> b.u"]).notes == ()
+    assert assemble(parts, ["a.y -> b.factor"]).notes == (
+        "a.y -> b.factor: expected an input, got a fixed parameter, which is set like one",
+    )

@@ -17,10 +17,11 @@ from fmus.machine.reference import TOLERANCE, work_cycle
 from fmus.machine.work_cycle import COMMANDS
 from fmus.monolith import join, simulate
 from orchestrator import Problem
+from orchestrator.__main__ import main
+from orchestrator.cli.modelica import CONSTANT_INPUTS, LEVERS
 from orchestrator.modelica import write_package
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "modelica"
-CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")
 POSE = {"initial_swing_angle": 0.3, "initial_boom_angle": 0.5, "initial_stick_angle": -1.2}
 CASES: Mapping[str, Mapping[str, float]] = {"": {}, "OtherPose": POSE, "HeavyHead": {"head_mass": 600.0}}
 ANGLES = [f"{joint}_angle" for joint in ("swing", "boom", "stick")]
@@ -38,7 +39,7 @@ def package(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         fmu_dir / "harvester.fmu",
         fmu_dir / "variants" / "swing_detailed.fmu",
     ]
-    return write_package(files, tmp_path_factory.mktemp("modelica"), constant_inputs=CONSTANT_INPUTS)
+    return write_package(files, tmp_path_factory.mktemp("modelica"), "Harvester", CONSTANT_INPUTS, LEVERS)
 
 
 # ---- the text
@@ -106,6 +107,22 @@ def test_an_fmu_that_cannot_be_a_block_is_reported(fmi3_dir, tmp_path):
 # ---- OpenModelica
 
 
+@shards.tools
+def test_the_next_step_that_the_command_prints_runs(fmu_dir, tmp_path, monkeypatch, capsys):
+    """The model and the line for OpenModelica, as they are printed."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["modelica", str(fmu_dir / "harvester.fmu"), "--name", "Mine_2"]) == 0
+    script, model = re.search(
+        r"OpenModelica:\n(.*)\nwith a file .*?\n(.*)", capsys.readouterr().out, re.S
+    ).groups()
+    if (omc := shutil.which("omc")) is None:
+        pytest.skip("no OpenModelica found: omc is not on the search path")
+    Path("Mine.mo").write_text(model)
+    Path("a.mos").write_text(f"{script} getErrorString();")
+    done = subprocess.run([omc, "a.mos"], capture_output=True, text=True, check=False)
+    assert "The simulation finished successfully" in done.stdout, done.stdout
+
+
 @pytest.fixture(scope="module")
 def results(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with what `omc run.mos` writes; the FMUs are those of the build."""
@@ -116,7 +133,7 @@ def results(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = Path(shutil.copytree(EXAMPLES, top / "examples" / "modelica"))
     build = Path(shutil.copytree(fmu_dir, top / "build", ignore=shutil.ignore_patterns("fmi3")))
     files = [build / "harvester.ssp", build / "harvester.fmu", *sorted((build / "variants").glob("*.fmu"))]
-    write_package(files, build / "modelica", constant_inputs=CONSTANT_INPUTS)
+    write_package(files, build / "modelica", "Harvester", CONSTANT_INPUTS, LEVERS)
     run = subprocess.run([omc, "run.mos"], cwd=folder, capture_output=True, text=True, check=False)
     (folder / "results" / "log.txt").write_text(run.stdout + run.stderr)
     return folder / "results"

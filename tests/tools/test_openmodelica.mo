@@ -82,6 +82,18 @@ package Tested "The machine under sources and controllers of the Modelica Standa
     end Table;
   end Sources;
 
+  model Levers "One by connect, one by a modifier, and one by neither"
+    Harvester.WithFlanges.Swing drive(swing_command = 2);
+    Harvester.FMUs.BoomStick cylinders;
+    Modelica.Blocks.Sources.Ramp lever(height = 3, duration = 4);
+    Real u[3] = {drive.swing_command, cylinders.boom_command, cylinders.stick_command};
+    Real inside = drive.block_.swing_command;
+  equation
+    connect(lever.y, cylinders.boom_command);
+    {cylinders.boom_position, cylinders.boom_velocity, cylinders.stick_position, cylinders.stick_velocity} = zeros(4);
+    {cylinders.boom_holding_force, cylinders.stick_holding_force} = zeros(2);
+  end Levers;
+
   package Loops "The boom follows a ramp of its angle"
     partial model Boom
       Modelica.Blocks.Sources.Ramp target(height = 0.3, offset = 0.2, startTime = 0.5, duration = 2);

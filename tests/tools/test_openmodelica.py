@@ -127,6 +127,13 @@ def test_a_moving_command_costs_one_event_at_each_kink(simulate, truth, source, 
         assert error < (5e-4 if tolerance == 1e-8 else 2e-3) * np.ptp(exact[name]), name
 
 
+@shards.tools
+def test_a_lever_takes_a_connection_or_a_modifier_and_is_zero_without(simulate):
+    """Also of the FMU within a model with flanges."""
+    end = simulate("Levers").iloc[-1]
+    assert [end[name] for name in ("u[1]", "u[2]", "u[3]", "inside")] == [2, 3, 0, 2]
+
+
 # ---- feedback
 
 

@@ -327,6 +327,32 @@ def _trace_panel(label: str, curves: Mapping[str, str], comparison: RecordingCom
     )
 
 
+# ---- estimates
+
+REACHES = (1.1, 1.5, 2, 5, 10)  # factors up to which the axis of all estimates may reach
+
+
+def estimates_picture(parameters: Sequence[Mapping[str, Any]]) -> tuple[float, list[tuple[Any, list[float]]]]:
+    """Reach of an axis, and for each parameter the places [%] of low end, value and high end on it.
+
+    The axis is the logarithm of a value over the one before, from 1 / reach to reach, which is cut off at 10;
+    without a value before, or with one of another sign, over the value itself. A value of 0 has no place.
+    """
+    ratios = []
+    for p in parameters:
+        e, before = p["estimate"], p["prior"] or 0.0
+        if base := before if before * e.value > 0 else e.value:
+            ratios.append((p, sorted(x / base for x in (e.low, e.value, e.high))))
+    needed = [max(r, 1 / r) for _, ends in ratios for r in ends if r > 0]
+    reach = next((r for r in REACHES if r >= max(needed, default=1.0)), REACHES[-1])
+    whole = np.log(reach)
+
+    def place(ratio: float) -> float:
+        return float(50 + 50 * np.clip(np.log(ratio) / whole, -1, 1)) if ratio > 0 else 0.0
+
+    return reach, [(p, [place(r) for r in ends]) for p, ends in ratios]
+
+
 # ---- correlations
 
 LARGE_CORRELATION = 0.3  # magnitude above which a correlation is printed

@@ -63,6 +63,7 @@ def render(page: Mapping[str, Any]) -> str:
         origin=report_texts.origin(kinds),
         results=results,
         heatmap=heatmap,
+        picture=figures.estimates_picture(page["parameters"]),
         figures=[(name, plot(replace(f, title=""), name), caption) for name, f, caption in page["figures"]],
         plots=bool(page["figures"]),
     )

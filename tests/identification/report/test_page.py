@@ -11,6 +11,7 @@ from identification.report.samples import AREA, page, result, traces
 from lxml import html
 
 from fmus.identification.report import report_texts
+from fmus.identification.report.figures import estimates_picture
 from fmus.identification.report.identification_page import render, write_page
 from fmus.identification.results import Estimate
 from orchestrator.pages.figures import VENDOR
@@ -131,3 +132,37 @@ def test_parameters_are_shown_in_display_units():
     assert report_texts.change(1.1, 1.0) == "+10 %"
     assert report_texts.change(1.1, None) == report_texts.DASH
     assert report_texts.probability(1e-9) == "< 0.001"
+
+
+def places(*found):
+    """Those of value, low, high and value before in the picture, and the reach of its axis."""
+    rows = [
+        {"estimate": Estimate("a", v, "1", 1, low, high, ""), "prior": prior} for v, low, high, prior in found
+    ]
+    reach, drawn = estimates_picture(rows)
+    return reach, [ends for _, ends in drawn]
+
+
+def test_the_picture_shows_values_over_those_before():
+    """Twice is at the right end of an axis to 2, half at the left end, equal in the middle."""
+    assert places((2.0, 1.0, 2.0, 1.0), (0.5, 0.5, 2**-0.5, 1.0)) == (
+        2,
+        [[50, 100, 100], [0, 0, pytest.approx(25)]],
+    )
+    negative = places((-3.0, -3.0, -1.5, -1.5))
+    assert negative == (2, [[50, 100, 100]])
+
+
+def test_the_picture_cuts_what_leaves_its_axis():
+    """Open intervals, a sign that changes, and no value before."""
+    reach, ends = places((1.0, -np.inf, np.inf, None), (1.0, -1.0, 100.0, 0.0), (0.0, 0.0, 1.0, None))
+    assert (reach, ends) == (10, [[0, 50, 100], [0, 50, 100]])
+    assert places() == (1.1, [])
+
+
+def test_names_in_remarks_are_typeset_as_code():
+    """Not with the marks of Markdown."""
+    found = html.fromstring(render(page(warnings=("It has no `zero_error` & more.",))))
+    (remark,) = found.xpath("//div[@class='warning']//li")
+    assert remark.text_content() == "It has no zero_error & more."
+    assert [code.text for code in remark.iter("code")] == ["zero_error"]
