@@ -9,8 +9,6 @@ from orchestrator.base.files import VARIANTS
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, Folder, Text, command, system_file
 
-CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")  # that most models leave constant
-LEVERS = ("swing_command", "boom_command", "stick_command")  # 0 where nothing is connected
 NEXT = """\
 next, in OpenModelica:
   loadModel(Modelica, {{"4.0.0"}}); loadFile("{package}");"""
@@ -21,7 +19,7 @@ with a file Mine.mo, such as
     {block} machine;
     Modelica.Blocks.Sources.Sine lever(amplitude = 3, f = 0.3, startTime = 1);
   equation
-    connect(lever.y, machine.boom_command);  // levers without connection or modifier are 0
+    connect(lever.y, machine.{lever});  // levers without connection or modifier are 0
   end Mine;"""
 
 
@@ -43,6 +41,7 @@ def modelica(
     constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default: those of
                supply_pressure, tank_pressure and payload_mass that the FMUs have.
     """
+    from fmus.machine import CONSTANT_INPUTS, LEVERS
     from orchestrator.modelica import write_package
     from orchestrator.modelica.syntax import class_name
     from orchestrator.ssp.load import load
@@ -56,4 +55,4 @@ def modelica(
     print(f"{package}\n{NEXT.format(package=package.as_posix())}")
     machines = (f for f in files if f.suffix == ".fmu" and inputs[f].issuperset(LEVERS))
     if machine := next(machines, None):
-        print(MINE.format(block=f"{name}.FMUs.{class_name(machine.stem)}"))
+        print(MINE.format(block=f"{name}.FMUs.{class_name(machine.stem)}", lever=LEVERS[0]))

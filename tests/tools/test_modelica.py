@@ -12,13 +12,13 @@ import pandas as pd
 import pytest
 from kit import shards
 
+from fmus.machine import CONSTANT_INPUTS, LEVERS
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.machine.reference import TOLERANCE, work_cycle
 from fmus.machine.work_cycle import COMMANDS
 from fmus.monolith import join, simulate
 from orchestrator import Problem
 from orchestrator.__main__ import main
-from orchestrator.cli.modelica import CONSTANT_INPUTS, LEVERS
 from orchestrator.modelica import write_package
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "modelica"
