@@ -1,11 +1,12 @@
 """Structure of the machine: subsystems, their variants, and their connections."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import permutations
 from typing import TypeAlias
 
 from fmus import boom_stick, manipulator, supply, swing
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import Subsystem
+from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.manipulator import MANIPULATOR
 from fmus.operator_input.model import OPERATOR
@@ -43,89 +44,84 @@ MACHINES: Mapping[str, Mapping[str, str]] = {
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
 ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, OPERATOR.name: OPERATOR}
 Connections: TypeAlias = tuple[tuple[str, str], ...]
+Inputs: TypeAlias = Mapping[str, tuple[str, ...]]  # external input -> component inputs that it feeds
 
+
+def plugged(chosen: Iterable[Subsystem]) -> Connections:
+    """Connections of the terminals that fit, in which each output feeds the input of the same member.
+
+    Terminals fit if they have one name. Those of the supply end with the name of the part behind them:
+    `supply_line_swing` fits `supply_line` of swing.
+    """
+    wires = []
+    for source, target in permutations(chosen, 2):
+        outputs, inputs = quantities(source.outputs), quantities(target.inputs)
+        sockets = {t.name: {m.name: m.variable for m in t.members} for t in target.terminals}
+        for plug in source.terminals:
+            names = (
+                plug.name,
+                f"{plug.name}_{source.component}",
+                plug.name.removesuffix(f"_{target.component}"),
+            )
+            for socket in (sockets[name] for name in dict.fromkeys(names) if name in sockets):
+                pairs = ((m.variable, socket[m.name]) for m in plug.members)
+                fitting = ((out, into) for out, into in pairs if out in outputs and into in inputs)
+                wires += [
+                    (f"{source.component}.{out}", f"{target.component}.{into}") for out, into in fitting
+                ]
+    return tuple(wires)
+
+
+def wiring(chosen: Mapping[str, Subsystem]) -> tuple[Connections, Inputs]:
+    """Connections and external inputs of a machine of these parts, with or without supply.
+
+    Parts that have an input of one name share it. The inputs of one drive come first, then those of several.
+    """
+    connections, inputs = plugged(chosen.values()), dict[str, tuple[str, ...]]()
+    fed = {target for _, target in connections}
+    for part, sub in chosen.items():
+        for name in quantities(sub.inputs):
+            if (end := f"{part}.{name}") not in fed:
+                inputs[name] = (*inputs.get(name, ()), end)
+    ends = sorted(inputs.values(), key=lambda e: (not e[0].startswith(DRIVES), len(e) > 1))
+    return connections, {e[0].partition(".")[2]: e for e in ends}
+
+
+def _added(part: Subsystem) -> Connections:
+    """The connections of one more part with the machine."""
+    return tuple(wire for wire in plugged((*SUBSYSTEMS.values(), part)) if wire not in CONNECTIONS)
+
+
+DRIVES = ("swing", "boom_stick")
 JOINT_SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick"))
-# power ports: both signals of each port
-SIGNALS: Connections = (
-    ("swing.swing_torque", "manipulator.swing_torque"),
-    ("manipulator.swing_speed", "swing.swing_speed"),
-    ("boom_stick.boom_force", "manipulator.boom_force"),
-    ("manipulator.boom_position", "boom_stick.boom_position"),
-    ("manipulator.boom_velocity", "boom_stick.boom_velocity"),
-    ("boom_stick.stick_force", "manipulator.stick_force"),
-    ("manipulator.stick_position", "boom_stick.stick_position"),
-    ("manipulator.stick_velocity", "boom_stick.stick_velocity"),
+CONNECTIONS, INPUTS = wiring(SUBSYSTEMS)
+RATE_OF = {
+    n: q.rate for sub in (*SUBSYSTEMS.values(), SUPPLY) for n, q in quantities(sub.inputs).items() if q.rate
+}
+# rate ports: exact time derivatives of other connected signals, optional; a velocity has one itself
+RATES: Connections = tuple(
+    (source, target)
+    for source, target in CONNECTIONS
+    if target.partition(".")[2] in {*RATE_OF.values()} - {*RATE_OF}
 )
-
-# rate ports: exact time derivatives of these signals, optional
-RATES: Connections = (
-    ("swing.swing_torque_rate", "manipulator.swing_torque_rate"),
-    ("manipulator.swing_acceleration", "swing.swing_acceleration"),
-    ("boom_stick.boom_force_rate", "manipulator.boom_force_rate"),
-    ("manipulator.boom_acceleration", "boom_stick.boom_acceleration"),
-    ("boom_stick.stick_force_rate", "manipulator.stick_force_rate"),
-    ("manipulator.stick_acceleration", "boom_stick.stick_acceleration"),
-)
-
 # only for initialisation: holding forces of the pose, from which the initial pressures follow
-HOLDING: Connections = (
-    ("manipulator.boom_holding_force", "boom_stick.boom_holding_force"),
-    ("manipulator.stick_holding_force", "boom_stick.stick_holding_force"),
+HOLDING: Connections = tuple(wire for wire in CONNECTIONS if wire[0].endswith("_holding_force"))
+COMMAND_WIRES, SUPPLY_WIRES = _added(OPERATOR), _added(SUPPLY)
+# the controller replaces the operator, and measures what it has an input for
+CONTROL_WIRES: Connections = (
+    *_added(CONTROLLER),
+    *(
+        (f"{sub.name}.{name}", f"{CONTROLLER.name}.{name}")
+        for name in quantities(CONTROLLER.inputs)
+        for sub in (*SUBSYSTEMS.values(), SUPPLY)
+        if name in quantities(sub.outputs)
+    ),
 )
-
-CONNECTIONS = SIGNALS + RATES + HOLDING
 
 # parameter -> parts that it describes together: the cylinders press on oil and on the linkage
 SHARED: Mapping[str, tuple[str, ...]] = dict.fromkeys(
     ("boom_stroke", "stick_stroke"), ("boom_stick", "manipulator")
 )
-
-# commands of the operator and their rates
-LEVER_WIRES: Connections = tuple(
-    (f"operator_input.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
-    for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
-    for suffix in ("", "_rate")
-)
-COMMAND_WIRES: Connections = (*LEVER_WIRES, ("operator_input.payload_mass", "manipulator.payload_mass"))
-
-# commands of the controller, which replaces the operator, and its measured signals
-CONTROL_WIRES: Connections = (
-    *((source.replace(OPERATOR.name, CONTROLLER.name), target) for source, target in LEVER_WIRES),
-    *(
-        (f"manipulator.{axis}_{kind}", f"controller.{axis}_{kind}")
-        for kind in ("angle", "speed")
-        for axis in ("swing", "boom", "stick")
-    ),
-    *((f"swing.swing_pressure_{port}", f"controller.swing_pressure_{port}") for port in "ab"),
-    *(
-        (f"boom_stick.{axis}_{side}_pressure", f"controller.{axis}_{side}_pressure")
-        for axis in ("boom", "stick")
-        for side in ("head", "rod")
-    ),
-    *((f"supply.{line}_pressure", f"controller.{line}_pressure") for line in ("supply", "tank")),
-)
-
-# between supply and drives; without them the drives have constant pressures
-DRIVES = ("swing", "boom_stick")
-LINES = tuple(
-    f"{line}_pressure{suffix}" for line in ("supply", "tank", "load_sensing") for suffix in ("", "_rate")
-)
-SUPPLY_WIRES: Connections = (
-    *((f"supply.{v}", f"{d}.{v}") for d in DRIVES for v in LINES),
-    *(
-        (f"{d}.{d}_load_pressure{suffix}", f"supply.{d}_load_pressure{suffix}")
-        for d in DRIVES
-        for suffix in ("", "_rate")
-    ),
-    *((f"{d}.{v}", f"supply.{v}_{d}") for d in DRIVES for v in ("supply_flow", "return_flow")),
-)
-
-# external inputs of the machine without operator -> component inputs
-INPUTS: Mapping[str, tuple[str, ...]] = {
-    **{end.split(".")[1]: (end,) for _, end in LEVER_WIRES},
-    **{v: tuple(f"{d}.{v}" for d in DRIVES) for v in LINES},
-    "payload_mass": ("manipulator.payload_mass",),
-}
 
 
 def parts(**variants: str) -> dict[str, Subsystem]:
@@ -142,11 +138,3 @@ def parts(**variants: str) -> dict[str, Subsystem]:
             )
             raise Problem(f"{part}={variant}: expected {expected}")
     return {**SUBSYSTEMS} | {part: FAMILIES[part][variant] for part, variant in variants.items()}
-
-
-def wiring(chosen: Mapping[str, Subsystem]) -> tuple[Connections, Mapping[str, tuple[str, ...]]]:
-    """Connections and external inputs of a machine of these parts, with or without supply."""
-    if SUPPLY.name not in chosen:
-        return CONNECTIONS, INPUTS
-    supplied = {target for _, target in SUPPLY_WIRES}
-    return CONNECTIONS + SUPPLY_WIRES, {n: ends for n, ends in INPUTS.items() if not supplied & set(ends)}

@@ -12,12 +12,12 @@ from pathlib import Path
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import (
-    ALL,
     COMMAND_WIRES,
     CONNECTIONS,
     CONTROL_WIRES,
     DRIVES,
     FAMILIES,
+    RATE_OF,
     SHARED,
     SUBSYSTEMS,
     SUPPLY_WIRES,
@@ -32,7 +32,6 @@ from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
 WIRES = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES + CONTROL_WIRES
-RATES = {name: q.rate for sub in ALL.values() for name, q in quantities(sub.inputs).items() if q.rate}
 UNPOWERED = (
     "While supply_pressure is 0, no command turns the swing, and each command lets boom or stick sink."
 )
@@ -115,9 +114,9 @@ def wired_ports() -> Iterator[tuple[str, str, str, str, str]]:
     """FMU, port, other FMU, its port, the rate port in both; without ports that are only rates."""
     for start, end in WIRES:
         (source, output), (target, name) = start.split("."), end.split(".")
-        rate = RATES.get(name, "")
+        rate = RATE_OF.get(name, "")
         wired = (f"{source}.{rate}", f"{target}.{rate}") in WIRES
-        if name in RATES or name not in RATES.values():
+        if name in RATE_OF or name not in RATE_OF.values():
             yield source, output, target, name, rate if wired else ""
 
 

@@ -36,6 +36,7 @@ from orchestrator.ssp.system_structure import (
     read_structure,
     signal_paths,
 )
+from orchestrator.ssp.terminals import Terminals
 
 
 def load(path: str | Path, exchange: bool = False) -> System:
@@ -165,7 +166,8 @@ def assemble(
 
     fmus          component name -> path of the .fmu file
     connections   "a.y -> b.u", or (source, target), or (source, target, factor, offset) with
-                  target = factor * source + offset after the unit conversion
+                  target = factor * source + offset after the unit conversion; or of two terminals,
+                  "drive.shaft -> arm.shaft", whose members are connected
     start         component.variable -> value
     inputs        input of the system -> component inputs that it feeds; the first one gives the unit
     stop          default stop time of a run [s], or with a unit, such as "2 s"
@@ -176,14 +178,14 @@ def assemble(
     components = {n: open_component(n, Location(Path(p)), exchange) for n, p in fmus.items()}
     system = System(name, components)
     notes: list[str] = []
-    checked = []
+    checked, terminals = list[Connection](), Terminals(system)
     for entry in connections:
         parts = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
         if len(parts) not in (2, 3, 4):
             raise Problem(f"connection {entry!r}: expected 'a.y -> b.u' or (source, target, factor, offset)")
         linear = LinearTransformation(*(float(x) for x in parts[2:]))
-        ends = system.port(str(parts[0])), system.port(str(parts[1]))
-        checked.append(_connect(system, *ends, linear, notes))
+        ends = terminals.pairs(str(parts[0]), str(parts[1]))
+        checked += [_connect(system, *pair, linear, notes) for pair in ends]
     inlets = {n: _assembled_inlet(system, n, ends, notes) for n, ends in (inputs or {}).items()}
     _check_one_source(checked, inlets)
     length = seconds(step, "step")

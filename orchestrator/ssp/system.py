@@ -199,7 +199,7 @@ class System:
 
         others   further names that are accepted, for the message
         """
-        port = self._find(name)
+        port = self.find(name)
         if port is None:
             suggestion = (
                 suggest(name, [*others, *self.names()])
@@ -208,7 +208,8 @@ class System:
             raise Problem(f"unknown variable {name!r}{suggestion}")
         return port
 
-    def _find(self, name: str) -> Port | None:
+    def find(self, name: str) -> Port | None:
+        """The port that `component.variable` names, or None."""
         for dot in (i for i in range(len(name) - 1, 0, -1) if name[i] == "."):
             component, variable = name[:dot], name[dot + 1 :]
             if component in self.components:
@@ -226,7 +227,7 @@ class System:
         """
         if name in self.inputs:
             return self.inputs[name].targets
-        inputs = [] if self._find(name) else self.sharing(name) or self._inputs(name)
+        inputs = [] if self.find(name) else self.sharing(name) or self._inputs(name)
         units = {self.unit(p) for p in inputs}
         if len(units) > 1:
             with_units = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in inputs)
@@ -310,7 +311,7 @@ class System:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
         return (
             name in self.inputs
-            or self._find(name) is not None
+            or self.find(name) is not None
             or bool(self.sharing(name) or self._inputs(name))
         )
 

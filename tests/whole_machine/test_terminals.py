@@ -10,9 +10,19 @@ from lxml import etree
 from fmus.contract import quantities
 from fmus.export.interface import interface_of
 from fmus.export.model_description import terminals
-from fmus.machine.parts import ALL, COMMAND_WIRES, CONNECTIONS
+from fmus.machine.parts import (
+    ALL,
+    COMMAND_WIRES,
+    CONNECTIONS,
+    CONTROL_WIRES,
+    SUBSYSTEMS,
+    SUPPLY_WIRES,
+    wiring,
+)
 from fmus.parameters import values
 from fmus.ports import lever
+from fmus.supply import SUPPLY
+from orchestrator import assemble, load
 from orchestrator.base.errors import Problem
 
 
@@ -46,15 +56,91 @@ def test_terminals_of_one_name_fit(a, b, name):
         assert {member.flow, there[word].flow} in ({""}, {"in", "out"})
 
 
+# what the parts exchange, by terminal: power ports with their rates, levers, lines
+MOTION = {
+    "swing": ("swing", ("torque", "torque_rate"), ("speed", "acceleration")),
+    **{
+        axis: (
+            "boom_stick",
+            ("force", "force_rate"),
+            ("position", "velocity", "acceleration", "holding_force"),
+        )
+        for axis in ("boom", "stick")
+    },
+}
+LINES = ("supply_pressure", "tank_pressure", "load_sensing_pressure")
+
+
+def expected_wires():
+    """The wires of the machine, written out."""
+    for axis, (drive, effort, motion) in MOTION.items():
+        yield from ((f"{drive}.{axis}_{v}", f"manipulator.{axis}_{v}") for v in effort)
+        yield from ((f"manipulator.{axis}_{v}", f"{drive}.{axis}_{v}") for v in motion)
+        for v in ("command", "command_rate"):
+            yield f"operator_input.{axis}_{v}", f"{drive}.{axis}_{v}"
+    yield "operator_input.payload_mass", "manipulator.payload_mass"
+    for drive in ("swing", "boom_stick"):
+        for rate in ("", "_rate"):
+            yield from ((f"supply.{line}{rate}", f"{drive}.{line}{rate}") for line in LINES)
+            yield f"{drive}.{drive}_load_pressure{rate}", f"supply.{drive}_load_pressure{rate}"
+        yield from ((f"{drive}.{v}", f"supply.{v}_{drive}") for v in ("supply_flow", "return_flow"))
+
+
 def test_terminals_carry_all_wires_of_the_machine():
-    """Connecting terminals by the rule "plug" gives the connections of machine.py, no more and no fewer."""
-    wires = set()
-    for a, b, name in pairs():
-        here, there = members(a, name), members(b, name)
-        for word, member in here.items():
-            ends = (f"{a}.{member.variable}", f"{b}.{there[word].variable}")
-            wires.add(ends if causality(a, member.variable) == "output" else ends[::-1])
-    assert wires == set(CONNECTIONS) | set(COMMAND_WIRES)
+    """Connecting terminals by the rule "plug" gives the connections of the machine, no more and no fewer."""
+    wires = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES
+    assert sorted(wires) == sorted(expected_wires())
+    assert len(wires) == 43
+
+
+def test_the_controller_measures_what_it_has_inputs_for():
+    """Its levers feed the drives; angles, speeds, pressures of the cylinders and of the lines come back."""
+    levers = {(s.replace("operator_input", "controller"), t) for s, t in COMMAND_WIRES if "command" in s}
+    sources = {source for source, target in CONTROL_WIRES if target.startswith("controller.")}
+    assert set(CONTROL_WIRES) - levers == {(s, f"controller.{s.partition('.')[2]}") for s in sources}
+    assert sources == {
+        *(f"manipulator.{axis}_{kind}" for axis in MOTION for kind in ("angle", "speed")),
+        *(f"boom_stick.{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
+        *(
+            "swing.swing_pressure_a",
+            "swing.swing_pressure_b",
+            "supply.supply_pressure",
+            "supply.tank_pressure",
+        ),
+    }
+    assert len(CONTROL_WIRES) == 20
+
+
+def test_a_machine_without_supply_and_operator_has_their_signals_as_inputs():
+    """Both drives share the lines; the levers come first."""
+    connections, inputs = wiring(SUBSYSTEMS)
+    assert connections == CONNECTIONS
+    levers = [f"{axis}_{v}" for axis in MOTION for v in ("command", "command_rate")]
+    lines = [f"{line}{rate}" for line in LINES for rate in ("", "_rate")]
+    assert list(inputs) == [*levers, *lines, "payload_mass"]
+    assert all(inputs[line] == (f"swing.{line}", f"boom_stick.{line}") for line in lines)
+    assert wiring(SUBSYSTEMS | {"supply": SUPPLY})[1] == {n: inputs[n] for n in (*levers, "payload_mass")}
+
+
+def test_assemble_connects_terminals(fmu_dir):
+    """Thirteen terminals of the FMUs give the 43 connections of harvester.ssp."""
+    rods = [f"boom_stick.{axis}_rod -> manipulator.{axis}_rod" for axis in ("boom", "stick")]
+    levers = [f"operator_input.{axis}_lever -> {drive}.{axis}_lever" for axis, (drive, *_) in MOTION.items()]
+    lines = [
+        f"supply.{line}_line_{drive} -> {drive}.{line}_line"
+        for drive in ("swing", "boom_stick")
+        for line in ("supply", "return", "load_sensing")
+    ]
+    wires = [
+        "swing.swing_shaft -> manipulator.swing_shaft",
+        *rods,
+        *levers,
+        "operator_input.grip -> manipulator.grip",
+    ]
+    files = {name: fmu_dir / f"{name}.fmu" for name in ALL}
+    found = {str(c) for c in assemble(files, [*wires, *lines]).connections}
+    assert found == {str(c) for c in load(fmu_dir / "harvester.ssp").connections}
+    assert len(found) == 43
 
 
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
