@@ -38,6 +38,8 @@ test-long: test-documents test-fresh test-tools test-platforms test-c test-brows
 test-search: $(TESTING)
 	$(PYTEST) -m "long(shard='search') or hypothesis" --hypothesis-profile=search $(SEED:%=--hypothesis-seed=%)
 
+# a clone is installed, built and tried in one test
+test-fresh: PYTEST += -o faulthandler_timeout=7000
 test-%: $(TESTING)
 	$(PYTEST) -m "long(shard='$*')"
 

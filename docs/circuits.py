@@ -246,7 +246,7 @@ def _compensated_drive(s: Sheet, p: Numbers, axis: str, x: float) -> None:
     for port, to in ((x - 44, left), (x + 34, right)):
         s.line([(port, 76), (port, 100), (to, 100), (to, 110)])
         s.counterbalance(to, 140)
-    ratios = f"{p.boom_head_pilot_ratio:.3g} : 1 at boom head, else {p.boom_rod_pilot_ratio:.3g} : 1"
+    ratios = f"{p.boom_head_pilot_ratio:.3g} : 1\nat boom head,\nelse {p.boom_rod_pilot_ratio:.3g} : 1"
     setting = f"valves {bar(p.counterbalance_pressure)}\npilot ratio {ratios}"
     s.text(x + 174, 130, f"counterbalance\n{setting}\nspring chamber\ndrained")
     for to, pilot_from in ((left, right), (right, left)):  # pilots cross below the valves

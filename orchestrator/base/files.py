@@ -460,9 +460,9 @@ def _normalised(path: PurePosixPath) -> str:
 
 DEFAULT_SYSTEM, BUILD_COMMAND = Path("build/harvester.ssp"), "harvester build"
 SYSTEMS, FMUS = (".ssp", ".ssd", ".fmu"), (".fmu",)
-CHECKOUT = (
-    Path(__file__).parents[2] / DEFAULT_SYSTEM.parent
-)  # of the checkout that this code belongs to, if any
+ROOT = Path(__file__).parents[2]
+# that of the checkout of this code; without one the folder of the user
+CHECKOUT = (ROOT if (ROOT / "pyproject.toml").is_file() else Path()) / DEFAULT_SYSTEM.parent
 _told = set[str]()
 
 
@@ -532,8 +532,8 @@ def require(given: str | Path, suffixes: tuple[str, ...], context: str = "") -> 
     similar = [known[stem] for stem in get_close_matches(path.stem, known, cutoff=SIMILAR)]
     build = f"; build it with: {BUILD_COMMAND}" if path == DEFAULT_SYSTEM else ""
     if str(path) == DEFAULT_SYSTEM.stem:  # a name, not a path
-        looked = f"in {', '.join(dict.fromkeys(map(str, (DEFAULT_SYSTEM.parent.absolute(), CHECKOUT))))}"
-        build = f" {looked}; build it with: {BUILD_COMMAND}"
+        looked = dict.fromkeys(str(folder.absolute()) for folder in (DEFAULT_SYSTEM.parent, CHECKOUT))
+        build = f" in {', '.join(looked)}; build it with: {BUILD_COMMAND}"
     hint = f"; did you mean {', '.join(similar)}?" if similar else ""
     raise Problem(f"{context or path}: no such file{build or hint}")
 

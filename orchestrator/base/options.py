@@ -199,9 +199,9 @@ def option_texts(group: Any) -> Mapping[str, str]:
 
 # option of FMPy's simulate_fmu -> ours
 OF_FMPY = {
-    **{"start_time": "start", "stop_time": "stop", "step_size": "step", "output_interval": "record_step"},
-    **{"relative_tolerance": "tolerance", "start_values": "set", "timeout": "time_limit"},
-}
+    "start_time": "start", "stop_time": "stop", "step_size": "step", "output_interval": "record_step",
+    "relative_tolerance": "tolerance", "start_values": "set", "timeout": "time_limit",
+}  # fmt: skip
 
 
 def chosen(group: Any, options: Mapping[str, Any], function: str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -195,9 +196,16 @@ class Comparison:
 
     def equal(self, label: str, row: ValidatedSignal) -> bool:
         """Is the difference of a signal rounding, next to the largest value of its quantity?"""
-        rows = self.against[label].groups[row.group]
-        sizes = (max(np.abs(r.reference).max(), r.metrics.normalised_by) for r in rows)
-        return bool(row.metrics.maximum_error <= max(ROUNDING * max(sizes), FLOOR))
+        return bool(row.metrics.maximum_error <= max(ROUNDING * self._sizes[label, row.group], FLOOR))
+
+    @cached_property
+    def _sizes(self) -> dict[tuple[str, str], float]:
+        """The largest value by run and quantity."""
+        return {
+            (label, group): max(max(np.abs(r.reference).max(), r.metrics.normalised_by) for r in rows)
+            for label, validation in self.against.items()
+            for group, rows in validation.groups.items()
+        }
 
     def largest(self, label: str, quantity: str) -> ValidatedSignal:
         """The signal of a quantity with the largest difference, including signals at rest."""

@@ -327,7 +327,7 @@ def render(comparison: Comparison) -> str:
         plots=True,
         comparison=comparison,
         figure=plot(traces(comparison), "Signals that differ most"),
-        tables=[(_typeset(table).html(), below) for table, below in tables(comparison)],
+        tables=[(table.rows and _typeset(table).html(), below) for table, below in tables(comparison)],
         notes=list(_notes(comparison)),
     )
 
