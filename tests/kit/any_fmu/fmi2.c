@@ -154,7 +154,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_rollback) {
     Instance *m = c;
-    (void)no_rollback;
+    if (no_rollback) m->final = t;
     if (trouble(m, t) == ENOUGH) return fmi2Discard;
     return as2(advance(m, t, h));
 }
@@ -186,7 +186,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
     enum Status status = odd(c, RESTORE);
     if (status > WARNED) return as2(status);
-    memcpy(c, state, sizeof(Instance));
+    if ((status = restore(c, state)) > WARNED) return as2(status);
     ((Instance *)c)->say = say; /* the state may come from another process */
     return as2(status);
 }

@@ -174,7 +174,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
                       fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *reached) {
     Instance *m = c;
     enum Failure how = trouble(m, t);
-    (void)no_rollback;
+    if (no_rollback) m->final = t;
     enum Status status = advance(m, t, how == EARLY ? h / 2 : h);
     *event = how == EVENT, *terminate = how == ENOUGH, *early = how == EARLY;
     *reached = m->time;
@@ -193,7 +193,7 @@ fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
     enum Status status = odd(c, RESTORE);
     if (status > WARNED) return as3(status);
-    memcpy(c, state, sizeof(Instance));
+    if ((status = restore(c, state)) > WARNED) return as3(status);
     ((Instance *)c)->say = say; /* the state may come from another process */
     return as3(status);
 }

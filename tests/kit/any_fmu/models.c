@@ -249,3 +249,11 @@ enum Status advance(Instance *m, double t, double h) {
     m->time = t + h, m->touched = 0;
     return whole ? status : DISCARDED;
 }
+
+enum Status restore(Instance *m, const Instance *state) {
+    const double final = m->final; /* a promise holds in the restored state, too */
+    if (state->time < final) return complain(m, FAILED, "restored to a time before the promised", final);
+    *m = *state;
+    m->final = final;
+    return GOOD;
+}

@@ -47,6 +47,7 @@ struct Instance {
     int logging;
     void (*say)(Instance *, enum Status, const char *category, const char *text);
     double time, stop, length; /* length of the first step */
+    double final;              /* the master promised to restore no state before this time */
     int stop_defined;
     int touched; /* inputs were set since the last step */
     double r[REALS];
@@ -67,6 +68,7 @@ void outputs(Instance *);
 int derivative(const Instance *, int reference, double *value); /* of an output; 0 if it has none */
 double gain(const Instance *, int output, int input);           /* partial derivative */
 enum Status advance(Instance *, double t, double h);
+enum Status restore(Instance *, const Instance *state);
 enum Failure trouble(const Instance *, double t); /* what goes wrong with a step from t on */
 enum Status odd(Instance *, enum Call);           /* what a call returns, however well it goes */
 void farewell(Instance *);
