@@ -108,6 +108,17 @@ def read_columns(
     return columns
 
 
+def column_names(source: Path) -> list[str]:
+    """The names of the columns of a file; texts and empty arrays of a MATLAB file are left out."""
+    file, suffix = Location(source), source.suffix.lower()
+    if suffix == ".mat":
+        columns = dict(_flat_columns("", read_variables(file)))
+        return [name for name, content in columns.items() if isinstance(content, np.ndarray)]
+    if suffix == ".parquet":
+        return list(_read_parquet(file, None).values)
+    return _Text(file, TextFormat(), has_description=False).split_header(True)[0]
+
+
 def _read_text(
     file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool
 ) -> Columns:
