@@ -40,7 +40,7 @@ def describe(
     The file has the names and units of the columns, and in comments the signals that each may be. With the
     right names filled in, `harvester identify` and `validate` read it.
 
-    data        What a logger wrote (.csv, .parquet, .mat).
+    data        What a logger wrote (.csv, .parquet, .mat, .mf4, .tdms).
     out         File to write (.toml), in the folder of the data; default: with the name of the data.
     procedure   Experiment for `harvester identify`, such as rest, valve or machine; default: none.
     force       Overwrite an existing file.

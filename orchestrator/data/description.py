@@ -103,13 +103,14 @@ class TimeDescription:
 class SignalDescription:
     """One column: a table [signals.NAME].
 
+    unit                                         "": that of the file
     factor, offset                               calibration: factor * value + offset is in `unit`
     label, group, tolerance, range               presentation and limit in a comparison
     sensor, noise, resolution, span, dead_zone,
     zero_error                                   properties of the instrument, in `unit`
     """
 
-    unit: str
+    unit: str = ""
     column: str = ""
     factor: Annotated[float, Rule("another number than 0", lambda value: value != 0)] = 1.0
     offset: float = 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
@@ -28,7 +28,7 @@ from orchestrator.data.description import (
     read_description,
     write_description,
 )
-from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
+from orchestrator.data.table import READABLE, Array, Columns, read_columns
 from orchestrator.data.trace import Trace
 
 Mask = NDArray[np.bool_]
@@ -198,7 +198,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     path   the samples, whose description has the same name with .toml, or the description
     data   the samples, if one description is used for many files
     """
-    path = require(path, (".toml", *SUFFIXES))
+    path = require(path, (".toml", *READABLE))
     if path.is_dir():
         raise Problem(f"{path}: expected a .csv, .parquet, .mat or .toml file, got a folder")
     description_file = path if path.suffix == ".toml" else path.with_suffix(".toml")
@@ -206,7 +206,14 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     file = Path(data) if data else path if path != description_file else _data_file(path, description)
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
-    specs = description.signals.items()
+    specs = {
+        name: replace(spec, unit=spec.unit or columns.units.get(column[name], ""))
+        for name, spec in description.signals.items()
+    }.items()
+    for name, spec in specs:
+        if not spec.unit:
+            where = f"{description_file}: signals.{toml.quote_key(name)}"
+            raise Problem(f"{where}: unit: expected a text, got nothing")
     conditions = {
         name: value if isinstance(value, str) else float(_si(value.value, value.unit))
         for name, value in description.experiment.items()
@@ -263,7 +270,7 @@ def _data_file(path: Path, description: Description) -> Path:
     """The data file that belongs to a description."""
     if description.file.csv:
         return path.with_name(description.file.csv)
-    files = [path.with_suffix(suffix) for suffix in SUFFIXES if path.with_suffix(suffix).is_file()]
+    files = [path.with_suffix(suffix) for suffix in READABLE if path.with_suffix(suffix).is_file()]
     if len(files) != 1:
         got = ", ".join(file.name for file in files) or "none"
         raise Problem(f"{path}: expected one data file {path.stem}.csv, .parquet or .mat, got {got}")

@@ -24,7 +24,8 @@ from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.signals import completions, found, matching
 from orchestrator.base.text import first_names
-from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
+from orchestrator.data.logger_files import logger_format
+from orchestrator.data.table import READABLE, SUFFIXES, Array, Columns, read_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -285,13 +286,14 @@ def dataset(
 
 
 def read_trace(path: str | Path | Location) -> Trace:
-    """Read a trace from a .csv, .parquet or .mat file, on disk or inside an archive.
+    """Read a trace from a .csv, .parquet, .mat, .mf4 or .tdms file, on disk or inside an archive.
 
     Two rows at one time are the limits from the left and from the right: the first one is moved 1 us back, or
     to the middle of a shorter interval, and left out at the beginning. Rows between them are left out.
     """
-    file = path if isinstance(path, Location) else Location(require(path, SUFFIXES))
-    check_suffix(str(file))
+    file = path if isinstance(path, Location) else Location(require(path, READABLE))
+    if Path(str(file)).suffix.lower() not in READABLE and not logger_format(file):
+        check_suffix(str(file))
     columns = read_columns(file, None)
     first = next(iter(columns.values))
     if str(file).lower().endswith(".mat"):  # its variables have no order

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fmus.identification.recordings.masks import noise, step
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import CONDITIONS, MACHINE, MACHINE_SIGNALS, REST, USUAL
 from orchestrator.base.errors import Problem
@@ -22,7 +23,7 @@ from orchestrator.base.files import write_whole
 from orchestrator.base.signals import bare_name
 from orchestrator.base.text import TextTable, first_names
 from orchestrator.base.units import COMMON, NEAR, convert, in_reader_unit, parse_unit, reader_unit, si_unit
-from orchestrator.data.recording import Recording
+from orchestrator.data.recording import Recording, Sensor
 from orchestrator.data.table import Array, Columns, column_names, read_columns
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
@@ -83,7 +84,10 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     time, units[time] = _time(columns, units)
     values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
     in_si = {name: si_unit(unit) for name, unit in units.items()}
-    quality, sensors = examine(Recording(values.pop(time), values, in_si, data)), _sensors(procedure)
+    # noise and resolution as the samples show them, so that only faults are remarked on
+    shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
+    quality = examine(Recording(values.pop(time), values, in_si, data, sensors=shown))
+    sensors = _sensors(procedure)
     dimensions, proposed = {parse_unit(unit).exponents for unit in sensors}, set[str]()
     rows, lines = list[Sequence[str]](), list[str]()
     for signal in quality.signals:

@@ -20,7 +20,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
-from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
+from orchestrator.data.table import GAP_MARKS, READABLE, Array, TextFormat, read_columns
 
 MACHINE, REST, NOTE = "machine", "rest", "note"
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
@@ -107,7 +107,7 @@ def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:
 
 
 def _data_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in READABLE)
 
 
 def require(recording: Recording, signals: Mapping[str, str]) -> None:
