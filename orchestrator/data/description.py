@@ -104,6 +104,7 @@ class SignalDescription:
     """One column: a table [signals.NAME].
 
     unit                                         "": that of the file
+    invalid, held, delay, wrap                   faults of the logger, see `corrections`
     factor, offset                               calibration: factor * value + offset is in `unit`
     label, group, tolerance, range               presentation and limit in a comparison
     sensor, noise, resolution, span, dead_zone,
@@ -114,6 +115,10 @@ class SignalDescription:
     column: str = ""
     factor: Annotated[float, Rule("another number than 0", lambda value: value != 0)] = 1.0
     offset: float = 0.0
+    invalid: tuple[float, ...] = ()
+    wrap: Annotated[float, POSITIVE] | None = None
+    held: bool = False
+    delay: float = 0.0
     label: str = ""
     group: str = ""
     tolerance: Tolerance | Literal["none"] | None = None

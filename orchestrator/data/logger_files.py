@@ -24,12 +24,13 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
 from orchestrator.base.units import parse_unit
-from orchestrator.data.corrections import at_times
 from orchestrator.data.matlab import ERRORS, MAX_BYTES
 
 Array = NDArray[np.float64]
 HEAD = 512  # bytes that show the format of a file
 TIME, SECOND = "time", np.timedelta64(1, "s")
+DENSE = 1.5  # periods of a clock; samples that are closer have no gap in between
+ROUNDING = 1e-6  # of times, in periods
 CLOCK = re.compile(r"t$|.*time|.*zeit", re.IGNORECASE)  # names of channels of times
 MDF, TDMS = "an MF4", "a TDMS"
 READ = {b"MDF     4": MDF, b"UnFinMF ": MDF, b"TDSm": TDMS}  # beginning of a file -> its format
@@ -170,3 +171,24 @@ def _tdms(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]
             return time, channel[:], str(about.get("unit_string", ""))
 
         yield [(channel.group_name, channel.name, partial(read, channel)) for channel in found]
+
+
+def at_times(clock: Array, time: Array, values: Array) -> Array:
+    """A signal that was sampled at its own times, on another clock; linear between two samples.
+
+    Where its samples are farther apart than those of the clock, each is at the nearest time, and gaps follow.
+    """
+    if np.array_equal(clock, time):
+        return values
+    used = np.isfinite(values) & (np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0)
+    time, values = time[used], values[used]
+    if not time.size:
+        return np.full(len(clock), np.nan)
+    last = len(time) - 1
+    next_one = np.clip(np.searchsorted(time, clock), min(1, last), last)
+    before, after = time[np.maximum(next_one - 1, 0)], time[next_one]
+    period = float(np.median(np.diff(clock)))
+    inside = (clock >= time[0] - ROUNDING * period) & (clock <= time[-1] + ROUNDING * period)
+    near = inside & (np.minimum(np.abs(clock - before), np.abs(clock - after)) <= period / 2 * (1 + ROUNDING))
+    dense = inside & (after - before <= DENSE * period)
+    return np.where(near | dense, np.interp(clock, time, values), np.nan)

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.files import require, write_columns
+from orchestrator.base.files import require, tell_once, write_columns
 from orchestrator.base.units import convert, parse_unit, si_unit
+from orchestrator.data.corrections import corrected, log_faults
 from orchestrator.data.description import (
     Description,
     Origin,
@@ -211,6 +212,8 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         for name, spec in description.signals.items()
     }.items()
     for name, spec in specs:
+        for fault in log_faults(columns.values[column[name]], spec):
+            tell_once(f"{file}: {name}: {fault}")
         if not spec.unit:
             where = f"{description_file}: signals.{toml.quote_key(name)}"
             raise Problem(f"{where}: unit: expected a text, got nothing")
@@ -218,7 +221,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         name: value if isinstance(value, str) else float(_si(value.value, value.unit))
         for name, value in description.experiment.items()
     }
-    origin = description.reference
+    origin, time = description.reference, _seconds(columns, description)
     about = {f.name: getattr(origin, f.name) for f in fields(origin)}
     about |= {"date": origin.date and str(origin.date)}
     return Recording(
@@ -227,8 +230,8 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         procedure=str(conditions.pop("procedure", "")),
         use=str(conditions.pop("use", "train")),
         conditions=conditions,
-        time=_seconds(columns, description),
-        signals={n: _si(s.factor * columns.values[column[n]] + s.offset, s.unit) for n, s in specs},
+        time=time,
+        signals={n: _si(corrected(columns.values[column[n]], time, s), s.unit) for n, s in specs},
         units={name: si_unit(spec.unit) for name, spec in specs},
         sensors={name: sensor for name, spec in specs if (sensor := _sensor(spec))},
         kind=origin.kind,
@@ -242,6 +245,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
 
 
 LONGEST_GAP = 0.1  # [s]; an operator needs longer to move a lever
+OUTSIDE = 0.05  # of the span, beyond its ends; the noise of a sensor is smaller
 
 
 def true_intervals(mask: Mask) -> list[slice]:
@@ -251,8 +255,15 @@ def true_intervals(mask: Mask) -> list[slice]:
 
 
 def fill_gaps(recording: Recording, name: str) -> Array:
-    """A signal for a simulation, interpolated over gaps of at most `LONGEST_GAP`."""
-    time, valid = recording.time, np.isfinite(recording[name])
+    """A signal for a simulation, interpolated over gaps of at most `LONGEST_GAP`.
+
+    Samples far outside the span of the sensor are gaps, such as error codes of a bus.
+    """
+    sensor, time = recording.sensor(name), recording.time
+    margin = OUTSIDE * (sensor.high - sensor.low)
+    inside = (recording[name] >= sensor.low - margin) & (recording[name] <= sensor.high + margin)
+    recording = recording._with({name: np.where(inside, recording[name], np.nan)})
+    valid = np.isfinite(recording[name])
     if not valid.any():
         raise Problem(f"{recording.source}: {name}: expected a sample to simulate with, got none")
     for gap in true_intervals(~valid):

@@ -202,5 +202,6 @@ class SavitzkyGolay:
 
 
 def filter_for(recording: Recording, window: float, degree: int = 3) -> SavitzkyGolay:
-    """The filter for the clock of a recording; the clock must be uniform."""
-    return SavitzkyGolay(uniform_rate(recording), window, degree)
+    """The filter for the clock of a recording, which must be uniform; of at least degree + 2 samples."""
+    rate = uniform_rate(recording)
+    return SavitzkyGolay(rate, max(window, (degree + 1.5) / rate), degree)

@@ -23,6 +23,8 @@ from orchestrator.base.files import write_whole
 from orchestrator.base.signals import bare_name
 from orchestrator.base.text import TextTable, first_names
 from orchestrator.base.units import COMMON, NEAR, convert, in_reader_unit, parse_unit, reader_unit, si_unit
+from orchestrator.data.corrections import log_faults
+from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
 from orchestrator.data.table import Array, Columns, column_names, read_columns
 
@@ -114,7 +116,8 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     use = f"harvester identify {out.parent}" if procedure else f"harvester validate --reference {data}"
     after = f"{out}: written; fill in the names of the signals, then: {use}"
     about = f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"
-    return "\n".join([about, *table, *unread, *quality.remarks(), after])
+    faults = [f"{n}: {f}" for n in in_si for f in log_faults(columns.values[n], SignalDescription(units[n]))]
+    return "\n".join([about, *table, *unread, *quality.remarks(), *faults, after])
 
 
 def _text(text: str) -> str:
