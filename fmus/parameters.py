@@ -36,6 +36,7 @@ from fmus.contract import G, Quantity, Subsystem, quantities
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_whole
+from orchestrator.base.units import factor_and_offset
 
 SOURCES = {
     "paper": "printed in the paper or read from its figures; the only data of the FERIC machine",
@@ -315,7 +316,7 @@ ParameterSet: TypeAlias = Mapping[str, Number]  # parameters by name, or by "par
 
 
 def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
-    """Parameters of a file, each checked against the parts that declare it, at least one.
+    """Parameters of a file, each checked against the parts that declare it, at least one, and in their unit.
 
     Each has the name and the checksum of the file.
     """
@@ -339,9 +340,18 @@ def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
         if not declarations:
             similar = difflib.get_close_matches(name, names, 1) or ["a name in `harvester parameters`"]
             raise Problem(f"{path}: [parameters.{name}] is not declared by any part, expected {similar[0]}")
+        number = _in_unit(number, declarations[0].unit, f"{path}: [parameters.{name}]")
         for quantity in declarations:
             check(path, f"[parameters.{name}]", quantity, number)
-    return {name: replace(number, file=origin) for name, number in parameters.items()}
+        parameters[name] = replace(number, file=origin)
+    return parameters
+
+
+def _in_unit(number: Number, unit: str, where: str) -> Number:
+    """A number in another unit of its quantity."""
+    factor, offset = factor_and_offset(number.unit, unit, where)
+    sd = None if number.sd is None else factor * number.sd
+    return replace(number, value=factor * number.value + offset, unit=unit, sd=sd)
 
 
 def with_parameters(

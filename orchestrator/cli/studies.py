@@ -79,6 +79,7 @@ def track(
     set_: Values = None,
     compare: bool = True,
     limit: Annotated[float | None, Kind("MM")] = None,
+    yes: bool = False,
     out: Folder = BUILD,
 ) -> bool:
     """Move the tip along paths and measure the tracking error, with and without the controller's feedback.
@@ -122,7 +123,7 @@ def track(
     machine = system_file(system, "harvester_control.ssp")
     tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
-    return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {}, report=print)
+    return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {}, print, yes)
 
 
 def _file(name: str) -> Path:

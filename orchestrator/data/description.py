@@ -86,14 +86,18 @@ REQUIRED_KEYS = {
     "published": ("title", "origin", "date", "change"),
     "measurement": (),
 }
+OTHERS = {"system", "parameters"}  # keys of other .toml files: studies and parameter sets
 
 
 @dataclass(frozen=True)
 class TimeDescription:
-    """The time column: the table [time]; `start` and `stop` [s] limit the evaluated window."""
+    """The time column: the table [time]; `start` and `stop` [s] limit the evaluated window.
+
+    unit   "": that of the file, else s
+    """
 
     column: str = "time"
-    unit: str = "s"
+    unit: str = ""
     offset: float = 0.0
     start: float = -math.inf
     stop: float = math.inf
@@ -148,7 +152,7 @@ class Condition:
 class Description:
     """A description with valid keys and types; values in the units of the file."""
 
-    signals: Mapping[str, SignalDescription]
+    signals: Mapping[str, SignalDescription] = field(default_factory=dict)
     reference: Origin = Origin()
     experiment: Mapping[str, str | Condition] = field(default_factory=dict)
     file: TextFormat = field(default_factory=TextFormat)
@@ -159,10 +163,9 @@ class Description:
 def read_description(path: Path) -> Description:
     """Read and check the TOML file of a recording or a reference."""
     table = toml.read_file(path, "expected a TOML file that describes the columns, got no such file")
-    if not table.data.get("signals"):
-        table.allow_only(Description.__dataclass_fields__)
+    description = toml.read_dataclass(Description, table.allow_only(Description.__dataclass_fields__))
+    if not description.signals and ("signals" in table.data or not table.data.keys() & {"file", "time"}):
         raise Problem(f"{path}: expected at least one table [signals.NAME], got none")
-    description = toml.read_dataclass(Description, table)
     origin = description.reference
     if missing := [key for key in REQUIRED_KEYS[origin.kind] if getattr(origin, key) in ("", None)]:
         expected = f"expected {', '.join(missing)} for a trace of kind {origin.kind!r}"
@@ -173,7 +176,7 @@ def read_description(path: Path) -> Description:
         if description.experiment.get("use", "train") not in ("train", "test"):
             raise experiment.problem("use", "one of train, test")
     unit = description.time.unit
-    if parse_unit(unit, f"{path}: time").exponents != parse_unit("s").exponents:
+    if unit and parse_unit(unit, f"{path}: time").exponents != parse_unit("s").exponents:
         raise Problem(f"{path}: time: unit: expected a unit of time such as s or ms, got {unit!r}")
     for name, value in description.experiment.items():
         if isinstance(value, Condition):
@@ -185,6 +188,14 @@ def read_description(path: Path) -> Description:
         if groups and signal.group and signal.tolerance is None and signal.group not in groups:
             raise Problem(f"{where}: group: expected one of {', '.join(groups)}, got {signal.group!r}")
     return description
+
+
+def description_next_to(file: Path) -> Description | None:
+    """The description of a data file, NAME.toml; None without one, and for one of `OTHERS`."""
+    path = file.with_suffix(".toml")
+    if not path.is_file() or toml.read_file(path).data.keys() & OTHERS:
+        return None
+    return read_description(path)
 
 
 def write_description(path: Path, description: Description) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.files import require, tell_once, write_columns
+from orchestrator.base.files import Location, require, tell_once, write_columns
 from orchestrator.base.units import convert, parse_unit, si_unit
 from orchestrator.data.corrections import corrected, log_faults
 from orchestrator.data.description import (
@@ -29,8 +29,8 @@ from orchestrator.data.description import (
     read_description,
     write_description,
 )
-from orchestrator.data.table import READABLE, Array, Columns, read_columns
-from orchestrator.data.trace import Trace
+from orchestrator.data.table import READABLE, Array, Columns, is_unit, read_columns, time_axis
+from orchestrator.data.trace import TIME, Trace, checked, inside, trace_of
 
 Mask = NDArray[np.bool_]
 
@@ -192,9 +192,17 @@ class Recording(Trace):
         """The recording with all signals interpolated; those without any sample are left out."""
         return self._with({n: self.interpolated(n) for n, v in self.signals.items() if np.isfinite(v).any()})
 
+    def filled(self) -> Trace:
+        """The samples of the window for a simulation, see `fill_gaps`."""
+        chosen = inside(self.time, self.start, self.stop)
+        part = self._with({name: values[chosen] for name, values in self.items()}, self.time[chosen])
+        return Trace(part.time, {name: fill_gaps(part, name) for name in part}, part.units)
+
 
 def read_recording(path: Path | str, data: Path | str | None = None) -> Recording:
     """Read all samples of a file with its description; `start` and `stop` are stored, not applied.
+
+    Without a description, or one of signals, all columns are signals.
 
     path   the samples, whose description has the same name with .toml, or the description
     data   the samples, if one description is used for many files
@@ -203,8 +211,17 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     if path.is_dir():
         raise Problem(f"{path}: expected a .csv, .parquet, .mat or .toml file, got a folder")
     description_file = path if path.suffix == ".toml" else path.with_suffix(".toml")
-    description = read_description(description_file)
+    is_described = path == description_file or description_file.is_file()
+    description = read_description(description_file) if is_described else Description()
     file = Path(data) if data else path if path != description_file else _data_file(path, description)
+    if not description.signals:
+        trace = trace_of(Location(file), description, gaps=True)
+        return Recording(
+            *(trace.time, trace.signals, trace.units, file),
+            title=file.stem,
+            file_units=trace.units,
+            metadata={"kind": "measurement"},
+        )
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
     specs = {
@@ -212,16 +229,26 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         for name, spec in description.signals.items()
     }.items()
     for name, spec in specs:
-        for fault in log_faults(columns.values[column[name]], spec):
-            tell_once(f"{file}: {name}: {fault}")
         if not spec.unit:
             where = f"{description_file}: signals.{toml.quote_key(name)}"
             raise Problem(f"{where}: unit: expected a text, got nothing")
+        for fault in log_faults(columns.values[column[name]], spec):
+            tell_once(f"{file}: {name}: {fault}")
+        # a calibrated column may have another unit than in the file
+        unit = columns.units.get(column[name], spec.unit) if spec.factor == 1 else spec.unit
+        if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
+            told = f"in {unit}, but read in {spec.unit}, as {description_file.name} states"
+            tell_once(f"{file}: column {column[name]!r}: {told}")
     conditions = {
         name: value if isinstance(value, str) else float(_si(value.value, value.unit))
         for name, value in description.experiment.items()
     }
-    origin, time = description.reference, _seconds(columns, description)
+    time = _seconds(columns, description)
+    signals = {n: _si(corrected(columns.values[column[n]], time, s), s.unit) for n, s in specs}
+    if not description.experiment:  # rows of one event are apart, as in a trace
+        trace = checked(replace(columns, values={TIME: time, **signals}, units={}), gaps=True)
+        time, signals = trace.time, dict(trace.signals)
+    origin = description.reference
     about = {f.name: getattr(origin, f.name) for f in fields(origin)}
     about |= {"date": origin.date and str(origin.date)}
     return Recording(
@@ -231,7 +258,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         use=str(conditions.pop("use", "train")),
         conditions=conditions,
         time=time,
-        signals={n: _si(corrected(columns.values[column[n]], time, s), s.unit) for n, s in specs},
+        signals=signals,
         units={name: si_unit(spec.unit) for name, spec in specs},
         sensors={name: sensor for name, spec in specs if (sensor := _sensor(spec))},
         kind=origin.kind,
@@ -289,17 +316,18 @@ def _data_file(path: Path, description: Description) -> Path:
 
 
 def _seconds(columns: Columns, description: Description) -> Array:
-    """The time column in seconds; refuse missing times and times that do not increase."""
+    """The time column in seconds; refuse missing times, and equal ones of an experiment."""
     spec = description.time
     raw = columns.values[spec.column]
     for k in np.flatnonzero(np.isnan(raw))[:1]:
         raise Problem(f"{columns.location(k)}: column {spec.column!r}: expected a time, got none")
-    for k in np.flatnonzero(np.diff(raw) <= 0)[:1]:
+    steps = np.diff(raw)
+    for k in np.flatnonzero((steps < 0) | ((steps == 0) & bool(description.experiment)))[:1]:
         got = f"{raw[k + 1]:.10g} after {raw[k]:.10g}"
         raise Problem(
             f"{columns.location(k + 1)}: column {spec.column!r}: expected increasing times, got {got}"
         )
-    return np.asarray(parse_unit(spec.unit).factor * raw + spec.offset)
+    return time_axis(columns, spec.column, spec.unit, spec.offset)
 
 
 def _si(value: Any, unit: str) -> Any:

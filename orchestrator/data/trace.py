@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
+from math import isfinite
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, overload
@@ -24,8 +25,10 @@ from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.signals import completions, found, matching
 from orchestrator.base.text import first_names
+from orchestrator.base.units import parse_unit, si_unit
+from orchestrator.data.description import Description, TimeDescription, description_next_to
 from orchestrator.data.logger_files import logger_format
-from orchestrator.data.table import READABLE, SUFFIXES, Array, Columns, read_columns
+from orchestrator.data.table import READABLE, SUFFIXES, Array, Columns, read_columns, split_unit, time_axis
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TIME = "time"
+TIMES = (TIME, "t", "zeit", "timestamp")  # names of the first column of a file, in any case
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 JUMP = 1e-6  # s, in which signals go from one row to the next one with the same time
 SAME_ROW = 4  # units in the last place of a time: rows of one event, whose time was computed twice
@@ -265,7 +269,7 @@ def as_trace(data: Data, name: str = "data") -> Trace:
         if samples.shape != (expected := values[TIME].shape) or samples.ndim != 1:
             told = f"expected a vector of one number for each time, got shape {samples.shape}"
             raise Problem(f"{name}: column {column!r}: {told}, and {expected} of the time")
-    return _checked(Columns(name, values, range(1, 1 + len(values[TIME]))))
+    return checked(Columns(name, values, range(1, 1 + len(values[TIME]))))
 
 
 def dataset(
@@ -288,21 +292,60 @@ def dataset(
 def read_trace(path: str | Path | Location) -> Trace:
     """Read a trace from a .csv, .parquet, .mat, .mf4 or .tdms file, on disk or inside an archive.
 
+    A description next to it, NAME.toml, holds; short gaps of signals that it describes are filled. Columns
+    of a text file with units are converted to SI units.
+
     Two rows at one time are the limits from the left and from the right: the first one is moved 1 us back, or
     to the middle of a shorter interval, and left out at the beginning. Rows between them are left out.
     """
     file = path if isinstance(path, Location) else Location(require(path, READABLE))
     if Path(str(file)).suffix.lower() not in READABLE and not logger_format(file):
         check_suffix(str(file))
-    columns = read_columns(file, None)
-    first = next(iter(columns.values))
-    if str(file).lower().endswith(".mat"):  # its variables have no order
-        first = TIME if TIME in columns.values else first
-    if first != TIME:
+    description = None if file.members else description_next_to(file.path)
+    if description and description.signals:
+        from orchestrator.data.recording import read_recording
+
+        return read_recording(file.path).filled()
+    return trace_of(file, description)
+
+
+def trace_of(file: Location, description: Description | None, gaps: bool = False) -> Trace:
+    """All columns of a file as a trace; its description has no signals. gaps: NaN is allowed."""
+    columns = read_columns(file, None, description.file if description else None)
+    time = description.time if description else TimeDescription()
+    written = not file.members and file.path.with_suffix(METADATA_SUFFIX).is_file()  # by a run
+    in_si = _in_si(columns, time, named=description is not None, of_text=not written)
+    trace = checked(in_si, gaps)
+    trace = trace.window(*(limit if isfinite(limit) else None for limit in (time.start, time.stop)))
+    return trace if file.members or trace.units else replace(trace, units=_units_of_run(file.path, trace))
+
+
+def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) -> Columns:
+    """The columns of a trace: the time in seconds, and those of a text file without units in their names.
+
+    named     whether the description names the time column, which else is the first one
+    of_text   whether names of a text file may have units
+    """
+    is_text = columns.row_word != "row"  # or a file of a logger
+    bare = {c: split_unit(c)[0] if is_text and of_text else c for c in columns.values}
+    first, *_ = bare
+    if named or columns.file.lower().endswith(".mat"):  # its variables have no order
+        first = next((c for c in bare if time.column in (c, bare[c])), first)
+    if time.column not in (first, bare[first]) and bare[first].lower() not in TIMES:
         where = "line 1: " if columns.row_word == "line" else ""
-        raise Problem(f"{file}: {where}expected the first column to be named {TIME!r}, got {first!r}")
-    trace = _checked(columns)
-    return trace if file.members or columns.units else replace(trace, units=_units_of_run(file.path, trace))
+        hint = f"; column of [time] in {Path(columns.file).with_suffix('.toml').name} can name another"
+        expected = f"{where}expected the first column to be named {time.column!r}, got {first!r}"
+        raise Problem(f"{columns.file}: {expected}{hint}")
+    values = {TIME: time_axis(columns, first, time.unit, time.offset)}
+    units = {} if is_text else dict(columns.units)
+    for column, name in ((c, n) for c, n in bare.items() if c != first):
+        if name in values:
+            raise Problem(f"{columns.file}: expected the column {name!r} once, got it with two units")
+        values[name] = columns.values[column]
+        if is_text and of_text and (unit := columns.units.get(column)):
+            scale = parse_unit(unit, f"{columns.file}: column {column!r}")
+            values[name], units[name] = scale.factor * values[name] + scale.offset, si_unit(unit)
+    return replace(columns, values=values, units=units)
 
 
 def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
@@ -315,14 +358,14 @@ def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
         return {}
 
 
-def _checked(columns: Columns) -> Trace:
-    """The trace; refuses empty rows, missing samples, times that do not increase, and missing rows."""
+def checked(columns: Columns, gaps: bool = False) -> Trace:
+    """The trace; refuses times that do not increase and, without `gaps`, missing samples and rows."""
     time, rows = columns.values[TIME].copy(), np.asarray(columns.rows)
-    for k in np.flatnonzero(np.diff(rows) > 1)[:1]:
+    for k in np.flatnonzero(np.diff(rows) > 1)[: not gaps]:
         row = f"{columns.file}: {columns.row_word} {rows[k] + 1}"
         raise Problem(f"{row}: expected {len(columns.values)} cells, got an empty row")
     for name, values in columns.values.items():
-        if (missing := np.isnan(values)).any():
+        if (missing := np.isnan(values)).any() and not (gaps and name != TIME):
             location = columns.location(int(missing.argmax()))
             raise Problem(f"{location}: column {name!r}: expected a number, got none")
     steps = np.diff(time)
@@ -336,7 +379,7 @@ def _checked(columns: Columns) -> Trace:
         time[k] -= min(JUMP, (time[k] - time[k - 1]) / 2) if k else JUMP
     kept = np.flatnonzero(~(has_earlier & has_later))[int(equal[:1].any()) :]
     time, steps = time[kept], np.diff(time[kept])
-    if (gap := _gap(steps)) is not None:
+    if (gap := None if gaps else _gap(steps[:-1])) is not None:  # the last row may hold a value for long
         expected = f"a sample every {np.median(steps):.6g} s"
         interval = f"between {time[gap]!s} and {time[gap + 1]!s} s"
         raise Problem(f"{columns.location(kept[gap + 1])}: expected {expected}, got none {interval}")

@@ -45,10 +45,12 @@ class SpanArguments(TypedDict, total=False):
 
     start   Start time [s]; default: the start time in the system, else 0.
     stop    Stop time [s]; default: the end of the scenario, else the stop time in the system or its FMUs.
+    yes     Run to the end of a scenario that is so long that its times may be in ms.
     """
 
     start: Seconds
     stop: Seconds
+    yes: bool | None
 
 
 class StepArguments(TypedDict, total=False):

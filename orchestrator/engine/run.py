@@ -60,9 +60,9 @@ from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import (
     doubtful_columns,
-    doubtful_end,
     doubtful_starts,
     doubts_told,
+    refuse_long,
     with_doubts,
 )
 from orchestrator.ssp.provenance import built_notes, provenance
@@ -141,6 +141,7 @@ class Request:
     stop: float | None = None
     parameters: Sequence[str | Path] = ()
     set: Mapping[str, Value | str] = field(default_factory=dict)
+    yes: bool | None = None
 
     def search(self) -> AccuracySearch | None:
         """The search for the accuracy that is asked for; None without one.
@@ -188,8 +189,8 @@ class Request:
             system = replace(system, notes=system.notes + driving.overruled(system, self.set))
         system = with_doubts(system, doubtful_starts(system))
         if driving and trace is not None:
-            if self.execution.progress and (doubt := doubtful_end(system, trace, label)):
-                tell_once(f"warning: {doubt}")  # before a long run, not only on its card
+            if self.stop is None and not self.yes:
+                refuse_long(system, trace, label)
             system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
         system = with_default_guard(system, self.step)
         coupling = system.coupling or Coupling()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
-from orchestrator.base.units import IDENTITY, LinearTransformation
+from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
 from orchestrator.data.trace import Trace
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.system import Port, System
@@ -164,12 +164,18 @@ class Scenario:
 
 
 def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
-    """The scenario in a trace, whose columns have names that `System.targets` accepts."""
+    """The scenario in a trace, whose columns have names that `System.targets` accepts.
+
+    A column with another unit than its input is converted.
+    """
     columns: dict[Port, tuple[int, LinearTransformation]] = {}
     for k, name in enumerate(trace.signals):
         for port, linear in _targets(system, name, label):
             if port in columns:
                 raise Problem(f"{label}: column {name!r} drives {port}, which another column drives too")
+            unit = system.inputs[name].unit if name in system.inputs else system.unit(port)
+            if unit and (given := trace.units.get(name)) and given != unit.name:
+                linear = from_user_unit(given, unit, f"{label}: column {name!r}").then(linear)
             columns[port] = (k, linear)
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
     for port, (k, _) in columns.items():

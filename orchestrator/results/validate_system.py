@@ -44,7 +44,7 @@ from orchestrator.results.validation import (
 )
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
-from orchestrator.ssp.plausible import doubtful_signals, with_doubts
+from orchestrator.ssp.plausible import doubtful_end, doubtful_signals, refuse_long, with_doubts
 from orchestrator.ssp.provenance import built_notes, checksum, chosen_note, other_values
 from orchestrator.ssp.swap import missing_after_swap, with_swaps
 from orchestrator.ssp.system import Component, Port, System, coerce
@@ -101,6 +101,13 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
             fill_gaps(reference, name), reference.units[name], target, reference.place(name)
         )
     return Trace(reference.time, columns) if columns else None
+
+
+def _with_units(system: System, reference: Recording) -> Recording:
+    """The reference; a signal of a file without units has the unit of the system."""
+    ports = {n: system.port(n) for n in reference.signals if not reference.units[n] and system.has(n)}
+    units = {name: unit.name for name, port in ports.items() if (unit := system.unit(port))}
+    return replace(reference, units={**reference.units, **units})
 
 
 def judge(
@@ -282,7 +289,12 @@ def validate_system(
     chosen = layout or (default[1] if reference is None or system == default_system else None)
     page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
-    commands = played(load(require_system(system)), against, play) if reference and not scenario else None
+    commands = None
+    if reference:
+        against = _with_units(loaded := load(require_system(system)), against)
+        commands = None if scenario else played(loaded, against, play)
+        if commands and options.get("stop") is None and not options.get("yes"):
+            refuse_long(loaded, against, str(reference))
 
     def accept(system: System, times: Grid, signals: RowLayout) -> None:
         """Refuse what cannot be compared, before the first step."""
@@ -295,6 +307,8 @@ def validate_system(
             page.check(renamed)
         judged = [name for name in selected.signals if commands is None or name not in commands.signals]
         doubts.extend(doubtful_signals(system, selected.select(judged), str(reference)))
+        if commands is None:  # else the run tells it
+            doubts.append(doubtful_end(system, selected, str(reference)))
 
     shipped = against if reference is None and not monolithic else None
     if other := other_numbers(system, shipped, options):

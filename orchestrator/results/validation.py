@@ -176,9 +176,10 @@ def validate(
         if isinstance(reference, Result):  # of `reference`: also states, which a co-simulation has not
             reference = reference.trace.select(n for n in reference.trace.signals if n in trace.signals)
         own = as_trace(reference, "reference")
-        units = {name: own.units.get(name, trace.units.get(name, "")) for name in own.signals}
-        reference = Recording(own.time, own.signals, units, Path("reference"), title="reference")
+        reference = Recording(own.time, own.signals, own.units, Path("reference"), title="reference")
     nominals = meta.nominals if meta else {}
+    units = {n: reference.units[n] or trace.units.get(n, "") for n in reference.signals}
+    reference = replace(reference, units=units)
     floors = {n: replace(reference.criterion(n), floor=AT_REST * abs(nominals[n])) for n in nominals}
     reference = replace(reference, criteria={**reference.criteria, **floors})
     check_comparable(trace, reference)

@@ -93,8 +93,15 @@ def doubtful_end(system: System, trace: Trace, label: str) -> str:
     return f"{label}: time = {end:.6g} s, usually about {usual_end:g} s; did you mean ms?"
 
 
+def refuse_long(system: System, trace: Trace, label: str) -> None:
+    """Raise Problem if the last time of a scenario is doubtful: its run would take as long."""
+    if doubt := doubtful_end(system, trace, label):
+        then = 'If so, state unit = "ms" in [time] of its .toml file; if not, give the stop time, or --yes'
+        raise Problem(f"{doubt} {then}")
+
+
 def doubtful_signals(system: System, recording: Recording, label: str) -> Iterator[str]:
-    """The doubtful ones of the listed signals of a recording, in units of its file, and its last time."""
+    """The doubtful ones of the listed signals of a recording, in units of its file."""
     peaks: list[tuple[str, float, str, list[float]]] = []
     for name in (n for n in recording.signals if n not in recording.unlisted):
         port = next((p for p in system.ports("output") if name in (str(p), p.variable)), None)
@@ -105,7 +112,6 @@ def doubtful_signals(system: System, recording: Recording, label: str) -> Iterat
             sizes = [factor * size + offset for size in usual(system, port)]
             peaks.append((f"{label}: {name}", peak, of_file, sizes))
     yield from doubts(peaks)
-    yield doubtful_end(system, recording, label)
 
 
 def with_doubts(system: System, doubts: Iterable[str]) -> System:

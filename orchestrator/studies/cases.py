@@ -26,7 +26,7 @@ from orchestrator.engine.time_grid import Grid, grid
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import with_sets
-from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts
+from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts, refuse_long
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.studies.study import Factor, Output, Study
@@ -112,6 +112,8 @@ def _case(study: Study, system: System, options: Options) -> StudyCase:
     trace = None if scenario is None else read_trace(scenario)
     if trace is not None:
         drive(system, trace, str(scenario))
+        if study.stop is None:
+            refuse_long(system, trace, str(scenario))
     return StudyCase(system, trace)
 
 

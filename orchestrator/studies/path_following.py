@@ -181,7 +181,13 @@ class PathRun:
 
 
 def follow(
-    system: System, names: TrackedMachine, path: Path, machine: str, feedback: bool, start: Starts
+    system: System,
+    names: TrackedMachine,
+    path: Path,
+    machine: str,
+    feedback: bool,
+    start: Starts,
+    yes: bool = False,
 ) -> PathRun:
     """Run a system along the path of a scenario; a Problem names machine and path."""
     scenario = read_trace(path)
@@ -189,7 +195,8 @@ def follow(
     driven, values = completed(scenario, names), {**start, names.feedback: float(feedback)}
     limits = {name: limit for name, limit in names.limits.items() if system.has(name)}
     try:
-        result, failure = attempt(system, driven, [*names.tip, *limits], record_step=RECORD_STEP, set=values)
+        recorded = [*names.tip, *limits]
+        result, failure = attempt(system, driven, recorded, record_step=RECORD_STEP, set=values, yes=yes)
     except Problem as problem:
         raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
     trace = result.trace
@@ -249,6 +256,7 @@ def track(
     limit: float | None,
     given: Starts,
     report: Callable[[str], object],
+    yes: bool = False,
 ) -> bool:
     """Run every machine along every path; report a table, write tracking.png and tracking.json.
 
@@ -257,6 +265,7 @@ def track(
     machines  name -> variants {component: variant}
     limit     largest allowed error with feedback [m]
     given     start values of all runs
+    yes       as of `run`
     report    called with notes before the first run, and with the table and the files after the last
 
     Returns True if all runs came to the end, within the limit.
@@ -278,7 +287,7 @@ def track(
     for doubts in dict.fromkeys(filter(None, (d for m in systems.values() for d in doubtful_starts(m)))):
         report(f"warning: {doubts}")
     given_tasks = itertools.product(tasks, feedback)
-    runs = [follow(systems[name], names, path, name, on, at) for (path, name, at), on in given_tasks]
+    runs = [follow(systems[name], names, path, name, on, at, yes) for (path, name, at), on in given_tasks]
     figure, json = out / "tracking.png", out / "tracking.json"
     report(text(runs))
     write_whole(figure, png(draw(runs, names.radius)))

@@ -210,3 +210,18 @@ def test_an_entry_of_another_source_has_a_row_of_its_own():
     assert shown["valve_pa_opening_3"][0].source == "identified"
     assert "valve_pa_openings" not in shown
     assert len(shown["valve_at_openings"]) == 10
+
+
+def test_a_parameter_set_is_converted(tmp_path):
+    """As values of --set are, with their standard deviation; another quantity is refused."""
+    path = tmp_path / "crane.toml"
+    entry = '[parameters.{}]\nvalue = {}\nsd = 5\nunit = "{}"\nsource = "assumed"\nnote = "a drawing"\n'
+    path.write_text(entry.format("stick_length", 4200, "mm"), encoding="utf-8")
+    number = read_parameter_set(path, SUBSYSTEMS.values())["stick_length"]
+    # one multiplication each
+    assert (number.value, number.sd, number.unit) == (pytest.approx(4.2), pytest.approx(5e-3), "m")
+    path.write_text(entry.format("stick_length", 4200, "kg"), encoding="utf-8")
+    told = problem(lambda: read_parameter_set(path, SUBSYSTEMS.values()))
+    assert (
+        told == f"{path}: [parameters.stick_length]: unit 'kg' cannot be converted, expected a unit like 'm'"
+    )

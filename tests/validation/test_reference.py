@@ -105,7 +105,7 @@ def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
 
 
 def test_missing_and_empty_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A missing file, a folder, a missing meta file, one without signals, a CSV without numbers are named."""
+    """A missing file, a folder, a meta file without signals, a CSV without numbers are named."""
     monkeypatch.chdir(tmp_path)  # which has no folder build
     csv, toml = tmp_path / "a.csv", tmp_path / "a.toml"
 
@@ -116,8 +116,7 @@ def test_missing_and_empty_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert line().endswith("a.csv: no such file")
     assert line(tmp_path).endswith(f"{kinds}a folder")
     csv.write_text("time,x\n0,1\n", encoding="utf-8")
-    assert "a.toml: expected a TOML file that describes the columns, got no such" in line()
-    toml.write_text("[time]\n", encoding="utf-8")
+    toml.write_text("[tolerances]\n", encoding="utf-8")
     assert "a.toml: expected at least one table [signals.NAME], got none" in line()
     toml.write_text('[signals.x]\nunit = "m"\n', encoding="utf-8")
     assert "a.csv: expected two or more rows of numbers, got 1" in line()

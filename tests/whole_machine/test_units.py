@@ -8,11 +8,22 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.every import MACHINES
-from kit.mistakes import problem
+from kit.mistakes import problem, refused
 
 from fmus.identification.recordings.reading import doubtful
 from fmus.machine.build import parts_with_parameters
-from orchestrator import batch, compare, linearize, load, read_recording, read_trace, reference, run, validate
+from orchestrator import (
+    batch,
+    compare,
+    linearize,
+    load,
+    read_recording,
+    read_trace,
+    reference,
+    run,
+    validate,
+    write_trace,
+)
 from orchestrator.__main__ import main
 from orchestrator.base import files
 from orchestrator.base.errors import Problem
@@ -22,7 +33,7 @@ from orchestrator.results.comparison_report import text
 from orchestrator.ssp.plausible import doubtful_signals
 from orchestrator.ssp.system import System
 from orchestrator.studies.parameter_study import prepare as prepare_study
-from orchestrator.studies.study import Factor, Output, Study
+from orchestrator.studies.study import Choice, Factor, Output, Study
 
 # the parameters that pages, examples and studies set most often; boom_stroke is shared by two components
 MOST_USED = (
@@ -78,7 +89,7 @@ def test_no_column_is_silently_off_by_1000(systems, scenario, column):
         signals = {**trace.signals, column: factor * trace.signals[column]}
         (told,) = warnings(system, replace(trace, signals=signals))
         assert f"column {column} = " in told
-    (told,) = warnings(system, replace(trace, time=1000 * trace.time))
+    (told,) = warnings(system, replace(trace, time=1000 * trace.time), yes=True)
     assert told.endswith("did you mean ms?")
 
 
@@ -173,15 +184,30 @@ def test_the_warning_is_in_the_result_and_its_file(built, tmp_path, capsys):
     assert json.loads(out.with_suffix(".run.json").read_text())["warnings"] == [told]
 
 
-def test_a_time_in_ms_is_told_before_the_run(built, tmp_path, capsys, monkeypatch):
-    """Once, on standard error: a long run is not waited for to hear that it is too long."""
-    monkeypatch.setattr(files, "_told", set())
-    scenario = tmp_path / "ms.csv"
-    scenario.write_text("time,boom_command\n0,0\n8000,1\n", encoding="utf-8")
-    arguments = ["--scenario", str(scenario), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
-    assert main(["run", str(built / "harvester.ssp"), *arguments]) == 0
-    told = f"{scenario}: time = 8000 s, usually about 42 s; did you mean ms?"
-    assert capsys.readouterr().err.count(told) == 1
+def test_a_scenario_in_ms_is_refused(systems, built, tmp_path, capsys):
+    """By every command in one line; a stop time or --yes runs it, with a warning on the card."""
+    file, system = tmp_path / "ms.csv", str(built / "harvester.ssp")
+    file.write_text("time,boom_stick.boom_command\n0,0\n8000,1\n", encoding="utf-8")
+    doubt = f"{file}: time = 8000 s, usually about 42 s; did you mean ms?"
+    for command in ("run", "validate", "reference", "convergence"):
+        assert doubt in refused(capsys, [command, system, "--scenario", file])
+    assert doubt in refused(capsys, ["validate", system, "--reference", file, "--out", tmp_path])
+    for call in (lambda: batch(systems[""], {}, file), lambda: run(systems[""], file)):
+        assert doubt in problem(call)
+    factor = Factor("manipulator.head_mass", "uniform", {"minimum": 300.0, "maximum": 400.0})
+    output = Output("end", "manipulator.boom_angle", "final")
+    choice = Choice("scenario", (str(file),))
+    study = Study("ms", system, "latin", 3, factors=(factor,), outputs=(output,), choices=(choice,))
+    assert doubt in problem(lambda: prepare_study(study))
+    line = read_trace("line")
+    path = write_trace(replace(line, time=1000 * line.time), tmp_path / "line_in_ms.csv")
+    told = refused(capsys, ["track", built / "harvester_control.ssp", "--path", path, "--out", tmp_path])
+    assert "path line_in_ms: scenario: time = 21800 s" in told
+    job, times = prepare(systems[""], file, yes=True, isolate=False)
+    assert (times.stop, doubt in job.system.warnings) == (8000.0, True)
+    arguments = ["--scenario", str(file), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
+    assert main(["run", system, *arguments]) == 0
+    assert capsys.readouterr().out.count(doubt) == 1
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ the user confirms or corrects name and unit.
 import json
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -26,7 +25,7 @@ from orchestrator.base.units import COMMON, NEAR, convert, in_reader_unit, parse
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
-from orchestrator.data.table import Array, Columns, column_names, read_columns
+from orchestrator.data.table import Array, Columns, column_names, is_unit, read_columns, time_axis
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
 SENSORS: Mapping[str, Sequence[str]] = {
@@ -88,7 +87,8 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     in_si = {name: si_unit(unit) for name, unit in units.items()}
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
-    quality = examine(Recording(values.pop(time), values, in_si, data, sensors=shown))
+    del values[time]
+    quality = examine(Recording(time_axis(columns, time, units[time]), values, in_si, data, sensors=shown))
     sensors = _sensors(procedure)
     dimensions, proposed = {parse_unit(unit).exponents for unit in sensors}, set[str]()
     rows, lines = list[Sequence[str]](), list[str]()
@@ -149,21 +149,14 @@ def _time(columns: Columns, units: Mapping[str, str]) -> tuple[str, str]:
     name = min(increasing, key=lambda name: not TIME.match(name))
     step = float(np.median(np.diff(columns.values[name])))
     guess = next((u for u in ("s", "ms", "us") if step * parse_unit(u).factor <= 1 / SLOWEST), "ns")
-    return name, units[name] or guess
+    return name, "s" if columns.moments.get(name) else units[name] or guess
 
 
 def _unit(columns: Columns, name: str) -> str:
-    """The unit in the file, in brackets after the name, or after its last underscore; "" if unknown."""
-    brackets, word = re.fullmatch(r".*[\[(](.+)[\])]\s*", name), name.rpartition("_")[2]
-    for unit in (
-        columns.units.get(name),
-        brackets and brackets[1],
-        word in COMMON and len(word) > 1 and word,
-    ):
-        with suppress(Problem):
-            if unit and parse_unit(unit):
-                return unit
-    return ""
+    """The unit in the file, or after the last underscore of the name; "" if unknown."""
+    word = name.rpartition("_")[2]
+    unit = columns.units.get(name) or (word if word in COMMON and len(word) > 1 else "")
+    return unit if is_unit(unit) else ""
 
 
 def _sensors(procedure: str) -> Mapping[str, Sequence[str]]:

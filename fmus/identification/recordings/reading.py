@@ -6,10 +6,8 @@ and `split` select samples, `add` adds or replaces a signal with its unit and se
 recording with the same conditions.
 """
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
-from orchestrator.data.table import GAP_MARKS, READABLE, Array, TextFormat, read_columns
+from orchestrator.data.table import READABLE, Array, TextFormat, read_columns
 
 MACHINE, REST, NOTE = "machine", "rest", "note"
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
@@ -35,8 +33,6 @@ CONDITIONS: Mapping[str, tuple[str, ...]] = {
     MACHINE: ("tank_pressure",),
     REST: (),
 }
-FIRST_LINES = 50  # number of first lines of a text file from which its decimal mark is detected
-DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
 
 
 def read(path: Path | str) -> Recording:
@@ -190,8 +186,8 @@ def read_series(
             f"{path}: expected all columns by name, got index {indices[0]}: an index is possible only in a "
             "text file, and not mixed with names"
         )
-    text_format = _text_format(path, skip_lines, not indices) if plain_text else None
-    table = read_columns(path, {str(column) for column in columns.values()}, text_format, named=not indices)
+    form = TextFormat(skip_lines=skip_lines)
+    table = read_columns(path, {str(column) for column in columns.values()}, form, named=not indices)
     raw = {name: table.values[str(column)] for name, column in columns.items()}
     return Recording(
         source=path,
@@ -200,28 +196,3 @@ def read_series(
         units={name: si_unit(units.get(name, "1")) for name in columns},
         title=path.stem,
     )
-
-
-def _text_format(path: Path, skip_lines: int, named: bool) -> TextFormat:
-    """Format of a text file, detected from its first lines.
-
-    A comma between digits is decimal if something else separates the cells. Raises Problem if the first line
-    holds names although the columns are selected by index (`named` is false).
-    """
-    if not path.is_file():
-        got = "a folder" if path.is_dir() else "no such file"
-        raise Problem(f"{path}: expected a file of numbers, got {got}")
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = [line.strip() for line in islice(file, skip_lines, skip_lines + FIRST_LINES)]
-    rows = [re.split(r"[;\s]+", line.strip(" ;")) for line in lines]
-    comma = any(len(r) > 1 and "," in "".join(r) and all(map(DECIMAL_COMMA.fullmatch, r)) for r in rows)
-    point = "," if comma else "."
-    first = lines[0] if lines else ""
-    mark = next((mark for mark in ";," if mark in first and mark != point), r"\s+")
-    cells = [cell.strip(' "') for cell in re.split(mark, first)]
-    if not named and all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAP_MARKS for cell in cells):
-        raise Problem(
-            f"{path}: line {skip_lines + 1}: expected numbers, got names: select columns by name, "
-            f"such as {cells[0]!r}, not by index"
-        )
-    return TextFormat(delimiter=mark, decimal=point, skip_lines=skip_lines)
