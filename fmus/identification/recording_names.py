@@ -8,14 +8,13 @@ from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 
 from fmus.composition import declared
-from fmus.identification.recordings.reading import CONDITIONS, MACHINE, NOTE, REST, require
+from fmus.identification.recordings.reading import CONDITIONS, MACHINE_SIGNALS, NOTE, REST, require
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 TEMPERATURE = "oil_temperature"  # an optional signal of all recordings [K]
 GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorded
-MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 UNREAD: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # usual signals that are not needed
 # similarity above which a name is a misspelling of another; names of the machine have much in common
 SIMILAR, SIMILAR_ON_MACHINE = 0.8, 0.85

@@ -232,7 +232,7 @@ class Location:
 
     def read(self, limit: int = MAX_UNPACKED) -> bytes:
         """The bytes of the file, at most `limit`."""
-        with self._open(limit) as file:
+        with self.opened(limit) as file:
             self._check_size(file.seek(0, os.SEEK_END), limit)
             file.seek(0)
             return file.read()
@@ -242,7 +242,7 @@ class Location:
             raise Problem(f"{self}: expected at most {limit / 1e6:.0f} MB, got {size / 1e6:.0f} MB")
 
     @contextmanager
-    def _open(self, limit: int = MAX_UNPACKED) -> Iterator[IO[bytes]]:
+    def opened(self, limit: int = MAX_UNPACKED) -> Iterator[IO[bytes]]:
         """The file, opened for reading; a member, of at most `limit` bytes, is unpacked before."""
         if not self.members:
             with self._open_path() as file:
@@ -300,7 +300,7 @@ class Location:
     @contextmanager
     def opened_zip(self) -> Iterator[zipfile.ZipFile]:
         """As `zip`, also in the context of `archive_kept_open` opened anew."""
-        with self._open() as file, self._as_zip(file) as archive:
+        with self.opened() as file, self._as_zip(file) as archive:
             yield archive
 
     def _as_zip(self, file: IO[bytes]) -> zipfile.ZipFile:
@@ -403,7 +403,7 @@ class Location:
         if self.is_folder:
             yield self.path.resolve()
             return
-        with self._open() as file:
+        with self.opened() as file:
             key = os.getpid(), _sha256(file), without
             with _unpacking:
                 shared = _unpacked.get(key) or _unpacked.setdefault(key, self._shared(file, without))
@@ -429,7 +429,7 @@ class Location:
     def sha256(self) -> str:
         """The SHA-256 of the file; of a folder that of the checksums of its files."""
         if not self.is_folder:
-            with self._open() as file:
+            with self.opened() as file:
                 return _sha256(file)
         lines = (f"{name} {self.member(name).sha256}\n" for name in self.names())
         return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()

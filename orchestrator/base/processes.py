@@ -34,10 +34,20 @@ def mapping(processes: int) -> Iterator[Callable[..., Iterable[Any]]]:
         yield map
         return
     import multiprocessing  # on first use, because a child process of `check` must start fast
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
 
+    others = multiprocessing.active_children()
     context = multiprocessing.get_context("spawn")  # the same on all systems
-    with context.Pool(processes, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        yield pool.imap
+    with ProcessPoolExecutor(processes, context, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        try:
+            yield pool.map
+        except BrokenProcessPool:
+            raise Problem("a helper process was ended from outside, such as for too little memory") from None
+        finally:  # an interrupt does not wait for what they compute
+            for child in multiprocessing.active_children():
+                if child not in others:
+                    child.terminate()
 
 
 def remove_folder(folder: Path) -> None:

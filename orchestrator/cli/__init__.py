@@ -9,14 +9,26 @@ from typing import Any
 
 COMMANDS = (  # in the order of the help
     *("build", "modelica", "variants", "parameters", "signals", "check", "run", "validate", "compare"),
-    *("plot", "reference", "convergence", "rig", "identify", "track", "linearize", "sweep", "view", "page"),
+    *(
+        "plot",
+        "reference",
+        "convergence",
+        "rig",
+        "describe",
+        "identify",
+        "track",
+        "linearize",
+        "sweep",
+        "view",
+        "page",
+    ),
 )
 FILES = {  # of commands in files of another name
     **dict.fromkeys(("variants", "parameters", "signals"), "lists"),
     **dict.fromkeys(("validate", "compare", "plot"), "results"),
     **dict.fromkeys(("reference", "linearize"), "run"),
     **dict.fromkeys(("convergence", "track", "sweep"), "studies"),
-    **{"rig": "identify", "page": "view"},
+    **{"rig": "identify", "describe": "identify", "page": "view"},
 }
 
 

@@ -1,4 +1,4 @@
-"""`harvester rig` and `identify`: make recordings, and estimate parameters from them."""
+"""`harvester rig`, `describe` and `identify`: make and describe recordings, and estimate parameters."""
 
 from __future__ import annotations
 
@@ -26,6 +26,28 @@ def rig(out: Folder, machine: Text = "detailed", seed: Annotated[int, Kind("N")]
     from fmus.rig import write_all
 
     write_all(out, machine, seed, processes=os.cpu_count() or 1)
+
+
+@command
+def describe(
+    data: Annotated[Path, Kind("FILE", positional=True)],
+    out: File | None = None,
+    procedure: Annotated[str | None, Kind("NAME")] = None,
+    force: bool = False,
+) -> None:
+    """Describe the columns of a data file in a first .toml file, and print what was found in them.
+
+    The file has the names and units of the columns, and in comments the signals that each may be. With the
+    right names filled in, `harvester identify` and `validate` read it.
+
+    data        What a logger wrote (.csv, .parquet, .mat, .mf4, .tdms).
+    out         File to write (.toml), in the folder of the data; default: with the name of the data.
+    procedure   Experiment for `harvester identify`, such as rest, valve or machine; default: none.
+    force       Overwrite an existing file.
+    """
+    from fmus.identification.recordings.describe import describe as described
+
+    print(described(data, out, procedure or "", force))
 
 
 @command

@@ -35,8 +35,8 @@ Scenario: TypeAlias = Annotated[
     Path | None,
     Kind(
         "FILE",
-        text="Inputs over time (.csv, .parquet, .mat); default: the inputs in the system, such as the work"
-        " cycle in harvester.ssp; for validate `reference`: the commands of the reference.",
+        text="Inputs over time (.csv, .parquet, .mat, .mf4, .tdms); default: those in the system, such as"
+        " the work cycle in harvester.ssp; for validate `reference`: the commands of the reference.",
     ),
 ]
 

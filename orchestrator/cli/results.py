@@ -29,8 +29,8 @@ def validate(
 
     Writes a report. The exit status is 1 if a limit is exceeded.
 
-    reference    Reference or measurement (.csv, .parquet or .mat, each with a .toml that describes the
-                 columns); default: the reference of the work cycle.
+    reference    Reference or measurement (.csv, .parquet, .mat, .mf4 or .tdms, each with a .toml that
+                 describes the columns); default: the reference of the work cycle.
     monolithic   Compare with the monolithic solution of the same FMUs, as `harvester reference` computes it,
                  not with a reference file.
     limit        With `monolithic`: largest NRMSE of a signal; default: the limits of the work cycle's
@@ -85,7 +85,7 @@ def compare(
 
     Prints the difference of each signal and the cost of each run, and draws the signals.
 
-    traces    Two or more traces (.csv, .parquet, .mat).
+    traces    Two or more traces (.csv, .parquet, .mat, .mf4, .tdms).
     against   Trace to compare with; default: the first TRACE.
     signals   Signals to show, such as '*_pressure*', or with component 'boom_stick.*'; default: speeds,
               pressures and angles. The summary covers all signals.
@@ -115,7 +115,7 @@ def plot(
 
     With several files their runs are drawn over each other, with different line styles.
 
-    files     Traces (.csv, .parquet, .mat) of one or several runs, or measurements with a .toml; default: the
+    files     Traces of one or several runs, or measurements with a .toml; default: the
               newest trace in build.
     signals   Signals to draw, such as boom_angle, 'boom_*' or, with component, 'boom_stick.*'; default: up to
               six signals of each of four quantities.

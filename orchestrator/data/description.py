@@ -107,16 +107,22 @@ class TimeDescription:
 class SignalDescription:
     """One column: a table [signals.NAME].
 
+    unit                                         "": that of the file
+    invalid, held, delay, wrap                   faults of the logger, see `corrections`
     factor, offset                               calibration: factor * value + offset is in `unit`
     label, group, tolerance, range               presentation and limit in a comparison
     sensor, noise, resolution, span, dead_zone,
     zero_error                                   properties of the instrument, in `unit`
     """
 
-    unit: str
+    unit: str = ""
     column: str = ""
     factor: Annotated[float, Rule("another number than 0", lambda value: value != 0)] = 1.0
     offset: float = 0.0
+    invalid: tuple[float, ...] = ()
+    wrap: Annotated[float, POSITIVE] | None = None
+    held: bool = False
+    delay: float = 0.0
     label: str = ""
     group: str = ""
     tolerance: Tolerance | Literal["none"] | None = None
@@ -158,7 +164,7 @@ def read_description(path: Path) -> Description:
     """Read and check the TOML file of a recording or a reference."""
     table = toml.read_file(path, "expected a TOML file that describes the columns, got no such file")
     description = toml.read_dataclass(Description, table.allow_only(Description.__dataclass_fields__))
-    if not description.signals and not table.data.keys() & {"file", "time"}:
+    if not description.signals and ("signals" in table.data or not table.data.keys() & {"file", "time"}):
         raise Problem(f"{path}: expected at least one table [signals.NAME], got none")
     origin = description.reference
     if missing := [key for key in REQUIRED_KEYS[origin.kind] if getattr(origin, key) in ("", None)]:

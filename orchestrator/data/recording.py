@@ -20,6 +20,7 @@ from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require, tell_once, write_columns
 from orchestrator.base.units import convert, parse_unit, si_unit
+from orchestrator.data.corrections import corrected, log_faults
 from orchestrator.data.description import (
     Description,
     Origin,
@@ -28,7 +29,7 @@ from orchestrator.data.description import (
     read_description,
     write_description,
 )
-from orchestrator.data.table import SUFFIXES, Array, Columns, is_unit, read_columns, time_axis
+from orchestrator.data.table import READABLE, Array, Columns, is_unit, read_columns, time_axis
 from orchestrator.data.trace import TIME, Trace, checked, inside, trace_of
 
 Mask = NDArray[np.bool_]
@@ -206,7 +207,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     path   the samples, whose description has the same name with .toml, or the description
     data   the samples, if one description is used for many files
     """
-    path = require(path, (".toml", *SUFFIXES))
+    path = require(path, (".toml", *READABLE))
     if path.is_dir():
         raise Problem(f"{path}: expected a .csv, .parquet, .mat or .toml file, got a folder")
     description_file = path if path.suffix == ".toml" else path.with_suffix(".toml")
@@ -223,8 +224,17 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         )
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
-    specs = description.signals.items()
-    for name, spec in specs:  # a calibrated column may have another unit than in the file
+    specs = {
+        name: replace(spec, unit=spec.unit or columns.units.get(column[name], ""))
+        for name, spec in description.signals.items()
+    }.items()
+    for name, spec in specs:
+        if not spec.unit:
+            where = f"{description_file}: signals.{toml.quote_key(name)}"
+            raise Problem(f"{where}: unit: expected a text, got nothing")
+        for fault in log_faults(columns.values[column[name]], spec):
+            tell_once(f"{file}: {name}: {fault}")
+        # a calibrated column may have another unit than in the file
         unit = columns.units.get(column[name], spec.unit) if spec.factor == 1 else spec.unit
         if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
             told = f"in {unit}, but read in {spec.unit}, as {description_file.name} states"
@@ -234,7 +244,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         for name, value in description.experiment.items()
     }
     time = _seconds(columns, description)
-    signals = {n: _si(s.factor * columns.values[column[n]] + s.offset, s.unit) for n, s in specs}
+    signals = {n: _si(corrected(columns.values[column[n]], time, s), s.unit) for n, s in specs}
     if not description.experiment:  # rows of one event are apart, as in a trace
         trace = checked(replace(columns, values={TIME: time, **signals}, units={}), gaps=True)
         time, signals = trace.time, dict(trace.signals)
@@ -262,6 +272,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
 
 
 LONGEST_GAP = 0.1  # [s]; an operator needs longer to move a lever
+OUTSIDE = 0.05  # of the span, beyond its ends; the noise of a sensor is smaller
 
 
 def true_intervals(mask: Mask) -> list[slice]:
@@ -271,8 +282,15 @@ def true_intervals(mask: Mask) -> list[slice]:
 
 
 def fill_gaps(recording: Recording, name: str) -> Array:
-    """A signal for a simulation, interpolated over gaps of at most `LONGEST_GAP`."""
-    time, valid = recording.time, np.isfinite(recording[name])
+    """A signal for a simulation, interpolated over gaps of at most `LONGEST_GAP`.
+
+    Samples far outside the span of the sensor are gaps, such as error codes of a bus.
+    """
+    sensor, time = recording.sensor(name), recording.time
+    margin = OUTSIDE * (sensor.high - sensor.low)
+    inside = (recording[name] >= sensor.low - margin) & (recording[name] <= sensor.high + margin)
+    recording = recording._with({name: np.where(inside, recording[name], np.nan)})
+    valid = np.isfinite(recording[name])
     if not valid.any():
         raise Problem(f"{recording.source}: {name}: expected a sample to simulate with, got none")
     for gap in true_intervals(~valid):
@@ -290,7 +308,7 @@ def _data_file(path: Path, description: Description) -> Path:
     """The data file that belongs to a description."""
     if description.file.csv:
         return path.with_name(description.file.csv)
-    files = [path.with_suffix(suffix) for suffix in SUFFIXES if path.with_suffix(suffix).is_file()]
+    files = [path.with_suffix(suffix) for suffix in READABLE if path.with_suffix(suffix).is_file()]
     if len(files) != 1:
         got = ", ".join(file.name for file in files) or "none"
         raise Problem(f"{path}: expected one data file {path.stem}.csv, .parquet or .mat, got {got}")

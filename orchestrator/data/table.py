@@ -32,10 +32,12 @@ from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.base.units import factor_and_offset, parse_unit
+from orchestrator.data.logger_files import channels, logger_format, on_one_clock
 from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
 
 Array = NDArray[np.float64]
-SUFFIXES = (".csv", ".parquet", ".mat")
+SUFFIXES = (".csv", ".parquet", ".mat")  # of a run
+READABLE = (*SUFFIXES, ".mf4", ".mdf", ".tdms")
 PARTIAL = ".partial.csv"  # end of the name of a trace that is being written, see `trace_writer`
 GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # texts that loggers write for a missing sample
 WORDS = {"true": 1.0, "wahr": 1.0, "false": 0.0, "falsch": 0.0}
@@ -128,7 +130,7 @@ def read_columns(
     form: TextFormat | None = None,
     named: bool = True,
 ) -> Columns:
-    """Read columns of a Parquet file (.parquet), a MATLAB file (.mat) or a text file (any other suffix).
+    """Read columns of a file: Parquet (.parquet), MATLAB (.mat), or MF4, TDMS or text (any other suffix).
 
     names   columns to read; None: all columns of a text or Parquet file, in their order
     form    format of a text file; None: detected
@@ -140,8 +142,12 @@ def read_columns(
         raise Problem(f"{file}: no such file")
     if suffix == ".parquet":
         columns = _read_parquet(file, names)
+    elif suffix == ".mat":
+        columns = _read_mat(file, names)
+    elif kind := logger_format(file):
+        columns = _read_logger(file, kind, names)
     else:
-        columns = _read_mat(file, names) if suffix == ".mat" else _read_text(file, names, form, named)
+        columns = _read_text(file, names, form, named)
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")
     for name, values in columns.values.items():
@@ -150,6 +156,27 @@ def read_columns(
             message = f"expected a finite number, got {values[k]:g}"
             raise Problem(f"{columns.location(k)}: column {name!r}: {message}")
     return columns
+
+
+def column_names(source: Path) -> list[str]:
+    """The names of the columns of a file; texts and empty arrays of a MATLAB file are left out."""
+    file, suffix = Location(source), source.suffix.lower()
+    if suffix == ".mat":
+        columns = dict(_flat_columns("", read_variables(file)))
+        return [name for name, content in columns.items() if isinstance(content, np.ndarray)]
+    if suffix == ".parquet":
+        return list(_read_parquet(file, None).values)
+    if kind := logger_format(file):
+        return list(_read_logger(file, kind, None).values)
+    return list(text_layout(file).names)
+
+
+def _read_logger(file: Location, kind: str, names: Collection[str] | None) -> Columns:
+    """Columns of an MF4 or TDMS file, with units."""
+    with channels(file, kind) as found:
+        chosen = _column_indices(["time", *found], names, str(file))
+        values, units = on_one_clock(file, {n: found[n] for n in chosen if n in found}, names is None)
+    return Columns(str(file), values, range(1, 1 + len(next(iter(values.values()), ()))), "sample", units)
 
 
 def text_layout(file: Location | Path, form: TextFormat | None = None) -> TextLayout:

@@ -27,7 +27,8 @@ from orchestrator.base.signals import completions, found, matching
 from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit, si_unit
 from orchestrator.data.description import Description, TimeDescription, description_next_to
-from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns, split_unit, time_axis
+from orchestrator.data.logger_files import logger_format
+from orchestrator.data.table import READABLE, SUFFIXES, Array, Columns, read_columns, split_unit, time_axis
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -289,7 +290,7 @@ def dataset(
 
 
 def read_trace(path: str | Path | Location) -> Trace:
-    """Read a trace from a .csv, .parquet or .mat file, on disk or inside an archive.
+    """Read a trace from a .csv, .parquet, .mat, .mf4 or .tdms file, on disk or inside an archive.
 
     A description next to it, NAME.toml, holds; short gaps of signals that it describes are filled. Columns
     of a text file with units are converted to SI units.
@@ -297,8 +298,9 @@ def read_trace(path: str | Path | Location) -> Trace:
     Two rows at one time are the limits from the left and from the right: the first one is moved 1 us back, or
     to the middle of a shorter interval, and left out at the beginning. Rows between them are left out.
     """
-    file = path if isinstance(path, Location) else Location(require(path, SUFFIXES))
-    check_suffix(str(file))
+    file = path if isinstance(path, Location) else Location(require(path, READABLE))
+    if Path(str(file)).suffix.lower() not in READABLE and not logger_format(file):
+        check_suffix(str(file))
     description = None if file.members else description_next_to(file.path)
     if description and description.signals:
         from orchestrator.data.recording import read_recording
@@ -324,7 +326,7 @@ def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) 
     named     whether the description names the time column, which else is the first one
     of_text   whether names of a text file may have units
     """
-    is_text = columns.row_word == "line"
+    is_text = columns.row_word != "row"  # or a file of a logger
     bare = {c: split_unit(c)[0] if is_text and of_text else c for c in columns.values}
     first, *_ = bare
     if named or columns.file.lower().endswith(".mat"):  # its variables have no order

@@ -20,7 +20,7 @@ from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.base.signals import matching
-from orchestrator.data.table import SUFFIXES
+from orchestrator.data.table import READABLE
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
@@ -212,7 +212,7 @@ class Request:
 def scenario_trace(scenario: ScenarioSource) -> tuple[ScenarioSource, Trace | None, str]:
     """The scenario, with the file that was found, its trace if there is one, and its name in messages."""
     if isinstance(scenario, str | Path):
-        scenario = find(scenario, SUFFIXES)
+        scenario = find(scenario, READABLE)
     if isinstance(scenario, Path | Location):
         return scenario, read_trace(scenario), str(scenario)
     return scenario, None if scenario is None else as_trace(scenario, "scenario"), "scenario"

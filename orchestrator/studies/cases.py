@@ -15,7 +15,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import find
 from orchestrator.base.toml import quote_key
 from orchestrator.base.units import factor_and_offset
-from orchestrator.data.table import SUFFIXES
+from orchestrator.data.table import READABLE
 from orchestrator.data.trace import Trace, read_trace, rounding
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
 from orchestrator.engine.arguments import RunArguments
@@ -105,7 +105,7 @@ def _case(study: Study, system: System, options: Options) -> StudyCase:
     chosen: dict[str, Any] = {c.name: option for c, option in zip(study.choices, options, strict=True)}
     for name, option in chosen.items():
         if name == SCENARIO or option.lower().endswith((".ssv", ".fmu")):
-            chosen[name] = find(option, (*SUFFIXES, ".ssv", ".fmu"), study.folder)
+            chosen[name] = find(option, (*READABLE, ".ssv", ".fmu"), study.folder)
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
     system = with_sets(with_swaps(system, chosen), sets)

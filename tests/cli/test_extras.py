@@ -146,6 +146,7 @@ BASE = {
     "accuracy": ["run", "{system}", "--stop", "0.05", "--accuracy", "1e-3"],
     "modelica": ["modelica", "{system}"],
     "compare": ["compare", "a.csv", "b.csv"],
+    "describe": ["describe", "a.csv"],
 }
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.signal
 
 from fmus.identification.recordings.masks import good
 from orchestrator.base.errors import Problem
@@ -116,11 +115,15 @@ def _interpolated(clock: Array, time: Array, values: Array, longest: float, hold
 
 def _filter(ratio: float) -> Array:
     """Second-order sections of the anti-aliasing filter; `ratio` is new over old rate."""
+    import scipy.signal
+
     return np.asarray(scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos"))
 
 
 def _filtered(values: Array, ratio: float) -> Array:
     """A signal filtered forwards and backwards by a Butterworth filter, in each interval without gaps."""
+    import scipy.signal
+
     sections = _filter(ratio)
     result = np.full_like(values, np.nan)
     for part in true_intervals(np.isfinite(values)):
@@ -137,6 +140,8 @@ def _filtered_sensor(sensor: Sensor, ratio: float) -> Sensor:
     The quantisation error is white only if noise of half a step or more moves the signal from step to step.
     Otherwise all samples that the filter averages may have the same error, and the resolution is kept.
     """
+    import scipy.signal
+
     _, response = scipy.signal.sosfreqz(_filter(ratio), worN=4096)
     # forwards and backwards is |H|^2, so that the power is |H|^4
     gain = float(np.sqrt(np.mean(np.abs(response) ** 4)))
@@ -176,6 +181,8 @@ class SavitzkyGolay:
     @cached_property
     def weights(self) -> Array:
         """Weights of the samples of the window, earliest first, shape (3, size): value, slope, curvature."""
+        import scipy.signal
+
         step = 1 / self.rate
         return np.array(
             [scipy.signal.savgol_coeffs(self.size, self.degree, n, step, use="dot") for n in range(3)]
@@ -195,5 +202,6 @@ class SavitzkyGolay:
 
 
 def filter_for(recording: Recording, window: float, degree: int = 3) -> SavitzkyGolay:
-    """The filter for the clock of a recording; the clock must be uniform."""
-    return SavitzkyGolay(uniform_rate(recording), window, degree)
+    """The filter for the clock of a recording, which must be uniform; of at least degree + 2 samples."""
+    rate = uniform_rate(recording)
+    return SavitzkyGolay(rate, max(window, (degree + 1.5) / rate), degree)

@@ -17,7 +17,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from orchestrator.data.recording import Mask, Recording, Sensor
 from orchestrator.data.table import Array
@@ -219,6 +218,8 @@ def autocorrelation_time(deviations: Array) -> float:
     The sum is taken while rho_(2m) + rho_(2m+1) > 0: Geyer, Practical Markov chain Monte Carlo, Statistical
     Science 7 (1992), section 3.3.
     """
+    from scipy.signal import correlate  # here, because `harvester describe` needs no SciPy
+
     n = len(deviations)
     rho = correlate(deviations, deviations, method="fft")[n - 1 :] / float(deviations @ deviations)
     pairs = rho[: 2 * (n // 2)].reshape(-1, 2).sum(axis=1)

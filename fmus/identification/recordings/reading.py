@@ -18,9 +18,10 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
-from orchestrator.data.table import SUFFIXES, Array, TextFormat, read_columns
+from orchestrator.data.table import READABLE, Array, TextFormat, read_columns
 
 MACHINE, REST, NOTE = "machine", "rest", "note"
+MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
     "valve": ("edge", "density"),
@@ -102,7 +103,7 @@ def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:
 
 
 def _data_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in READABLE)
 
 
 def require(recording: Recording, signals: Mapping[str, str]) -> None:

@@ -201,10 +201,7 @@ def test_gain_is_the_noise_of_a_simulation(window, degree, seed):
 
 
 def test_window_with_a_gap_gives_a_gap():
-    """The result is missing for each window with a missing sample and at both ends, and nowhere else.
-
-    A cubic needs more than three samples: a shorter window is refused.
-    """
+    """The result is missing for each window with a missing sample and at both ends, and nowhere else."""
     values = np.sin(np.arange(200) / 20)
     values[100] = np.nan
     used = clock.filter_for(recording(x=values), 0.05)
@@ -213,5 +210,12 @@ def test_window_with_a_gap_gives_a_gap():
     assert missing.tolist() == [*range(5), *range(95, 106), *range(195, 200)]
     assert np.isnan(used.apply(values[:10])).all()
 
+
+@pytest.mark.parametrize(("degree", "samples"), [(2, 5), (3, 5), (4, 7)])
+def test_a_slow_log_has_a_longer_window(degree, samples):
+    """At least degree + 2 samples, an odd number; the filter alone refuses fewer than a polynomial needs."""
+    for rate in (5.0, 20.0, 50.0, 59.0):
+        assert clock.filter_for(recording(rate, x=np.zeros(50)), 0.03, degree).size == samples
+    assert clock.filter_for(recording(1000.0, x=np.zeros(50)), 0.03, degree).size == 31
     with pytest.raises(Problem, match=r"window of 0\.01 s at 200 Hz is 3 samples; expected 2 <= degree"):
-        clock.filter_for(recording(x=np.zeros(50)), 0.01)
+        clock.SavitzkyGolay(200.0, 0.01, max(degree, 3))

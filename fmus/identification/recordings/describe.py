@@ -1,0 +1,190 @@
+"""`harvester describe`: a first TOML file for a data file, with what is known of each column.
+
+A column that has the name of a signal is described at once. The lines of the others are comments, in which
+the user confirms or corrects name and unit.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from fmus.identification.recordings.masks import noise, step
+from fmus.identification.recordings.quality import examine
+from fmus.identification.recordings.reading import CONDITIONS, MACHINE, MACHINE_SIGNALS, REST, USUAL
+from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
+from orchestrator.base.files import write_whole
+from orchestrator.base.signals import bare_name
+from orchestrator.base.text import TextTable, first_names
+from orchestrator.base.units import COMMON, NEAR, convert, in_reader_unit, parse_unit, reader_unit, si_unit
+from orchestrator.data.corrections import log_faults
+from orchestrator.data.description import SignalDescription
+from orchestrator.data.recording import Recording, Sensor
+from orchestrator.data.table import Array, Columns, column_names, is_unit, read_columns, time_axis
+
+# SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
+SENSORS: Mapping[str, Sequence[str]] = {
+    "V": ("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
+    "rad": ("manipulator.swing_angle", "manipulator.boom_angle", "manipulator.stick_angle"),
+    "rad/s": ("manipulator.swing_speed", "manipulator.boom_speed", "manipulator.stick_speed"),
+    "m": ("manipulator.boom_position", "manipulator.stick_position"),
+    "Pa": (
+        *("boom_stick.boom_head_pressure", "boom_stick.boom_rod_pressure", "boom_stick.stick_head_pressure"),
+        *("boom_stick.stick_rod_pressure", "swing.swing_pressure_a", "swing.swing_pressure_b"),
+        *("swing.supply_pressure", "swing.tank_pressure"),
+    ),
+    "m3/s": ("swing.swing_flow_a", "boom_stick.boom_head_flow", "boom_stick.stick_head_flow"),
+    "K": ("oil_temperature",),
+}
+# word in the names of signals -> what loggers call it in English and German
+WORDS: Mapping[str, str] = {
+    "boom": "hub|ausleger|lift", "stick": "stiel|knick|wipp|dipper|jib", "swing": "slew|schwenk|dreh(?!zahl)",
+    "command": "cmd|soll|hebel|lever|joy|spannung", "angle": "winkel|encoder|pitch|pos(?!ition)",
+    "speed": "geschw|gyro|omega", "position": "stroke|weg", "pressure": "press|druck|prs",
+    "flow": "durchfluss|menge|volumenstrom", "head": "kolben|boden", "rod": "stange|ringseite",
+    "supply": "pump|versorg", "tank": "return|rück|rueck", "temperature": "temp",
+}  # fmt: skip
+TIME = re.compile(r"t\b|t_|.*(time|zeit|uhr|stamp)", re.IGNORECASE)
+SLOWEST = 2.0  # Hz; a time without a unit is in the largest unit in which a logger is faster
+HEAD = """# Remove "# " in front of the signals that you need, and correct their names and units.
+# What remains a comment is left out. `harvester signals` lists all names, docs/recordings.md all keys.
+
+[file]
+csv = {}
+
+[time]
+column = {}
+unit = {}
+
+{}
+
+[signals]"""
+
+
+def describe(data: Path, out: Path | None = None, procedure: str = "", force: bool = False) -> str:
+    """Write the TOML file of a data file; returns what was found, for a terminal.
+
+    out         the TOML file; default: with the name of the data
+    procedure   that of the experiment, for `harvester identify`
+    force       overwrite an existing file
+    """
+    out = out or data.with_suffix(".toml")
+    if procedure and procedure not in CONDITIONS:
+        raise Problem(f"--procedure: expected one of {', '.join(CONDITIONS)}, got {procedure!r}")
+    if out.suffix != ".toml" or out.resolve().parent != data.resolve().parent:
+        raise Problem(f"--out {out}: expected a file that ends in .toml, in the folder of {data}")
+    if out.exists() and not force:
+        raise Problem(f"{out}: expected no such file, got one; --force overwrites it")
+    columns, unread = _columns(data)
+    units = {name: _unit(columns, name) for name in columns.values}
+    time, units[time] = _time(columns, units)
+    values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
+    in_si = {name: si_unit(unit) for name, unit in units.items()}
+    # noise and resolution as the samples show them, so that only faults are remarked on
+    shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
+    del values[time]
+    quality = examine(Recording(time_axis(columns, time, units[time]), values, in_si, data, sensors=shown))
+    sensors = _sensors(procedure)
+    dimensions, proposed = {parse_unit(unit).exponents for unit in sensors}, set[str]()
+    rows, lines = list[Sequence[str]](), list[str]()
+    for signal in quality.signals:
+        column, unit = signal.name, units[signal.name]
+        finite = columns.values[column][np.isfinite(columns.values[column])]
+        extent = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "no number"
+        faults = [f"{cause} {100 * share:.2g} %" for cause, (share, _) in signal.unused.items() if share]
+        found = ", ".join([*faults, *["constant"] * (signal.low == signal.high)])
+        names, may_be = _candidates(column, unit, finite, sensors)
+        name = next((n for n in names if n not in proposed), "NAME")
+        proposed.add(name)
+        rows.append((column, unit or "?", extent, found, may_be or names[0]))
+        keys = f"column = {_text(column)}, unit = {_text(unit or '?')}"
+        if unit and parse_unit(unit).exponents not in dimensions:  # counts, mA, %
+            keys = f'column = {_text(column)}, unit = "?", factor = 1.0, offset = 0.0'
+        about = "; ".join(filter(None, (f"{extent} {unit}".rstrip(), found, may_be)))
+        lines.append(f"# {column}: {about}\n{'# ' * bool(may_be)}{_text(name)} = {{ {keys} }}\n")
+    mark, conditions = "" if procedure else "# ", ", ".join(CONDITIONS.get(procedure, ()))
+    experiment = f'{mark}[experiment]\n{mark}procedure = "{procedure or MACHINE}"'
+    experiment += f"  # its conditions, see docs/recordings.md: {conditions}" if conditions else ""
+    head = HEAD.format(_text(data.name), _text(time), _text(units[time]), experiment)
+    write_whole(out, "\n".join([head, *lines]))
+    table = TextTable(("column", "unit", "range", "found", "may be"), rows, left=range(5)).lines()
+    use = f"harvester identify {out.parent}" if procedure else f"harvester validate --reference {data}"
+    after = f"{out}: written; fill in the names of the signals, then: {use}"
+    about = f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"
+    faults = [f"{n}: {f}" for n in in_si for f in log_faults(columns.values[n], SignalDescription(units[n]))]
+    return "\n".join([about, *table, *unread, *quality.remarks(), *faults, after])
+
+
+def _text(text: str) -> str:
+    """A text in TOML, which has the escapes of JSON."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _columns(data: Path) -> tuple[Columns, list[str]]:
+    """The columns of numbers, and a sentence for each of the others."""
+    names, unread = column_names(data), list[str]()
+    while True:
+        try:
+            columns = read_columns(data, names)
+            return replace(columns, values={name: columns.values[name] for name in names}), unread
+        except Problem as problem:
+            numbers = [name for name in names if f"column {name!r}: " not in str(problem)]
+            if len(numbers) in (0, len(names)):
+                raise
+            names = numbers
+            unread.append(f"{problem}; left out")
+
+
+def _time(columns: Columns, units: Mapping[str, str]) -> tuple[str, str]:
+    """The first column of increasing times, one with such a name before the others; its unit or a guess."""
+    increasing = [name for name, values in columns.values.items() if (np.diff(values) > 0).all()]
+    if not increasing:
+        names = first_names(columns.values, 8)
+        raise Problem(f"{columns.file}: expected a column of increasing times, got none among {names}")
+    name = min(increasing, key=lambda name: not TIME.match(name))
+    step = float(np.median(np.diff(columns.values[name])))
+    guess = next((u for u in ("s", "ms", "us") if step * parse_unit(u).factor <= 1 / SLOWEST), "ns")
+    return name, "s" if columns.moments.get(name) else units[name] or guess
+
+
+def _unit(columns: Columns, name: str) -> str:
+    """The unit in the file, or after the last underscore of the name; "" if unknown."""
+    word = name.rpartition("_")[2]
+    unit = columns.units.get(name) or (word if word in COMMON and len(word) > 1 else "")
+    return unit if is_unit(unit) else ""
+
+
+def _sensors(procedure: str) -> Mapping[str, Sequence[str]]:
+    """SI unit -> signals that a procedure reads."""
+    if procedure in ("", REST, *MACHINE_SIGNALS):
+        return SENSORS
+    require("identify", f"harvester describe --procedure {procedure}")
+    signals = import_module(f"fmus.identification.procedures.{procedure}").SIGNALS
+    return {unit: [name for name, u in signals.items() if u == unit] for unit in signals.values()}
+
+
+def _candidates(
+    column: str, unit: str, values: Array, sensors: Mapping[str, Sequence[str]]
+) -> tuple[Sequence[str], str]:
+    """The signals that a column may be by name and unit, and a text of them; "" if it has their name."""
+    groups = {u: n for u, n in sensors.items() if parse_unit(u).exponents == parse_unit(unit).exponents}
+    names = [name for group in (groups or sensors).values() for name in group]
+    if groups and (same := [n for n in names if column.lower() in (n.lower(), bare_name(n).lower())]):
+        return same, ""
+    words = {word for word, others in WORDS.items() if re.search(f"{word}|{others}", column.lower())}
+    score = {
+        n: len(words & own) - len(words - own) / 2 for n in names for own in [{*bare_name(n).split("_")}]
+    }
+    best = max(score.values())
+    if best > 0 or groups:
+        names = [name for name in names if score[name] == best or best <= 0]
+        return names, first_names(names)
+    usual = {u: [in_reader_unit(size, u) for size in USUAL[u]] for u in sensors if u in USUAL and not unit}
+    largest = float(np.max(np.abs(values), initial=0.0))
+    near = [reader_unit(u) for u, (low, high) in usual.items() if low / NEAR <= largest <= high * NEAR]
+    return [], f"anything in {', '.join(near)}" if near else "anything"

@@ -1,0 +1,100 @@
+"""Recognises and corrects what loggers do to samples: held samples, delays, wraps of angles, error codes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.units import parse_unit
+from orchestrator.data.description import SignalDescription
+from orchestrator.data.logger_files import Array, at_times
+
+SAME = 1e-9  # relative difference of equal values, which a scale may have rounded
+RUNS = 20  # runs of equal values, from which a hold is recognised
+LEVELS = 8  # different values, from which a signal has a range
+RARE = 0.05  # largest share of error codes among the samples
+STEP = 1.5  # times the smallest step
+FEW = 4  # different error codes at one end
+
+
+def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
+    """The samples of a column in the unit of its description, corrected as its keys state.
+
+    time   of each sample, in the unit of `delay`
+    """
+    code = np.logical_or.reduce([np.abs(raw - v) <= SAME * abs(v) for v in spec.invalid], initial=False)
+    values = spec.factor * np.where(code, np.nan, raw) + spec.offset
+    if spec.wrap:
+        known = np.isfinite(values)
+        values[known] = np.unwrap(values[known], period=spec.wrap)
+    if spec.held:
+        values = np.where(_is_new(values), values, np.nan)
+    if not spec.delay:
+        return values
+    moved = at_times(time, time + spec.delay, values)
+    moved[time < time[0] + spec.delay], moved[time > time[-1] + spec.delay] = values[0], values[-1]
+    return moved
+
+
+def log_faults(raw: Array, spec: SignalDescription) -> Iterator[str]:
+    """What a logger has probably done to a column, with the key that corrects it."""
+    values = corrected(raw, raw, replace(spec, delay=0.0))
+    if codes := _codes(values):
+        raws = ", ".join(f"{(code - spec.offset) / spec.factor:.10g}" for code in codes)
+        count = int(np.isin(values, codes).sum())
+        yield f"{count} samples far from all others: error codes? invalid = [{raws}] makes them gaps"
+        values = values[~np.isin(values, codes)]
+    angle = spec.unit in ("", "1") or parse_unit(spec.unit).exponents == parse_unit("rad").exponents
+    turn = parse_unit("rev").factor / parse_unit(spec.unit).factor if spec.unit not in ("", "1") else 360.0
+    jumps = np.abs(np.abs(np.diff(values[np.isfinite(values)])) / turn - 1) < 0.1
+    if angle and jumps.any():
+        yield f"jumps {jumps.sum()} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
+    sizes = np.abs(np.diff(values))
+    # steps of one size are those of a converter that follows a slow signal
+    if (hold := _hold(values)) and np.median(sizes[sizes > 0]) > STEP * sizes[sizes > 0].min():
+        yield f"each value is held for {hold:.3g} rows, slower than the log: held = true uses each once"
+
+
+def _codes(values: Array) -> list[float]:
+    """Rare values at an end that are farther from all others than these are from each other."""
+    codes, rest = list[float](), values[np.isfinite(values)]
+    for _ in range(2):  # at either end
+        levels, counts = np.unique(rest, return_counts=True)
+        gap = int(np.argmax(np.diff(levels))) + 1 if len(levels) > LEVELS else 0
+        low, high = levels[:gap], levels[gap:]
+        few, many = (low, high) if counts[:gap].sum() < counts[gap:].sum() else (high, low)
+        count = int(np.isin(rest, few).sum())
+        is_far = len(many) >= LEVELS and gap and high[0] - low[-1] > np.ptp(many)
+        if not (is_far and len(few) <= FEW and 2 <= count <= RARE * len(rest)):
+            break
+        codes, rest = [*codes, *map(float, few)], rest[~np.isin(rest, few)]
+    return codes
+
+
+def _runs(values: Array) -> NDArray[np.int64]:
+    """Where runs of equal values begin."""
+    return np.flatnonzero(np.diff(values, prepend=np.nan) != 0)
+
+
+def _hold(values: Array) -> float:
+    """Rows for which a slower source is held, on average; 0 if the values do not change in such a rhythm."""
+    starts = _runs(values)[1:]
+    lengths = np.diff(starts)
+    if len(lengths) < RUNS or (usual := int(np.bincount(lengths).argmax())) < 2:
+        return 0.0
+    period = float(lengths[np.abs(lengths - usual) <= 1].mean())
+    count = np.concatenate(([0.0], np.cumsum(np.round(lengths / period))))
+    late = starts - np.polyval(np.polyfit(count, starts, 1), count)
+    return period if np.quantile(np.abs(late), 0.95) < 1 else 0.0
+
+
+def _is_new(values: Array) -> NDArray[np.bool_]:
+    """Whether each sample is a new one of a source that is held, also if it has the same value."""
+    starts, rows = _runs(values), np.arange(len(values))
+    run = np.searchsorted(starts, rows, side="right") - 1
+    hold = round(_hold(values)) or len(values)
+    left = np.append(starts[1:], len(values))[run] - rows
+    return np.asarray(((rows - starts[run]) % hold == 0) & (left > hold / 2) | (rows == starts[run]))

@@ -1,0 +1,194 @@
+"""Reads the files of loggers: MDF 4 (.mf4) by asammdf, TDMS by npTDMS. Other formats are refused by name.
+
+The groups of such a file have clocks of their own. All are read on one clock, the column `time` [s]: that of
+the group with the most samples. A sample of a slower group is at the nearest of these times, between gaps.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from io import BytesIO
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
+from orchestrator.base.files import Location, tell_once
+from orchestrator.base.units import parse_unit
+from orchestrator.data.matlab import ERRORS, MAX_BYTES
+
+Array = NDArray[np.float64]
+HEAD = 512  # bytes that show the format of a file
+TIME, SECOND = "time", np.timedelta64(1, "s")
+DENSE = 1.5  # periods of a clock; samples that are closer have no gap in between
+ROUNDING = 1e-6  # of times, in periods
+CLOCK = re.compile(r"t$|.*time|.*zeit", re.IGNORECASE)  # names of channels of times
+MDF, TDMS = "an MF4", "a TDMS"
+READ = {b"MDF     4": MDF, b"UnFinMF ": MDF, b"TDSm": TDMS}  # beginning of a file -> its format
+# beginning of a file -> its format, and the way out
+OTHERS = {
+    rb"MDF     [^4]": ("MDF 3", "save it as MDF 4, such as by asammdf"),
+    rb"\x89MCAP0": ("MCAP", "export its topics as CSV, such as by Foxglove or PlotJuggler"),
+    rb"#ROSBAG|SQLite format 3": ("a ROS bag", "export its topics as CSV, such as by PlotJuggler"),
+    rb"LOGG.\0\0\0": (
+        "BLF (Vector)",
+        "decode it with the DBC file, and export MF4 or CSV, such as by CANalyzer",
+    ),
+    rb"date \w{3} [^\n]*\n\s*base ": ("ASC (Vector)", "decode it with the DBC file, and export MF4 or CSV"),
+    rb"\s*(\(\d+\.\d+\)\s+)?v?can\w*\s+[0-9A-Fa-f]{3,8}(#|\s+\[)": (
+        "candump",
+        "decode it with the DBC file, and export CSV, such as by SavvyCAN",
+    ),
+    rb";\$FILEVERSION": ("a PCAN trace", "decode it with the DBC file, and export CSV"),
+    rb"PK\x03\x04.*(\[Content_Types\]|xl/)": ("Excel", "save the sheet as CSV"),
+    rb"PK\x03\x04": ("a zip archive", "unpack it"),
+    rb"\xd0\xcf\x11\xe0": ("Excel 97", "save the sheet as CSV"),
+    rb"\x1f\x8b|BZh\d1AY|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd": ("a compressed file", "unpack it"),
+    rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
+    rb"\x89HDF|MATLAB 5": ("MATLAB or HDF5", "name it .mat, or export CSV"),
+}
+
+
+# times [s] (None: unknown), samples and unit of a channel
+Samples: TypeAlias = tuple[Array | None, NDArray[Any], str]
+
+
+def logger_format(file: Location) -> str:
+    """`MDF`, `TDMS`, or "" for a text; raises Problem for any other format, with the way out."""
+    with file.opened() as opened:
+        head = opened.read(HEAD)
+    for begin, (name, advice) in OTHERS.items():
+        if re.match(begin, head, re.DOTALL):
+            raise Problem(f"{file}: expected a text (CSV), MF4 or TDMS file, got {name}: {advice}")
+    return next((kind for begin, kind in READ.items() if head.startswith(begin)), "")
+
+
+@contextmanager
+def channels(file: Location, kind: str) -> Iterator[dict[str, Callable[[], Samples]]]:
+    """Functions that read the channels, by name: "group.name" if several groups have the name."""
+    require("logger", f"{file}: {kind} file", "asammdf" if kind == MDF else "nptdms")
+    try:
+        with (_mdf if kind == MDF else _tdms)(file) as found:
+            if found and all(name.startswith("CAN_DataFrame") for _, name, _ in found):
+                advice = "decode them with the DBC file, such as by asammdf"
+                raise Problem(f"{file}: expected signals, got frames of a CAN bus: {advice}")
+            counts = Counter([TIME, *(name for _, name, _ in found)])
+            yield {n if counts[n] == 1 else f"{group}.{n}": read for group, n, read in found}
+    except (*ERRORS, struct.error, zlib.error) as error:
+        got = f"a damaged one ({type(error).__name__})"
+        raise Problem(f"{file}: expected {kind} file, got {got}") from None
+
+
+def on_one_clock(
+    file: Location, chosen: Mapping[str, Callable[[], Samples]], only_numbers: bool
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """Samples and units of channels on the clock `time`.
+
+    only_numbers   leave out the channels of texts and arrays; else they are refused
+    """
+    values, times, units = dict[str, Array](), dict[str, Array](), dict[str, str]()
+    for name, read in chosen.items():
+        time, samples, unit = read()
+        if samples.ndim != 1 or samples.dtype.kind not in "fiub":
+            if only_numbers:
+                continue
+            raise Problem(f"{file}: column {name!r}: expected numbers, got {samples.dtype}")
+        values[name] = samples.astype(np.float64)
+        units |= {name: unit} if unit else {}
+        times |= {} if time is None else {name: time}
+    if not times:
+        return values, units
+    clock = max(times.values(), key=len)
+    units[TIME] = "s"
+    return {TIME: clock, **{n: at_times(clock, times[n], v) for n, v in values.items() if n in times}}, units
+
+
+@contextmanager
+def _mdf(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]]]:
+    """Channels of an MDF 4 file: group, name, and what reads it; times since the start of the measurement."""
+    import asammdf
+    from asammdf.blocks import mdf_v4, utils
+
+    if "__del__" in vars(mdf_v4.MDF4):  # it prints a traceback if the file is damaged
+        del mdf_v4.MDF4.__del__
+    try:
+        opened = asammdf.MDF(BytesIO(file.read(MAX_BYTES)))
+    except utils.MdfException as error:
+        raise ValueError from error
+
+    def read(group: int, index: int) -> Samples:
+        signal = opened.get(group=group, index=index)
+        if signal.samples.dtype.kind not in "fiub":  # texts in place of numbers
+            signal = opened.get(group=group, index=index, raw=True)
+        signal = signal.validate()  # without samples that the logger marked as invalid
+        return signal.timestamps, signal.samples, signal.unit
+
+    with opened:
+        yield [
+            (group.channel_group.acq_name or f"group {i + 1}", channel.name, partial(read, i, j))
+            for i, group in enumerate(opened.groups)
+            for j, channel in enumerate(group.channels)
+            if j != opened.masters_db.get(i)
+        ]
+
+
+@contextmanager
+def _tdms(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]]]:
+    """Channels of a TDMS file: group, name, and what reads it.
+
+    Times are those of the waveform since the first start, or of the group's channel of times.
+    """
+    import nptdms
+    from nptdms.log import log_manager
+
+    log_manager.set_level(logging.ERROR)
+    with nptdms.TdmsFile.open(BytesIO(file.read(MAX_BYTES))) as opened:
+        if opened.file_status.incomplete_final_segment:
+            tell_once(f"{file}: the end is cut off; read up to there")
+        found = [channel for group in opened.groups() for channel in group.channels()]
+        clocks = {c.group_name: c for c in found if c.dtype.kind == "M" or CLOCK.match(c.name)}
+        starts = [c.properties["wf_start_time"] for c in found if "wf_start_time" in c.properties]
+        first = min(starts, default=None)
+
+        def read(channel: Any) -> Samples:
+            about, clock, time = channel.properties, clocks.get(channel.group_name), None
+            if "wf_increment" in about:
+                late = (about.get("wf_start_time", first) - first) / SECOND if starts else 0.0
+                time = channel.time_track() + late
+            elif clock is not None and clock.dtype.kind == "M":
+                time = (clock[:] - clock[0]) / SECOND
+            elif clock is not None:
+                time = parse_unit(clock.properties.get("unit_string", "s")).factor * clock[:]
+            return time, channel[:], str(about.get("unit_string", ""))
+
+        yield [(channel.group_name, channel.name, partial(read, channel)) for channel in found]
+
+
+def at_times(clock: Array, time: Array, values: Array) -> Array:
+    """A signal that was sampled at its own times, on another clock; linear between two samples.
+
+    Where its samples are farther apart than those of the clock, each is at the nearest time, and gaps follow.
+    """
+    if np.array_equal(clock, time):
+        return values
+    used = np.isfinite(values) & (np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0)
+    time, values = time[used], values[used]
+    if not time.size:
+        return np.full(len(clock), np.nan)
+    last = len(time) - 1
+    next_one = np.clip(np.searchsorted(time, clock), min(1, last), last)
+    before, after = time[np.maximum(next_one - 1, 0)], time[next_one]
+    period = float(np.median(np.diff(clock)))
+    inside = (clock >= time[0] - ROUNDING * period) & (clock <= time[-1] + ROUNDING * period)
+    near = inside & (np.minimum(np.abs(clock - before), np.abs(clock - after)) <= period / 2 * (1 + ROUNDING))
+    dense = inside & (after - before <= DENSE * period)
+    return np.where(near | dense, np.interp(clock, time, values), np.nan)

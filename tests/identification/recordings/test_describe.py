@@ -1,0 +1,176 @@
+"""`harvester describe`: what it writes is read after names were filled in; it names what a column may be."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fmus.identification.recordings.describe import SENSORS, describe
+from fmus.identification.recordings.reading import read
+from orchestrator.base.errors import Problem
+from orchestrator.data.recording import read_recording
+from orchestrator.ssp.load import load
+
+K = np.arange(400)
+COLUMNS = {
+    "t_ms": 5 * K,
+    "Hebel Hub [V]": np.round(6 * np.sin(K / 60), 3),
+    "Druck Kolben [bar]": np.round(120 + 30 * np.sin(K / 50), 2),
+    "DRUCK_STANGE_psi": np.round(900 + 300 * np.cos(K / 50), 1),
+    "manipulator.boom_angle [deg]": np.round(20 + 9 * np.sin(K / 90), 3),
+    "stick_angle": np.round(-40 + 9 * np.sin(K / 80), 3),
+    "AI_7 (mA)": np.round(9 + 3 * np.sin(K / 70), 3),
+}
+
+
+@pytest.fixture
+def log(tmp_path):
+    """The columns as a CSV file of a logger."""
+    pd.DataFrame(COLUMNS).to_csv(tmp_path / "a.csv", index=False)
+    return tmp_path / "a.csv"
+
+
+def filled_in(file, **units):
+    """As a user does it: the lines of all signals without a mark, units in place of "?"."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    lines = [line.removeprefix("# ") if line.startswith('# "') else line for line in lines]
+    lines = [line for line in lines if '"NAME"' not in line]
+    for column, unit in units.items():
+        lines = [
+            line.replace('unit = "?"', f'unit = "{unit}"') if f'"{column}"' in line else line
+            for line in lines
+        ]
+    file.write_text("\n".join(lines), encoding="utf-8")
+
+
+def test_the_file_is_read_after_the_names_are_filled_in(log):
+    """Values in SI units are those of the columns."""
+    shown = describe(log, procedure="machine")
+    filled_in(log.with_suffix(".toml"), stick_angle="deg")
+    made = read(log)
+    assert (made.procedure, made.source) == ("machine", log)
+    expected = {
+        "boom_stick.boom_command": COLUMNS["Hebel Hub [V]"],
+        "boom_stick.boom_head_pressure": 1e5 * COLUMNS["Druck Kolben [bar]"],
+        # NIST SP 811: 1 psi = 6894.757 Pa, seven digits
+        "boom_stick.boom_rod_pressure": 6894.757 * COLUMNS["DRUCK_STANGE_psi"],
+        "manipulator.boom_angle": np.radians(COLUMNS["manipulator.boom_angle [deg]"]),
+        "manipulator.stick_angle": np.radians(COLUMNS["stick_angle"]),
+    }
+    assert made.signals.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(made[name], values, rtol=1e-7)  # digits of psi
+    np.testing.assert_allclose(made.time, 0.005 * K, atol=1e-12)  # rounding
+    assert shown.splitlines()[0] == f"{log}: 400 rows at 200 Hz, time in 't_ms' [ms]"
+    assert re.search(r"\nAI_7 \(mA\) +mA +6\S* to 12 +anything", shown)
+
+
+def test_what_remains_a_comment_is_left_out(log):
+    """Some names are enough; without any, one line says what is missing."""
+    describe(log)
+    with pytest.raises(Problem, match=r"a\.toml: expected at least one table \[signals\.NAME\], got none"):
+        read_recording(log)
+    text = log.with_suffix(".toml").read_text(encoding="utf-8")
+    log.with_suffix(".toml").write_text(
+        text.replace('# "boom_stick.boom_rod', '"boom_stick.boom_rod'), encoding="utf-8"
+    )
+    assert [*read_recording(log)] == ["boom_stick.boom_rod_pressure"]
+
+
+def test_a_column_with_the_name_of_a_signal_is_described_at_once(tmp_path):
+    """In any letter case, with or without the part, if the unit of the file is one of the signal."""
+    header, rows = (
+        "time,BOOM_COMMAND,swing.supply_pressure\n",
+        "".join(f"{k / 50},{k % 7},{k % 5}\n" for k in K),
+    )
+    (tmp_path / "a.csv").write_text(header + rows, encoding="utf-8")
+    describe(tmp_path / "a.csv")  # without units it cannot know
+    with pytest.raises(Problem, match="expected at least one table"):
+        read_recording(tmp_path / "a.csv")
+    fields = {"time": "s", "BOOM_COMMAND": "V", "swing.supply_pressure": "bar", "boom_angle": "Pa"}
+    table = pa.table({name: K / 50 for name in fields})
+    units = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in fields.items()]
+    pq.write_table(table.cast(pa.schema(units)), tmp_path / "b.parquet")
+    describe(tmp_path / "b.parquet")
+    assert [*read_recording(tmp_path / "b.parquet")] == ["boom_stick.boom_command", "swing.supply_pressure"]
+
+
+@pytest.mark.parametrize(("step", "unit"), [(0.02, "s"), (0.5, "s"), (20, "ms"), (1000, "us"), (2e6, "ns")])
+def test_the_unit_of_time_is_that_of_a_logger(step, unit, tmp_path):
+    """In the largest unit in which the log has 2 Hz or more; the column need not be the first one."""
+    pd.DataFrame({"n": K, "U": np.sin(K), "Zeit": step * K}).to_csv(tmp_path / "a.csv", index=False)
+    describe(tmp_path / "a.csv")
+    assert f'column = "Zeit"\nunit = "{unit}"' in (tmp_path / "a.toml").read_text(encoding="utf-8")
+
+
+def test_faults_are_named(tmp_path):
+    """Gaps, clipped and constant channels in the table and in sentences; columns of texts are left out."""
+    rng = np.random.default_rng(5)
+    pressure = np.round(np.minimum(100 + 8 * np.sin(K / 40) + rng.normal(0, 0.1, K.size), 105), 2)
+    flow = np.where((K > 100) & (K < 141), np.nan, 30 + np.sin(K / 9))
+    data = {"t": K / 200, "p_bar": pressure, "Q [L/min]": flow, "off": 7, "mode": "auto"}
+    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
+    shown = describe(tmp_path / "a.csv")
+    assert re.search(r"\np_bar +bar +9\S+ to 105 +clipped \d+ %", shown)
+    assert re.search(r"\nQ \[L/min\] +L/min +\S+ to \S+ +gaps 10 %", shown)
+    assert re.search(r"\noff +\? +7 to 7 +constant", shown)
+    assert "a.csv: line 2: column 'mode': expected a number, got 'auto'; left out\n" in shown
+    assert "\nQ [L/min]: 40 samples (10 %; first at 0.505 s, longest 0.2 s) without a sample.\n" in shown
+
+
+def test_a_bench_has_the_names_and_conditions_of_its_procedure(tmp_path):
+    """Those that the procedure reads, here of a valve."""
+    pd.DataFrame({"t": K / 200, "U [V]": K % 9, "Q [L/min]": 3 * K}).to_csv(tmp_path / "b.csv", index=False)
+    describe(tmp_path / "b.csv", tmp_path / "valve.toml", procedure="valve")
+    text = (tmp_path / "valve.toml").read_text(encoding="utf-8")
+    assert (
+        '[experiment]\nprocedure = "valve"  # its conditions, see docs/recordings.md: edge, density' in text
+    )
+    filled_in(tmp_path / "valve.toml")
+    assert [*read(tmp_path / "valve.toml")] == ["command", "flow"]
+
+
+MISTAKES = {
+    "existing": (("a.csv",), r"a\.toml: expected no such file, got one; --force overwrites it"),
+    "procedure": (("a.csv", None, "valv"), r"--procedure: expected one of valve, .*, got 'valv'"),
+    "folder": (
+        ("a.csv", "b/a.toml"),
+        r"--out .*a\.toml: expected a file that ends in \.toml, in the folder of",
+    ),
+    "suffix": (("a.csv", "a.csv"), r"--out .*a\.csv: expected a file that ends in \.toml"),
+    "no time": (("b.csv", "b.toml"), r"b\.csv: expected a column of increasing times, got none among x, y"),
+    "no file": (("c.csv", "c.toml"), r"c\.csv: no such file"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_line_and_nothing_is_overwritten(name, log):
+    """An existing description stays as it is, unless `force` is given."""
+    folder, old = log.parent, log.with_suffix(".toml")
+    old.write_text("mine = 1\n", encoding="utf-8")
+    (folder / "b.csv").write_text("x,y\n1,2\n1,3\n0,1\n", encoding="utf-8")
+    (data, *rest), message = MISTAKES[name]
+    arguments = [folder / rest[0] if rest and rest[0] else None, *rest[1:]]
+    with pytest.raises(Problem, match=message):
+        describe(folder / data, *arguments)
+    assert old.read_text(encoding="utf-8") == "mine = 1\n"
+    describe(log, force=True)
+    assert old.read_text(encoding="utf-8") != "mine = 1\n"
+
+
+def test_the_sensors_are_signals_of_the_machine(fmu_dir):
+    """With their units; the oil temperature is one of every recording."""
+    system = load(fmu_dir / "harvester.ssp")
+    units = {
+        f"{c.name}.{v.name}": v.unit.name
+        for c in system.components.values()
+        for k in ("input", "output")
+        for v in c.interface.of(k)
+        if v.unit
+    }
+    sensors = {name: unit for unit, names in SENSORS.items() for name in names}
+    assert sensors.pop("oil_temperature") == "K"
+    assert sensors == {name: units[name] for name in sensors}

@@ -1,0 +1,168 @@
+"""Faults of loggers are named when a recording is read, and corrected by a key of its description."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.base.errors import Problem
+from orchestrator.data.corrections import corrected, log_faults
+from orchestrator.data.description import SignalDescription
+from orchestrator.data.logger_files import at_times
+from orchestrator.data.recording import Recording, Sensor, fill_gaps, read_recording
+
+RNG = np.random.default_rng(11)
+ROW = np.arange(2000)
+TIME = ROW / 200
+ANGLE = 170 + 60 * np.sin(TIME)  # deg
+NOISY = 100 + 30 * np.sin(TIME) + RNG.normal(0, 0.1, ROW.size)
+LEVER = 6 * np.sin(TIME * (1 + TIME / 20)) * (np.sin(TIME) > -0.5)
+
+
+def held(values, rows):
+    """What a log has from a source that sends every so many rows, here not a whole number of them."""
+    sent = np.floor(np.floor(ROW / rows) * rows).astype(int)
+    return values[sent]
+
+
+DEG = SignalDescription("deg")
+# what is in the log, its description, and what is named
+NAMED = {
+    "encoder 0 to 360": (ANGLE * 2 % 360, DEG, "jumps 4 times by about 360; wrap = 360 unwraps an angle"),
+    "atan2": (np.angle(np.exp(1j * 4 * np.sin(TIME))), SignalDescription("rad"), "jumps .* by about 6.28319"),
+    "turns": (ANGLE / 90 % 1, SignalDescription("rev"), "jumps .* by about 1; wrap = 1 "),
+    "bus of 20 Hz": (held(LEVER, 10), SignalDescription("V"), "each value is held for 10 rows"),
+    "bus of 47 Hz": (held(NOISY, 4.25), SignalDescription("bar"), r"each value is held for 4\.2\d rows"),
+    "bus of 100 Hz": (held(NOISY, 2), SignalDescription("bar"), "each value is held for 2 rows"),
+    "0xFFFF": (
+        np.where(ROW % 700 == 5, 6553.5, NOISY),
+        SignalDescription("bar"),
+        r"3 samples .* \[6553\.5\]",
+    ),
+    "0xFE": (np.where(ROW % 900 < 2, 254, np.round(NOISY)), SignalDescription("1"), r"6 samples .* \[254\]"),
+    "two codes": (
+        np.where(
+            ROW % 500 == 9, -9999, np.where(ROW % 400 == 7, 65535, np.where(ROW % 450 == 7, 65534, NOISY))
+        ),
+        SignalDescription("bar"),
+        r"13 samples .* invalid = \[65534, 65535, -9999\]",
+    ),
+    "code of counts": (
+        np.where(ROW % 700 == 5, 65535, np.round(100 * NOISY)),
+        SignalDescription("bar", factor=0.01, offset=-50.0),
+        r"invalid = \[65535\]",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_fault_is_named_with_its_key(name):
+    """One line, and none once the key is set."""
+    raw, spec, told = NAMED[name]
+    (line,) = log_faults(raw, spec)
+    assert re.search(told, line), line
+    if "invalid" in line:
+        spec = replace(spec, invalid=tuple(map(float, re.search(r"\[(.*)\]", line)[1].split(","))))
+    elif "wrap" in line:
+        spec = replace(spec, wrap=float(re.search(r"wrap = (\S+)", line)[1]))
+    else:
+        spec = replace(spec, held=True)
+    assert [*log_faults(raw, spec)] == []
+
+
+HEALTHY = {
+    "noise": (NOISY, "bar"),
+    "12 bit": (np.round(NOISY / 0.098) * 0.098, "bar"),
+    "slow encoder": (np.round(ANGLE / 0.5) * 0.5, "deg"),
+    "constant speed": (np.round(TIME * 7 / 0.35) * 0.35, "deg"),
+    "steps of a command": (np.where(ROW % 400 < 15, 10.0, 0.0), "V"),
+    "lever": (LEVER, "V"),
+    "clipped": (np.minimum(NOISY, 120), "bar"),
+    "one spike": (np.where(ROW == 900, 900, NOISY), "bar"),
+    "constant": (np.zeros(2000), "V"),
+    "no sample": (np.full(2000, np.nan), "V"),
+    "gaps": (np.where(ROW % 4 == 1, NOISY, np.nan), "bar"),
+    "turns of a column": (np.cumsum(ANGLE), "deg"),
+}
+
+
+@pytest.mark.parametrize("name", HEALTHY)
+def test_nothing_is_named_in_a_healthy_column(name):
+    """Converters, slow and fast signals, steps, clipped and missing samples are no faults of a logger."""
+    values, unit = HEALTHY[name]
+    assert [*log_faults(values, SignalDescription(unit))] == []
+
+
+def test_codes_become_gaps_before_the_calibration():
+    """They are written as the file has them; a scale of the logger may have rounded them."""
+    raw = np.array([1.0, 65535, 3, 0.1 * 65535, -9999, 6])
+    spec = SignalDescription("bar", factor=2.0, offset=1.0, invalid=(65535, 6553.5, -9999))
+    np.testing.assert_array_equal(corrected(raw, raw, spec), [3, np.nan, 7, np.nan, np.nan, 13])
+
+
+def test_an_angle_is_unwrapped_over_gaps():
+    """Whole turns are added, and the first value stays."""
+    wrapped = np.where(ROW % 50 == 3, np.nan, 3 * ANGLE % 360)
+    found = corrected(wrapped, TIME, replace(DEG, wrap=360.0))
+    expected = np.where(ROW % 50 == 3, np.nan, 3 * ANGLE - 360)
+    np.testing.assert_allclose(found, expected, atol=1e-9)  # rounding of 1e3 deg
+
+
+def test_a_held_sample_is_used_once():
+    """Each new one is, also where the source sends equal values; nothing else."""
+    still = np.where((ROW > 500) & (ROW < 900), NOISY[500], NOISY)
+    found = corrected(held(still, 4), TIME, SignalDescription("bar", held=True))
+    np.testing.assert_array_equal(found, np.where(ROW % 4 == 0, still, np.nan))
+
+
+def test_a_delay_moves_one_signal():
+    """By whole samples, by a fraction, forwards and back; the ends keep their values."""
+    late = corrected(LEVER, TIME, SignalDescription("V", delay=0.04))
+    np.testing.assert_allclose(late, [*[LEVER[0]] * 8, *LEVER[:-8]], atol=1e-12)  # rounding
+    early = corrected(2 * TIME, TIME, SignalDescription("V", delay=-0.0123))
+    # of a line, rounding; the last three samples keep the last value
+    np.testing.assert_allclose(early[:-3], 2 * (TIME[:-3] + 0.0123), atol=1e-12)
+    assert early[-2:].tolist() == [2 * TIME[-1]] * 2
+    gaps = corrected(np.where(ROW % 10 == 4, LEVER, np.nan), TIME, SignalDescription("V", delay=0.1))
+    assert np.flatnonzero(np.isfinite(gaps))[:2].tolist() == [24, 34]
+
+
+def test_a_signal_on_another_clock_has_gaps_only_where_it_is_slower():
+    """A signal of the same rate is interpolated at each time, half a period off, too."""
+    same = at_times(TIME, TIME + 0.0025, 5 * TIME)
+    np.testing.assert_allclose(same[1:], 5 * (TIME[1:] - 0.0025), atol=1e-12)  # of a line, rounding
+    assert np.isnan(same[0])
+    assert np.isnan(at_times(TIME, np.array([]), np.array([]))).all()
+    assert np.flatnonzero(np.isfinite(at_times(TIME, TIME[7:8], TIME[:1]))).tolist() == [7]
+
+
+def test_the_keys_work_in_a_file(tmp_path, capsys):
+    """Without them one line names the column and the key."""
+    rows = np.column_stack([TIME, np.where(ROW % 500 == 9, 6553.5, NOISY), 3 * ANGLE % 360])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,p,a", comments="")
+    text = '[signals.p]\nunit = "bar"\n{}\n[signals.a]\nunit = "deg"\n{}\n'
+    (tmp_path / "a.toml").write_text(text.format("", ""), encoding="utf-8")
+    read_recording(tmp_path / "a.csv")
+    told = capsys.readouterr().err.splitlines()
+    assert [line.partition(": ")[2][:10] for line in told] == ["p: 4 sampl", "a: jumps 2"]
+    keys = "invalid = [6553.5]\ndelay = 0.005", "wrap = 360"
+    (tmp_path / "a.toml").write_text(text.format(*keys), encoding="utf-8")
+    made = read_recording(tmp_path / "a.csv")
+    assert capsys.readouterr().err == ""
+    assert np.flatnonzero(np.isnan(made["p"])).tolist() == [10, 510, 1010, 1510]
+    # 18 digits of the file
+    np.testing.assert_allclose(made["a"], np.radians(3 * ANGLE - 360), atol=1e-9)
+
+
+def test_samples_far_outside_the_span_do_not_drive_a_simulation():
+    """They are gaps, up to the longest one; noise at an end of the span is not."""
+    supply = np.where(ROW % 300 == 8, 6553.5, NOISY - NOISY.min() - 0.2)
+    sensors = {"supply": Sensor(low=0.0, high=400.0)}
+    made = Recording(TIME, {"supply": supply}, {"supply": "1"}, sensors=sensors)
+    filled, bad = fill_gaps(made, "supply"), np.flatnonzero(supply > 400)
+    np.testing.assert_allclose(filled[bad], (supply[bad - 1] + supply[bad + 1]) / 2, rtol=1e-12)  # rounding
+    np.testing.assert_array_equal(np.delete(filled, bad), np.delete(supply, bad))
+    long = replace(made, signals={"supply": np.where((ROW > 100) & (ROW < 130), 6553.5, supply)})
+    with pytest.raises(Problem, match=r"supply: expected gaps of at most 0\.1 s, got one from 0\.505 s"):
+        fill_gaps(long, "supply")
