@@ -141,6 +141,8 @@ def test_a_corner_inside_a_step(fmus, pushed):
     source = fmus.make("source", "heard", also=[*RAMP, IDLE], units={"y": "N"})
     system = pushed(source, "y", amplitude=0.0, ramp=FORCE, bend=bend)
     result = run(system, master=Coupling("gauss-seidel", 2), **KNOWN)
+    assert np.isin(result.errors.time, result.trace.time).all()
+    assert (np.diff(result.errors.time) > 0).all()
     first, second = INTEGRALS["FORCE t"](end := result.errors.time[-1] - bend)
     there = result.trace.time == result.errors.time[-1]
     last = {name: result.trace[name][there][0] for name in ("m.v", "m.x")}
