@@ -152,6 +152,18 @@ def test_a_corner_inside_a_step(fmus, pushed):
     assert result.errors["m.x"][-1] == pytest.approx(true, abs=FORCE * 1e-6 / 120)
 
 
+@pytest.mark.parametrize("before", [0.47, 0.5, 0.51])
+def test_a_section_ends_at_the_last_point_before_a_corner(fmus, pushed, before):
+    """Whatever steps a smooth source had taken together until then."""
+    source = fmus.make("source", "heard", also=[*RAMP, IDLE], units={"y": "N"})
+    system = pushed(source, "y", amplitude=100.0, omega=3.0, ramp=100 * FORCE, bend=before + 0.0035)
+    result = run(system, master=Coupling("gauss-seidel", 2), **KNOWN)
+    points = result.errors.time
+    assert np.isclose(points, before).any()
+    assert np.isin(points, result.trace.time).all()
+    assert (np.diff(points) > 0).all()
+
+
 @pytest.mark.parametrize(
     ("master", "step", "rel"),
     [

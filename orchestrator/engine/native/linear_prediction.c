@@ -34,9 +34,8 @@ static const double SAME_STEP = 1e-9; /* largest relative difference of two equa
 
 #define GAMMA 0.43586652150845967
 static const double NODES[] = {GAMMA, (1.0 + GAMMA) / 2.0, 1.0};
-static const double WEIGHTS[][2] = {
-    {0.0, 0.0},
-    {(1.0 - GAMMA) / 2.0, 0.0},
+static const double WEIGHTS[][2] = { /* of the earlier stages, for the second and the third one */
+    {(1.0 - GAMMA) / 2.0},
     {-1.5 * GAMMA * GAMMA + 4.0 * GAMMA - 0.25, 1.5 * GAMMA * GAMMA - 5.0 * GAMMA + 1.25},
 };
 
@@ -83,7 +82,7 @@ void prediction_solve(const LinearPrediction *p) {
             const double s = delta * (third + NODES[k]), drift = p->age_seconds * s + 0.5 * s * s;
             vector_copy(base, d, n_padded);
             for (int j = 0; j < k; j++) {
-                const double weight = delta * WEIGHTS[k][j];
+                const double weight = delta * WEIGHTS[k - 1][j];
                 for (int32_t i = 0; i < n_padded; i++) base[i] += weight * rates[j][i];
             }
             for (int32_t i = 0; i < n_padded; i++)
