@@ -50,7 +50,7 @@ OTHERS = {
     ),
     rb";\$FILEVERSION": ("a PCAN trace", "decode it with the DBC file, and export CSV"),
     rb"PK\x03\x04.*(\[Content_Types\]|xl/)": ("Excel", "save the sheet as CSV"),
-    rb"PK\x03\x04": ("a zip archive", "unpack it"),
+    rb"PK\x03\x04": ("a zip archive (.zip, .fmu, .ssp)", "unpack the file with the data"),
     rb"\xd0\xcf\x11\xe0": ("Excel 97", "save the sheet as CSV"),
     rb"\x1f\x8b|BZh\d1AY|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd": ("a compressed file", "unpack it"),
     rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
