@@ -145,7 +145,7 @@ FOREIGN = {
     "log.dat": (b"MDF     3.30    TGT 15.0" + bytes(200), "MDF 3: save it as MDF 4, such as by asammdf"),
     "log.xlsx": (zipped("[Content_Types].xml"), "Excel: save the sheet as CSV"),
     "log.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90), "Excel 97: save the sheet as CSV"),
-    "log.zip": (zipped("log.csv"), "a zip archive: unpack it"),
+    "log.zip": (zipped("log.csv"), "a zip archive (.zip, .fmu, .ssp): unpack the file with the data"),
     "log.csv.gz": (gzip.compress(b"time,x\n0,1\n1,2\n"), "a compressed file: unpack it"),
     "log.csv": (b"PAR1\x15\x04" + bytes(90), "Parquet: name it .parquet"),
 }
