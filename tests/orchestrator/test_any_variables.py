@@ -158,6 +158,19 @@ def test_a_row_is_at_the_communication_point_that_it_equals_but_for_rounding(eac
     np.testing.assert_array_equal(trace["q.u"], np.where(np.arange(7) < n, 1.0, 5.0))
 
 
+def test_a_held_input_is_driven_in_its_own_unit(fmus, both):
+    """An input of the system, in degC, feeds one in degC and one in K."""
+    files = {
+        unit: fmus.make("quirk", f"held_{unit}", changes=HELD | {"u": {**HELD["u"], "unit": unit}})
+        for unit in ("degC", "K")
+    }
+    system = assemble(files, inputs={"warm": ["degC.u", "K.u"]})
+    rows = Trace(np.array([0.0, 0.5, 1.0]), {"warm": np.array([20.0, 45.0, -5.0])})
+    trace = both(system, scenario=rows, step=0.5).result.trace
+    np.testing.assert_array_equal(trace["degC.u"], [20, 45, -5])
+    np.testing.assert_array_equal(trace["K.u"], np.array([20, 45, -5]) + 273.15)
+
+
 def test_the_foot_of_a_steep_ramp_stays_where_it_is(fmus):
     """Only the nearest of two rows is at a communication point; steps that may be divided end at both."""
     time = np.array([0.0, 1.0, 1.0 + 2e-9, 2.0 - 1e-7, 2.0, 3.0])
