@@ -121,10 +121,8 @@ def _mdf(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]
         raise ValueError from error
 
     def read(group: int, index: int) -> Samples:
-        signal = opened.get(group=group, index=index)
-        if signal.samples.dtype.kind not in "fiub":  # texts in place of numbers
-            signal = opened.get(group=group, index=index, raw=True)
-        signal = signal.validate()  # without samples that the logger marked as invalid
+        # numbers in place of the texts of an enumeration, without samples marked as invalid
+        (signal,) = opened.select([(None, group, index)], ignore_value2text_conversions=True, validate=True)
         return signal.timestamps, signal.samples, signal.unit
 
     with opened:
