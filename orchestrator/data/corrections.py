@@ -15,9 +15,9 @@ from orchestrator.data.logger_files import Array, at_times
 SAME = 1e-9  # relative difference of equal values, which a scale may have rounded
 RUNS = 20  # runs of equal values, from which a hold is recognised
 LEVELS = 8  # different values, from which a signal has a range
-RARE = 0.05  # largest share of error codes among the samples
+RARE = 0.05  # largest share of error codes at one end
 STEP = 1.5  # times the smallest step
-FEW = 4  # different error codes at one end
+FEW = 4  # different error codes
 
 
 def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
@@ -59,19 +59,16 @@ def log_faults(raw: Array, spec: SignalDescription) -> Iterator[str]:
 
 
 def _codes(values: Array) -> list[float]:
-    """Rare values at an end that are farther from all others than these are from each other."""
-    codes, rest = list[float](), values[np.isfinite(values)]
-    for _ in range(2):  # at either end
-        levels, counts = np.unique(rest, return_counts=True)
-        gap = int(np.argmax(np.diff(levels))) + 1 if len(levels) > LEVELS else 0
-        low, high = levels[:gap], levels[gap:]
-        few, many = (low, high) if counts[:gap].sum() < counts[gap:].sum() else (high, low)
-        count = int(np.isin(rest, few).sum())
-        is_far = len(many) >= LEVELS and gap and high[0] - low[-1] > np.ptp(many)
-        if not (is_far and len(few) <= FEW and 2 <= count <= RARE * len(rest)):
-            break
-        codes, rest = [*codes, *map(float, few)], rest[~np.isin(rest, few)]
-    return codes
+    """A few rare values, farther from all others than these are from each other."""
+    known = values[np.isfinite(values)]
+    low, high = np.quantile(known, [RARE, 1 - RARE]) if known.size else (0.0, 0.0)
+    far = (known < 2 * low - high) | (known > 2 * high - low)
+    codes, counts = np.unique(known[far], return_counts=True)
+    others = known[~far]
+    if not 0 < len(codes) <= FEW or counts.min() < 2 or len(np.unique(others)) < LEVELS:
+        return []
+    distance = np.maximum(others.min() - codes, codes - others.max())
+    return [*map(float, codes)] if distance.min() > np.ptp(others) else []
 
 
 def _runs(values: Array) -> NDArray[np.int64]:

@@ -34,25 +34,20 @@ ROUNDING = 1e-6  # of times, in periods
 CLOCK = re.compile(r"t$|.*time|.*zeit", re.IGNORECASE)  # names of channels of times
 MDF, TDMS = "an MF4", "a TDMS"
 READ = {b"MDF     4": MDF, b"UnFinMF ": MDF, b"TDSm": TDMS}  # beginning of a file -> its format
-# beginning of a file -> its format, and the way out
-OTHERS = {
+DECODE, EXPORT, SHEET = (
+    "decode it with the DBC file, and export MF4 or CSV",
+    "export its topics as CSV, such as by PlotJuggler",
+    "save the sheet as CSV",
+)
+OTHERS = {  # beginning of a file -> its format, and the way out
     rb"MDF     [^4]": ("MDF 3", "save it as MDF 4, such as by asammdf"),
-    rb"\x89MCAP0": ("MCAP", "export its topics as CSV, such as by Foxglove or PlotJuggler"),
-    rb"#ROSBAG|SQLite format 3": ("a ROS bag", "export its topics as CSV, such as by PlotJuggler"),
-    rb"LOGG.\0\0\0": (
-        "BLF (Vector)",
-        "decode it with the DBC file, and export MF4 or CSV, such as by CANalyzer",
-    ),
-    rb"date \w{3} [^\n]*\n\s*base ": ("ASC (Vector)", "decode it with the DBC file, and export MF4 or CSV"),
-    rb"\s*(\(\d+\.\d+\)\s+)?v?can\w*\s+[0-9A-Fa-f]{3,8}(#|\s+\[)": (
-        "candump",
-        "decode it with the DBC file, and export CSV, such as by SavvyCAN",
-    ),
-    rb";\$FILEVERSION": ("a PCAN trace", "decode it with the DBC file, and export CSV"),
-    rb"PK\x03\x04.*(\[Content_Types\]|xl/)": ("Excel", "save the sheet as CSV"),
-    rb"PK\x03\x04": ("a zip archive (.zip, .fmu, .ssp)", "unpack the file with the data"),
-    rb"\xd0\xcf\x11\xe0": ("Excel 97", "save the sheet as CSV"),
-    rb"\x1f\x8b|BZh\d1AY|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd": ("a compressed file", "unpack it"),
+    rb"\x89MCAP0": ("MCAP", EXPORT),
+    rb"#ROSBAG|SQLite format 3": ("a ROS bag", EXPORT),
+    rb"LOGG.\0\0\0|date \w{3} [^\n]*\n\s*base ": ("BLF or ASC (Vector)", DECODE),
+    rb"\s*(\(\d+\.\d+\)\s+)?v?can\w*\s+[0-9A-Fa-f]{3,8}(#|\s+\[)": ("candump", DECODE),
+    rb";\$FILEVERSION": ("a PCAN trace", DECODE),
+    rb"PK\x03\x04.*(\[Content_Types\]|xl/)|\xd0\xcf\x11\xe0": ("Excel", SHEET),
+    rb"PK\x03\x04|\x1f\x8b|BZh\d1AY|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd": ("an archive", "unpack it"),
     rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
     rb"\x89HDF|MATLAB 5": ("MATLAB or HDF5", "name it .mat, or export CSV"),
 }
@@ -126,10 +121,8 @@ def _mdf(file: Location) -> Iterator[list[tuple[str, str, Callable[[], Samples]]
         raise ValueError from error
 
     def read(group: int, index: int) -> Samples:
-        signal = opened.get(group=group, index=index)
-        if signal.samples.dtype.kind not in "fiub":  # texts in place of numbers
-            signal = opened.get(group=group, index=index, raw=True)
-        signal = signal.validate()  # without samples that the logger marked as invalid
+        # numbers in place of the texts of an enumeration, without samples marked as invalid
+        (signal,) = opened.select([(None, group, index)], ignore_value2text_conversions=True, validate=True)
         return signal.timestamps, signal.samples, signal.unit
 
     with opened:

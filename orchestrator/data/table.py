@@ -1,7 +1,7 @@
 r"""Reads columns of numbers from text files (CSV), Parquet files and MATLAB files.
 
 How a text file is written follows from the table [file] of its description, or else from its first rows, see
-`text_layout`. A missing sample is a gap, NaN. An incomplete row, such as the last one of a logger that lost
+`_Text`. A missing sample is a gap, NaN. An incomplete row, such as the last one of a logger that lost
 power, is an error. Messages name the file and the line (text) or the row (other files), counted from 1.
 Columns of a MATLAB file are vectors, fields of structs ("run.pressure"), columns of a matrix ("data(:,2)")
 and rows of a matrix with many columns ("data(2,:)").
@@ -16,9 +16,8 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -46,11 +45,9 @@ CHUNK = 5000  # rows of text converted at once, or cell by cell if one of them h
 MAX_LISTED_COLUMNS = 256  # a matrix with more columns is read by rows
 LINE_BREAK = re.compile(r"\r\n?|\n")
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", r"\s+": "white space"}
-FIRST_ROWS, FIRST_CELLS = 30, 200  # number of rows, and of their cells, from which a layout is detected
+FIRST_ROWS, FIRST_CELLS = 30, 200  # number of rows, and of their cells, that show how a file is written
 DAY, FIRST_DATE, LAST_DATE = 86400.0, 1e9, 1e11  # [s]; times in between are seconds since 1970
-CLOCK, DATED = "times of day", "dates and times of day"  # kinds of columns
 NUMBER = re.compile(r"([-+]?(?:\d[\d.,']*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|[%°].*)?")  # and its unit
-THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:[.,'\s]\d{3})+(?:[.,]\d+)?")
 GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= )")
 NAME_AND_UNIT = re.compile(r"(.*\S)(?: *\[([^][]+)\]| +\(([^()]+)\))", re.DOTALL)
 
@@ -74,32 +71,6 @@ class TextFormat:
     decimal: str | None = None
     skip_lines: Annotated[int, NOT_NEGATIVE] = 0
     skip_rows: Annotated[int | None, NOT_NEGATIVE] = None
-
-
-@dataclass(frozen=True)
-class TextLayout:
-    """How a text file is written.
-
-    form       without None
-    names      of the columns
-    units      of columns, in their names, the row of units or the cells
-    kinds      column -> the unit in its cells, `ONE` of Booleans, `CLOCK` or `DATED` of times
-    detected   what follows from the first rows, in words
-    """
-
-    form: TextFormat
-    names: Sequence[str]
-    units: Mapping[str, str]
-    kinds: Mapping[str, str]
-    encoding: str
-    detected: Sequence[str]
-
-    def __str__(self) -> str:
-        """All of it in one line."""
-        mark, decimals = self.form.delimiter, "commas" if self.form.decimal == "," else "points"
-        cells = f"cells separated by {DELIMITERS.get(str(mark), repr(mark))}, decimal {decimals}"
-        units, time = "units" if self.units else "no units", self.kinds.get(self.names[0], "numbers")
-        return f"{self.encoding}, {cells}, {units}, first column: {time}"
 
 
 @dataclass(frozen=True)
@@ -168,7 +139,7 @@ def column_names(source: Path) -> list[str]:
         return list(_read_parquet(file, None).values)
     if kind := logger_format(file):
         return list(_read_logger(file, kind, None).values)
-    return list(text_layout(file).names)
+    return _Text(file, TextFormat()).names
 
 
 def _read_logger(file: Location, kind: str, names: Collection[str] | None) -> Columns:
@@ -177,12 +148,6 @@ def _read_logger(file: Location, kind: str, names: Collection[str] | None) -> Co
         chosen = _column_indices(["time", *found], names, str(file))
         values, units = on_one_clock(file, {n: found[n] for n in chosen if n in found}, names is None)
     return Columns(str(file), values, range(1, 1 + len(next(iter(values.values()), ()))), "sample", units)
-
-
-def text_layout(file: Location | Path, form: TextFormat | None = None) -> TextLayout:
-    """How a text file with a row of names is written: as `form` states, or else as its first rows show."""
-    location = file if isinstance(file, Location) else Location(file)
-    return _Text(location, form or TextFormat()).opened()[0]
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -219,163 +184,112 @@ def time_axis(columns: Columns, name: str, unit: str = "", offset: float = 0.0) 
 def _read_text(
     file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool
 ) -> Columns:
-    layout, first, lines = _Text(file, form or TextFormat(), named).opened()
-    text = _Text(file, layout.form, named)
-    header, lines = text.without_last_delimiter(list(layout.names), lines)
-    indices = _column_indices(header, names, str(file), f"line {text.form.skip_lines + 1}: ")
-    kinds = {name: layout.kinds[header[k]] for name, k in indices.items() if header[k] in layout.kinds}
-    text = replace(text, kinds=kinds)
-    rows = text.rows(lines, first, len(header))
-    del lines
-    for number in list(islice(rows, layout.form.skip_rows)):
-        del rows[number]
-    if not rows:
-        raise Problem(f"{file}: expected two or more rows of numbers, got none")
-    text.check_widths(rows, len(header))
-    if layout.detected:
-        tell_once(f"{file}: read with {', '.join(layout.detected)}")
-    numbers, table = list(rows), np.empty((len(indices), len(rows)))
-    for start in range(0, len(rows), CHUNK):
-        part = {number: rows[number] for number in numbers[start : start + CHUNK]}
+    text = _Text(file, form or TextFormat(), named)
+    indices = _column_indices(text.names, names, str(file), f"line {text.form.skip_lines + 1}: ")
+    text.check_widths()
+    numbers, table = list(text.rows), np.empty((len(indices), len(text.rows)))
+    for start in range(0, len(numbers), CHUNK):
+        part = {number: text.rows[number] for number in numbers[start : start + CHUNK]}
         table[:, start : start + CHUNK] = text.parse_rows(part, indices).T
-    values, first_row = dict(zip(indices, table, strict=True)), text.cells(rows[numbers[0]])
-    for name in (n for n, kind in kinds.items() if kind == CLOCK):  # over midnight
+    values, first = dict(zip(indices, table, strict=True)), text.cells(text.rows[numbers[0]])
+    moments = {name: first[k].strip() for name, k in indices.items() if ":" in first[k]}
+    for name in (n for n, cell in moments.items() if ":" in cell[:3]):  # times of day, over midnight
         values[name] += DAY * np.cumsum(np.diff(values[name], prepend=values[name][0]) < -DAY / 2)
-    moments = {n: first_row[indices[n]].strip() for n, kind in kinds.items() if kind in (CLOCK, DATED)}
-    units = {name: layout.units[header[k]] for name, k in indices.items() if header[k] in layout.units}
+    units = {name: text.units[text.names[k]] for name, k in indices.items() if text.names[k] in text.units}
     return Columns(str(file), values, numbers, "line", units, moments)
 
 
-@dataclass(frozen=True)
 class _Text:
-    """Reader of a text file.
+    """A text file: how it is written follows from its format, or else from its first rows.
 
-    named   False if there is no row of names: the columns are "0", "1", ... of the first line
-    kinds   as in `TextLayout`, of the columns that are read
+    names       of the columns; without a row of names "0", "1", ... of the first line
+    units       of columns, in their names, in a row below them or in all cells
+    rows        those of numbers that are not blank, by the numbers of their lines, counted from 1
+    mark        the delimiter, None for any white space
+    decimal     a point or a comma
     """
 
-    file: Location
-    form: TextFormat
-    named: bool = True
-    kinds: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def delimiter(self) -> str:
-        return self.form.delimiter or ","
-
-    @cached_property
-    def mark(self) -> str | None:
-        """The delimiter, None for any white space."""
-        return self.delimiter if len(self.delimiter) == 1 else None
-
-    @cached_property
-    def decimal(self) -> str:
-        return self.form.decimal or "."
-
-    def place(self, key: str) -> str:
-        """Where the user can set a key of the format."""
-        return f"{key} in [file] of {self.file.path.with_suffix('.toml').name}"
-
-    def opened(self) -> tuple[TextLayout, int, list[str]]:
-        """The layout, and the number and the text of the lines after the names."""
-        text, encoding = self._text()
-        form = self.form
-        if not form.skip_lines and (of_excel := re.match(r"sep=([^\r\n])[\r\n]", text)):
-            form = replace(form, delimiter=form.delimiter or of_excel[1], skip_lines=1)
+    def __init__(self, file: Location, form: TextFormat, named: bool = True) -> None:
+        self.file, self.form = file, form
+        self.check_format()
+        text = self._text()
         breaks = [match.end() for match in islice(LINE_BREAK.finditer(text), form.skip_lines)]
         start = breaks[-1] if breaks else 0
         if len(breaks) < form.skip_lines or not text[start:].strip():
-            raise Problem(f"{self.file}: expected two or more rows of numbers, got an empty file")
-        self.check_format()
-        layout, end = replace(self, form=form).layout(text, start, encoding)
-        lines = text[end:].replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
-        if self.named:  # the rest of the line of names, which is empty
-            del lines[0]
-        return layout, len(LINE_BREAK.findall(text, 0, end)) + 1 + self.named, lines
-
-    def layout(self, text: str, start: int, encoding: str) -> tuple[TextLayout, int]:
-        """The layout of a text whose names begin at `start`, and the end of the names.
-
-        The delimiter is the one with which most cells are numbers, in rows that are as wide as the names.
-        """
-        form = self.form
+            raise Problem(f"{file}: expected two or more rows of numbers, got an empty file")
         marks = [form.delimiter] if form.delimiter else [m for m in DELIMITERS if m != form.decimal]
-        samples = {mark: self._first_rows(text, start, mark) for mark in marks}
-        fits = {mark: _count_numbers(*samples[mark][:2]) for mark in marks if len(samples[mark][0]) > 1}
-        delimiter = max(fits, key=fits.__getitem__, default="")
-        if not fits.get(delimiter) or delimiter == form.decimal:
-            delimiter = self.delimiter
-            self.check_delimiter(LINE_BREAK.split(text[start:], maxsplit=1)[0], form.skip_lines + 1)
-        names, rows, end = samples[delimiter]
-        if not self.named and rows and _is_heading(rows[0]):
-            got = f"got names: select columns by name, such as {rows[0][0]!r}, not by index"
-            raise Problem(f"{self.file}: line {form.skip_lines + 1}: expected numbers, {got}")
-        decimal = form.decimal or ("." if delimiter == "," else _decimal_mark(rows))
-        if not decimal and (comma := text.find(",", end)) >= 0:  # the first rows have integers only
-            line = text[text.rfind("\n", 0, comma) + 1 :].split("\n", 1)[0]
-            decimal = _decimal_mark([line.split(delimiter if len(delimiter) == 1 else None)])
-        headings = next((k for k, row in enumerate(rows) if not _is_heading(row)), 0) if self.named else 0
-        known = [row for row in rows[:headings] if any(map(is_unit, filter(None, row)))]
-        (unit_row, *_) = [*known, *rows[:headings], []] if form.skip_rows is None else [[]]
-        units = {name: unit for name in names if (unit := split_unit(name)[1])}
-        units |= {name: _unwrapped(unit) for name, unit in zip(names, unit_row, strict=False) if unit}
-        headings = headings if form.skip_rows is None else form.skip_rows
-        columns = {name: [row[k] for row in rows[headings:] if k < len(row)] for k, name in enumerate(names)}
-        kinds = {name: kind for name, cells in columns.items() if (kind := _kind(cells))}
-        in_cells = {name: kind for name, kind in kinds.items() if kind not in (CLOCK, DATED)}
-        detected = {
-            f"cells separated by {DELIMITERS.get(delimiter)}": not form.delimiter and delimiter != ",",
-            "decimal commas": not form.decimal and decimal == ",",
-            "a row of units (skip_rows leaves it out)": bool(unit_row),
-            "units in the cells": bool({*in_cells.values()} - {ONE}),
-            CLOCK: CLOCK in kinds.values(),
-            DATED: DATED in kinds.values(),
+        fits = {mark: _count_values(text, start, mark) for mark in marks}
+        self.delimiter = max(fits, key=fits.__getitem__) if any(fits.values()) else form.delimiter or ","
+        self.mark = self.delimiter if len(self.delimiter) == 1 else None
+        if not any(fits.values()) or self.delimiter == form.decimal:
+            self.check_delimiter(LINE_BREAK.split(text[start:], maxsplit=1)[0])
+        names, end = _cells(text, self.mark, start)
+        self.names = names[:-1] if names[1:] and not names[-1] else names  # of a delimiter at the end
+        if not named and _is_heading(names):
+            got = f"got names: select columns by name, such as {names[0]!r}, not by index"
+            raise Problem(f"{file}: line {form.skip_lines + 1}: expected numbers, {got}")
+        if not named:
+            self.names, end = [str(i) for i in range(len(self.names))], start
+        lines = text[end:].replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
+        if named:  # the rest of the line of names, which is empty
+            del lines[0]
+        self.rows = self._rows(lines, len(LINE_BREAK.findall(text, 0, end)) + 1 + named)
+        has_comma = self.delimiter != "," and text.find(",", end) >= 0
+        self.decimal = form.decimal or (self._decimal() if has_comma else ".")
+        first = [self.cells(row) for row in islice(self.rows.values(), FIRST_ROWS)]
+        has_units = named and form.skip_rows is None and _is_heading(*first[:1])
+        self.units = {name: unit for name in self.names if (unit := split_unit(name)[1])}
+        if has_units:
+            self.units |= {n: _unwrapped(unit) for n, unit in zip(self.names, first[0], strict=False) if unit}
+        skipped = int(has_units) if form.skip_rows is None else form.skip_rows
+        for number in list(islice(self.rows, skipped)):
+            del self.rows[number]
+        if not self.rows:
+            raise Problem(f"{file}: expected two or more rows of numbers, got none")
+        for k, name in enumerate(self.names):
+            if unit := _unit_of([row[k].strip() for row in first[skipped:] if k < len(row)]):
+                self.units[name] = unit
+        found = {
+            f"cells separated by {DELIMITERS.get(self.delimiter)}": self.delimiter != (form.delimiter or ","),
+            "decimal commas": self.decimal != (form.decimal or "."),
+            "a row of units": has_units,
         }
-        form = replace(form, delimiter=delimiter, decimal=decimal or ".", skip_rows=headings)
-        told = [words for words, is_so in detected.items() if is_so]
-        return TextLayout(form, names, {**units, **in_cells}, kinds, encoding, told), end
+        if told := ", ".join(words for words, is_so in found.items() if is_so):
+            tell_once(f"{file}: read with {told}")
 
-    def _first_rows(self, text: str, start: int, delimiter: str) -> tuple[list[str], list[list[str]], int]:
-        """The names, the cells of the first rows that are not blank, and the end of the names."""
-        mark = delimiter if len(delimiter) == 1 else None
-        line_break = LINE_BREAK.search(text, start)
-        end = line_break.start() if line_break else len(text)
-        names, end = _cells(text, mark, start) if mark else (text[start:end].split(), end)
-        if not self.named:
-            names, end = [str(i) for i in range(len(names))], start
-        last = next(islice(LINE_BREAK.finditer(text, end), FIRST_ROWS, None), None)
-        lines = LINE_BREAK.split(text[end : last.start() if last else None])[self.named :]
-        filled = [line for line in lines if line.strip(" \t" + (mark or ""))]
-        return names, [_cells(line, mark)[0] if mark else line.split() for line in filled], end
+    def place(self, key: str) -> str:
+        """Where the user can set a key of the format."""
+        return f"set {key} in [file] of {self.file.path.with_suffix('.toml').name}"
 
-    def _text(self) -> tuple[str, str]:
-        """The text, and its encoding."""
+    def _decimal(self) -> str:
+        """The last mark in the first number that has one."""
+        numbers = (NUMBER.fullmatch(cell.strip()) for row in self.rows.values() for cell in self.cells(row))
+        return next((max(".,", key=n[1].rfind) for n in numbers if n and {*".,"} & {*n[1]}), ".")
+
+    def _text(self) -> str:
         data = self.file.read(MAX_BYTES)
         wide = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}.get(data[:2])
         wide = wide or ("utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else None)
         try:
-            text, encoding = data.decode(wide or "utf-8-sig"), (wide or "utf-8").upper()
+            text = data.decode(wide or "utf-8-sig")
             if wide:
-                tell_once(f"{self.file}: read as {encoding}")
+                tell_once(f"{self.file}: read as {wide.upper()}")
         except UnicodeDecodeError as error:
             line, byte = data[: error.start].count(b"\n") + 1, data[error.start]
             got = f"expected text in UTF-8, got the byte 0x{byte:02x}"
             try:
-                text, encoding = data.decode("cp1252"), "Windows-1252"
+                text = data.decode("cp1252")
             except UnicodeDecodeError:
                 raise Problem(f"{self.file}: line {line}: {got}") from None
-            tell_once(f"{self.file}: line {line}: {got}; read as {encoding}")
+            tell_once(f"{self.file}: line {line}: {got}; read as Windows-1252")
         if self.file.path.name.endswith(PARTIAL):  # the last row is cut if the run was killed
             text = text[: text.rfind("\n") + 1]
-        return text, encoding
+        return text
 
-    def rows(self, lines: Sequence[str], first: int, width: int) -> dict[int, str | list[str]]:
-        """The rows that are not blank, by the numbers of their lines; as cells if any has quotes (RFC 4180).
+    def _rows(self, lines: Sequence[str], first: int) -> dict[int, str | list[str]]:
+        """The rows after the number `first` of a line; as cells if any has quotes (RFC 4180).
 
         A quoted cell may have line breaks. One that goes on over whole rows lacks a quote.
-
-        first   number of the first line
-        width   cells of a row
         """
         mark, blank = self.mark, " \t" + (self.mark or "")
         if not mark or not any('"' in line for line in lines):
@@ -386,7 +300,7 @@ class _Text:
         try:
             for cells in reader:
                 inside, endless = lines[begin + 1 : reader.line_num], begin < len(lines) < reader.line_num
-                if endless or any(line.count(mark) >= width - 1 for line in inside):
+                if endless or any(line.count(mark) >= len(self.names) - 1 for line in inside):
                     got = "none in the file" if endless else "none before the next row"
                     raise csv.Error(f"a quoted cell: expected its end, got {got}")
                 if "".join(lines[begin : begin + 1]).strip(blank):
@@ -398,42 +312,33 @@ class _Text:
 
     def check_format(self) -> None:
         """Refuse an invalid delimiter or decimal mark."""
-        if self.decimal not in (".", ","):
-            raise Problem(f"{self.file}: [file] decimal: expected '.' or ',', got {self.decimal!r}")
-        if self.delimiter in ('"', "\r", "\n") or (not self.mark and self.delimiter != r"\s+"):
-            expected = "expected one character such as ';'"
-            raise Problem(f"{self.file}: [file] delimiter: {expected}, got {self.delimiter!r}")
+        if self.form.decimal not in (".", ",", None):
+            raise Problem(f"{self.file}: [file] decimal: expected '.' or ',', got {self.form.decimal!r}")
+        mark = self.form.delimiter or ","
+        if mark in ('"', "\r", "\n") or (len(mark) != 1 and mark != r"\s+"):
+            raise Problem(f"{self.file}: [file] delimiter: expected one character such as ';', got {mark!r}")
 
-    def check_delimiter(self, line: str, number: int) -> None:
+    def check_delimiter(self, line: str) -> None:
         """Refuse a delimiter that is the decimal mark, too, or not in the row of names."""
         origin = "the default" if self.form.delimiter is None else "as set"
-        if self.delimiter == self.decimal:
-            remedy = self.place('set delimiter = ";"')
-            got = f"{self.delimiter!r} ({origin}): {remedy}"
-            expected = "expected another character than the decimal mark"
-            raise Problem(f"{self.file}: [file] delimiter: {expected}, got {got}")
+        if self.delimiter == self.form.decimal:
+            remedy = self.place('delimiter = ";"')
+            expected = f"expected another character than the decimal mark, got {self.delimiter!r} ({origin})"
+            raise Problem(f"{self.file}: [file] delimiter: {expected}: {remedy}")
         other = next((mark for mark in ";\t," if mark in line), "")
         if self.mark and self.mark not in line and other:
             escaped = other.replace("\t", r"\t")
-            hint = self.place(f'set delimiter = "{escaped}"')
+            hint = self.place(f'delimiter = "{escaped}"')
             expected = f"expected cells separated by {self.delimiter!r} ({origin})"
-            raise Problem(f"{self.file}: line {number}: {expected}, got {other!r}: {hint}")
+            raise Problem(f"{self.file}: line {self.form.skip_lines + 1}: {expected}, got {other!r}: {hint}")
 
-    def without_last_delimiter(self, header: list[str], lines: list[str]) -> tuple[list[str], list[str]]:
-        """Names and lines without the delimiter at the end of each line, which some tools write."""
-        mark, filled = self.mark, [line.rstrip() for line in lines if line.strip()]
-        if not mark or not filled or not all(line.endswith(mark) for line in filled):
-            return header, lines
-        names, last = header[:-1] if header[-1] == "" else header, len(_cells(filled[0], mark)[0]) - 1
-        without = [line.rstrip().removesuffix(mark) for line in lines]
-        return (names, without) if last == len(names) else (header, lines)
-
-    def check_widths(self, rows: Mapping[int, str | list[str]], width: int) -> None:
-        """Refuse a row with fewer or more cells than the row of names."""
-        for number, row in rows.items():
+    def check_widths(self) -> None:
+        """Refuse a row with fewer or more cells than the row of names, but for an empty one at the end."""
+        width = len(self.names)
+        for number, row in self.rows.items():
             plain = self.mark and isinstance(row, str)
             cells = row.count(self.mark) + 1 if plain else len(self.cells(row))  # type: ignore[arg-type]
-            if cells != width:
+            if cells != width and (cells != width + 1 or self.cells(row)[-1].strip()):
                 hint = ": is a comma inside a number?" if self.mark == "," and cells > width else ""
                 raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}{hint}")
 
@@ -443,7 +348,7 @@ class _Text:
 
     def parse_rows(self, rows: Mapping[int, str | list[str]], indices: Mapping[str, int]) -> Array:
         """Convert the columns `indices` of rows, by the numbers of their lines; shape (rows, columns)."""
-        columns, point = list(indices.values()), "," if self.decimal == "," else "."
+        columns, point = list(indices.values()), self.decimal
         lines = [row.replace(point, ".") for row in rows.values() if isinstance(row, str)]
         mixed = point == "," and any("." in (r if isinstance(r, str) else "".join(r)) for r in rows.values())
         with suppress(ValueError):  # a gap, or a cell that is not a number
@@ -458,95 +363,78 @@ class _Text:
         for i, (number, row) in enumerate(rows.items()):
             cells_of_row = self.cells(row)
             for j, (name, index) in enumerate(indices.items()):
-                table[i, j] = self.parse_cell(cells_of_row[index], number, name)
+                table[i, j] = self.parse_cell(cells_of_row[index].strip(), number, name, index)
         return table
 
-    def parse_cell(self, cell: str, line: int, column: str) -> float:
-        """The number in a cell, NaN for a gap."""
-        kind, comma = self.kinds.get(column, ""), self.decimal == ","
-        number = cell.strip().removesuffix(kind if kind != ONE else "")
-        if kind in (CLOCK, DATED):
+    def parse_cell(self, cell: str, line: int, column: str, index: int) -> float:
+        """The number in a cell, with or without the unit of its column; NaN for a gap."""
+        match, unit, comma = NUMBER.fullmatch(cell), self.units.get(self.names[index]), self.decimal == ","
+        number = match[1] if match and match[2] == unit else cell
+        if ":" in number:
             value = _moment(number)
-        elif (comma and "." in number) or (kind != ONE and number.lower() in WORDS):
+        elif (comma and "." in number) or (unit != ONE and number.lower() in WORDS):
             value = None
         else:
             value = _number(number.replace(",", ".") if comma else number)
         if value is None:
-            match, expected, hint = (
-                NUMBER.fullmatch(number),
-                kind if kind in (CLOCK, DATED) else "a number",
-                "",
-            )
-            if THOUSANDS.fullmatch(number) or (comma and match and not match[2]):
-                mark = "comma" if comma else "point"
-                expected = f"a number with a decimal {mark} and no thousands separator"
-                hint = f": export it so, or {self.place('set decimal')}"
-            elif not comma and _number(number.replace(",", ".")) is not None:
-                hint = ": " + self.place('set decimal = ","')
-            elif match:
-                hint = ": units are read if all cells of the column have the same"
-            elif ":" in number and not kind:
+            expected = hint = ""
+            if {*number} <= {*"+-0123456789.,' \xa0"}:
+                expected = f" with a decimal {'comma' if comma else 'point'} and no thousands separator"
+                hint = f": export it so, or {self.place('decimal')}"
+            elif "/" in number or ":" in number:
                 hint = ": a time is like 2026-03-02T08:15:00.050 or 08:15:00,050"
-            where, got = f"{self.file}: line {line}: column {column!r}", repr(shortened(cell.strip()))
-            raise Problem(f"{where}: expected {expected}, got {got}{hint}")
+            where = f"{self.file}: line {line}: column {column!r}"
+            raise Problem(f"{where}: expected a number{expected}, got {shortened(cell)!r}{hint}")
         return value
 
 
 def _moment(cell: str) -> float | None:
-    """A date and time [s] since 1970, or a time of day [s]; NaN for a gap, None for other texts."""
+    """A date and time [s] since 1970, or a time of day [s]; None for other texts."""
     text = GERMAN_DATE.sub(lambda day: f"{day[3]}-{day[2]:0>2}-{day[1]:0>2}", cell)
     text = f"1970-01-01 {'0' * (text[1] == ':')}{text}" if ":" in text[1:3] else text
-    if ":" not in text:
-        return math.nan if cell.lower() in GAP_MARKS else None
     with suppress(ValueError):
         moment = datetime.fromisoformat(text)
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     return None
 
 
-def _kind(cells: Sequence[str]) -> str:
-    """The kind of a column, see `TextLayout`, or "": of times that of the first cell, else that of all."""
-    filled = [cell for cell in cells if cell.lower() not in GAP_MARKS]
-    if filled and _moment(filled[0]) is not None:
-        return CLOCK if ":" in filled[0][:3] else DATED
-    if filled and all(cell.lower() in WORDS for cell in filled):
-        return ONE
-    numbers = [NUMBER.fullmatch(cell) for cell in filled]
-    units = {(number[2] or "").strip() if number else "" for number in numbers}
-    unit = units.pop() if len(units) == 1 else ""
-    return unit if unit and is_unit(unit) else ""
-
-
 def _is_value(cell: str) -> bool:
-    return (
-        bool(NUMBER.fullmatch(cell)) or cell.lower() in WORDS or (":" in cell and _moment(cell) is not None)
-    )
+    is_time = ":" in cell and _moment(cell) is not None
+    return is_time or bool(NUMBER.fullmatch(cell)) or cell.lower() in WORDS
 
 
-def _is_heading(row: Sequence[str]) -> bool:
+def _count_values(text: str, start: int, delimiter: str) -> int:
+    """The number of numbers and times in the first rows that are as wide as the names at `start`."""
+    mark = delimiter if len(delimiter) == 1 else None
+    names, end = _cells(text, mark, start)
+    last = next(islice(LINE_BREAK.finditer(text, end), FIRST_ROWS, None), None)
+    rows = [_cells(r, mark)[0] for r in LINE_BREAK.split(text[end : last and last.start()])[1:]]
+    # an empty last cell is that of a delimiter at the end
+    wide = [row for row in rows if len(row) in (len(names), len(names) + (not row[-1]))]
+    return sum(map(_is_value, (cell for row in wide for cell in row[:FIRST_CELLS]))) if names[1:] else 0
+
+
+def _is_heading(row: Sequence[str] = ()) -> bool:
     """Is this a row of texts? Next to other units the dimensionless unit 1 is one, too."""
-    cells = [cell for cell in row if cell.lower() not in GAP_MARKS]
-    texts = [cell for cell in cells if not _is_value(cell)]
-    ones = len(texts) + cells.count("1") == len(cells)
-    return bool(texts) and (len(texts) == len(cells) or (ones and any(map(is_unit, texts))))
+    cells = {cell.strip() for cell in row if cell.strip().lower() not in GAP_MARKS}
+    texts = {cell for cell in cells if not _is_value(cell)}
+    return bool(texts) and (texts == cells or (texts == cells - {"1"} and any(map(is_unit, texts))))
 
 
 def _unwrapped(unit: str) -> str:
     """A unit without the brackets around it."""
+    unit = unit.strip()
     return unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
 
 
-def _count_numbers(names: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
-    """The number of numbers and times in rows that are as wide as the names, but for an empty last cell."""
-    wide = [r for r in rows if len(r) == len(names) or (len(r) == len(names) + 1 and not r[-1])]
-    return sum(map(_is_value, (cell for row in wide for cell in row[:FIRST_CELLS])))
-
-
-def _decimal_mark(rows: Sequence[Sequence[str]]) -> str:
-    """A comma if it is the last mark in any number; else a point if there is one; else ""."""
-    numbers = [match[1] for row in rows for cell in row if (match := NUMBER.fullmatch(cell.strip()))]
-    marks = {max(".,", key=number.rfind) for number in numbers if {*".,"} & {*number}}
-    return "," if "," in marks else "." if marks else ""
+def _unit_of(cells: Sequence[str]) -> str:
+    """The unit behind the numbers in all cells but gaps, that of Booleans, or ""."""
+    numbers = [NUMBER.fullmatch(cell) for cell in cells if cell.lower() not in GAP_MARKS]
+    if numbers and all(cell.lower() in {*WORDS, *GAP_MARKS} for cell in cells):
+        return ONE
+    units = {number[2] if number else None for number in numbers}
+    unit = units.pop() if len(units) == 1 else None
+    return unit if unit and is_unit(unit) else ""
 
 
 def _column_indices(
@@ -570,12 +458,16 @@ def _column_indices(
     return {name: index[name] for name in selected}
 
 
-def _cells(text: str, mark: str, start: int = 0) -> tuple[list[str], int]:
+def _cells(text: str, mark: str | None, start: int = 0) -> tuple[list[str], int]:
     """The cells of a row from `start` on, and the index of its end, a line break that is not quoted.
 
     White space around a cell is stripped, unless it is inside quotes. A quote inside an unquoted cell counts
     as text.
     """
+    if mark is None:
+        line_break = LINE_BREAK.search(text, start)
+        line = text[start : line_break and line_break.start()]
+        return line.split() or [""], start + len(line)
     end = re.escape(mark)
     quoted = rf' *"([^"]*+(?:""[^"]*+)*+)" *(?=[{end}\r\n]|\Z)'
     cell = re.compile(rf"{quoted}|([^{end}\r\n]*)")

@@ -46,7 +46,7 @@ NAMED = {
             ROW % 500 == 9, -9999, np.where(ROW % 400 == 7, 65535, np.where(ROW % 450 == 7, 65534, NOISY))
         ),
         SignalDescription("bar"),
-        r"13 samples .* invalid = \[65534, 65535, -9999\]",
+        r"13 samples .* invalid = \[-9999, 65534, 65535\]",
     ),
     "code of counts": (
         np.where(ROW % 700 == 5, 65535, np.round(100 * NOISY)),

@@ -132,21 +132,21 @@ def zipped(name):
 
 
 FOREIGN = {
-    "log.mcap": (b"\x89MCAP0\r\n\x01" + bytes(90), "MCAP: export its topics as CSV, such as by Foxglove"),
+    "log.mcap": (b"\x89MCAP0\r\n\x01" + bytes(90), "MCAP: export its topics as CSV"),
     "log.bag": (b"#ROSBAG V2.0\n" + bytes(90), "a ROS bag: export"),
-    "log.blf": (b"LOGG\x90\0\0\0" + bytes(136), "BLF (Vector): decode it with the DBC file"),
+    "log.blf": (b"LOGG\x90\0\0\0" + bytes(136), "BLF or ASC (Vector): decode it with the DBC file"),
     "log.asc": (
         b"date Tue Nov 24 10:11:12.000 am 2026\r\nbase hex  timestamps absolute\r\n0.01 1 CF00400x Rx d\r\n",
-        "ASC (Vector): decode it with the DBC file",
+        "BLF or ASC (Vector): decode it with the DBC file",
     ),
     "log.log": (b"(1790000000.000100) vcan0 0CF00400#F07D7D80\n", "candump: decode it with the DBC file"),
     "log.txt": (b"  can1  18FEF100   [8]  00 11 22 33 44 55 66 77\n", "candump: decode it"),
     "log.trc": (b";$FILEVERSION=1.1\r\n", "a PCAN trace: decode it"),
     "log.dat": (b"MDF     3.30    TGT 15.0" + bytes(200), "MDF 3: save it as MDF 4, such as by asammdf"),
     "log.xlsx": (zipped("[Content_Types].xml"), "Excel: save the sheet as CSV"),
-    "log.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90), "Excel 97: save the sheet as CSV"),
-    "log.zip": (zipped("log.csv"), "a zip archive (.zip, .fmu, .ssp): unpack the file with the data"),
-    "log.csv.gz": (gzip.compress(b"time,x\n0,1\n1,2\n"), "a compressed file: unpack it"),
+    "log.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90), "Excel: save the sheet as CSV"),
+    "log.zip": (zipped("log.csv"), "an archive: unpack it"),
+    "log.csv.gz": (gzip.compress(b"time,x\n0,1\n1,2\n"), "an archive: unpack it"),
     "log.csv": (b"PAR1\x15\x04" + bytes(90), "Parquet: name it .parquet"),
 }
 

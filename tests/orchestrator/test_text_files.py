@@ -8,7 +8,6 @@ from kit.mistakes import problem, table
 from fmus.identification.recordings.reading import read_series
 from orchestrator import Trace, assemble, read_recording, read_trace, run, write_trace
 from orchestrator.base import files
-from orchestrator.data.table import text_layout
 from orchestrator.engine.scenario import drive
 
 
@@ -160,16 +159,6 @@ def test_a_recording_without_a_description_may_have_gaps(tmp_path):
     path.write_text("\n".join(["time,u", *rows]) + "\n", encoding="utf-8")
     assert np.isnan(read_recording(path)["u"]).sum() == sum(1 for k in range(300) if k % 100 and k % 9 == 0)
     problem(lambda: read_trace(path), "line 10: column 'u': expected a number, got none")
-
-
-def test_the_layout_is_one_line(tmp_path):
-    """Of a German export with a row of units and a clock."""
-    path = tmp_path / "log.csv"
-    path.write_text("Zeit;Öl\n;bar\n08:15:00,0;1,5\n08:15:00,1;1,5\n", encoding="cp1252")
-    layout = text_layout(path)
-    cells = "cells separated by semicolons, decimal commas, units"
-    assert str(layout) == f"Windows-1252, {cells}, first column: times of day"
-    assert (layout.form.skip_rows, dict(layout.units)) == (1, {"Öl": "bar"})
 
 
 def test_a_column_in_another_unit_drives_its_input(fmus: Workshop, tmp_path):

@@ -15,17 +15,17 @@ import numpy as np
 
 from fmus.identification.recordings.masks import noise, step
 from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.reading import CONDITIONS, MACHINE, MACHINE_SIGNALS, REST, USUAL
+from fmus.identification.recordings.reading import CONDITIONS, MACHINE, MACHINE_SIGNALS, REST
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import write_whole
 from orchestrator.base.signals import bare_name
 from orchestrator.base.text import TextTable, first_names
-from orchestrator.base.units import COMMON, NEAR, convert, in_reader_unit, parse_unit, reader_unit, si_unit
+from orchestrator.base.units import COMMON, convert, parse_unit, si_unit
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
-from orchestrator.data.table import Array, Columns, column_names, is_unit, read_columns, time_axis
+from orchestrator.data.table import Columns, column_names, is_unit, read_columns, time_axis
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
 SENSORS: Mapping[str, Sequence[str]] = {
@@ -98,7 +98,7 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         extent = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "no number"
         faults = [f"{cause} {100 * share:.2g} %" for cause, (share, _) in signal.unused.items() if share]
         found = ", ".join([*faults, *["constant"] * (signal.low == signal.high)])
-        names, may_be = _candidates(column, unit, finite, sensors)
+        names, may_be = _candidates(column, unit, sensors)
         name = next((n for n in names if n not in proposed), "NAME")
         proposed.add(name)
         rows.append((column, unit or "?", extent, found, may_be or names[0]))
@@ -168,9 +168,7 @@ def _sensors(procedure: str) -> Mapping[str, Sequence[str]]:
     return {unit: [name for name, u in signals.items() if u == unit] for unit in signals.values()}
 
 
-def _candidates(
-    column: str, unit: str, values: Array, sensors: Mapping[str, Sequence[str]]
-) -> tuple[Sequence[str], str]:
+def _candidates(column: str, unit: str, sensors: Mapping[str, Sequence[str]]) -> tuple[Sequence[str], str]:
     """The signals that a column may be by name and unit, and a text of them; "" if it has their name."""
     groups = {u: n for u, n in sensors.items() if parse_unit(u).exponents == parse_unit(unit).exponents}
     names = [name for group in (groups or sensors).values() for name in group]
@@ -184,7 +182,4 @@ def _candidates(
     if best > 0 or groups:
         names = [name for name in names if score[name] == best or best <= 0]
         return names, first_names(names)
-    usual = {u: [in_reader_unit(size, u) for size in USUAL[u]] for u in sensors if u in USUAL and not unit}
-    largest = float(np.max(np.abs(values), initial=0.0))
-    near = [reader_unit(u) for u, (low, high) in usual.items() if low / NEAR <= largest <= high * NEAR]
-    return [], f"anything in {', '.join(near)}" if near else "anything"
+    return [], "anything"
