@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kit.any_fmu.outcome import MASTERS
 from kit.mistakes import table
 from scipy.linalg import expm
 
@@ -10,6 +11,7 @@ from orchestrator.base.files import Location
 from orchestrator.engine.masters import gauss_seidel_order
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.interface import FmuInterface, read_interface
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.dependencies import output_order
 from orchestrator.ssp.system import Component, Connection, Port, System
 
@@ -58,6 +60,23 @@ def test_driven_inputs_move_inside_both_halves_of_a_step_of_two_seconds(each):
     ramp = Trace(np.array([0.0, 2.0]), {"u": np.array([0.0, 2.0])})
     trace = run(system, ramp, step=2.0, factors={"sum": 2}).trace
     assert trace["sum.y"][-1] == pytest.approx(2.0, abs=1e-12)  # as above
+
+
+@pytest.mark.parametrize("master", [*MASTERS, Coupling("gauss-seidel", 3)])
+def test_a_factor_at_a_connection_only_scales(fmus, master):
+    """A spring of a quarter of the stiffness, between two factors of 2, is the same spring, to the bit."""
+    files = {
+        n: fmus.make(m, f"{n}_True", interpolates=True) for n, m in (("mass", "mass_b"), ("spring", "spring"))
+    }
+
+    def moved(factor):
+        wires = [("spring.force", "mass.force", factor, 0), ("mass.v", "spring.v", factor, 0)]
+        start = {"mass.spring": 0.0, "spring.stiffness": 100.0 / factor**2}
+        return run(assemble(files, wires, start), master=master, step=1e-2, stop=0.2)
+
+    one, two = moved(1.0), moved(2.0)
+    np.testing.assert_array_equal(two["mass.v"], one["mass.v"])
+    np.testing.assert_array_equal(two["spring.stretch"], 2 * one["spring.stretch"])
 
 
 def test_jacobi_is_what_it_should_be(oscillator):
