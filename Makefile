@@ -32,14 +32,14 @@ test: $(TESTING)
 	$(PYTEST)
 
 # the long tests, in shards (tests/kit/shards.py): all of them, or `make test-browser`, `make test-c`
-test-long: test-documents test-fresh test-tools test-platforms test-c test-browser test-faults test-machine test-search
+test-long: test-documents test-fresh test-tools test-platforms test-c test-browser test-faults test-machine test-targets test-search
 
 # other examples in each run; with SEED=1 the same
 test-search: $(TESTING)
 	$(PYTEST) -m "long(shard='search') or hypothesis" --hypothesis-profile=search $(SEED:%=--hypothesis-seed=%)
 
 # a clone is installed, built and tried in one test
-test-fresh: PYTEST += -o faulthandler_timeout=7000
+test-fresh test-targets: PYTEST += -o faulthandler_timeout=7000
 test-%: $(TESTING)
 	$(PYTEST) -m "long(shard='$*')"
 

@@ -39,7 +39,7 @@ ELSEWHERE = {
     "demo": "test_the_commands_of_readme_after_make_demo",
     "docs": "test_make_docs_needs_nothing_else",
     "release": "test_the_wheel_alone",
-    "test-long": "each of its shards is a run of .ci/run",
+    "test-long": "all shards",
     "bench-sensitivities": "20 minutes without a smaller form; its packages are those of bench",
     "mutants": "two hours; tests/documents/test_package.py imports it",
     "pages": "an hour; the shard documents runs what it calls",
@@ -80,7 +80,7 @@ def test_every_target_of_the_makefile_has_a_trial():
     assert targets - {*tried, *ELSEWHERE} == set()
 
 
-@shards.fresh
+@shards.targets
 @SLOW
 @pytest.mark.parametrize("installation", TRIED)
 def test_targets_run_in_a_fresh_clone(installation, clone):
@@ -91,7 +91,7 @@ def test_targets_run_in_a_fresh_clone(installation, clone):
         print(f"make {target}: {perf_counter() - begin:.0f} s")
 
 
-@shards.fresh
+@shards.targets
 @SLOW
 def test_the_commands_of_readme_after_make_demo(clone):
     """In order, with what `make demo` has installed and built."""

@@ -15,9 +15,10 @@ SHARDS = {
     "browser": "pages in Chromium",
     "faults": "FMUs and files that misbehave, processes that are killed, full disks",
     "machine": "simulations and estimates that take seconds: whole work cycles, every variant",
+    "targets": "each target of the Makefile, README after make demo; .ci/run has no time for it",
     "search": "products of cases, many seeds, and each property with ten times as many examples",
 }
-documents, fresh, tools, platforms, c, browser, faults, machine, search = (
+documents, fresh, tools, platforms, c, browser, faults, machine, targets, search = (
     pytest.mark.long(shard=name) for name in SHARDS
 )
 

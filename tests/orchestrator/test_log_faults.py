@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -166,3 +167,36 @@ def test_samples_far_outside_the_span_do_not_drive_a_simulation():
     long = replace(made, signals={"supply": np.where((ROW > 100) & (ROW < 130), 6553.5, supply)})
     with pytest.raises(Problem, match=r"supply: expected gaps of at most 0\.1 s, got one from 0\.505 s"):
         fill_gaps(long, "supply")
+
+
+@pytest.mark.parametrize(("value", "kept"), [(415.0, True), (425.0, False), (-15.0, True), (-25.0, False)])
+def test_a_twentieth_of_the_span_beyond_its_ends_is_noise(value, kept):
+    """The span is 0 to 400 bar."""
+    supply = np.full(100, 200.0)
+    supply[50] = value
+    made = Recording(np.arange(100) / 200, {"supply": supply}, {"supply": "Pa"}, Path("log.csv"),
+                     sensors={"supply": Sensor(low=0.0, high=400.0)})  # fmt: skip
+    assert fill_gaps(made, "supply")[50] == (value if kept else 200.0)
+
+
+@pytest.mark.parametrize(("off", "is_code"), [(1e-10, True), (1e-8, False)])
+def test_a_code_may_be_rounded_by_its_scale(off, is_code):
+    """To a billionth: 0.1 times 65535 is not 6553.5."""
+    raw = np.array([1.0, 6553.5 * (1 + off), 2.0])
+    assert np.isnan(corrected(raw, raw, SignalDescription("bar", invalid=(6553.5,)))[1]) == is_code
+
+
+@pytest.mark.parametrize(
+    ("raw", "named"),
+    [
+        (held(NOISY, 10)[:220], True),  # twenty values whose first and last row are in the log
+        (held(NOISY, 10)[:210], False),
+        (np.where(ROW % 25 == 5, 6553.5, NOISY), True),  # 4 % of the samples
+        (np.where(ROW % 16 == 5, 6553.5, NOISY), False),  # 6 %
+        (0.5 * ROW % 330, True),  # jumps of 0.92 turns
+        (0.5 * ROW % 320, False),  # of 0.89
+    ],
+)
+def test_both_sides_of_what_is_named(raw, named):
+    """Few values, frequent codes and other jumps may be the signal itself."""
+    assert len([*log_faults(raw, DEG)]) == named
