@@ -19,7 +19,6 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -32,6 +31,7 @@ from fmus.contract import (
     Terminal,
     column,
     make_group,
+    nested,
     no_event,
     quantities,
     stack,
@@ -301,7 +301,7 @@ def _derived(subsystems: Mapping[str, Subsystem], flat: FlatNames, p: Any) -> di
     derived: dict[str, Scalar] = {}
     for component, sub in subsystems.items():
         parameters = quantities(sub.parameters)
-        local = SimpleNamespace(**{n: getattr(p, flat[f"{component}.{n}"]) for n in parameters})
+        local = nested(sub.parameters, {n: getattr(p, flat[f"{component}.{n}"]) for n in parameters})
         derived |= {flat[f"{component}.{n}"]: value for n, value in sub.derive(local).items()}
     return derived
 

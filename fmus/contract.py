@@ -49,6 +49,8 @@ class Quantity:
     warn_below   inputs and outputs: value below which it logs a warning likewise
     meaning      inputs and outputs: what a value beyond its limit means, as the end of the warning
     group        parameters only: heading in documentation; default: heading of the previous parameter
+    warmed       parameters only: exponents of the ratios of viscosity and density in the factor by which a
+                 temperature of the oil changes the value (`components.oil`)
     value        parameter or start value, for a subsystem without parameters.toml
     listed       parameters only, with a name such as point_3: description of the list points in
                  parameters.toml, of which this is an entry
@@ -69,6 +71,7 @@ class Quantity:
     listed: str = ""
     optional: str = ""
     meaning: str = ""
+    warmed: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("unit", "text", "group", "listed", "optional", "meaning"):
@@ -94,8 +97,8 @@ class Quantity:
         """Absolute tolerance of the error control, divided by its relative tolerance."""
         return self.nominal if self.absolute is None else self.absolute
 
-    def of(self, prefix: str, owner: str) -> Quantity:
-        """The quantity with `owner` for "{}" in text and heading, and the prefix in the name of its rate."""
+    def of(self, owner: str, named: Callable[[str], str]) -> Quantity:
+        """The quantity with `owner` for "{}" in text and heading, and the other name of its rate."""
         heading = self.group.replace("{}", owner)
         return replace(
             self,
@@ -104,7 +107,7 @@ class Quantity:
             optional=self.optional.replace("{}", owner),
             meaning=self.meaning.replace("{}", owner),
             group=heading[:1].upper() + heading[1:],
-            rate=self.rate and f"{prefix}_{self.rate}",
+            rate=self.rate and named(self.rate),
         )
 
 
@@ -116,41 +119,72 @@ class Group:
             pressure: Scalar = Quantity("Pa", "Pressure of the chamber", 1e7)
 
     A group is a frozen dataclass with keyword arguments. It inherits the fields of its base groups.
-    Quantities that are needed several times are declared once and inserted with a prefix, before the fields
-    of the class:
+    Groups contain groups, before the fields of the class itself:
 
-        class Parameters(Group, boom=Cylinder, stick=Cylinder):      boom_bore, boom_rod, ..., stick_bore, ...
+        class Parameters(Group, boom=Cylinder, stick=Cylinder):      p.boom is a Cylinder, p.boom.bore its bore
 
-    "{}" in the texts of `Cylinder` is replaced by the prefix, or by "lift" for `boom=(Cylinder, "lift")`.
-    `Cylinder.of(p, "boom")` returns the `Cylinder` with the values of boom_bore, boom_rod, ...
+    A variable of the FMU has the names on the way to it, joined by "_": boom_bore. "{}" in the texts of
+    `Cylinder` is replaced by the name of the field, or by "lift" for `boom=(Cylinder, "lift")`. A third item
+    gives other names: `boom=(Cylinder, "boom", str)` has nothing in front. `flat` and `nested` convert between
+    both forms.
     """
 
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any: ...
 
-    def __init_subclass__(cls, **parts: type[Group] | tuple[type[Group], str]) -> None:
-        declared: dict[str, Quantity] = {}
-        for prefix, part in parts.items():
-            group, owner = part if isinstance(part, tuple) else (part, prefix)
-            declared |= {f"{prefix}_{name}": q.of(prefix, owner) for name, q in quantities(group).items()}
-        declared |= {name: q for name, q in vars(cls).items() if isinstance(q, Quantity)}
+    def __init_subclass__(cls, **parts: type[Group] | tuple[Any, ...]) -> None:
+        declared: dict[str, Any] = {}
+        for name, part in parts.items():
+            of = part if isinstance(part, tuple) else (part, name)
+            declared[name] = field(metadata={"part": _Part(*of, name=name)})
+        for name, q in vars(cls).items():
+            if isinstance(q, Quantity):
+                default: dict[str, Any] = {} if q.value is None else {"default": q.value}
+                declared[name] = field(**default, metadata={"quantity": q})
         cls.__annotations__ = dict.fromkeys(declared, "Scalar")
-        for name, quantity in declared.items():
-            default: dict[str, Any] = {} if quantity.value is None else {"default": quantity.value}
-            setattr(cls, name, field(**default, metadata={"quantity": quantity}))
+        for name, made in declared.items():
+            setattr(cls, name, made)
         dataclass(frozen=True, kw_only=True)(cls)
 
     @classmethod
-    def of(cls: type[G], values: Any, prefix: str = "") -> G:
-        """A group with the values of the fields `prefix_name` of `values`; without a prefix, `name`."""
-        start = f"{prefix}_" if prefix else ""
-        return cls(**{f.name: getattr(values, start + f.name) for f in fields(cls)})  # type: ignore[arg-type]
+    def of(cls: type[G], values: Any) -> G:
+        """The group with the values of its fields in another one, which has more."""
+        return cls(**{f.name: getattr(values, f.name) for f in fields(cls)})  # type: ignore[arg-type]
 
 
-def make_group(name: str, members: Mapping[str, Quantity], *bases: type[Group]) -> type[Any]:
-    """A group class with the members of its bases, followed by these."""
-    return type(name, bases or (Group,), {"__module__": __name__, **members})
+class _Part:
+    """A group within a group: what replaces "{}" in its texts, and the names of its variables outside."""
+
+    def __init__(
+        self, group: type[Group], owner: str, named: Callable[[str], str] | None = None, *, name: str
+    ) -> None:
+        self.group, self.owner, self.named = group, owner, named or f"{name}_{{}}".format
+
+
+def flat(values: Any) -> dict[str, Scalar]:
+    """The variables of a group by name."""
+    found: dict[str, Scalar] = {}
+    for f in fields(values):
+        value, part = getattr(values, f.name), f.metadata.get("part")
+        found |= {part.named(n): v for n, v in flat(value).items()} if part else {f.name: value}
+    return found
+
+
+def nested(group: type[G], values: Mapping[str, Scalar]) -> G:
+    """A group from its variables by name, the inverse of `flat`; `values` may contain others."""
+    made: dict[str, Any] = {}
+    for f in fields(group):  # type: ignore[arg-type]
+        if part := f.metadata.get("part"):
+            made[f.name] = nested(part.group, {n: values[part.named(n)] for n in quantities(part.group)})
+        else:
+            made[f.name] = values[f.name]
+    return group(**made)
+
+
+def make_group(name: str, members: Mapping[str, Quantity], *bases: type[Group], **parts: Any) -> type[Any]:
+    """A group class with the members of its bases, followed by its groups and these."""
+    return type(name, bases or (Group,), {"__module__": __name__, **members}, **parts)  # type: ignore[call-overload]
 
 
 @dataclass(frozen=True)
@@ -295,8 +329,16 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
         raise Problem(f"expected a subclass of Group, or a dataclass of quantities, found {group!r}")
     if group in _CACHE:
         return _CACHE[group]
+    declared: dict[str, Quantity] = {}
     if issubclass(group, Group):
-        declared = {f.name: f.metadata["quantity"] for f in fields(group)}
+        for f in fields(group):
+            part: _Part | None = f.metadata.get("part")
+            inner = (
+                {part.named(n): q.of(part.owner, part.named) for n, q in quantities(part.group).items()}
+                if part
+                else {}
+            )
+            declared |= inner if part else {f.name: f.metadata["quantity"]}
     else:
         hints = get_type_hints(group, include_extras=True)
         declared = {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
@@ -312,7 +354,7 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
 
 def symbols(group: type[G]) -> G:
     """A group of new scalar symbols, named like its fields."""
-    return group(**{f.name: ca.SX.sym(f.name) for f in fields(group)})  # type: ignore[arg-type]
+    return nested(group, {name: ca.SX.sym(name) for name in quantities(group)})
 
 
 def column(*values: Scalar) -> Any:
@@ -321,13 +363,13 @@ def column(*values: Scalar) -> Any:
 
 
 def stack(values: Any) -> Any:
-    """The fields of a group as one column, shape (n, 1), in field order."""
-    return column(*[getattr(values, f.name) for f in fields(values)])
+    """The variables of a group as one column, shape (n, 1), in order."""
+    return column(*flat(values).values())
 
 
 def unstack(group: type[G], values: Any) -> G:
     """A group from a column, the inverse of `stack`; also for NumPy arrays of shape (n,)."""
-    return group(**{f.name: values[i] for i, f in enumerate(fields(group))})  # type: ignore[arg-type]
+    return nested(group, {name: values[i] for i, name in enumerate(quantities(group))})
 
 
 @dataclass(frozen=True)
@@ -365,21 +407,20 @@ def symbolic(sub: Subsystem) -> Symbolic:
     for group in (sub.states, sub.inputs, sub.parameters, sub.outputs):
         quantities(group)  # refuses what is no group
     x, u, declared = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
-    derived = {
-        n: ca.if_else(getattr(declared, n) > 0, getattr(declared, n), v)
-        for n, v in _call(sub, "derive", declared).items()
-    }
-    p = replace(declared, **derived)
+    given = flat(declared)
+    derived = _call(sub, "derive", declared).items()
+    p = nested(sub.parameters, given | {n: ca.if_else(given[n] > 0, given[n], v) for n, v in derived})
     calculated = _call(sub, "initial", x, u, p)
     unknown = set(calculated) - set(quantities(sub.states))
     if unknown:
         raise _wrong_result(sub, "initial", "names of states", str(sorted(unknown)))
-    states = column(*(getattr(x, name) for name in calculated))
+    settable = flat(x)
+    states = column(*(settable[name] for name in calculated))
     if ca.depends_on(ca.SX(column(*calculated.values())), states):
         raise Problem(
             f"{sub.name}: initial() reads a state that it computes itself, expected only other states"
         )
-    start = [calculated.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
+    start = [calculated.get(name, value) for name, value in settable.items()]
     require = _call(sub, "require", x, u, p)
     return Symbolic(
         x=stack(x),
@@ -414,10 +455,10 @@ def _call(sub: Subsystem, function: str, *groups: Any) -> Any:
 
 def _evaluate(sub: Subsystem, function: str, group: type[Any], *groups: Any) -> Any:
     """The result of `dynamics` or `observe` as a column, checked against its group."""
-    result, names = _call(sub, function, *groups), [f.name for f in fields(group)]
-    if not is_dataclass(result) or [f.name for f in fields(result)] != names:
+    result = _call(sub, function, *groups)
+    if not is_dataclass(result) or list(found := flat(result)) != list(quantities(group)):
         raise _wrong_result(sub, function, group.__name__, result)
-    return column(*(_scalar(sub, function, name, getattr(result, name), groups) for name in names))
+    return column(*(_scalar(sub, function, name, value, groups) for name, value in found.items()))
 
 
 def _scalar(sub: Subsystem, function: str, name: str, value: Scalar, groups: Sequence[Any]) -> ca.SX:

@@ -29,10 +29,9 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, TypeAlias
 
-from fmus.contract import G, Quantity, Subsystem, quantities
+from fmus.contract import G, Quantity, Subsystem, nested, quantities
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_whole
@@ -149,10 +148,15 @@ def padded(entries: Mapping[str, Number], declared: Collection[str]) -> dict[str
     return result
 
 
+def parameters(sub: Subsystem) -> Any:
+    """The group of the parameters with their values; derived ones included."""
+    return nested(sub.parameters, values(sub).p)
+
+
 def group_of(path: Path, group: type[G]) -> G:
     """A group of parameters with the values of a file."""
     table = padded(read(path)["parameters"], quantities(group))
-    return group(**{name: table[name].value for name in quantities(group)})
+    return nested(group, {name: number.value for name, number in table.items()})
 
 
 def _number(path: Path, section: str, name: str, entry: Any) -> Number:
@@ -234,7 +238,7 @@ def check(path: Path, where: str, quantity: Quantity, number: Number) -> None:
 def derived(sub: Subsystem, path: Path | None = None) -> dict[str, Number]:
     """Derived parameters: those that are 0 in the file and follow from others, with their values."""
     table = numbers(sub, path)["parameters"]
-    formulas = sub.derive(SimpleNamespace(**{name: number.value for name, number in table.items()}))
+    formulas = sub.derive(nested(sub.parameters, {name: number.value for name, number in table.items()}))
     return {n: replace(table[n], value=float(v)) for n, v in formulas.items() if table[n].value == 0}
 
 

@@ -4,16 +4,78 @@
 lumped.
 """
 
-from fmus.boom_stick import compensated, detailed, lumped, quasistatic
-from fmus.contract import family
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+from fmus import ports
+from fmus.contract import Scalar, Subsystem, family
+from fmus.drives import cylinder
+from fmus.drives.compensated import COMPENSATED
+from fmus.drives.cylinder import CYLINDER
+from fmus.drives.detailed import detailed, lumps_of
+from fmus.drives.drive import Axis, part
+from fmus.drives.lumped import LUMPED
+from fmus.drives.quasistatic import QUASISTATIC
+
+
+class BoomInputs(cylinder.Inputs):
+    """Command and motion of the boom's piston."""
+
+    command: Scalar = ports.command("boom", "raises the boom", "command_rate")
+
+
+class StickInputs(cylinder.Inputs):
+    """Command and motion of the stick's piston."""
+
+    command: Scalar = ports.command("stick", "folds the stick in", "command_rate")
+
+
+VALUES = Path(__file__).with_name("parameters.toml")
+AXES = (Axis("boom", CYLINDER, BoomInputs), Axis("stick", CYLINDER, StickInputs))
+_part = partial(part, "boom_stick", AXES, values=VALUES)
+
+
+def _detailed(lumps: int | Mapping[str, int] | None = None) -> Subsystem:
+    by_axis = dict.fromkeys(("boom", "stick"), lumps) if isinstance(lumps, int) else lumps
+    return _part(
+        detailed(lumps_of(VALUES) if by_axis is None else lambda axis: by_axis[axis.name]),
+        text="Detailed hydraulic drives of boom and stick: spool dynamics, lines, air, relief valves",
+        validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
+    )
+
 
 VARIANTS = family(
     "boom_stick",
-    lumped=lumped.BOOM_STICK,
-    quasistatic=quasistatic.BOOM_STICK,
-    detailed=detailed.BOOM_STICK,
-    compensated=compensated.BOOM_STICK,
+    lumped=_part(
+        LUMPED,
+        text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
+        validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
+    ),
+    quasistatic=_part(
+        QUASISTATIC,
+        text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
+        validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
+        " spool faster than the motion",
+        stiff=False,
+    ),
+    detailed=_detailed(),
+    compensated=_part(
+        COMPENSATED,
+        text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
+        validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
+        " no spool dynamics",
+    ),
 )
 BOOM_STICK = VARIANTS["lumped"]
 
-__all__ = ["BOOM_STICK", "VARIANTS"]
+
+def with_lumps(lumps: int | Mapping[str, int]) -> Subsystem:
+    """The detailed drives with so many lumps per hose, one number or by axis.
+
+    `VARIANTS` has as many as each hose needs below 75 Hz.
+    """
+    return family("boom_stick", **{**VARIANTS, "detailed": _detailed(lumps)})["detailed"]
+
+
+__all__ = ["BOOM_STICK", "VARIANTS", "with_lumps"]

@@ -30,6 +30,7 @@ The energy of a volume V at P is V e(P), e(P) = int_0^P P' kappa(P') dP'.
 
 import casadi as ca
 
+from fmus.components import oil
 from fmus.contract import Group, Quantity, Scalar
 
 # C_ref [m3/Pa], similar to the capacitance of a 4 m hose, so the cavity matters from P_v on
@@ -93,11 +94,22 @@ def stored_energy(pressure: Scalar, capacitance: Scalar) -> Scalar:
     return capacitance * pressure**2 / 2 - cavity_volume(pressure) * (pressure + CAVITY_SCALE)
 
 
-class Oil(Group):
-    """Parameters of the oil."""
+class Density(Group):
+    """Density of the oil."""
 
-    density: Scalar = Quantity("kg/m3", "Density of the oil", 1e3, minimum=100.0, group="Oil")
-    bulk_modulus: Scalar = Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7)
+    density: Scalar = Quantity(
+        "kg/m3", "Density of the oil", 1e3, minimum=100.0, group="Oil", warmed=oil.DENSITY
+    )
+
+
+class BulkModulus(Group):
+    """Bulk modulus of the oil."""
+
+    bulk_modulus: Scalar = Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7, group="Oil")
+
+
+class Oil(BulkModulus, Density):
+    """Parameters of the oil."""
 
     def compliance(self, _pressure: Scalar) -> Scalar:
         """kappa [1/Pa] at a gauge pressure."""
@@ -137,10 +149,16 @@ class Air(AeratedOil):
         return air_energy_density(self, pressure)
 
 
-class Fluid(AeratedOil):
-    """Parameters of the oil with entrained air and its viscosity."""
+class Viscosity(Group):
+    """Viscosity of the oil."""
 
-    viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7)
+    viscosity: Scalar = Quantity(
+        "Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil", warmed=oil.LAMINAR
+    )
+
+
+class Fluid(Viscosity, AeratedOil):
+    """Parameters of the oil with entrained air and its viscosity."""
 
 
 def _floored(pressure: Scalar) -> tuple[Scalar, Scalar]:

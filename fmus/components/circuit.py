@@ -192,6 +192,7 @@ class Circuit:
             "void_volume": self.void_volume,
             "relief_flow": self.through(Kind.RELIEF),
             "anti_cavitation_flow": self.through(Kind.ANTI_CAVITATION),
+            "drain_flow": self.through(Kind.DRAIN),
         }
 
 

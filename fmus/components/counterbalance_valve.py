@@ -32,7 +32,7 @@ Experimental Study of Motion Control Using Pressure Feedback, SICFP 2013 (stabil
 
 from dataclasses import dataclass
 
-from fmus.components import spool_valve
+from fmus.components import oil, spool_valve
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp, s_curve
 
@@ -71,7 +71,9 @@ class Counterbalance(Group):
         1e5,
         minimum=100.0,
     )
-    leakage: Scalar = Quantity("m3/(s.Pa)", "Leakage of a closed counterbalance valve", 1e-15, minimum=0.0)
+    leakage: Scalar = Quantity(
+        "m3/(s.Pa)", "Leakage of a closed counterbalance valve", 1e-15, minimum=0.0, warmed=oil.LEAKAGE
+    )
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components import chamber
+from fmus.components import chamber, oil
 from fmus.components.chamber import Air, Fluid
 from fmus.components.circuit import Branch, Circuit, Kind, Node
 from fmus.components.spool_valve import turbulent_drop
@@ -78,6 +78,7 @@ class Hose(HoseSize):
         "Turbulent resistance C_R of each {}; 0: derived from length and bore, eq. (10)",
         1e10,
         minimum=0.0,
+        warmed=oil.TURBULENT,
     )
 
 
@@ -97,7 +98,11 @@ class LumpedHose(VolumeHose):
     """A hose as one lump."""
 
     inertance: Scalar = Quantity(
-        "kg/m4", "Inertance of each {}; 0: derived from length, bore and density", 1e7, minimum=0.0
+        "kg/m4",
+        "Inertance of each {}; 0: derived from length, bore and density",
+        1e7,
+        minimum=0.0,
+        warmed=oil.DENSITY,
     )
 
 
@@ -281,7 +286,12 @@ def ladder(
 
 
 def line_states(
-    ends: Mapping[str, Quantity], inner: str, side: str, line: str, lumps: int, unsteady_friction: bool
+    ends: Mapping[str, Quantity],
+    inner: str,
+    side: str,
+    line: str,
+    lumps: int,
+    unsteady_friction: bool = False,
 ) -> LineStates:
     """States of a line.
 

@@ -33,7 +33,6 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from fmus.components import opening_curve
-from fmus.components.opening_curve import OpeningCurves
 from fmus.contract import Scalar
 from fmus.smooth import lowest, ramp, s_curve
 
@@ -88,12 +87,10 @@ def load_pressure(
     return LoadPressure(value, rate)
 
 
-def sensed(p: Any, command: Scalar, command_rate: Scalar) -> Sensed:
-    """Load pressure of a valve without dynamics; p: parameters with the prefix "valve"."""
-    bands = opening_curve.meter_in_dead_bands(
-        OpeningCurves.of(p, "valve"), p.valve_dead_band, p.valve_dead_band
-    )
-    return partial(load_pressure, command, command_rate, bands, p.valve_full_command)
+def sensed(valve: Any, u: Any) -> Sensed:
+    """Load pressure of a valve without dynamics; u: inputs with its command and the rate of that."""
+    bands = opening_curve.meter_in_dead_bands(valve, valve.dead_band, valve.dead_band)
+    return partial(load_pressure, u.command, u.command_rate, bands, valve.full_command)
 
 
 def highest(a: LoadPressure, b: LoadPressure) -> LoadPressure:

@@ -8,7 +8,7 @@ viscosity index of 100 by ISO 2909. Valid from -20 to 100 degC; below, waxes mak
 -50 and 150 degC the temperature is limited, so that a trial state of a solver gives finite rates.
 
 Parameters are given at T_ref = 60 degC, where 20.6 mm2/s is the paper's density with 20 mPa.s. At another
-temperature they are multiplied, with m = mu(T)/mu(T_ref) and r = rho(T)/rho(T_ref):
+temperature those with `Quantity.warmed` are multiplied, with m = mu(T)/mu(T_ref) and r = rho(T)/rho(T_ref):
 
     viscosity, laminar resistances    m             inertances, density                    r
     leakage conductances              1/m           turbulent resistances of hoses         r^0.75 m^0.25
@@ -25,8 +25,11 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.contract import Group, Quantity, Scalar, Subsystem, quantities
+from fmus.contract import Group, Quantity, Scalar, Subsystem, flat, nested, quantities
 
+# exponents of m and r in the factor of a parameter
+LAMINAR, LEAKAGE, DENSITY = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)
+TURBULENT, TRANSITION = (0.25, 0.75), (1.0, -1.0)
 REFERENCE = 333.15  # T_ref [K]
 _LIMITS = (223.15, 423.15)  # [K], -50 and 150 degC
 _POINTS = ((313.15, 46.0), (373.15, 6.8))  # T [K], nu [mm2/s]
@@ -67,30 +70,15 @@ def viscosity_ratio(temperature: Scalar) -> Scalar:
     return kinematic_viscosity(temperature) / kinematic_viscosity(REFERENCE) * density_ratio(temperature)
 
 
-# end of a parameter's name -> exponents of m and r in its factor
-_EXPONENTS = {
-    "density": (0.0, 1.0),
-    "inertance": (0.0, 1.0),
-    "viscosity": (1.0, 0.0),
-    "line_resistance": (1.0, 0.0),
-    "leakage_resistance": (1.0, 0.0),
-    "leakage": (-1.0, 0.0),
-    "transition_flow": (1.0, -1.0),
-    "hose_resistance": (0.25, 0.75),
-    "turbulent_resistance": (0.25, 0.75),
-}
-
-
 def _warmed(p: Any) -> Any:
     """The parameters at `oil_temperature`."""
     m, r = viscosity_ratio(p.oil_temperature), density_ratio(p.oil_temperature)
-    factors = {
-        name: m**of_m * r**of_r
-        for name in quantities(type(p))
-        for end, (of_m, of_r) in _EXPONENTS.items()
-        if name == end or name.endswith(f"_{end}")
-    }
-    return replace(p, **{name: getattr(p, name) * factor for name, factor in factors.items()})
+    values = flat(p)
+    for name, quantity in quantities(type(p)).items():
+        if quantity.warmed:
+            of_m, of_r = quantity.warmed
+            values[name] *= m**of_m * r**of_r
+    return nested(type(p), values)
 
 
 def at_temperature(sub: Subsystem) -> Subsystem:

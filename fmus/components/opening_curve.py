@@ -121,7 +121,7 @@ def meter_in_dead_bands(
     curves: OpeningCurves, pa: Scalar, pb: Scalar, full: Scalar = 1
 ) -> tuple[Scalar, Scalar]:
     """Commands at which P-A and P-B begin to open: by their tables, in parts of `full`, else pa and pb."""
-    a, b = (OpeningTable.of(curves, edge) for edge in ("pa", "pb"))
+    a, b = curves.pa, curves.pb
     return (
         ca.if_else(a.command_2 > 0, a.command_1 / full, pa),
         ca.if_else(b.command_2 > 0, b.command_1 / full, pb),
@@ -213,7 +213,7 @@ def requirements(curves: Any, full_command: Scalar) -> dict[str, Scalar]:
     """Requirements: the points of each table are in order."""
     result: dict[str, Scalar] = {}
     for edge in EDGES:
-        table = OpeningTable.of(curves, edge)
+        table = getattr(curves, edge)
         ascending, monotone = ORDER(ca.vertcat(*commands(table)), ca.vertcat(*openings(table)), full_command)
         text = f"valve_{edge}_commands ascend by at least {SMALLEST_GAP:g} V up to valve_full_command, then 0"
         result |= {text: ascending, f"valve_{edge}_openings do not descend, and begin with 0": monotone}

@@ -64,30 +64,26 @@ class PressureValve(Group):
         return self.flow(drop) - self.flow(-drop)
 
 
-class AntiCavitationParameters(Group):
-    """Anti-cavitation valves of an actuator: a `PressureValve`."""
+class AntiCavitation(PressureValve):
+    """An anti-cavitation valve of an actuator, from the return line."""
 
-    anti_cavitation_pressure: Scalar = Quantity(
+    pressure: Scalar = Quantity(
         "Pa",
         "Pressure difference below the return line at which an anti-cavitation valve opens",
         1e4,
         minimum=0.0,
         group="Relief valves",
     )
-    anti_cavitation_gain: Scalar = Quantity(
+    gain: Scalar = Quantity(
         "m3/(s.Pa)",
         "Flow of an anti-cavitation valve per pressure below the opening pressure",
         1e-7,
         minimum=0.0,
     )
-    anti_cavitation_rounding: Scalar = Quantity(
+    rounding: Scalar = Quantity(
         "Pa", "Pressure range over which an anti-cavitation valve begins to open", 1e3, minimum=1.0
     )
 
 
-class _ActuatorRelief(Group, relief=PressureValve):
-    """Relief valves of an actuator."""
-
-
-class ReliefParameters(AntiCavitationParameters, _ActuatorRelief):
-    """Relief and anti-cavitation valves of an actuator: two `PressureValve`s."""
+class Reliefs(Group, relief=PressureValve, anti_cavitation=AntiCavitation):
+    """Relief and anti-cavitation valves of an actuator."""

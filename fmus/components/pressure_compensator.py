@@ -33,14 +33,13 @@ data sheets of proportional valves with pre-compensated sections (Danfoss PVG 32
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 
 from fmus.components import opening_curve, spool_valve
 from fmus.components.opening_curve import OpeningCurves
-from fmus.components.spool_valve import CurvedValve, EdgeFlows
-from fmus.contract import Group, Quantity, Scalar, make_group, quantities
+from fmus.components.spool_valve import DeadBand, EdgeFlows, EdgeShape, Lines, Pair
+from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import lower, positive, ramp, s_curve
 
 CHECK_ROUNDING = 1e4  # Pa: pressure difference over which the check valve opens
@@ -48,8 +47,9 @@ MARGIN_ROUNDING = 2e4  # Pa: 50 Pa at a margin of 20 bar
 NOMINAL_DROP = 1e7  # D_0 [Pa]
 LEAST_DEAD_BAND = 1e-3  # of full command; keeps the neutral position defined for a valve without dead band
 
-# a spool valve whose edges have areas of their own, each with an optional table of its opening curve
-SectionValve = make_group("SectionValve", {n: q for n, q in quantities(CurvedValve).items() if n != "area"})
+
+class SectionValve(OpeningCurves, DeadBand, EdgeShape):
+    """A spool valve whose edges have areas of their own, each with an optional table of its opening curve."""
 
 
 class Compensator(Group):
@@ -76,11 +76,10 @@ class Compensator(Group):
     )
 
 
-def requirements(valve: Any, c: Compensator) -> dict[str, Scalar]:
+def requirements(valve: SectionValve, c: Compensator) -> dict[str, Scalar]:
     """Requirements of a section: it opens, and its droop leaves a drop to regulate."""
     return {
-        **spool_valve.opens(valve),
-        **opening_curve.requirements(valve, valve.full_command),
+        **spool_valve.requirements(valve),
         "compensator_droop is below 1e-7 1/Pa": 1 - c.droop * NOMINAL_DROP,
         "the section of the highest load shares the flow: compensator_sharing (1 + compensator_open_drop"
         " / compensator_setting) is below 0.95": 0.95 - c.sharing * (1 + c.open_drop / c.setting),
@@ -98,23 +97,23 @@ class Section:
     resistance     C_R of a line in series with the meter-out edges [Pa.s2/m6]
     """
 
-    valve: Any
+    valve: SectionValve
     compensator: Compensator
     flow: Scalar
-    return_areas: tuple[Scalar, Scalar]
+    return_areas: Pair
     neutral_area: Scalar
     density: Scalar
     resistance: Scalar = 0.0
 
     def openings(self, command: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         """Openings [1] (meter-in, meter-out) of the edges of port A and of port B."""
-        y = spool_valve.edge_openings(self.valve, OpeningCurves.of(self.valve), command)
+        y = spool_valve.edge_openings(self.valve, command)
         return (y["pa"], y["at"]), (y["pb"], y["bt"])
 
     def dead_bands(self) -> tuple[Scalar, Scalar]:
         """Commands at which the meter-in edges of port A and of port B begin to open [V]."""
         v = self.valve
-        return opening_curve.meter_in_dead_bands(OpeningCurves.of(v), v.dead_band, v.dead_band)
+        return opening_curve.meter_in_dead_bands(v, v.dead_band, v.dead_band)
 
     def in_use(self, command: Scalar) -> tuple[Scalar, Scalar]:
         """Of ports A and B: 0 up to half of the dead band of the edge that feeds them, 1 from its end on."""
@@ -152,20 +151,15 @@ def _turbulent(square_flow: Scalar, transition_flow: Scalar) -> Scalar:
 
 
 def section_ports(
-    section: Section,
-    command: Scalar,
-    pressures: tuple[Scalar, Scalar],
-    supply: Scalar,
-    load_sensing: Scalar,
-    tank: Scalar,
+    section: Section, command: Scalar, pressures: Pair, lines: Lines
 ) -> tuple[SectionPort, SectionPort]:
-    """Ports A and B at a command [V] and their pressures [Pa]."""
-    v, c = section.valve, section.compensator
+    """Ports A and B at a command [V] and their pressures [Pa]; lines with load_sensing_pressure, too."""
+    v, c, tank = section.valve, section.compensator, lines.tank_pressure
     full_gain = spool_valve.flow_gain(1.0, v.discharge_coefficient, section.density)
     ports = []
     sides = zip(section.openings(command), section.return_areas, pressures, strict=True)
     for (inward, outward), full_area, p in sides:
-        drop, both = metering_drop(c, inward, supply, load_sensing, p)
+        drop, both = metering_drop(c, inward, lines.supply_pressure, lines.load_sensing_pressure, p)
         to_port = _turbulent((section.flow * inward) ** 2 * drop / c.setting, v.transition_flow)
         area = full_area * outward + section.neutral_area * section.neutral(command)
         square = (full_gain * area) ** 2
@@ -177,14 +171,19 @@ def section_ports(
     return ports[0], ports[1]
 
 
-def shown(
-    section: Section, ports: tuple[SectionPort, SectionPort], command: Scalar
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Outputs of a section: meter-in flow [m3/s], drops [Pa] over edge and compensator (0 in neutral)."""
-    a, b = ports
-    to_a, to_b = section.in_use(command)
-    return (
-        a.edges.supply + b.edges.supply,
-        to_a * a.metering_drop + to_b * b.metering_drop,
-        to_a * a.compensator_drop + to_b * b.compensator_drop,
+class SectionOutputs(Group):
+    """Signals of a section; both drops are 0 in neutral."""
+
+    meter_in_flow: Scalar = Quantity("m3/s", "Flow of the {} section from the supply line", 1e-3)
+    metering_drop: Scalar = Quantity("Pa", "Drop over the open meter-in edge of the {} section", 1e6)
+    compensator_drop: Scalar = Quantity("Pa", "Drop over the compensator of the {} section", 1e7)
+
+
+def shown(section: Section, ports: tuple[SectionPort, SectionPort], command: Scalar) -> SectionOutputs:
+    """Outputs of a section."""
+    (a, b), (to_a, to_b) = ports, section.in_use(command)
+    return SectionOutputs(
+        meter_in_flow=a.edges.supply + b.edges.supply,
+        metering_drop=to_a * a.metering_drop + to_b * b.metering_drop,
+        compensator_drop=to_a * a.compensator_drop + to_b * b.compensator_drop,
     )

@@ -32,42 +32,57 @@ Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 202
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 
-from fmus.components import opening_curve
+from fmus.components import oil, opening_curve
 from fmus.components.circuit import SUPPLY, TANK, Branch, Kind
-from fmus.components.opening_curve import EDGES, OpeningCurves, OpeningTable, StraightOpening
+from fmus.components.opening_curve import EDGES, OpeningCurves, StraightOpening
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp
 
 FORWARD = ("pa", "bt")  # the edges that a positive command opens
+Pair: TypeAlias = tuple[Scalar, Scalar]  # of ports A and B
+Lines: TypeAlias = Any  # with supply_pressure and tank_pressure [Pa], as the inputs of a drive
 
 
-class Edges(Group):
-    """Parameters of the metering edges of a valve; all valves are identical (section 3(b))."""
+class EdgeShape(Group):
+    """Parameters of the metering edges of a valve without their areas."""
 
-    area: Scalar = Quantity(
-        "m2", "Opening area of each metering edge at full command", 1e-5, minimum=0.0, group="Valve"
-    )
     discharge_coefficient: Scalar = Quantity(
-        "1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0
+        "1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0, group="Valve"
     )
     full_command: Scalar = Quantity("V", "Command at which the valve is fully open", minimum=0.1)
     command_rounding: Scalar = Quantity(
         "V", "Command range over which the valve begins to open", minimum=1e-3
     )
-    leakage: Scalar = Quantity("m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17)
+    leakage: Scalar = Quantity(
+        "m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17, warmed=oil.LEAKAGE
+    )
     transition_flow: Scalar = Quantity(
-        "m3/s", "Flow below which edges, hoses and lines are laminar", 1e-5, minimum=1e-8
+        "m3/s",
+        "Flow below which edges, hoses and lines are laminar",
+        1e-5,
+        minimum=1e-8,
+        warmed=oil.TRANSITION,
     )
 
 
-class Valve(Edges):
-    """Parameters of a symmetrical spool valve without dynamics."""
+class Edges(EdgeShape):
+    """Parameters of the metering edges of a valve; all valves are identical (section 3(b))."""
+
+    area: Scalar = Quantity("m2", "Opening area of each metering edge at full command", 1e-5, minimum=0.0)
+
+
+class DeadBand(Group):
+    """Dead band of a valve without dynamics."""
 
     dead_band: Scalar = Quantity("V", "Dead band: command up to which the valve stays closed", minimum=0.0)
+
+
+class Valve(DeadBand, Edges):
+    """Parameters of a symmetrical spool valve without dynamics."""
 
 
 class CurvedEdges(OpeningCurves, Edges):
@@ -101,16 +116,22 @@ class Spool(Group):
     overlap_pb: Scalar = _overlap("P-B")
     overlap_bt: Scalar = _overlap("B-T")
 
+    @property
+    def overlaps(self) -> dict[str, Scalar]:
+        """Overlap by edge."""
+        values = (self.overlap_pa, self.overlap_at, self.overlap_pb, self.overlap_bt)
+        return dict(zip(EDGES, values, strict=True))
 
-def opens(valve: Valve) -> dict[str, Scalar]:
+
+def opens(valve: DeadBand) -> dict[str, Scalar]:
     """Requirement: the valve opens before full command."""
     return {"valve_full_command exceeds valve_dead_band": valve.full_command - valve.dead_band}
 
 
-def requirements(p: Any) -> dict[str, Scalar]:
-    """Requirements of the valve in the parameters of a drive; one with a spool has no common dead band."""
-    opening = opens(Valve.of(p, "valve")) if hasattr(p, "valve_dead_band") else {}
-    return opening | opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
+def requirements(valve: Any, _: object = None) -> dict[str, Scalar]:
+    """Requirements of the valve of a drive; one with a spool has no common dead band."""
+    opening = opens(valve) if isinstance(valve, DeadBand) else {}
+    return opening | opening_curve.requirements(valve, valve.full_command)
 
 
 @dataclass(frozen=True)
@@ -133,21 +154,24 @@ def opening(command: Scalar, dead_band: Scalar, full_command: Scalar, rounding: 
     return ramp(effective - dead_band, rounding) / ramp(full_command - dead_band, rounding)
 
 
-def edge_openings(valve: Valve, curves: OpeningCurves | None, command: Scalar) -> dict[str, Scalar]:
-    """Openings [1] of the edges pa, at, pb and bt at a command [V]: by its table, or the straight line."""
+def edge_openings(valve: Any, command: Scalar) -> dict[str, Scalar]:
+    """Openings [1] of the edges pa, at, pb and bt at a command [V]: by its table, or the straight line.
+
+    valve   a `CurvedValve`, or one whose edges have areas of their own
+    """
     line = StraightOpening(valve.dead_band, valve.full_command, valve.command_rounding)
-    return _openings(dict.fromkeys(EDGES, line), curves, command)
+    return _openings(dict.fromkeys(EDGES, line), valve, command)
 
 
 def _openings(
-    lines: Mapping[str, StraightOpening], curves: OpeningCurves | None, command: Scalar
+    lines: Mapping[str, StraightOpening], curves: OpeningCurves, command: Scalar
 ) -> dict[str, Scalar]:
     """Openings [1] by edge at a command [V]."""
-    towards = {edge: command if edge in FORWARD else -command for edge in lines}
-    if curves is None:
-        return {e: opening(towards[e], *(x.dead_band, x.full, x.rounding)) for e, x in lines.items()}
     return {
-        e: opening_curve.pieces(OpeningTable.of(curves, e), x).opening(towards[e]) for e, x in lines.items()
+        edge: opening_curve.pieces(getattr(curves, edge), line).opening(
+            command if edge in FORWARD else -command
+        )
+        for edge, line in lines.items()
     }
 
 
@@ -180,13 +204,7 @@ def turbulent_factor(drop: Scalar, transition_flow: Scalar) -> Scalar:
 
 
 def edge_flows_from_flow(
-    line_flow: Scalar,
-    gain_supply: Scalar,
-    gain_tank: Scalar,
-    leakage: Scalar,
-    transition_flow: Scalar,
-    supply_pressure: Scalar,
-    tank_pressure: Scalar,
+    edges: Edges, line_flow: Scalar, gain_supply: Scalar, gain_tank: Scalar, lines: Lines
 ) -> EdgeFlows:
     """Flows of the two edges of a port, supply (meter-in) and tank (meter-out), from the line flow Q.
 
@@ -199,68 +217,35 @@ def edge_flows_from_flow(
     flow instead of the edge flow and so neglects the leakage of the closed edge: an error below 0.1 % of the
     drop for flows above 1000 times that leakage (20 L/min).
     """
-    rounded_flow = ca.sqrt(line_flow**2 + transition_flow**2)
+    leakage, rounded_flow = edges.leakage, ca.sqrt(line_flow**2 + edges.transition_flow**2)
     g_supply = leakage + gain_supply**2 / rounded_flow
     g_tank = leakage + gain_tank**2 / rounded_flow
-    pressure = (g_supply * supply_pressure + g_tank * tank_pressure - line_flow) / (g_supply + g_tank)
-    supply, tank = g_supply * (supply_pressure - pressure), g_tank * (pressure - tank_pressure)
-    return EdgeFlows(pressure, supply, tank, line_flow)
+    p_s, p_t = lines.supply_pressure, lines.tank_pressure
+    pressure = (g_supply * p_s + g_tank * p_t - line_flow) / (g_supply + g_tank)
+    return EdgeFlows(pressure, g_supply * (p_s - pressure), g_tank * (pressure - p_t), line_flow)
 
 
 def ports_from_flow(
-    valve: Valve,
-    command: Scalar,
-    flow_a: Scalar,
-    flow_b: Scalar,
-    supply_pressure: Scalar,
-    tank_pressure: Scalar,
-    density: Scalar,
-    curves: OpeningCurves | None = None,
+    valve: CurvedValve, command: Scalar, flows: Pair, lines: Lines, density: Scalar
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the line flows [m3/s] out of A and B."""
-    share = edge_openings(valve, curves, command)
-    return _ports(valve, share, (flow_a, flow_b), (supply_pressure, tank_pressure), density)
+    return _ports(valve, edge_openings(valve, command), flows, lines, density)
 
 
 def _ports(
-    edges: Edges,
-    share: Mapping[str, Scalar],
-    flows: tuple[Scalar, Scalar],
-    pressures: tuple[Scalar, Scalar],
-    density: Scalar,
+    edges: Edges, share: Mapping[str, Scalar], flows: Pair, lines: Lines, density: Scalar
 ) -> tuple[EdgeFlows, EdgeFlows]:
-    """Both ports at the openings [1] of the edges; pressures: of supply and tank [Pa]."""
+    """Both ports at the openings [1] of the edges."""
     full = flow_gain(edges.area, edges.discharge_coefficient, density)
     gain = {edge: full * opening for edge, opening in share.items()}
-    edge = (edges.leakage, edges.transition_flow, *pressures)
     return (
-        edge_flows_from_flow(flows[0], gain["pa"], gain["at"], *edge),
-        edge_flows_from_flow(flows[1], gain["pb"], gain["bt"], *edge),
+        edge_flows_from_flow(edges, flows[0], gain["pa"], gain["at"], lines),
+        edge_flows_from_flow(edges, flows[1], gain["pb"], gain["bt"], lines),
     )
 
 
-def _square_gains(
-    valve: Valve, curves: OpeningCurves | None, command: Scalar, density: Scalar
-) -> tuple[Scalar, Scalar]:
-    """K^2 [m6/(s2.Pa)] of the open edge of A and of B, K = `flow_gain` times the opening."""
-    full = flow_gain(valve.area, valve.discharge_coefficient, density)
-    if curves is None:
-        shape = (valve.dead_band, valve.full_command, valve.command_rounding)
-        square = (full * opening(ca.fabs(command), *shape)) ** 2
-        return square, square
-    share = edge_openings(valve, curves, command)
-    return (full * (share["pa"] + share["at"])) ** 2, (full * (share["pb"] + share["bt"])) ** 2
-
-
 def edge_flows_from_pressure(
-    pressure: Scalar,
-    source: Scalar,
-    from_supply: Scalar,
-    square: Scalar,
-    leakage: Scalar,
-    transition_flow: Scalar,
-    supply_pressure: Scalar,
-    tank_pressure: Scalar,
+    edges: Edges, pressure: Scalar, source: Scalar, from_supply: Scalar, square: Scalar, lines: Lines
 ) -> EdgeFlows:
     """Flows of the two edges of a port that leads directly into a chamber at the pressure P.
 
@@ -270,46 +255,48 @@ def edge_flows_from_pressure(
     source   pressure behind the open edge
     square   K^2 of the open edge, including the resistance of the line
     """
-    y = square * (source - pressure)
-    turbulent = y * turbulent_factor(y, transition_flow)
-    supply, tank = leakage * (supply_pressure - pressure), leakage * (pressure - tank_pressure)
+    y, leakage, p_s, p_t = (
+        square * (source - pressure),
+        edges.leakage,
+        lines.supply_pressure,
+        lines.tank_pressure,
+    )
+    turbulent = y * turbulent_factor(y, edges.transition_flow)
     return EdgeFlows(
         pressure,
-        supply + ca.if_else(from_supply, turbulent, 0),
-        tank - ca.if_else(from_supply, 0, turbulent),
-        leakage * (supply_pressure + tank_pressure - 2 * pressure) + turbulent,
+        leakage * (p_s - pressure) + ca.if_else(from_supply, turbulent, 0),
+        leakage * (pressure - p_t) - ca.if_else(from_supply, 0, turbulent),
+        leakage * (p_s + p_t - 2 * pressure) + turbulent,
     )
 
 
 def ports_from_pressure(
-    valve: Valve,
+    valve: CurvedValve,
     command: Scalar,
-    pressure_a: Scalar,
-    pressure_b: Scalar,
-    supply_pressure: Scalar,
-    tank_pressure: Scalar,
+    pressures: Pair,
+    lines: Lines,
     density: Scalar,
     line_resistance: Scalar,
-    curves: OpeningCurves | None = None,
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the chamber pressures [Pa]; lines without inertance.
 
     The line's C_R [Pa.s2/m6] is in series with the open edge: 1 / K_both^2 = 1 / K^2 + C_R.
     """
-    squares = _square_gains(valve, curves, command, density)
+    share, full = edge_openings(valve, command), flow_gain(valve.area, valve.discharge_coefficient, density)
+    squares = ((full * (share["pa"] + share["at"])) ** 2, (full * (share["pb"] + share["bt"])) ** 2)
     square_a, square_b = (square / (1 + line_resistance * square) for square in squares)
-    forward = command > 0
-    behind_a = ca.if_else(forward, supply_pressure, tank_pressure)
-    behind_b = supply_pressure + tank_pressure - behind_a  # the other of the two
-    edge = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
+    forward, p_s, p_t = command > 0, lines.supply_pressure, lines.tank_pressure
+    behind_a = ca.if_else(forward, p_s, p_t)
+    behind_b = p_s + p_t - behind_a  # the other of the two
     return (
-        edge_flows_from_pressure(pressure_a, behind_a, forward, square_a, *edge),
-        edge_flows_from_pressure(pressure_b, behind_b, 1 - forward, square_b, *edge),
+        edge_flows_from_pressure(valve, pressures[0], behind_a, forward, square_a, lines),
+        edge_flows_from_pressure(valve, pressures[1], behind_b, 1 - forward, square_b, lines),
     )
 
 
-def branches(ports: tuple[EdgeFlows, EdgeFlows], a: str, b: str) -> dict[str, Branch]:
+def branches(ports: tuple[EdgeFlows, EdgeFlows], nodes: tuple[str, str]) -> dict[str, Branch]:
     """The metering edges of ports A and B, which are these nodes of a circuit."""
+    a, b = nodes
     return {
         "P-A": Branch(SUPPLY, a, Kind.EDGE, ports[0].supply, "C_R"),
         "A-T": Branch(a, TANK, Kind.EDGE, ports[0].tank, "C_Re"),
@@ -350,23 +337,15 @@ def spool_rates(spool: Spool, x: SpoolState, commanded: Scalar) -> SpoolState:
 
 
 def spool_ports(
-    edges: Edges,
-    spool: Spool,
-    position: Scalar,
-    flow_a: Scalar,
-    flow_b: Scalar,
-    supply_pressure: Scalar,
-    tank_pressure: Scalar,
-    density: Scalar,
-    curves: OpeningCurves | None = None,
+    edges: CurvedEdges, spool: Spool, position: Scalar, flows: Pair, lines: Lines, density: Scalar
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a spool position [1], from the line flows [m3/s] out of A and B.
 
     A table is one over the position times full command.
     """
     full = (edges.full_command, edges.command_rounding)
-    lines = {
-        edge: StraightOpening(getattr(spool, f"overlap_{edge}") * edges.full_command, *full) for edge in EDGES
+    straight = {
+        edge: StraightOpening(overlap * edges.full_command, *full) for edge, overlap in spool.overlaps.items()
     }
-    share = _openings(lines, curves, position * edges.full_command)
-    return _ports(edges, share, (flow_a, flow_b), (supply_pressure, tank_pressure), density)
+    share = _openings(straight, edges, position * edges.full_command)
+    return _ports(edges, share, flows, lines, density)

@@ -68,7 +68,7 @@ def distance(a: Cylindrical, b: Cylindrical) -> Scalar:
 def strokes_and_moment_arms(q: Any, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     """(position x [m], moment arm dx/dq [m]) of the boom and of the stick piston; q: angle of its joint."""
     boom, stick = arm.triangles(q, p)
-    return (boom.length - p.boom_closed_length, boom.arm), (stick.length - p.stick_closed_length, stick.arm)
+    return (boom.length - p.boom.closed_length, boom.arm), (stick.length - p.stick.closed_length, stick.arm)
 
 
 def joint_speeds(q: Any, velocity: Cylindrical, p: Any) -> tuple[Scalar, Scalar, Scalar]:

@@ -21,10 +21,6 @@ import casadi as ca
 
 from fmus import ports
 from fmus.boom_stick import BOOM_STICK
-from fmus.boom_stick import drive as boom_stick_drive
-from fmus.components.cylinder import Cylinder
-from fmus.components.hose import VolumeHose
-from fmus.components.spool_valve import Valve
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller import geometry
 from fmus.controller.actuator import ActuatorCommand, actuator_command
@@ -33,19 +29,15 @@ from fmus.controller.reference import Reference, engaged, errors, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
     AXES,
-    CYLINDERS,
-    GEOMETRY,
-    MOTOR,
-    VALVE,
     ControllerInputs,
     ControllerOutputs,
     ControllerParameters,
     ControllerState,
 )
+from fmus.drives import cylinder, motor
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number, Tables, numbers, read, values
 from fmus.swing import SWING
-from fmus.swing import drive as swing_drive
 
 GAINS = tuple(quantities(Gains))
 NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # start values of boom_stick
@@ -58,21 +50,22 @@ LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
 
 def derive(p: Any) -> dict[str, Scalar]:
     """Derived parameters of hoses and lines, by the equations of the drives."""
-    return boom_stick_drive.derive(VolumeHose, p) | swing_drive.derive_capacitance(p)
+    boom, stick = (
+        {f"{n}_{k}": v for k, v in cylinder.derive(own, p).items()}
+        for n, own in (("boom", p.boom), ("stick", p.stick))
+    )
+    return boom | stick | motor.derive(p.swing, p)
 
 
 def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
     """Swing, boom and stick with the pistons at these positions [m]."""
-    d = p.motor_displacement * p.gear_ratio
-    lines = (p.line_capacitance, p.line_capacitance, p.line_turbulent_resistance)
-    valve = Valve.of(p, "swing_valve")
-    result = {"swing": Actuator(d, d, *lines, valve, p.swing_density, p.swing_section_flow)}
-    for name, position in zip(("boom", "stick"), positions, strict=True):
-        cylinder, hose = Cylinder.of(p, name), getattr(p, f"{name}_hose_capacitance")
-        c_head, c_rod = (hose + v / p.bulk_modulus for v in cylinder.volumes(position))
-        resistance, section = (getattr(p, f"{name}_{n}") for n in ("hose_resistance", "section_flow"))
-        valve = Valve.of(p, "valve")
-        result[name] = Actuator(*cylinder.areas, c_head, c_rod, resistance, valve, p.density, section)
+    d, line = p.swing.displacement, p.swing.line
+    c, flow, density = line.capacitance, p.swing_section_flow, p.swing_oil.density
+    result = {"swing": Actuator(d, d, c, c, line.turbulent_resistance, p.swing_valve, density, flow)}
+    sections = ((p.boom, p.boom_section_flow), (p.stick, p.stick_section_flow))
+    for name, position, (own, section) in zip(("boom", "stick"), positions, sections, strict=True):
+        c_head, c_rod = (own.hose.capacitance + v / p.bulk_modulus for v in own.volumes(position))
+        result[name] = Actuator(*own.areas, c_head, c_rod, own.hose.resistance, p.valve, p.density, section)
     return result
 
 
@@ -111,7 +104,7 @@ def _pressure_use(x: Any, u: Any, p: Any, ref: Reference) -> Scalar:
 
 def _command_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]) -> dict[str, Scalar]:
     def rate(name: str) -> Scalar:
-        full = p.swing_valve_full_command if name == "swing" else p.valve_full_command
+        full = (p.swing_valve if name == "swing" else p.valve).full_command
         lever = ca.fmin(ca.fmax(getattr(u, f"{name}_lever"), -full), full)  # range of the amplifier
         target = lever + x.coordination * (commands[name].command - lever)
         return (target - getattr(x, f"{name}_command")) / p.amplifier_time
@@ -177,13 +170,12 @@ def initial(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
 def require(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
     """Requirements: rods thinner than bores, valves that open, margins within the strokes."""
     requirements: dict[str, Scalar] = {}
-    for name in ("boom", "stick"):
-        stroke, rod = getattr(p, f"{name}_stroke"), getattr(p, f"{name}_rod")
-        requirements[f"{name}_rod is thinner than {name}_bore"] = getattr(p, f"{name}_bore") - rod
-        requirements[f"stroke_margin is below half of {name}_stroke"] = stroke / 2 - p.stroke_margin
-    for prefix in ("", "swing_"):
-        full, band = getattr(p, f"{prefix}valve_full_command"), getattr(p, f"{prefix}valve_dead_band")
-        requirements[f"{prefix}valve_full_command exceeds {prefix}valve_dead_band"] = full - band
+    for name, own in (("boom", p.boom), ("stick", p.stick)):
+        requirements[f"{name}_rod is thinner than {name}_bore"] = own.bore - own.rod
+        requirements[f"stroke_margin is below half of {name}_stroke"] = own.stroke / 2 - p.stroke_margin
+    for prefix, valve in (("", p.valve), ("swing_", p.swing_valve)):
+        margin = valve.full_command - valve.dead_band
+        requirements[f"{prefix}valve_full_command exceeds {prefix}valve_dead_band"] = margin
     return requirements
 
 
@@ -191,12 +183,16 @@ def controller_tables(swing: Subsystem, boom_stick: Subsystem, manipulator: Subs
     """Parameter and start values of the controller for a machine built from these subsystems."""
     of_boom_stick, of_swing, of_manipulator = numbers(boom_stick), numbers(swing), numbers(manipulator)
     gains, poses = read(FILE)["parameters"], of_manipulator["parameters"]
-    parameters = {n: gains[n] for n in GAINS}
-    parameters |= {n: _noted(of_manipulator["parameters"][n], "manipulator") for n in GEOMETRY}
-    parameters |= {n: _noted(of_boom_stick["parameters"][n], "boom_stick") for n in CYLINDERS}
-    parameters |= {f"swing_{n}": _noted(of_swing["parameters"][n], "swing") for n in VALVE}
-    parameters |= {n: _noted(of_swing["parameters"][n], "swing") for n in MOTOR}
-    parameters |= {f"nominal_{n}": _noted(of_boom_stick["start"][n], "boom_stick") for n in NOMINAL}
+    known: dict[str, Number] = {}  # of what several parts have, the manipulator's counts first
+    for component, numbers_of in (
+        ("swing", of_swing),
+        ("boom_stick", of_boom_stick),
+        ("manipulator", of_manipulator),
+    ):
+        known |= {n: _noted(number, component) for n, number in numbers_of["parameters"].items()}
+    known |= {f"swing_{n}": _noted(number, "swing") for n, number in of_swing["parameters"].items()}
+    known |= {f"nominal_{n}": _noted(of_boom_stick["start"][n], "boom_stick") for n in NOMINAL}
+    parameters = {n: (known | gains)[n] for n in quantities(ControllerParameters)}
     start = {f"{axis}_angle": _noted(poses[f"initial_{axis}_angle"], "manipulator") for axis in AXES}
     start |= {
         n: _noted(of_boom_stick["start"][n], "boom_stick") for n in ("supply_pressure", "tank_pressure")

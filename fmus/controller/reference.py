@@ -57,7 +57,7 @@ def utilisation(swing: Scalar, pistons: list[tuple[str, Scalar, Scalar]], p: Any
     stroke: Scalar = 0
     for name, position, velocity in pistons:
         speed += (velocity / getattr(p, f"{name}_speed_limit")) ** n
-        end = getattr(p, f"{name}_stroke") - p.stroke_margin
+        end = getattr(p, name).stroke - p.stroke_margin
         for left, outward in ((end - position, velocity), (position - p.stroke_margin, -velocity)):
             allowed = p.stroke_gain * ramp(left, END_ROUNDING) + CREEP
             stroke += (ca.fmax(0, outward) / allowed) ** n

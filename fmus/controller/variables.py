@@ -1,66 +1,73 @@
 """Variables of the controller: parameters, states, inputs, outputs; signs as in model.py.
 
-The controller declares its gains (gains.py). Geometry and hydraulics are declared by the subsystems of the
-machine; here their parameters are selected by name. Their values are collected in values.py.
+The controller declares its gains (gains.py). Geometry and hydraulics are those of the machine's subsystems,
+which give their values (`model.controller_tables`).
 """
 
-from collections.abc import Iterable
-
-from fmus.boom_stick.variables import BoomStickParameters
-from fmus.components.hose import VolumeHose
+from fmus.components.chamber import BulkModulus, Density
+from fmus.components.hose import ReferenceHose
 from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 from fmus.controller.gains import Gains
-from fmus.manipulator.variables import ManipulatorParameters
+from fmus.drives import cylinder, motor
+from fmus.manipulator.variables import CylinderMount, ManipulatorParameters, OnColumn
 from fmus.ports import CommandOutputs, Commands
-from fmus.swing.variables import SwingParameters
 
 AXES = ("swing", "boom", "stick")
-VALVE = (*(f"valve_{n}" for n in quantities(Valve)), "density")  # of its curves only the straight line
-GEOMETRY = (
-    *("boom_pivot_x", "boom_pivot_z", "stick_pivot_x", "stick_pivot_z", "stick_length"),
-    *(f"{a}_{pin}_{axis}" for a in ("boom", "stick") for pin in ("base", "pin") for axis in "xz"),
-    *(f"{a}_{n}" for a in ("boom", "stick") for n in ("closed_length", "stroke")),
-)
-CYLINDERS = (
-    *(
-        f"{a}_{n}"
-        for a in ("boom", "stick")
-        for n in ("bore", "rod", "dead_volume", *(f"hose_{name}" for name in quantities(VolumeHose)))
-    ),
-    "hose_reference_resistance",
-    "bulk_modulus",
-    *VALVE,
-)
-MOTOR = (
-    *("motor_displacement", "gear_ratio", "motor_volume"),
-    *("line_length", "line_bore", "line_capacitance", "line_turbulent_resistance"),
-)
 
 
-def _selected(declared: type[Group], names: Iterable[str], prefix: str = "") -> dict[str, Quantity]:
-    return {prefix + n: quantities(declared)[n] for n in names}
+class ArmAxis(cylinder.VolumeDrive, CylinderMount):
+    """A cylinder with its hoses, and its pins."""
 
 
-ControllerParameters = make_group(
-    "ControllerParameters",
-    {
-        **quantities(Gains),
-        **_selected(ManipulatorParameters, GEOMETRY),
-        **_selected(BoomStickParameters, CYLINDERS),
-        **_selected(SwingParameters, VALVE, "swing_"),
-        **_selected(SwingParameters, MOTOR),
-        "nominal_supply_pressure": Quantity(
-            "Pa", "Supply pressure at which the feedforward needs no correction", 1e7, group="Nominal"
-        ),
-        **{
-            f"nominal_{a}_holding_force": Quantity(
-                "N", f"Force of the {a} cylinder at which the feedforward needs no correction", 1e5
-            )
-            for a in ("boom", "stick")
-        },
-    },
-)
+class BoomAxis(cylinder.VolumeDrive, OnColumn):
+    """The cylinder of the boom."""
+
+
+class ArmGeometry(Group):
+    """Joints and tip of the arm."""
+
+    boom_pivot_x: Scalar = quantities(ManipulatorParameters)["boom_pivot_x"]
+    boom_pivot_z: Scalar = quantities(ManipulatorParameters)["boom_pivot_z"]
+    stick_pivot_x: Scalar = quantities(ManipulatorParameters)["stick_pivot_x"]
+    stick_pivot_z: Scalar = quantities(ManipulatorParameters)["stick_pivot_z"]
+    stick_length: Scalar = quantities(ManipulatorParameters)["stick_length"]
+
+
+class OfMachine(
+    Density,
+    BulkModulus,
+    ReferenceHose,
+    ArmGeometry,
+    boom=BoomAxis,
+    stick=ArmAxis,
+    valve=Valve,  # of its curves only the straight line
+):
+    """Parameters of boom, stick and manipulator."""
+
+
+class MotorAxis(motor.MotorSize, line=(motor.VolumeLine, "{} line")):
+    """Motor, gear and lines of the swing."""
+
+
+class OfSwing(
+    Group, swing=(MotorAxis, "swing", str), swing_valve=Valve, swing_oil=(Density, "oil", "swing_{}".format)
+):
+    """Parameters of the swing drive."""
+
+
+class ControllerParameters(OfSwing, OfMachine, Gains):
+    """Gains, and parameters of the machine."""
+
+    nominal_supply_pressure: Scalar = Quantity(
+        "Pa", "Supply pressure at which the feedforward needs no correction", 1e7, group="Nominal"
+    )
+    nominal_boom_holding_force: Scalar = Quantity(
+        "N", "Force of the boom cylinder at which the feedforward needs no correction", 1e5
+    )
+    nominal_stick_holding_force: Scalar = Quantity(
+        "N", "Force of the stick cylinder at which the feedforward needs no correction", 1e5
+    )
 
 
 def _per_axis(pattern: str, units: tuple[str, str], text: str, nominal: float = 1.0) -> dict[str, Quantity]:

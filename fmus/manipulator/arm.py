@@ -23,7 +23,7 @@ from fmus.components.mechanics import (
 )
 from fmus.contract import Scalar, column
 from fmus.manipulator.design import Head, TipMotion
-from fmus.manipulator.variables import ArmLink, CylinderMount, ManipulatorParameters, ManipulatorState
+from fmus.manipulator.variables import ManipulatorParameters, ManipulatorState
 
 SWING_STOP_ROUNDING = 1e-3  # rad, smoothing angle of the torque of the column's end stops
 
@@ -77,20 +77,20 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     carried, empty = ca.SX.sym("head_mass"), p
     p = replace(p, head_mass=carried)
     pivot, elbow = (p.boom_pivot_x, p.boom_pivot_z), (p.stick_pivot_x, p.stick_pivot_z)
-    boom, stick, tip = ArmLink.of(p, "boom").centre, ArmLink.of(p, "stick").centre, (p.stick_length, 0)
-    outboard = p.stick_mass + p.head_mass
-    moment = _add((p.head_mass * p.stick_length, 0), stick, p.stick_mass)  # about the elbow [kg.m]
-    inertia_boom = p.boom_inertia + p.boom_mass * _dot(boom, boom) + outboard * _dot(elbow, elbow)
-    inertia_stick = p.stick_inertia + p.stick_mass * _dot(stick, stick) + p.head_mass * p.stick_length**2
+    boom, stick, tip = p.boom.centre, p.stick.centre, (p.stick_length, 0)
+    outboard = p.stick.mass + p.head_mass
+    moment = _add((p.head_mass * p.stick_length, 0), stick, p.stick.mass)  # about the elbow [kg.m]
+    inertia_boom = p.boom.inertia + p.boom.mass * _dot(boom, boom) + outboard * _dot(elbow, elbow)
+    inertia_stick = p.stick.inertia + p.stick.mass * _dot(stick, stick) + p.head_mass * p.stick_length**2
 
     def kinetic(q: ca.SX, w: ca.SX) -> Scalar:
         pitch = q[1] + q[2]
         at_elbow = _add(pivot, _turn(q[1], elbow))
         at_tip = _add(at_elbow, _turn(pitch, tip))
-        radii = [(p.boom_mass, _add(pivot, _turn(q[1], boom))[0])]
-        radii += [(p.stick_mass, _add(at_elbow, _turn(pitch, stick))[0])]
+        radii = [(p.boom.mass, _add(pivot, _turn(q[1], boom))[0])]
+        radii += [(p.stick.mass, _add(at_elbow, _turn(pitch, stick))[0])]
         radii += [(p.head_mass, at_tip[0])]
-        yaw = p.column_inertia + p.boom_inertia * ca.cos(q[1]) ** 2 + p.stick_inertia * ca.cos(pitch) ** 2
+        yaw = p.column_inertia + p.boom.inertia * ca.cos(q[1]) ** 2 + p.stick.inertia * ca.cos(pitch) ** 2
         yaw += sum(m * r**2 for m, r in radii)
         coupling = _dot(elbow, _turn(q[2], moment))
         pitch_rate = w[1] + w[2]
@@ -100,9 +100,9 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
         return (yaw * w[0] ** 2 + planar) / 2 + head.kinetic(motion, q[3:], w[3:], p)
 
     def potential(q: ca.SX) -> Scalar:
-        first = _turn(q[1], _add((p.boom_mass * boom[0], p.boom_mass * boom[1]), elbow, outboard))
+        first = _turn(q[1], _add((p.boom.mass * boom[0], p.boom.mass * boom[1]), elbow, outboard))
         second = _turn(q[1] + q[2], moment)
-        arm = p.gravity * ((p.boom_mass + outboard) * pivot[1] + first[1] + second[1])
+        arm = p.gravity * ((p.boom.mass + outboard) * pivot[1] + first[1] + second[1])
         return arm + head.potential(q[3:], p)
 
     angles = (x.swing_angle, x.boom_angle, x.stick_angle, *(getattr(x, n) for n in head.angles))
@@ -113,10 +113,7 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
 
 def triangles(x: Any, p: Any) -> tuple[Triangle, Triangle]:
     """Cylinder triangles of boom and stick."""
-    return (
-        triangle(x.boom_angle, *CylinderMount.of(p, "boom").pins),
-        triangle(x.stick_angle, *CylinderMount.of(p, "stick").pins),
-    )
+    return triangle(x.boom_angle, *p.boom.pins), triangle(x.stick_angle, *p.stick.pins)
 
 
 @dataclass(frozen=True)
@@ -147,8 +144,8 @@ def pistons(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Piston, Pist
         return Piston(t, position, velocity, cylinder.stop(position, velocity, stroke, *stops))
 
     return (
-        piston(boom, x.boom_speed, p.boom_closed_length, p.boom_stroke),
-        piston(stick, x.stick_speed, p.stick_closed_length, p.stick_stroke),
+        piston(boom, x.boom_speed, p.boom.closed_length, p.boom.stroke),
+        piston(stick, x.stick_speed, p.stick.closed_length, p.stick.stroke),
     )
 
 
@@ -156,8 +153,7 @@ def require(x: ManipulatorState, p: ManipulatorParameters) -> dict[str, Scalar]:
     """Requirements: cylinder triangles close over the whole stroke, pistons stay within their strokes."""
     conditions: dict[str, Scalar] = {}
     boom, stick = pistons(x, p)
-    for name, piston in (("boom", boom), ("stick", stick)):
-        mount = CylinderMount.of(p, name)
+    for name, piston, mount in (("boom", boom, p.boom), ("stick", stick, p.stick)):
         shortest, longest = reach(*mount.pins)
         margin = 0.05 * mount.stroke  # penetration of an end stop up to which its model is valid
         angle = f"{name}_angle [rad], at the start initial_{name}_angle,"

@@ -83,7 +83,18 @@ class Head:
 
 def viscous_friction(contact: str, speed: Scalar, _: Any, p: Any) -> Resistance:
     """Friction without states."""
-    return viscous(speed, getattr(p, f"{contact}_damping"))
+    return viscous(speed, damping(contact, p))
+
+
+def damping(contact: str, p: Any) -> Scalar:
+    """Viscous coefficient of a contact [N.s/m, N.m.s/rad]."""
+    return {
+        "swing": p.swing_damping,
+        "boom_joint": p.boom.joint_damping,
+        "stick_joint": p.stick.joint_damping,
+        "boom_piston": p.boom.piston_damping,
+        "stick_piston": p.stick.piston_damping,
+    }[contact]
 
 
 POINT_MASS = Head()

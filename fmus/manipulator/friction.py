@@ -12,6 +12,7 @@ be too high.
 
 from fmus.components.friction import Bristles, Resistance, lugre
 from fmus.contract import Group, Quantity, Scalar
+from fmus.manipulator.design import damping
 from fmus.manipulator.model import Design, manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
@@ -30,6 +31,27 @@ class PistonContact(Group):
     coulomb: Scalar = Quantity("N", "Coulomb friction of the {}", 1000, minimum=0.0, tunable=True)
 
 
+class JointLaw(Group):
+    """Shape of the dry friction of all joints."""
+
+    static_ratio: Scalar = Quantity(
+        "1", "Break-away friction over Coulomb friction of {}", minimum=0.5, maximum=5.0, tunable=True
+    )
+    stribeck_speed: Scalar = Quantity("rad/s", "Stribeck speed of {}", 1e-2, minimum=1e-6)
+    presliding: Scalar = Quantity(
+        "rad", "Bristle deflection of {} at which the force is the Coulomb friction", 1e-4, minimum=1e-9
+    )
+
+
+class PistonLaw(JointLaw):
+    """Shape of the dry friction of all pistons."""
+
+    stribeck_speed: Scalar = Quantity("m/s", "Stribeck speed of {}", 1e-2, minimum=1e-6)
+    presliding: Scalar = Quantity(
+        "m", "Bristle deflection of {} at which the force is the Coulomb friction", 1e-4, minimum=1e-9
+    )
+
+
 class FrictionParameters(
     ManipulatorParameters,
     swing=(JointContact, "swing gear"),
@@ -37,32 +59,11 @@ class FrictionParameters(
     stick_joint=(JointContact, "stick joint"),
     boom_piston=(PistonContact, "boom cylinder's piston"),
     stick_piston=(PistonContact, "stick cylinder's piston"),
+    joint=(JointLaw, "joints and swing gear"),
+    piston=(PistonLaw, "pistons"),
 ):
     """Parameters of the arm, and of dry friction."""
 
-    joint_static_ratio: Scalar = Quantity(
-        "1",
-        "Break-away friction over Coulomb friction of joints and swing gear",
-        minimum=0.5,
-        maximum=5.0,
-        tunable=True,
-    )
-    joint_stribeck_speed: Scalar = Quantity(
-        "rad/s", "Stribeck speed of joints and swing gear", 1e-2, minimum=1e-6
-    )
-    joint_presliding: Scalar = Quantity(
-        "rad",
-        "Bristle deflection of joints and swing gear at which the force is the Coulomb friction",
-        1e-4,
-        minimum=1e-9,
-    )
-    piston_static_ratio: Scalar = Quantity(
-        "1", "Break-away friction over Coulomb friction of pistons", minimum=0.5, maximum=5.0, tunable=True
-    )
-    piston_stribeck_speed: Scalar = Quantity("m/s", "Stribeck speed of pistons", 1e-2, minimum=1e-6)
-    piston_presliding: Scalar = Quantity(
-        "m", "Bristle deflection of pistons at which the force is the Coulomb friction", 1e-4, minimum=1e-9
-    )
     bristle_damping_time: Scalar = Quantity(
         "s", "Damping of the bristles over their stiffness", 1e-2, minimum=0.0
     )
@@ -108,15 +109,15 @@ class FrictionOutputs(ManipulatorOutputs):
 
 def resist(contact: str, speed: Scalar, x: FrictionState, p: FrictionParameters) -> Resistance:
     """Resistance of one contact."""
-    prefix = "piston" if contact.endswith("piston") else "joint"
+    law = p.piston if contact.endswith("piston") else p.joint
     dry = Bristles(
-        coulomb=getattr(p, f"{contact}_coulomb"),
-        static_ratio=getattr(p, f"{prefix}_static_ratio"),
-        stribeck_speed=getattr(p, f"{prefix}_stribeck_speed"),
-        deflection=getattr(p, f"{prefix}_presliding"),
+        coulomb=getattr(p, contact).coulomb,
+        static_ratio=law.static_ratio,
+        stribeck_speed=law.stribeck_speed,
+        deflection=law.presliding,
         damping_time=p.bristle_damping_time,
     )
-    return lugre(speed, getattr(x, f"{contact}_bristle"), dry, getattr(p, f"{contact}_damping"))
+    return lugre(speed, getattr(x, contact).bristle, dry, damping(contact, p))
 
 
 FRICTION = manipulator(

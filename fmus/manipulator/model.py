@@ -18,7 +18,7 @@ The pick-up is inelastic: max(m_h', 0) v^2/2 is heat, v the speed of the payload
 m_h' g z + min(m_h', 0) v^2/2 enters, z its height (`payload_power`). Derivation: `fmus.components.mechanics`.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ import casadi as ca
 
 from fmus import ports
 from fmus.components.friction import Resistance
-from fmus.contract import Scalar, Subsystem, column
+from fmus.contract import Scalar, Subsystem, column, flat, nested, quantities
 from fmus.manipulator import arm
 from fmus.manipulator.arm import Piston
 from fmus.manipulator.design import CONTACTS, POINT_MASS, FrictionLaw, Head, viscous_friction
@@ -88,10 +88,10 @@ def forces(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> tuple[ca.SX,
     r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
     tau: ca.SX = column(
         u.swing_torque - r["swing"].force + arm.swing_stop(x, p).force,
-        boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop.force)
+        boom.triangle.arm * (u.boom.force - r["boom_piston"].force + boom.stop.force)
         - r["boom_joint"].force
         + joint.on_stick,
-        stick.triangle.arm * (u.stick_force - r["stick_piston"].force + stick.stop.force)
+        stick.triangle.arm * (u.stick.force - r["stick_piston"].force + stick.stop.force)
         - r["stick_joint"].force
         + joint.on_stick,
         *joint.on_head,
@@ -110,7 +110,7 @@ def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     rates |= {"held_mass": x.payload_flow, "payload_flow": _grip(x, u, p)}
     if design.friction is not viscous_friction:
         rates |= {f"{contact}_bristle": r[contact].deflection_rate for contact in CONTACTS}
-    return design.states(**rates)
+    return nested(design.states, rates)
 
 
 def _grip(x: Any, u: ManipulatorInputs, p: Any) -> Scalar:
@@ -124,14 +124,14 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     boom, stick = arm.pistons(x, p)
     r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
     dx, motion = dynamics(design, x, u, p), arm.mechanics(x, p, design.head)
-    load, declared = motion.per_kilogram, {f.name for f in fields(design.outputs)}
+    load, declared = motion.per_kilogram, quantities(design.outputs)
     swing_stop = arm.swing_stop(x, p)
     stops = (swing_stop, boom.stop, stick.stop)
-    values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in declared}
+    values: dict[str, Scalar] = {n: value for n, value in flat(x).items() if n in declared}
     if "stored_energy" in declared:
         values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
     values |= {name: r[contact].force for contact, name in CONTACTS.items() if name in declared}
-    return design.outputs(
+    found = dict(
         **values,
         **_piston_outputs(x, dx, boom, stick),
         **_positions(x, p),
@@ -139,8 +139,8 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
         swing_acceleration=dx.swing_speed,
         boom_holding_force=motion.gravity[1] / boom.triangle.arm,
         stick_holding_force=motion.gravity[2] / stick.triangle.arm,
-        boom_torque=boom.triangle.arm * u.boom_force,
-        stick_torque=stick.triangle.arm * u.stick_force,
+        boom_torque=boom.triangle.arm * u.boom.force,
+        stick_torque=stick.triangle.arm * u.stick.force,
         kinetic_energy=motion.kinetic,
         potential_energy=motion.potential,
         swing_stop_torque=swing_stop.force,
@@ -150,6 +150,7 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
         + load.heat(x.payload_flow),
         payload_power=load.inflow(x.payload_flow),
     )
+    return nested(design.outputs, found)
 
 
 def initial(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> dict[str, Scalar]:

@@ -51,14 +51,22 @@ class ArmLink(CylinderMount):
         return self.centre_x, self.centre_z
 
 
-class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
+class OnColumn(CylinderMount):
+    """Mounting points of a cylinder between the column and a link."""
+
+    base_x: Scalar = Quantity(
+        "m", "Base pin of the {} cylinder from the {} pivot, radial", group="{} cylinder"
+    )
+    base_z: Scalar = Quantity("m", "Base pin of the {} cylinder from the {} pivot, upwards")
+
+
+class Boom(OnColumn, ArmLink):
+    """The boom, whose fixed link is the column."""
+
+
+class ManipulatorParameters(Group, boom=Boom, stick=ArmLink):
     """Parameters; values and sources are in parameters.toml."""
 
-    # the fixed link of the boom is the column: radial and upwards instead of along the link
-    boom_base_x: Scalar = Quantity(
-        "m", "Base pin of the boom cylinder from the boom pivot, radial", group="Boom cylinder"
-    )
-    boom_base_z: Scalar = Quantity("m", "Base pin of the boom cylinder from the boom pivot, upwards")
     gravity: Scalar = Quantity("m/s2", "Gravitational acceleration", 10.0, group="Gravity")
     column_inertia: Scalar = Quantity(
         "kg.m2",

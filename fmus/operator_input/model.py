@@ -92,22 +92,24 @@ STROKES = range(1, 11)
 PAYLOADS = range(1, 5)
 
 
-def _declared(group: type[Group], prefix: str, owner: str, heading: str) -> dict[str, Quantity]:
-    """Declaration of the parameters of a stroke or payload, named for example boom_1_start."""
-    members = quantities(group).items()
-    return {f"{prefix}_{name}": replace(q.of(prefix, owner), group=heading) for name, q in members}
+def _program(group: type[Group], owner: str, heading: str, count: range) -> type[Any]:
+    """Several strokes of a lever, or payloads."""
+    headed = make_group("Headed", {"start": replace(quantities(group)["start"], group=heading)}, group)
+    return make_group(
+        "Program", {}, **{f"n{n}": (headed, owner.format(n), f"{n}_{{}}".format) for n in count}
+    )
 
 
-# 162 parameters from two patterns; values and sources are in parameters.toml
-_PARTS = [
-    *(
-        _declared(Stroke, f"{lever}_{n}", f"stroke {n} of the {lever} lever", f"{lever.capitalize()} lever")
+# 162 parameters from two patterns, named for example boom_1_start; values and sources are in parameters.toml
+OperatorParameters = make_group(
+    "OperatorParameters",
+    {},
+    **{
+        lever: _program(Stroke, f"stroke {{}} of the {lever} lever", f"{lever.capitalize()} lever", STROKES)
         for lever in AXES
-        for n in STROKES
-    ),
-    *(_declared(Payload, f"payload_{n}", f"payload {n}", "Payloads") for n in PAYLOADS),
-]
-OperatorParameters = make_group("OperatorParameters", {n: q for part in _PARTS for n, q in part.items()})
+    },
+    payload=_program(Payload, "payload {}", "Payloads", PAYLOADS),
+)
 
 
 class OperatorState(Group):
@@ -127,12 +129,12 @@ class OperatorOutputs(ports.CommandOutputs):
 
 
 def _strokes(lever: str, p: Any) -> list[Stroke]:
-    return [Stroke.of(p, f"{lever}_{n}") for n in STROKES]
+    return list(vars(getattr(p, lever)).values())
 
 
 def _payloads(p: Any) -> list[Stroke]:
     """Payloads as strokes without ramps."""
-    held = (Payload.of(p, f"payload_{n}") for n in PAYLOADS)
+    held = vars(p.payload).values()
     return [Stroke(start=h.start, command=h.mass, rise=0, hold=h.hold, fall=0) for h in held]
 
 

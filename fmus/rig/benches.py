@@ -19,7 +19,7 @@ line. Only the hose is between the two pairs of instruments.
 
     supply --valve-- (P_in, Q_in) ==hose== (P_out, Q_out) --throttle-- return line
 
-lumped     I dQ/dt = P_in - P_out - C_R Q|Q|, C dP_out/dt = Q - Q_out, as in `fmus.boom_stick.drive`
+lumped     I dQ/dt = P_in - P_out - C_R Q|Q|, C dP_out/dt = Q - Q_out, as in `fmus.drives.lumped`
 detailed   the line of lumps of `fmus.components.hose`, with elastic wall, air and both kinds of friction
 
 Motor bench: the swing motor with a locked shaft; pressure reducing valves set both port pressures.
@@ -35,23 +35,20 @@ is that of the line, and the meter is between line and motor.
 
 from collections.abc import Callable, Mapping
 from types import SimpleNamespace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
 from fmus import boom_stick, swing
-from fmus.boom_stick import detailed as boom_stick_detailed
-from fmus.boom_stick.variables import BoomStickParameters, DetailedBoomStickParameters, OilState
 from fmus.components import circuit, hose, motor, spool_valve
-from fmus.components.chamber import Fluid
 from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
-from fmus.components.hose import LumpedHose
-from fmus.components.spool_valve import Edges, Spool, SpoolState, Valve
+from fmus.components.spool_valve import SpoolState
 from fmus.contract import Scalar, column, quantities
+from fmus.drives.cylinder import Flows
+from fmus.drives.detailed import hose_line, lumps_of
 from fmus.monolith import Monolith, simulate
-from fmus.parameters import values
-from fmus.swing.variables import DetailedSwingParameters
+from fmus.parameters import parameters
 from orchestrator.data.table import Array
 
 ByName: TypeAlias = dict[str, Scalar]
@@ -61,17 +58,18 @@ Bench: TypeAlias = Callable[[ByName, ByName], tuple[Circuit, ByName, ByName]]
 
 SUPPLY = 20.684e6  # Pa, as in the machine
 RETURN = 0.5e6  # Pa
+LINES = SimpleNamespace(supply_pressure=SUPPLY, tank_pressure=RETURN)
 TOLERANCE = 1e-10  # relative tolerance of CVODES
 
 
-def lumped() -> BoomStickParameters:
+def lumped() -> Any:
     """Parameter values of the lumped boom and stick drives: valve, hoses, oil."""
-    return BoomStickParameters(**values(boom_stick.VARIANTS["lumped"]).p)
+    return parameters(boom_stick.VARIANTS["lumped"])
 
 
-def detailed() -> DetailedBoomStickParameters:
+def detailed() -> Any:
     """Parameter values of the detailed boom and stick drives."""
-    return DetailedBoomStickParameters(**values(boom_stick.VARIANTS["detailed"]).p)
+    return parameters(boom_stick.VARIANTS["detailed"])
 
 
 def start_flow(leakage: Scalar) -> Scalar:
@@ -136,24 +134,20 @@ class BenchValve:
 
         port, flow, at   name of the node, flow [m3/s] out of it, A or B; the other port is closed
         """
-        a, b = (flow, 0.0) if at == "A" else (0.0, flow)
+        flows = (flow, 0.0) if at == "A" else (0.0, flow)
         rates: ByName = {}
         if self._spool:
             p, state = detailed(), SpoolState(x["position"], x["speed"])
-            spool, commanded = (
-                Spool.of(p, "spool"),
-                spool_valve.commanded_position(command, p.valve_full_command),
-            )
-            edges = (Edges.of(p, "valve"), spool, state.position)
-            ports = spool_valve.spool_ports(*edges, a, b, SUPPLY, RETURN, p.density)
-            rates = vars(spool_valve.spool_rates(spool, state, commanded))
+            ports = spool_valve.spool_ports(p.valve, p.spool, state.position, flows, LINES, p.density)
+            commanded = spool_valve.commanded_position(command, p.valve.full_command)
+            rates = vars(spool_valve.spool_rates(p.spool, state, commanded))
         else:
-            valve = (Valve.of(lumped(), "valve"), command)
-            ports = spool_valve.ports_from_flow(*valve, a, b, SUPPLY, RETURN, lumped().density)
+            p = lumped()
+            ports = spool_valve.ports_from_flow(p.valve, command, flows, LINES, p.density)
         names = (port, "closed port") if at == "A" else ("closed port", port)
         nodes = {name: Node(found.pressure) for name, found in zip(names, ports, strict=True)}
         nodes |= {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
-        return Circuit(nodes, spool_valve.branches(ports, *names)), rates
+        return Circuit(nodes, spool_valve.branches(ports, names)), rates
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
@@ -173,17 +167,17 @@ def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> 
 
 
 def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
-    p, of = lumped(), LumpedHose.of(lumped(), "stick_hose")
+    p, of = lumped(), lumped().stick.hose
 
     def line(x: ByName) -> Circuit:
-        friction = (of.resistance, p.valve_transition_flow)
+        friction = (of.resistance, p.valve.transition_flow)
         return Circuit(
             {"pressure_out": Node(x["pressure_out"], "C", of.capacitance)},
             {
                 "flow_in": hose.column(
                     *("pressure_in", "pressure_out", x["flow_in"], "I", of.inertance), *friction
                 ),
-                "flow_out": throttle("pressure_out", TANK, resistance, p.valve_transition_flow),
+                "flow_out": throttle("pressure_out", TANK, resistance, p.valve.transition_flow),
             },
         )
 
@@ -192,20 +186,20 @@ def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]
 
 def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]:
     p = detailed()
-    of, lumps = boom_stick_detailed.line(p, "stick"), boom_stick_detailed.default_lumps()["stick"]
-    ends = {"flow_in": quantities(OilState)["head_flow"], "flow_out": quantities(OilState)["head_flow"]}
+    of, lumps = hose_line(p.stick, p), lumps_of(boom_stick.VALUES)(boom_stick.AXES[1])
+    ends = dict.fromkeys(("flow_in", "flow_out"), quantities(Flows)["head_flow"])
     states = hose.line_states(ends, "inner", "", "the hose", lumps, unsteady_friction=False)
 
     def line(x: ByName) -> Circuit:
         # without volume, so the flow out of the hose gives the drop of the throttle
-        drop = spool_valve.turbulent_drop(x["flow_out"], resistance, p.valve_transition_flow)
+        drop = spool_valve.turbulent_drop(x["flow_out"], resistance, p.valve.transition_flow)
         between = (SimpleNamespace(**x), "pressure_in", "pressure_out", RETURN + drop)
         end = Branch("pressure_out", TANK, Kind.THROTTLE, x["flow_out"])
         return hose.ladder(of, states, *between) | Circuit(
             {"pressure_out": Node(RETURN + drop)}, {"throttle": end}
         )
 
-    start = dict.fromkeys(states.flows, (start_flow(p.valve_leakage), 1e-3))
+    start = dict.fromkeys(states.flows, (start_flow(p.valve.leakage), 1e-3))
     return line, start | dict.fromkeys(states.pressures, (RETURN, 1e7))
 
 
@@ -214,11 +208,9 @@ MOTOR_THROTTLE = 1e10  # R [Pa.s/m3]; time constant of a side 10 ms, pressure dr
 
 def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[str, Array]:
     """Port pressures [Pa], flow into port A and drain flow [m3/s], for set pressures [Pa]."""
-    p, is_detailed = values(swing.VARIANTS[machine]).p, machine == "detailed"
-    leaks = (p["internal_leakage_resistance"], p["external_leakage_resistance"])
-    fluid = Fluid.of(DetailedSwingParameters(**p)) if is_detailed else None
-
-    oil = (0.0, p["motor_volume"], fluid) if fluid else (p["line_capacitance"],)
+    p, is_detailed = parameters(swing.VARIANTS[machine]), machine == "detailed"
+    own = p.swing
+    oil = (0.0, own.motor_volume, p) if is_detailed else (own.line.capacitance,)
     sides, ports = ("line_a", "line_b"), ("port_a", "port_b")
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
@@ -228,12 +220,13 @@ def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[
             "supply_a": Branch("set_a", "line_a", Kind.THROTTLE, lambda drop: drop / MOTOR_THROTTLE),
             "supply_b": Branch("set_b", "line_b", Kind.THROTTLE, lambda drop: drop / MOTOR_THROTTLE),
         }
-        if fluid:
-            (a, b), meter, own = sides, "supply_a", Circuit(nodes, motor.branches(sides, 0.0, *leaks))
+        if is_detailed:
+            (a, b), meter = sides, "supply_a"
+            inside = Circuit(nodes, motor.branches(sides, 0.0, *own.leakage))
         else:
             (a, b), meter = ports, "line_a"
-            own = motor.behind_lines(nodes, sides, ports, p["line_resistance"], 0.0, *leaks)
-        whole = own | Circuit({}, supplied)
+            inside = motor.behind_lines(nodes, sides, ports, own.line.resistance, 0.0, *own.leakage)
+        whole = inside | Circuit({}, supplied)
         outputs = {"pressure_a": whole.pressures[a], "pressure_b": whole.pressures[b]}
         return whole, {}, outputs | {"flow_a": whole.flows[meter], "drain_flow": whole.through(Kind.DRAIN)}
 
@@ -252,8 +245,8 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
     spool, p = BenchValve(machine), lumped()
     from_supply = edge.startswith("P")
     other_end, start = (TANK, RETURN) if from_supply else (circuit.SUPPLY, SUPPLY)
-    fraction = LINE / detailed().stick_hose_length
-    friction = (hose.scaled_resistance(p.stick_hose_resistance, fraction, 1.0), p.valve_transition_flow)
+    fraction = LINE / detailed().stick.hose.length
+    friction = (hose.scaled_resistance(p.stick.hose.resistance, fraction, 1.0), p.valve.transition_flow)
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
         flow = x["flow"]  # out of the port
@@ -261,8 +254,8 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
         whole = of_valve | Circuit(
             {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)},
             {
-                "flow": hose.column("port", "block", flow, "I", fraction * p.stick_hose_inertance, *friction),
-                "throttle": throttle("block", other_end, VALVE_THROTTLE, p.valve_transition_flow),
+                "flow": hose.column("port", "block", flow, "I", fraction * p.stick.hose.inertance, *friction),
+                "throttle": throttle("block", other_end, VALVE_THROTTLE, p.valve.transition_flow),
             },
         )
         at_port = whole.pressures["port"]
@@ -270,6 +263,6 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
         names = ("pressure_in", "pressure_out", "flow")
         return whole, rates, dict(zip(names, measured, strict=True))
 
-    leakage = start_flow(p.valve_leakage) * (1 if from_supply else -1)
+    leakage = start_flow(p.valve.leakage) * (1 if from_supply else -1)
     states = {"flow": (leakage, 1e-3), "block": (start, 1e7)}
     return run(states | spool.states, bench, time, {"command": command})

@@ -149,7 +149,7 @@ def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Eng
 
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Initial state without flow into the drives: pumps at dead head, governed engine."""
-    tank, engine = p.reservoir_pressure, DieselEngine.of(p, "engine")
+    tank, engine = p.reservoir_pressure, p.engine
     speed = engine.no_load_speed
     for _ in range(engine_and_pump.ITERATIONS):
         speed = engine_and_pump.governed_speed(engine, _idle_load(p, speed), speed)
@@ -184,9 +184,9 @@ def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
         - p.reservoir_pressure,
         "pump_2_pressure_setting exceeds reservoir_pressure": p.pump_2_pressure_setting
         - p.reservoir_pressure,
-        "relief_pressure exceeds pump_1_pressure_setting": p.relief_pressure - p.pump_1_pressure_setting,
-        "relief_pressure exceeds pump_2_pressure_setting": p.relief_pressure - p.pump_2_pressure_setting,
-        **rail.engine_requirements(p, _idle_load(p, p.engine_rated_speed), "both pumps"),
+        "relief_pressure exceeds pump_1_pressure_setting": p.relief.pressure - p.pump_1_pressure_setting,
+        "relief_pressure exceeds pump_2_pressure_setting": p.relief.pressure - p.pump_2_pressure_setting,
+        **rail.engine_requirements(p, _idle_load(p, p.engine.rated_speed), "both pumps"),
     }
 
 

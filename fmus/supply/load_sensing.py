@@ -121,7 +121,7 @@ class LoadSensingParameters(RailParameters, Regulators, TankParameters, engine=D
 
     def pump(self, load_sensing_pressure: Scalar) -> Pump:
         """Parameters of the pump; its setting is the load-sensing pressure plus the margin."""
-        d = MainPump.of(self, "main_pump")
+        d = self.main_pump
         return Pump(
             *(d.displacement, d.leakage, d.pressure_friction, d.viscous_friction),
             *(load_sensing_pressure + self.margin, self.margin_band),
@@ -160,7 +160,7 @@ class LoadSensingOutputs(ShaftOutputs):
 
 
 def _supply(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> Supply:
-    line = (p.main_pump_check_resistance, p.main_pump_line_capacitance)
+    line = (p.main_pump.check_resistance, p.main_pump.line_capacitance)
     pump = rail.viscous(p.pump(x.load_sensing_pressure), x)
     bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature)
     leakage = Branch("supply_pressure", RESERVOIR, Kind.LEAKAGE, lambda drop: bleed * drop)
@@ -222,7 +222,7 @@ def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | Non
         leaking = replace(pump, leakage=pump.leakage + passed)
         stroke, pressure = engine_and_pump.dead_head(leaking, speed, tank)
         rise = pressure - tank
-        drop = ramp_inverse(passed * rise * p.main_pump_check_resistance, p.check_opening)
+        drop = ramp_inverse(passed * rise * p.main_pump.check_resistance, p.check_opening)
         passed = bleed * (1 - drop / rise)
         load = engine_and_pump.torque(pump, stroke, speed, rise)
         if engine is not None and iteration < _ITERATIONS - 1:
@@ -232,7 +232,7 @@ def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | Non
 
 def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
     """Standby: all valves closed, governed engine under the small load of the pump."""
-    engine = DieselEngine.of(p, "engine")
+    engine = p.engine
     found = _standby(p, engine.no_load_speed, engine)
     return {
         "supply_pressure": found.supply_pressure,
@@ -253,8 +253,8 @@ def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
         "pressure_cut_off exceeds return line, margin and load_sensing_relief_difference": (
             p.pressure_cut_off - p.load_sensing_relief_difference - rail.return_pressure(p) - p.margin
         ),
-        "relief_pressure exceeds pressure_cut_off": p.relief_pressure - p.pressure_cut_off,
-        **rail.engine_requirements(p, _standby(p, p.engine_rated_speed).load, "the pump"),
+        "relief_pressure exceeds pressure_cut_off": p.relief.pressure - p.pressure_cut_off,
+        **rail.engine_requirements(p, _standby(p, p.engine.rated_speed).load, "the pump"),
     }
 
 

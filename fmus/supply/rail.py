@@ -26,9 +26,9 @@ import casadi as ca
 
 from fmus.components import engine_and_pump, oil
 from fmus.components.circuit import GROUND, Branch, Circuit, Kind, Node
-from fmus.components.engine_and_pump import DieselEngine, Pump
+from fmus.components.engine_and_pump import Pump
 from fmus.components.orifice import PressureValve
-from fmus.contract import Group, Quantity, Scalar, quantities
+from fmus.contract import Group, Quantity, Scalar, flat, quantities
 from fmus.smooth import unit_limited
 from fmus.supply.variables import CommonParameters, SupplyInputs, SupplyOutputs, consumers
 
@@ -39,7 +39,24 @@ STEP = 2.5e-4
 _FAN_ROUNDING = 0.02  # share of the cooler's band over which its ends are rounded
 
 
-class RailParameters(Group):
+class MainRelief(PressureValve):
+    """The main relief valve."""
+
+    pressure: Scalar = Quantity(
+        "Pa", "Pressure above the tank at which the main relief valve opens", 1e7, minimum=1e5, group="Lines"
+    )
+    gain: Scalar = Quantity(
+        "m3/(s.Pa)",
+        "Flow of the main relief valve per pressure above the opening pressure",
+        1e-9,
+        minimum=0.0,
+    )
+    rounding: Scalar = Quantity(
+        "Pa", "Pressure range over which the main relief valve begins to open", 1e5, minimum=1.0
+    )
+
+
+class RailParameters(Group, relief=MainRelief):
     """Parameters of the supply line and its valves."""
 
     rail_capacitance: Scalar = Quantity(
@@ -51,18 +68,6 @@ class RailParameters(Group):
     )
     check_opening: Scalar = Quantity(
         "Pa", "Pressure range over which each check valve opens", 1e4, minimum=1.0
-    )
-    relief_pressure: Scalar = Quantity(
-        "Pa", "Pressure above the tank at which the main relief valve opens", 1e7, minimum=1e5
-    )
-    relief_gain: Scalar = Quantity(
-        "m3/(s.Pa)",
-        "Flow of the main relief valve per pressure above the opening pressure",
-        1e-9,
-        minimum=0.0,
-    )
-    relief_rounding: Scalar = Quantity(
-        "Pa", "Pressure range over which the main relief valve begins to open", 1e5, minimum=1.0
     )
 
 
@@ -186,9 +191,7 @@ class Supply:
             },
             {
                 **consumers(self.u),
-                "relief_flow": Branch(
-                    "supply_pressure", RESERVOIR, Kind.RELIEF, PressureValve.of(p, "relief").flow
-                ),
+                "relief_flow": Branch("supply_pressure", RESERVOIR, Kind.RELIEF, p.relief.flow),
                 "return_check": Branch("tank_pressure", RESERVOIR, Kind.CHECK, self._into_tank),
                 **self.branches,
             },
@@ -215,8 +218,8 @@ class Supply:
     @property
     def engine_torque(self) -> Scalar:
         """Torque [N.m] of the combustion."""
-        engine = DieselEngine.of(self.p, "engine")
-        return engine_and_pump.burning_share(engine, self.x.engine_speed) * self.x.engine_fuel_torque
+        burning = engine_and_pump.burning_share(self.p.engine, self.x.engine_speed)
+        return burning * self.x.engine_fuel_torque
 
     @property
     def oil_heat(self) -> Scalar:
@@ -234,7 +237,7 @@ class Supply:
 
     def rates(self) -> dict[str, Scalar]:
         """Time derivatives of all pressures and of `ShaftState`, by name."""
-        x, p, engine = self.x, self.p, DieselEngine.of(self.p, "engine")
+        x, p, engine = self.x, self.p, self.p.engine
         heat = self.circuit.work(Kind.CONSUMER) + self.oil_heat
         return {
             **self.circuit.rates,
@@ -247,16 +250,16 @@ class Supply:
     def outputs(self) -> dict[str, Scalar]:
         """States and outputs by name."""
         x, p, w = self.x, self.p, self.x.engine_speed
-        engine_heat = engine_and_pump.engine_friction(DieselEngine.of(p, "engine"), w) * w
-        rotation = p.engine_inertia * w**2 / 2
+        engine_heat = engine_and_pump.engine_friction(p.engine, w) * w
+        rotation = p.engine.inertia * w**2 / 2
         return {
-            **vars(x),
+            **flat(x),
             **self.circuit.flows,
             "supply_pressure_rate": self.circuit.rates["supply_pressure"],
             "tank_pressure_rate": self.circuit.rates["tank_pressure"],
             "hydraulic_power": self.circuit.work(Kind.CONSUMER),
-            "engine_speed_below_idle": ca.fmax(p.engine_idle_speed - w, 0),
-            "engine_speed_below_stall": ca.fmax(p.engine_stall_speed - w, 0),
+            "engine_speed_below_idle": ca.fmax(p.engine.idle_speed - w, 0),
+            "engine_speed_below_stall": ca.fmax(p.engine.stall_speed - w, 0),
             "engine_torque": self.engine_torque,
             "engine_power": self.engine_torque * w,
             "engine_load": self.load,
@@ -287,12 +290,12 @@ def at_start(pump: Pump, p: TankParameters) -> Pump:
     return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(p.oil_temperature_start))
 
 
-def engine_requirements(p: RailParameters, idle_load: Scalar, pumps: str) -> dict[str, Scalar]:
+def engine_requirements(p: Any, idle_load: Scalar, pumps: str) -> dict[str, Scalar]:
     """Order of the speeds, an engine that can turn the pumps; idle_load [N.m] at rated speed."""
     return {
-        "engine_no_load_speed exceeds engine_rated_speed": p.engine_no_load_speed - p.engine_rated_speed,
-        "engine_rated_speed exceeds engine_peak_speed": p.engine_rated_speed - p.engine_peak_speed,
-        "engine_peak_speed exceeds engine_idle_speed": p.engine_peak_speed - p.engine_idle_speed,
-        "engine_idle_speed exceeds engine_stall_speed": p.engine_idle_speed - p.engine_stall_speed,
-        f"engine_rated_torque exceeds what turns {pumps} without flow": p.engine_rated_torque - idle_load,
+        "engine_no_load_speed exceeds engine_rated_speed": p.engine.no_load_speed - p.engine.rated_speed,
+        "engine_rated_speed exceeds engine_peak_speed": p.engine.rated_speed - p.engine.peak_speed,
+        "engine_peak_speed exceeds engine_idle_speed": p.engine.peak_speed - p.engine.idle_speed,
+        "engine_idle_speed exceeds engine_stall_speed": p.engine.idle_speed - p.engine.stall_speed,
+        f"engine_rated_torque exceeds what turns {pumps} without flow": p.engine.rated_torque - idle_load,
     }

@@ -98,8 +98,8 @@ def consumers(u: SupplyInputs) -> dict[str, Branch]:
 def line_pressure(u: SupplyInputs, p: CommonParameters, setting: Scalar) -> LoadPressure:
     """Pressure of the load-sensing line without lag: the highest load pressure of all drives, limited."""
     load = highest(
-        LoadPressure(u.swing_load_pressure, u.swing_load_pressure_rate),
-        LoadPressure(u.boom_stick_load_pressure, u.boom_stick_load_pressure_rate),
+        LoadPressure(u.swing.load_pressure, u.swing.load_pressure_rate),
+        LoadPressure(u.boom_stick.load_pressure, u.boom_stick.load_pressure_rate),
     )
     return limited(load, p, setting)
 

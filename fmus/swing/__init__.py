@@ -3,16 +3,72 @@
 `VARIANTS` are its models by fidelity (dynamics of lines and valve spool); `SWING` is the default, lumped.
 """
 
-from fmus.contract import family
-from fmus.swing import compensated, detailed, lumped, quasistatic
+from functools import partial
+from pathlib import Path
+
+from fmus import ports
+from fmus.contract import Quantity, Scalar, Subsystem, family
+from fmus.drives import motor
+from fmus.drives.compensated import COMPENSATED
+from fmus.drives.detailed import detailed, lumps_of
+from fmus.drives.drive import Axis, part
+from fmus.drives.lumped import LUMPED
+from fmus.drives.motor import MOTOR
+from fmus.drives.quasistatic import QUASISTATIC
+
+
+class Inputs(motor.Inputs):
+    """Command and motion of the column; the rate inputs are exact time derivatives."""
+
+    command: Scalar = ports.command("{}", "turns left", "command_rate")
+    speed: Scalar = Quantity("rad/s", "Swing speed, counter-clockwise from above", 1.0, rate="acceleration")
+
+
+def _named(parameter: str) -> str:
+    """The parameters have no prefix, except two."""
+    return f"swing_{parameter}" if parameter in ("section_flow", "return_area") else parameter
+
+
+VALUES = Path(__file__).with_name("parameters.toml")
+AXES = (Axis("swing", MOTOR, Inputs, _named),)
+_part = partial(part, "swing", AXES, values=VALUES)
+
+
+def _detailed(lumps: int | None = None) -> Subsystem:
+    return _part(
+        detailed(lumps_of(VALUES) if lumps is None else lambda _: lumps),
+        text="Detailed hydraulic swing drive: spool dynamics, lines, motor and gear, air, relief valves",
+        validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
+    )
+
 
 VARIANTS = family(
     "swing",
-    lumped=lumped.SWING,
-    quasistatic=quasistatic.SWING,
-    detailed=detailed.SWING,
-    compensated=compensated.SWING,
+    lumped=_part(
+        LUMPED,
+        text="Hydraulic swing drive: spool valve, lines, motor and gear",
+        validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
+    ),
+    quasistatic=_part(
+        QUASISTATIC,
+        text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
+        validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
+        stiff=False,
+    ),
+    detailed=_detailed(),
+    compensated=_part(
+        COMPENSATED,
+        text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
+        validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
+        " no spool dynamics",
+    ),
 )
 SWING = VARIANTS["lumped"]
 
-__all__ = ["SWING", "VARIANTS"]
+
+def with_lumps(lumps: int) -> Subsystem:
+    """The detailed drive with so many lumps per line; `VARIANTS` has as many as it needs below 75 Hz."""
+    return family("swing", **{**VARIANTS, "detailed": _detailed(lumps)})["detailed"]
+
+
+__all__ = ["SWING", "VARIANTS", "with_lumps"]

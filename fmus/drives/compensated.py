@@ -1,0 +1,291 @@
+"""Drives of a load-sensing machine: compensated sections, relief valves, load holding.
+
+The lines are volumes with elastic walls and air, as in `quasistatic`, and the sections sense the pressures of
+their ports (`pressure_compensator`). Forces and torques depend only on states.
+
+**Cylinder** with counterbalance valves at the cylinder, and relief and anti-cavitation valves of `orifice` at
+the valve. For each side, head (port A) or rod (port B), with the pressures P_V of the hose at the valve and
+P_C of the chamber:
+
+    C_V dP_V/dt    = Q_port - Q_C - Q_relief + Q_anti         Q_port = Q_in - Q_out of `pressure_compensator`
+    C_C dP_C/dt    = Q_C -+ A x'                              C_C = V_C(x) kappa(P_C)
+    dy/dt          = (y_0 - y)/T                              Q_C, y_0 of `counterbalance_valve`
+
+C_V = A l (kappa(P_V) + 1/E_wall), with kappa of `chamber`. Each counterbalance valve is piloted by the hose
+of the other side. Hoses are resistances in series with these valves; flows follow from pressures.
+
+The boom's counterbalance valve meters when the boom is lowered: its meter-out edge is wide, so that no more
+pressure is needed than opens the valve. Behind a compensated section this is stable only with a low pilot
+ratio (docs/equations.md). The other meter-out edges are so small that their counterbalance valves are fully
+open in motion.
+
+**Motor** with crossover reliefs, make-up from the return line, and a holding brake with the torque T of
+`motor`:
+
+    C dP_a/dt = Q_a - D w - (P_a - P_b)/R_in - (P_a - P_t)/R_ex - Q_cross + Q_anti,a
+    C dP_b/dt = Q_b + D w + (P_a - P_b)/R_in - (P_b - P_t)/R_ex + Q_cross + Q_anti,b
+    torque    = D (P_a - P_b) - T             D = D_m N                   eqs. (8), (11), (12)
+
+A closed valve blocks the ports, which have no counterbalance valves. The brake is released as soon as the
+command leaves the dead band and the supply has pressure.
+"""
+
+from functools import partial
+from typing import Any
+
+from fmus.components import chamber, circuit, counterbalance_valve, hose, motor, spool_valve
+from fmus.components import pressure_compensator as compensator
+from fmus.components.chamber import AeratedOil, Air
+from fmus.components.circuit import Branch, Circuit, Kind, Node
+from fmus.components.counterbalance_valve import Counterbalance, Restriction
+from fmus.components.hose import HoseWall
+from fmus.components.load_sensing import sensed
+from fmus.components.motor import Brake
+from fmus.components.orifice import AntiCavitation, PressureValve, Reliefs
+from fmus.components.pressure_compensator import Compensator, Section, SectionOutputs, SectionValve
+from fmus.contract import Group, Quantity, Scalar
+from fmus.drives import cylinder as cylinders
+from fmus.drives import motor as motors
+from fmus.drives.cylinder import CHAMBERS, CYLINDER, PORTS
+from fmus.drives.drive import Drive, Fidelity, Model, both, valve_of
+from fmus.drives.motor import LINES, MOTOR
+
+
+class Common(AeratedOil, HoseWall, compensator=Compensator):
+    """Parameters that all axes share."""
+
+
+class SectionSize(Group):
+    """Size of a section."""
+
+    section_flow: Scalar = Quantity(
+        "m3/s", "Flow of the {} section at full command", 1e-3, minimum=1e-6, group="{} section"
+    )
+
+
+# ---- cylinder
+
+
+class CylinderCommon(
+    Group,
+    anti_cavitation=AntiCavitation,
+    counterbalance=Counterbalance,
+    port_relief=(PressureValve, "port relief"),
+):
+    """Parameters that all cylinders share."""
+
+    neutral_area: Scalar = Quantity(
+        "m2", "Area that connects each port to the return line in neutral", 1e-6, minimum=0.0, group="Neutral"
+    )
+
+
+class CylinderDrive(SectionSize, cylinders.VolumeDrive):
+    """Cylinder, hoses and section."""
+
+    head_return_area: Scalar = Quantity(
+        "m2", "Area of the meter-out edge from the head side of the {} at full command", 1e-4, minimum=1e-9
+    )
+    rod_return_area: Scalar = Quantity(
+        "m2", "Area of the meter-out edge from the rod side of the {} at full command", 1e-4, minimum=1e-9
+    )
+    head_pilot_ratio: Scalar = Quantity(
+        "1", "Pilot ratio R of the counterbalance valve at the head side of the {} cylinder", minimum=0.0
+    )
+    rod_pilot_ratio: Scalar = Quantity(
+        "1", "Pilot ratio R of the counterbalance valve at the rod side of the {} cylinder", minimum=0.0
+    )
+
+    @property
+    def pilot_ratios(self) -> tuple[Scalar, Scalar]:
+        """R of the head and the rod side."""
+        return self.head_pilot_ratio, self.rod_pilot_ratio
+
+
+class AtValve(Group):
+    """Pressures at the valve and openings of the counterbalance valves."""
+
+    head_valve_pressure: Scalar = chamber.pressure("Pressure at port A of the {} valve")
+    rod_valve_pressure: Scalar = chamber.pressure("Pressure at port B of the {} valve")
+    head_counterbalance_opening: Scalar = Quantity(
+        "1", "Opening of the counterbalance valve at the head side of the {} cylinder"
+    )
+    rod_counterbalance_opening: Scalar = Quantity(
+        "1", "Opening of the counterbalance valve at the rod side of the {} cylinder"
+    )
+
+
+class CylinderState(cylinders.Pressures, AtValve):
+    """Pressures and counterbalance valves."""
+
+
+class CylinderOutputs(cylinders.Signals, SectionOutputs, AtValve):
+    """Signals of section, counterbalance valves and relief valves."""
+
+
+OPENINGS = CYLINDER.names("counterbalance_opening")
+
+
+def cylinder_section(own: Any, p: Any) -> Section:
+    """Parameters of the section of a cylinder."""
+    areas = (own.head_return_area, own.rod_return_area)
+    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, p.neutral_area, p.density)
+
+
+def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
+    section, line, air = cylinder_section(own, p), own.hose, Air.of(p)
+    ports = compensator.section_ports(section, u.command, both(x, PORTS), u)
+    edges, valve = (ports[0].edges, ports[1].edges), section.valve
+    around = Restriction(valve.discharge_coefficient, p.density, line.resistance, valve.transition_flow)
+    head, rod = (
+        partial(counterbalance_valve.flow, p.counterbalance, getattr(x, opening), around)
+        for opening in OPENINGS
+    )
+    whole = cylinders.ends(x, u, own, p) | Circuit(
+        {name: line.node(getattr(x, name), air) for name in PORTS},
+        {
+            **spool_valve.branches(edges, PORTS),
+            **cylinders.reliefs(p.port_relief, p.anti_cavitation, PORTS),
+            "head_flow": Branch("head_valve_pressure", "head_pressure", Kind.COUNTERBALANCE, head),
+            "rod_flow": Branch("rod_valve_pressure", "rod_pressure", Kind.COUNTERBALANCE, rod),
+        },
+    )
+    shown = {
+        **vars(x),
+        **vars(compensator.shown(section, ports, u.command)),
+        "head_valve_flow": edges[0].line,
+        "rod_valve_flow": edges[1].line,
+        **cylinders.force(own, whole),
+    }
+    return Drive(whole, sensed(valve, u), PORTS, _opening_rates(x, u, own, p), shown)
+
+
+def _opening_rates(x: Any, u: Any, own: CylinderDrive, p: Any) -> dict[str, Scalar]:
+    """Rates of the openings of the counterbalance valves, each piloted by the other side."""
+    c, lines = p.counterbalance, both(x, PORTS)
+    sides = zip(OPENINGS, own.pilot_ratios, both(x, CHAMBERS), reversed(lines), lines, strict=True)
+    return {
+        opening: (
+            counterbalance_valve.balance(c, ratio, pressure, pilot, line, u.tank_pressure)
+            - getattr(x, opening)
+        )
+        / c.lag
+        for opening, ratio, pressure, pilot, line in sides
+    }
+
+
+def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
+    """Chambers in balance with the holding forces, hoses drained by the neutral position."""
+    drained = dict.fromkeys(PORTS, u.tank_pressure) | dict.fromkeys(OPENINGS, 0.0)
+    return cylinders.initial(u, own, p) | drained
+
+
+# ---- motor
+
+
+class MotorDrive(SectionSize, motors.VolumeDrive, brake=(Brake, "{}")):
+    """Motor, lines, section and brake."""
+
+    return_area: Scalar = Quantity(
+        "m2",
+        "Area of each meter-out edge of the {} at full command",
+        1e-4,
+        minimum=1e-9,
+        group="{} section",
+    )
+
+
+class BrakeState(Group):
+    """State of the brake."""
+
+    brake_torque: Scalar = Quantity("N.m", "Torque of the {} brake, against the motion", 1e4)
+    brake_applied: Scalar = Quantity("1", "Part of its torque that the {} brake can hold")
+
+
+class MotorState(motors.Pressures, BrakeState):
+    """Pressures at the motor, brake."""
+
+
+class MotorOutputs(motors.Signals, SectionOutputs, BrakeState):
+    """Signals of section, relief valves and brake."""
+
+
+def motor_section(own: Any, p: Any) -> Section:
+    """Parameters of the section of a motor."""
+    areas = (own.return_area, own.return_area)
+    resistance = own.line.turbulent_resistance
+    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, 0.0, p.density, resistance)
+
+
+def _release(u: Any, own: Any, p: Any) -> Scalar:
+    """f of the brake."""
+    in_use = 1 - motor_section(own, p).neutral(u.command)
+    return own.brake.released(in_use, u.supply_pressure - u.tank_pressure)
+
+
+def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
+    section, line, brake = motor_section(own, p), own.line, own.brake
+    ports = compensator.section_ports(section, u.command, both(x, LINES), u)
+    edges = (ports[0].edges, ports[1].edges)
+    oil = (line.capacitance, hose.area(line.bore) * line.length + own.motor_volume, Air.of(p))
+    whole = Circuit(
+        {
+            **circuit.lines(u),
+            "pressure_a": Node(x.pressure_a, "C_1", *oil),
+            "pressure_b": Node(x.pressure_b, "C_2", *oil),
+        },
+        {
+            **spool_valve.branches(edges, LINES),
+            **motor.branches(LINES, own.displacement * u.speed, *own.leakage),
+            **motors.reliefs(p),
+        },
+    )
+    held = brake.hold(x.brake_torque, x.brake_applied, u.speed)
+    rates = {
+        "brake_torque": held.rate,
+        "brake_applied": brake.applied_rate(x.brake_applied, _release(u, own, p)),
+    }
+    driven = motors.torque(own, both(x, LINES), both(whole.rates, LINES))
+    shown = {
+        **driven,
+        **vars(x),
+        **vars(compensator.shown(section, ports, u.command)),
+        "torque": driven["torque"] - x.brake_torque,
+        "torque_rate": driven["torque_rate"] - held.rate,
+        "flow_a": edges[0].line,
+        "flow_b": edges[1].line,
+    }
+    return Drive(whole, sensed(section.valve, u), LINES, rates, shown, stored=held.stored, heat=held.heat)
+
+
+def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
+    """Both lines at the preload, the brake as the command has it, without torque."""
+    return motors.initial(u, own, p) | {"brake_torque": 0.0, "brake_applied": 1 - _release(u, own, p)}
+
+
+MODELS = {
+    CYLINDER: Model(
+        parameters=CylinderDrive,
+        states=CylinderState,
+        outputs=CylinderOutputs,
+        drive=_cylinder,
+        initial=_cylinder_start,
+        derive=cylinders.derive,
+        require=cylinders.require,
+        common=(CylinderCommon,),
+    ),
+    MOTOR: Model(
+        parameters=MotorDrive,
+        states=MotorState,
+        outputs=MotorOutputs,
+        drive=_motor,
+        initial=_motor_start,
+        derive=motors.derive,
+        common=(Reliefs,),
+    ),
+}
+COMPENSATED = Fidelity(
+    lambda axis: MODELS[axis.actuator],
+    common=(Common,),
+    valve=SectionValve,
+    require=lambda valve, p: compensator.requirements(valve, p.compensator),
+)

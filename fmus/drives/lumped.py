@@ -1,0 +1,122 @@
+"""Drives at the paper's fidelity: a spool valve, and two lines of one lump each.
+
+    I dQ/dt = P_port - P - C_R Q|Q|           for both lines, with the ports of `spool_valve`
+
+Motor: the lines are short, so their friction is laminar, R_line between line and motor port, and C_R is zero
+unless it is identified from measurements. With the motor ports P_1, P_2 of `fmus.components.motor`
+
+    C dP_a/dt = Q_a - (P_a - P_1) / R_line              C dP_b/dt = Q_b - (P_b - P_2) / R_line
+    torque    = D_m N (P_1 - P_2)                       eqs. (8), (9a), corrections E1, E2, E5
+
+The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is required for conservation of power.
+"""
+
+from typing import Any
+
+from fmus.components import circuit, motor, spool_valve
+from fmus.components.chamber import Oil, Viscosity
+from fmus.components.circuit import Circuit, Node
+from fmus.components.hose import column, inertance, laminar_resistance
+from fmus.components.load_sensing import sensed
+from fmus.components.spool_valve import CurvedValve
+from fmus.contract import Scalar
+from fmus.drives import cylinder as cylinders
+from fmus.drives import motor as motors
+from fmus.drives.cylinder import CYLINDER
+from fmus.drives.drive import Actuator, Drive, Fidelity, Model, both, valve_of
+from fmus.drives.motor import MOTOR
+
+
+class CylinderState(cylinders.Flows, cylinders.Pressures):
+    """Pressures and flows of a cylinder."""
+
+
+class MotorState(motors.Flows, motors.Pressures):
+    """Pressures and flows of a motor."""
+
+
+def _supplied(kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: tuple[Scalar, Scalar]) -> Circuit:
+    """Edges of the valve, and the oil columns to the chambers; line: inertance and C_R."""
+    flows, ports, chambers = (kind.names(n) for n in ("flow", "valve_pressure", "pressure"))
+    valve, q = valve_of(own, p), both(x, flows)
+    found = spool_valve.ports_from_flow(valve, u.command, q, u, p.density)
+    columns = zip(flows, ports, chambers, q, ("I_1", "I_2"), strict=True)
+    return Circuit(
+        {name: Node(port.pressure) for name, port in zip(ports, found, strict=True)},
+        {
+            **spool_valve.branches(found, ports),
+            **{
+                n: column(start, end, flow, sign, *line, valve.transition_flow)
+                for n, start, end, flow, sign in columns
+            },
+        },
+    )
+
+
+def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
+    supplied = _supplied(CYLINDER, x, u, own, p, (own.hose.inertance, own.hose.resistance))
+    whole = cylinders.ends(x, u, own, p, own.hose.capacitance) | supplied
+    shown = cylinders.force(own, whole)
+    return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, shown=shown)
+
+
+def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
+    """Pressures in balance with the holding force, oil at rest."""
+    return cylinders.initial(u, own, p) | dict.fromkeys(CYLINDER.names("flow"), 0)
+
+
+def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
+    line, ports = own.line, MOTOR.names("motor_pressure")
+    supplied = _supplied(MOTOR, x, u, own, p, (line.inertance, line.turbulent_resistance))
+    nodes = {
+        **circuit.lines(u),
+        "pressure_a": Node(x.pressure_a, "C_1", line.capacitance),
+        "pressure_b": Node(x.pressure_b, "C_2", line.capacitance),
+    }
+    whole = Circuit(nodes, {}) | supplied
+    whole |= motor.behind_lines(
+        nodes, motors.LINES, ports, line.resistance, own.displacement * u.speed, *own.leakage
+    )
+    # the motor's ports are linear in the pressures, so the rates of the pressures give their rates
+    rates = motor.port_pressures(
+        *(*both(whole.rates, motors.LINES), u.tank_pressure_rate, line.resistance),
+        *(own.displacement * u.acceleration, *own.leakage),
+    )
+    shown = motors.torque(own, both(whole.pressures, ports), rates)
+    return Drive(whole, sensed(valve_of(own, p), u), motors.LINES, shown=shown)
+
+
+def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
+    """Both lines at the preload, oil at rest, no torque."""
+    return motors.initial(u, own, p) | dict.fromkeys(MOTOR.names("flow"), 0)
+
+
+def _motor_lines(own: Any, p: Any) -> dict[str, Scalar]:
+    size = (own.line.length, own.line.bore)
+    return motors.derive(own, p) | {
+        "line_inertance": inertance(*size, p.density),
+        "line_resistance": laminar_resistance(*size, p.viscosity),
+    }
+
+
+MODELS = {
+    CYLINDER: Model(
+        parameters=cylinders.LumpedDrive,
+        states=CylinderState,
+        drive=_cylinder,
+        initial=_cylinder_start,
+        derive=cylinders.derive,
+        require=cylinders.require,
+    ),
+    MOTOR: Model(
+        parameters=motors.LumpedDrive,
+        states=MotorState,
+        drive=_motor,
+        initial=_motor_start,
+        derive=_motor_lines,
+        common=(Viscosity,),
+    ),
+}
+LUMPED = Fidelity(
+    lambda axis: MODELS[axis.actuator], common=(Oil,), valve=CurvedValve, require=spool_valve.requirements
+)
