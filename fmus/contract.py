@@ -121,12 +121,11 @@ class Group:
     A group is a frozen dataclass with keyword arguments. It inherits the fields of its base groups.
     Groups contain groups, before the fields of the class itself:
 
-        class Parameters(Group, boom=Cylinder, stick=Cylinder):      p.boom is a Cylinder, p.boom.bore its bore
+        class Parameters(Group, boom=Cylinder, stick=Cylinder):      p.boom is a Cylinder, p.boom.bore a number
 
     A variable of the FMU has the names on the way to it, joined by "_": boom_bore. "{}" in the texts of
     `Cylinder` is replaced by the name of the field, or by "lift" for `boom=(Cylinder, "lift")`. A third item
-    gives other names: `boom=(Cylinder, "boom", str)` has nothing in front. `flat` and `nested` convert between
-    both forms.
+    gives other names: `boom=(Cylinder, "boom", str)` has nothing in front. `flat` and `nested` convert.
     """
 
     if TYPE_CHECKING:
@@ -184,7 +183,7 @@ def nested(group: type[G], values: Mapping[str, Scalar]) -> G:
 
 def make_group(name: str, members: Mapping[str, Quantity], *bases: type[Group], **parts: Any) -> type[Any]:
     """A group class with the members of its bases, followed by its groups and these."""
-    return type(name, bases or (Group,), {"__module__": __name__, **members}, **parts)  # type: ignore[call-overload]
+    return type(name, bases or (Group,), {"__module__": __name__, **members}, **parts)
 
 
 @dataclass(frozen=True)

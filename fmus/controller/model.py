@@ -65,7 +65,8 @@ def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
     sections = ((p.boom, p.boom_section_flow), (p.stick, p.stick_section_flow))
     for name, position, (own, section) in zip(("boom", "stick"), positions, sections, strict=True):
         c_head, c_rod = (own.hose.capacitance + v / p.bulk_modulus for v in own.volumes(position))
-        result[name] = Actuator(*own.areas, c_head, c_rod, own.hose.resistance, p.valve, p.density, section)
+        (head, rod), resistance = own.areas, own.hose.resistance
+        result[name] = Actuator(head, rod, c_head, c_rod, resistance, p.valve, p.density, section)
     return result
 
 

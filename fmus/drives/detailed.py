@@ -14,8 +14,8 @@ with the flows Q out of the lines of `fmus.components.hose`, kappa of `chamber`,
 The volume V_m of a motor side is separate here, while `lumped` adds it to the capacitance of the line. So the
 pressures of the motor ports are states, and the torque depends only on states.
 
-`boom_head_valve_flow` is the flow at the valve, `boom_head_flow` that into the cylinder; `swing_flow_a` is the
-flow at the valve, `swing_motor_flow_a` that at the motor. The number of lumps changes that of the states.
+`boom_head_valve_flow` is the flow at the valve, `boom_head_flow` that into the cylinder; `swing_flow_a` is
+the flow at the valve, `swing_motor_flow_a` that at the motor. The number of lumps changes that of the states.
 """
 
 from collections.abc import Callable, Mapping

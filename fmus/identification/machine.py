@@ -23,7 +23,7 @@ from fmus.identification.refinement.problem import (
 from fmus.identification.refinement.refine import RefinementResult
 from fmus.identification.results import Estimate, Finding
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
-from fmus.machine.parts import INPUTS, SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -42,17 +42,17 @@ FREE = (
 )
 PRIOR_SHARE = 0.5  # of the largest error of a zero: one in twenty sensors of a data sheet is that far off
 PRIOR_SD = 0.3  # relative, of a value that was not measured: the scatter of the literature
-COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
+COMMANDS = {name: FERIC.inputs[name][0] for name in ("swing_command", "boom_command", "stick_command")}
 # s, less if it would remove more than the noise of the sensor
 SMOOTHING = {"supply_pressure": 20.0, "tank_pressure": 20.0}
-RETURN = INPUTS["tank_pressure"][0]
+RETURN = FERIC.inputs["tank_pressure"][0]
 
 
 def nominal() -> dict[str, Number]:
     """All parameters of the parts and their variants from the parameter files, also the derived ones."""
     return {
         f"{part}.{name}": number
-        for part, sub in SUBSYSTEMS.items()
+        for part, sub in FERIC.subsystems.items()
         for in_file in [read(sub.folder / "parameters.toml")["parameters"]]
         for name, number in (in_file | dict(numbers(sub)["parameters"]) | derived(sub)).items()
     }
@@ -91,15 +91,15 @@ def updated(parameters: Parameters, estimates: Iterable[Estimate]) -> dict[str, 
 
 def _flat_names() -> dict[str, str]:
     """`part.name` -> variable of `HARVESTER`."""
-    tables = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
-    return dict(flat_names(SUBSYSTEMS, tables, INPUTS, TOTALS, HIDDEN))
+    tables = {name: numbers(sub) for name, sub in FERIC.subsystems.items()}
+    return dict(flat_names(FERIC.subsystems, tables, FERIC.inputs, TOTALS, HIDDEN))
 
 
 def signal_names() -> dict[str, str]:
     """Input or output of `HARVESTER` -> signal of a recording, such as "swing.supply_pressure"."""
-    names = {name: targets[0] for name, targets in INPUTS.items()}
+    names = {name: targets[0] for name, targets in FERIC.inputs.items()}
     flat, outputs = _flat_names(), quantities(HARVESTER.outputs)
-    for variable in declared(SUBSYSTEMS, "outputs"):
+    for variable in declared(FERIC.subsystems, "outputs"):
         if variable in flat and flat[variable] in outputs:
             names.setdefault(flat[variable], variable)
     return names
@@ -107,7 +107,7 @@ def signal_names() -> dict[str, str]:
 
 def parameter_names() -> dict[str, str]:
     """Parameter of `HARVESTER` -> its name in parameters.toml, `part.name` if the parts differ."""
-    flat, variables = _flat_names(), declared(SUBSYSTEMS, "parameters")
+    flat, variables = _flat_names(), declared(FERIC.subsystems, "parameters")
     return {flat[v]: flat[v] if v.partition(".")[2] == flat[v] else v for v in variables}
 
 
@@ -204,7 +204,9 @@ def with_return_line(recording: Recording) -> Recording:
 def assumptions(recordings: Sequence[Recording]) -> list[str]:
     """Sentences on inputs that are neither measured nor stated and therefore constant."""
     usual = values(HARVESTER).u
-    lines = {INPUTS[f"{line}_pressure"][0]: (line, usual[f"{line}_pressure"]) for line in ("supply", "tank")}
+    lines = {
+        FERIC.inputs[f"{line}_pressure"][0]: (line, usual[f"{line}_pressure"]) for line in ("supply", "tank")
+    }
     return [
         f"{r.source.name}: the {line} pressure is not measured, assumed constant at {constant / 1e5:g} bar"
         for r in recordings

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 
 from fmus.composition import declared
 from fmus.identification.recordings.reading import CONDITIONS, MACHINE_SIGNALS, NOTE, REST, require
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
@@ -25,7 +25,7 @@ def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collectio
 
     signals   procedure of a test bench -> names of the signals that it reads
     """
-    of_machine = {name for group in GROUPS for name in declared(SUBSYSTEMS, group)}
+    of_machine = {name for group in GROUPS for name in declared(FERIC.subsystems, group)}
     for recording in recordings:
         procedure, source = recording.procedure, recording.source
         conditions = CONDITIONS.get(procedure)
@@ -57,7 +57,7 @@ def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[s
 
     signals   procedure on a bench -> its signals with their SI units
     """
-    declared_units = {n: q.unit for group in GROUPS for n, q in declared(SUBSYSTEMS, group).items()}
+    declared_units = {n: q.unit for group in GROUPS for n, q in declared(FERIC.subsystems, group).items()}
     for recording in recordings:
         known = declared_units if recording.procedure in MACHINE_SIGNALS else signals[recording.procedure]
         require(recording, {name: unit for name, unit in known.items() if name in recording.signals})

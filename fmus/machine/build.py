@@ -10,7 +10,7 @@ from fmus.controller import CONTROLLER, controller
 from fmus.controller.model import GAINS
 from fmus.export.build import build_all
 from fmus.machine.one_block import composed_machine
-from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import NAME, with_partners, write_systems
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
@@ -47,7 +47,7 @@ def build_machine(
     parts, others = parts_with_parameters(parameters)
     steering = controller_of(parts, parameters)
     # load-sensing supply, the largest, is the last variant: compiled first, it does not keep one core waiting
-    whole = composed_machine({name: parts[name] for name in SUBSYSTEMS})
+    whole = composed_machine({name: parts[name] for name in FERIC.subsystems})
     subs = [*reversed(others), steering, whole, *parts.values()]
     names = [sub.name for sub in subs]
     subs = [with_partners(sub) for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
@@ -63,7 +63,7 @@ def build_machine(
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]
-        complete = fmus.keys() >= ALL.keys()
+        complete = fmus.keys() >= FERIC.components.keys()
         systems = write_systems(folders[fmi], fmus, STEP, manipulator, boom_stick) if complete else []
         paths += [*built, *systems, *default]
     return paths
@@ -73,13 +73,13 @@ def parts_with_parameters(parameters: Path | None = None) -> tuple[dict[str, Sub
     """Default parts by name, and all other variants, with the values of a parameter set if given."""
     others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
     if parameters is None:
-        return dict(ALL), others
-    parameter_set = read_parameter_set(parameters, [*ALL.values(), CONTROLLER, *others])
+        return dict(FERIC.components), others
+    parameter_set = read_parameter_set(parameters, [*FERIC.components.values(), CONTROLLER, *others])
     old, new = (
         pose_set(POSES[NOMINAL], m) for m in (MANIPULATOR, with_parameters(MANIPULATOR, parameter_set))
     )
     start = {n: value for n, value in new.items() if value != old[n]}  # holding forces depend on masses
-    default = {n: with_parameters(sub, parameter_set, start) for n, sub in ALL.items()}
+    default = {n: with_parameters(sub, parameter_set, start) for n, sub in FERIC.components.items()}
     others = [with_parameters(sub, parameter_set, start) for sub in others]
     for sub in (*default.values(), *others):
         for n, number in not_shipped(sub).items():

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from fmus.composition import compose
 from fmus.contract import Subsystem
-from fmus.machine.parts import CONNECTIONS, DRIVES, HOLDING, INPUTS, RATES, SUBSYSTEMS
+from fmus.machine.parts import DRIVES, FERIC
 from fmus.ports import grip, lever, return_line, supply_line
 
 # signals of internal connections; accelerations stay visible, because they can be measured
 HIDDEN = (
-    *(source for source, _ in RATES + HOLDING if not source.endswith("acceleration")),
+    *(source for source, _ in FERIC.rates + FERIC.holding if not source.endswith("acceleration")),
     *(f"{drive}.{drive}_load_pressure_rate" for drive in DRIVES),
 )
 
@@ -35,8 +35,8 @@ def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
         name="harvester",
         text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
         subsystems=parts,
-        connections=CONNECTIONS,
-        inputs=INPUTS,
+        connections=FERIC.connections,
+        inputs=FERIC.inputs,
         folder=Path(__file__).parent / "harvester",
         hidden=HIDDEN,
         totals=TOTALS,
@@ -50,6 +50,6 @@ def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
     )
 
 
-HARVESTER = composed_machine(SUBSYSTEMS)
+HARVESTER = composed_machine(FERIC.subsystems)
 
 __all__ = ["HARVESTER", "composed_machine"]

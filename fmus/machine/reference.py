@@ -38,15 +38,7 @@ from fmus.export.interface import interface_of
 from fmus.export.model_description import COMMUNICATION_STEP as STEP
 from fmus.export.model_description import data_file, reference_parameters
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.parts import (
-    COMMAND_WIRES,
-    CONNECTIONS,
-    CONTROL_WIRES,
-    FAMILIES,
-    INPUTS,
-    SUBSYSTEMS,
-    SUPPLY_WIRES,
-)
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.work_cycle import (
     COMMANDS,
     PROGRAMS,
@@ -80,16 +72,16 @@ def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
     commands = _outputs(OPERATOR, time[None, :], ca.DM(0, time.size))
     recorded = {f"operator_input.{n}": row for n, row in commands.items()}
     recorded["operator_input.clock"] = time
-    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
+    model = join(FERIC.subsystems, FERIC.connections, FERIC.inputs)
     recorded["operator_input.payload_mass"] = payload(stems, time)
-    sources = {end: recorded[source] for source, end in COMMAND_WIRES}
+    sources = {end: recorded[source] for source, end in FERIC.operator_wires}
     constant = dict(zip(model.inputs, model.u, strict=True))
-    driven = {n: sources.get(ends[0], np.full(time.size, constant[n])) for n, ends in INPUTS.items()}
+    driven = {n: sources.get(ends[0], np.full(time.size, constant[n])) for n, ends in FERIC.inputs.items()}
     _, outputs = simulate(model, time, np.column_stack(list(driven.values())), tolerance=EXPERIMENT_TOLERANCE)
     recorded |= dict(zip(model.output_names, outputs.T, strict=True))
-    recorded |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
+    recorded |= {end: driven[n] for n, ends in FERIC.inputs.items() for end in ends}
     recorded |= _supplied(recorded)
-    wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
+    wires = (*FERIC.connections, *FERIC.supply_wires, *FERIC.controller_wires)
     recorded |= {target: recorded[source] for source, target in wires if source in recorded}
     recorded |= {f"controller.{n}": samples for n, samples in experiment_inputs(time).items()}
     recorded |= {f"controller.{n}_lever": recorded[f"operator_input.{n}_command"] for n in AXES}
@@ -98,7 +90,7 @@ def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
 
 def _supplied(recorded: Mapping[str, Array]) -> dict[str, Array]:
     """Outputs of the ideal supply, an algebraic function of what it gets from the drives."""
-    sources = {target: source for source, target in SUPPLY_WIRES}
+    sources = {target: source for source, target in FERIC.supply_wires}
     size = next(iter(recorded.values())).size
     names = (sources.get(f"{SUPPLY.name}.{n}", "") for n in quantities(SUPPLY.inputs))
     rows = np.array([recorded.get(n, np.zeros(size)) for n in names])
@@ -238,7 +230,7 @@ TOLERANCE = 1e-11  # relative tolerance of CVODES
 EVERY = 4  # samples per row of the trace: 50 Hz, above twice the fastest structural mode (17 Hz)
 SIGNALS = (
     *("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
-    *(f"{sub.name}.{n}" for sub in (*SUBSYSTEMS.values(), SUPPLY) for n in quantities(sub.outputs)),
+    *(f"{sub.name}.{n}" for sub in (*FERIC.subsystems.values(), SUPPLY) for n in quantities(sub.outputs)),
 )
 
 
@@ -262,7 +254,7 @@ def write_with_stems(path: Path) -> None:
 def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Time (n,) and SIGNALS (n, m) of the monolithic model over the work cycle, at 200 Hz."""
     time, commands = work_cycle()
-    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
+    model = join(FERIC.subsystems, FERIC.connections, FERIC.inputs)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
     states, _ = simulate(model, time, inputs, tolerance=TOLERANCE)
@@ -273,7 +265,9 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     parameters = ca.repmat(ca.DM(model.p), 1, time.size)
     outputs = model.outputs.map(time.size)(states.T, inputs.T, parameters).full()
     driven = {
-        target: inputs[:, model.inputs.index(name)] for name, targets in INPUTS.items() for target in targets
+        target: inputs[:, model.inputs.index(name)]
+        for name, targets in FERIC.inputs.items()
+        for target in targets
     }
     recorded = driven | dict(zip(model.output_names, outputs, strict=True))
     recorded |= _supplied(recorded)

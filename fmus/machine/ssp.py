@@ -11,17 +11,7 @@ from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
-from fmus.machine.parts import (
-    COMMAND_WIRES,
-    CONNECTIONS,
-    CONTROL_WIRES,
-    DRIVES,
-    FAMILIES,
-    RATE_OF,
-    SHARED,
-    SUBSYSTEMS,
-    SUPPLY_WIRES,
-)
+from fmus.machine.parts import DRIVES, FAMILIES, FERIC
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.machine.work_cycle import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
@@ -31,7 +21,7 @@ from fmus.supply import SUPPLY
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
-WIRES = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES + CONTROL_WIRES
+WIRES = FERIC.connections + FERIC.operator_wires + FERIC.supply_wires + FERIC.controller_wires
 UNPOWERED = (
     "While supply_pressure is 0, no command turns the swing, and each command lets boom or stick sink."
 )
@@ -71,18 +61,25 @@ def write_systems(
         for name, pose in controlled_poses(manipulator).items()
     } | {COMPENSATED: section_flows()}
     systems = (
-        (NAME, OPERATOR, COMMAND_WIRES, WORK_CYCLE_STOP, parameter_sets(manipulator), (NOMINAL, DEFAULT)),
-        (CONTROL, CONTROLLER, CONTROL_WIRES, CONTROL_STOP, controlled, (NOMINAL,)),
+        (
+            NAME,
+            OPERATOR,
+            FERIC.operator_wires,
+            WORK_CYCLE_STOP,
+            parameter_sets(manipulator),
+            (NOMINAL, DEFAULT),
+        ),
+        (CONTROL, CONTROLLER, FERIC.controller_wires, CONTROL_STOP, controlled, (NOMINAL,)),
     )
     return [
         write_ssp(
             assemble(
                 {n: fmus[n] for n in (*ORDER, driver.name)},
-                CONNECTIONS + wires + SUPPLY_WIRES,
+                FERIC.connections + wires + FERIC.supply_wires,
                 name=name,
                 stop=stop,
                 step=step,
-                shared=SHARED,
+                shared=FERIC.shared,
             ),
             Path(folder) / f"{name}.ssp",
             sets=sets,
@@ -114,15 +111,15 @@ def wired_ports() -> Iterator[tuple[str, str, str, str, str]]:
     """FMU, port, other FMU, its port, the rate port in both; without ports that are only rates."""
     for start, end in WIRES:
         (source, output), (target, name) = start.split("."), end.split(".")
-        rate = RATE_OF.get(name, "")
+        rate = FERIC.rate_of.get(name, "")
         wired = (f"{source}.{rate}", f"{target}.{rate}") in WIRES
-        if name in RATE_OF or name not in RATE_OF.values():
+        if name in FERIC.rate_of or name not in FERIC.rate_of.values():
             yield source, output, target, name, rate if wired else ""
 
 
 def with_partners(sub: Subsystem) -> Subsystem:
     """The subsystem with its connections to other FMUs of the machine."""
-    own = SUBSYSTEMS if sub.component == NAME else (sub.component,)
+    own = FERIC.subsystems if sub.component == NAME else (sub.component,)
     ends: dict[str, tuple[list[str], set[str]]] = {}
     for source, output, target, name, rate in wired_ports():
         for part, port, other, its in ((source, output, target, name), (target, name, source, output)):
@@ -132,7 +129,7 @@ def with_partners(sub: Subsystem) -> Subsystem:
                 others.append(other if its == port else f"{other}.{its}")
                 rates.add(rate)
     rows = [(port, tuple(others), max(rates)) for port, (others, rates) in ends.items()]
-    held = {**dict.fromkeys(SUBSYSTEMS, (HELD,)), NAME: (HELD_COMMAND,)}.get(sub.component, ())
+    held = {**dict.fromkeys(FERIC.subsystems, (HELD,)), NAME: (HELD_COMMAND,)}.get(sub.component, ())
     notes = (UNPOWERED, *held) if held and "supply_pressure" in quantities(sub.inputs) else held
     return replace(sub, connections=tuple(rows), notes=notes)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
-from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.parameters import SOURCES, Number, complete, numbers, padded, read, row_text, row_value, rows
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS, Location
@@ -92,12 +92,12 @@ def parameter_rows(
 def _chosen(name: str | None, source: str | None, folder: Path | None) -> tuple[list[Subsystem], str]:
     """The subsystems, and the part of the names of their parameters."""
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
-    by_name = {**ALL, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
+    by_name = {**FERIC.components, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
     if source is not None and source not in SOURCES:
         hint = suggest(source, SOURCES) or f", expected one of {', '.join(SOURCES)}"
         raise Problem(f"unknown source {source!r}{hint}")
     word = "" if name is None or name in by_name else name
-    subs = [by_name[name]] if name and not word else list((by_name if word else SUBSYSTEMS).values())
+    subs = [by_name[name]] if name and not word else list((by_name if word else FERIC.subsystems).values())
     known = {p for sub in subs for section in complete(sub).values() for p in section} if word else {""}
     if not any(word in parameter for parameter in known):
         words = sorted(known | {part for p in known for part in p.split("_") if len(part) > 3})

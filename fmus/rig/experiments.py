@@ -13,8 +13,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from fmus.machine.machine import Connections, wiring
+from fmus.machine.parts import FERIC
 from fmus.machine.parts import MACHINES as VARIANTS
-from fmus.machine.parts import Connections, parts, wiring
 from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.monolith import Monolith, join, simulate
@@ -223,7 +224,7 @@ BENCH_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
 @cache
 def _monolith(machine: str) -> tuple[Monolith, Connections, Mapping[str, tuple[str, ...]]]:
     """The machine as one model, its connections, and its inputs with the variables that they set."""
-    components = parts(**VARIANTS[machine])
+    components = FERIC.chosen(**VARIANTS[machine])
     wires, inputs = wiring(components)
     return join(components, wires, inputs), wires, inputs
 

@@ -18,6 +18,8 @@ of the pumps, check valves and relief valve. E is the energy of compression and 
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
 
+from typing import Any
+
 import casadi as ca
 
 from fmus.components import engine_and_pump
@@ -25,7 +27,7 @@ from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.contract import Group, Quantity, Scalar, quantities
 from fmus.supply import rail
 from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, Supply, TankParameters
-from fmus.supply.variables import SupplyInputs, line_pressure, variant
+from fmus.supply.variables import line_pressure, variant
 
 
 class PumpParameters(Group):
@@ -120,7 +122,7 @@ class EnginePumpOutputs(_Pumps, ShaftOutputs):
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
-def _supply(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Supply:
+def _supply(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> Supply:
     (first, second), line = p.pumps, (p.check_resistance, p.pump_line_capacitance)
     pumps = (
         Outlet("pump_1", rail.viscous(first, x), *line, x.pump_1_pressure, x.pump_1_stroke),
@@ -129,7 +131,7 @@ def _supply(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Sup
     return Supply(pumps, u, x, p)
 
 
-def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpState:
+def dynamics(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpState:
     """Time derivative of the state, field by field."""
     first, second = p.pumps
     return EnginePumpState(
@@ -139,7 +141,7 @@ def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> En
     )
 
 
-def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
+def observe(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpOutputs:
     """Outputs."""
     known = _supply(x, u, p).outputs()
     load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
@@ -147,7 +149,7 @@ def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Eng
     return EnginePumpOutputs(**{name: known[name] for name in quantities(EnginePumpOutputs)})
 
 
-def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
+def initial(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Initial state without flow into the drives: pumps at dead head, governed engine."""
     tank, engine = p.reservoir_pressure, p.engine
     speed = engine.no_load_speed
@@ -177,7 +179,7 @@ def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
     return load
 
 
-def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
+def require(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Requirements: order of pressure settings and of speeds, an engine that can turn the pumps."""
     return {
         "pump_1_pressure_setting exceeds reservoir_pressure": p.pump_1_pressure_setting

@@ -7,12 +7,13 @@ for every flow. There is no state. The outputs of power are valid for any flow o
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
 
+from typing import Any
+
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.circuit import GROUND, Branch, Circuit, Kind, Node
 from fmus.contract import Group, Quantity, Scalar
 from fmus.supply.variables import (
     CommonParameters,
-    SupplyInputs,
     SupplyOutputs,
     consumers,
     line_pressure,
@@ -33,12 +34,12 @@ class IdealState(Group):
     """No states."""
 
 
-def dynamics(x: IdealState, u: SupplyInputs, p: IdealParameters) -> IdealState:
+def dynamics(x: IdealState, u: Any, p: IdealParameters) -> IdealState:
     """No states, no derivatives."""
     return IdealState()
 
 
-def circuit(x: IdealState, u: SupplyInputs, p: IdealParameters) -> Circuit:
+def circuit(x: IdealState, u: Any, p: IdealParameters) -> Circuit:
     """The source between the lines."""
     nodes = {
         "supply_pressure": Node(p.pressure_setting, "P_s"),
@@ -49,7 +50,7 @@ def circuit(x: IdealState, u: SupplyInputs, p: IdealParameters) -> Circuit:
     return Circuit(nodes, {"source": source, **consumers(u)})
 
 
-def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs:
+def observe(x: IdealState, u: Any, p: IdealParameters) -> SupplyOutputs:
     """Outputs."""
     whole, load = circuit(x, u, p), line_pressure(u, p, p.pressure_setting)
     power = whole.work(Kind.CONSUMER)
@@ -69,7 +70,7 @@ def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs
     )
 
 
-def require(x: IdealState, u: SupplyInputs, p: IdealParameters) -> dict[str, Scalar]:
+def require(x: IdealState, u: Any, p: IdealParameters) -> dict[str, Scalar]:
     """Requirement: order of the pressures; 1 Pa allows equal ones, of a supply that is switched off."""
     return {"pressure_setting is not below reservoir_pressure": p.pressure_setting - p.reservoir_pressure + 1}
 

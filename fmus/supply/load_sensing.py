@@ -35,6 +35,8 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 """
 
 from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any
 
 from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.circuit import Branch, Kind
@@ -52,7 +54,7 @@ from fmus.supply.rail import (
     Supply,
     TankParameters,
 )
-from fmus.supply.variables import SupplyInputs, limited, line_pressure, variant
+from fmus.supply.variables import limited, line_pressure, variant
 
 _ITERATIONS = 20  # of check valve and engine at standby; each gains about a digit
 
@@ -159,7 +161,7 @@ class LoadSensingOutputs(ShaftOutputs):
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
-def _supply(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> Supply:
+def _supply(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> Supply:
     line = (p.main_pump.check_resistance, p.main_pump.line_capacitance)
     pump = rail.viscous(p.pump(x.load_sensing_pressure), x)
     bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature)
@@ -168,7 +170,7 @@ def _supply(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> S
     return Supply(pumps, u, x, p, {"rail_leakage_flow": leakage})
 
 
-def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingState:
+def dynamics(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensingState:
     """Time derivative of the state, field by field."""
     pump = p.pump(x.load_sensing_pressure)
     target = engine_and_pump.limited_stroke(
@@ -183,7 +185,7 @@ def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> 
     )
 
 
-def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingOutputs:
+def observe(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensingOutputs:
     """Outputs."""
     known = _supply(x, u, p).outputs() | {
         "load_sensing_pressure_rate": dynamics(x, u, p).load_sensing_pressure,
@@ -192,10 +194,10 @@ def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> L
     return LoadSensingOutputs(**{name: known[name] for name in quantities(LoadSensingOutputs)})
 
 
-def _standby_line(p: LoadSensingParameters) -> Scalar:
+def _standby_line(u: Any, p: LoadSensingParameters) -> Scalar:
     """Pressure [Pa] of the load-sensing line with all valves closed: that of the return line."""
-    closed = LoadPressure(rail.return_pressure(p), 0)
-    return limited(load_sensing.highest(closed, closed), p, p.pressure_cut_off).value
+    closed = [LoadPressure(rail.return_pressure(p), 0) for _ in vars(u)]
+    return limited(reduce(load_sensing.highest, closed), p, p.pressure_cut_off).value
 
 
 @dataclass(frozen=True)
@@ -209,13 +211,13 @@ class _Standby:
     load: Scalar
 
 
-def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | None = None) -> _Standby:
+def _standby(u: Any, p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | None = None) -> _Standby:
     """Standby at a speed, or at the governed speed of an engine, searched from `speed`.
 
     The flow of the pump only covers leakage. The check valve passes the leakage of the supply line with a
     drop z, so both leakages together are k + k_l (1 - z/dp) per pressure rise dp of the pump.
     """
-    tank, pump = p.reservoir_pressure, rail.at_start(p.pump(_standby_line(p)), p)
+    tank, pump = p.reservoir_pressure, rail.at_start(p.pump(_standby_line(u, p)), p)
     bleed = p.rail_leakage / oil.viscosity_ratio(p.oil_temperature_start)
     passed: Scalar = 0  # leakage of the supply line per pressure rise of the pump
     for iteration in range(_ITERATIONS):
@@ -230,13 +232,13 @@ def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | Non
     return _Standby(speed, stroke, pressure, pressure - drop, load)
 
 
-def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
+def initial(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
     """Standby: all valves closed, governed engine under the small load of the pump."""
     engine = p.engine
-    found = _standby(p, engine.no_load_speed, engine)
+    found = _standby(u, p, engine.no_load_speed, engine)
     return {
         "supply_pressure": found.supply_pressure,
-        "load_sensing_pressure": _standby_line(p),
+        "load_sensing_pressure": _standby_line(u, p),
         "pump_pressure": found.pump_pressure,
         "pump_stroke": found.stroke,
         "engine_speed": found.speed,
@@ -245,7 +247,7 @@ def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
     }
 
 
-def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
+def require(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
     """Requirements: order of the pressures, of the speeds, an engine that can turn the pump in standby."""
     return {
         "margin exceeds margin_band": p.margin - p.margin_band,
@@ -254,7 +256,7 @@ def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
             p.pressure_cut_off - p.load_sensing_relief_difference - rail.return_pressure(p) - p.margin
         ),
         "relief_pressure exceeds pressure_cut_off": p.relief.pressure - p.pressure_cut_off,
-        **rail.engine_requirements(p, _standby(p, p.engine.rated_speed).load, "the pump"),
+        **rail.engine_requirements(p, _standby(u, p, p.engine.rated_speed).load, "the pump"),
     }
 
 

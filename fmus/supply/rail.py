@@ -30,7 +30,7 @@ from fmus.components.engine_and_pump import Pump
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar, flat, quantities
 from fmus.smooth import unit_limited
-from fmus.supply.variables import CommonParameters, SupplyInputs, SupplyOutputs, consumers
+from fmus.supply.variables import CommonParameters, SupplyOutputs, consumers
 
 RESERVOIR = "reservoir_pressure"  # node of the tank
 # Longest communication step [s]: a third of the time constant of the supply line with three compensated
@@ -173,7 +173,7 @@ class Supply:
     """A supply with pumps at one instant: pumps, inputs, state, parameters, branches of the variant."""
 
     pumps: Sequence[Outlet]
-    u: SupplyInputs
+    u: Any
     x: ShaftState
     p: Any
     branches: Mapping[str, Branch] = field(default_factory=dict)

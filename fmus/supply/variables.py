@@ -1,7 +1,9 @@
 """Common variables of all variants of the supply: parameters, inputs, outputs; signs as in ideal.py."""
 
-from functools import partial
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 
@@ -9,7 +11,7 @@ from fmus import ports
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.circuit import GROUND, Branch, Kind
 from fmus.components.load_sensing import LoadPressure, highest, relieved
-from fmus.contract import Group, Quantity, Scalar, Subsystem
+from fmus.contract import Group, Quantity, Scalar, Subsystem, Terminal, make_group
 
 CONSUMERS = ("swing", "boom_stick")
 
@@ -32,8 +34,8 @@ class CommonParameters(Group):
     )
 
 
-class LoadInputs(Group):
-    """Load pressure of a drive; the rate input carries its exact time derivative."""
+class DriveInputs(Group):
+    """Load pressure of a drive with its exact time derivative, and its flows."""
 
     load_pressure: Scalar = Quantity(
         "Pa",
@@ -43,19 +45,17 @@ class LoadInputs(Group):
         optional="the load of {} is not sensed",
     )
     load_pressure_rate: Scalar = ports.rate_input("{}_load_pressure", "Pa/s", 1e8)
+    supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line into {}", 1e-3)
+    return_flow: Scalar = Quantity("m3/s", "Flow from {} into the return line", 1e-3)
 
 
-class SupplyInputs(Group, swing=LoadInputs, boom_stick=LoadInputs):
-    """Flows of the drives from the supply line and into the return line, and their load pressures."""
+def inputs(drives: Sequence[str]) -> type[Any]:
+    """Inputs of a supply of these drives."""
 
-    supply_flow_swing: Scalar = Quantity("m3/s", "Flow from the supply line into the swing drive", 1e-3)
-    return_flow_swing: Scalar = Quantity("m3/s", "Flow from the swing drive into the return line", 1e-3)
-    supply_flow_boom_stick: Scalar = Quantity(
-        "m3/s", "Flow from the supply line into the boom and stick drives", 1e-3
-    )
-    return_flow_boom_stick: Scalar = Quantity(
-        "m3/s", "Flow from the boom and stick drives into the return line", 1e-3
-    )
+    def named(drive: str) -> Callable[[str], str]:
+        return lambda n: f"{drive}_{n}" if n.startswith("load") else f"{n}_{drive}"
+
+    return make_group("SupplyInputs", {}, **{d: (DriveInputs, d, named(d)) for d in drives})
 
 
 class SupplyOutputs(Group):
@@ -77,31 +77,24 @@ class SupplyOutputs(Group):
     dissipated_power: Scalar = Quantity("W", "Power dissipated by friction, leakage and throttling", 1e4)
 
 
-def supply_flow(u: SupplyInputs) -> Scalar:
+def supply_flow(u: Any) -> Scalar:
     """Flow [m3/s] from the supply line into all drives."""
-    return u.supply_flow_swing + u.supply_flow_boom_stick
+    return sum(drive.supply_flow for drive in vars(u).values())
 
 
-def return_flow(u: SupplyInputs) -> Scalar:
-    """Flow [m3/s] from all drives into the return line."""
-    return u.return_flow_swing + u.return_flow_boom_stick
-
-
-def consumers(u: SupplyInputs) -> dict[str, Branch]:
+def consumers(u: Any) -> dict[str, Branch]:
     """The drives, in the circuit of a supply."""
+    returned = sum(drive.return_flow for drive in vars(u).values())
     return {
         "supply_flow": Branch("supply_pressure", GROUND, Kind.CONSUMER, supply_flow(u)),
-        "return_flow": Branch(GROUND, "tank_pressure", Kind.CONSUMER, return_flow(u)),
+        "return_flow": Branch(GROUND, "tank_pressure", Kind.CONSUMER, returned),
     }
 
 
-def line_pressure(u: SupplyInputs, p: CommonParameters, setting: Scalar) -> LoadPressure:
+def line_pressure(u: Any, p: CommonParameters, setting: Scalar) -> LoadPressure:
     """Pressure of the load-sensing line without lag: the highest load pressure of all drives, limited."""
-    load = highest(
-        LoadPressure(u.swing.load_pressure, u.swing.load_pressure_rate),
-        LoadPressure(u.boom_stick.load_pressure, u.boom_stick.load_pressure_rate),
-    )
-    return limited(load, p, setting)
+    loads = (LoadPressure(drive.load_pressure, drive.load_pressure_rate) for drive in vars(u).values())
+    return limited(reduce(highest, loads), p, setting)
 
 
 def limited(load: LoadPressure, p: CommonParameters, setting: Scalar) -> LoadPressure:
@@ -113,21 +106,24 @@ def limited(load: LoadPressure, p: CommonParameters, setting: Scalar) -> LoadPre
     return relieved(load, limit, p.load_sensing_relief_rounding)
 
 
-TERMINALS = tuple(
-    terminal
-    for name in CONSUMERS
-    for terminal in (
-        ports.supply_line(to=name),
-        ports.return_line(of=name),
-        ports.load_sensing_line(name, supply=True),
+def terminals(drives: Sequence[str]) -> tuple[Terminal, ...]:
+    """Lines to these drives."""
+    return tuple(
+        terminal
+        for name in drives
+        for terminal in (
+            ports.supply_line(to=name),
+            ports.return_line(of=name),
+            ports.load_sensing_line(name, supply=True),
+        )
     )
-)
 
-# a variant with its own equations and groups
+
+# a variant with its own equations and groups, for the drives of the machine
 variant = partial(
     Subsystem,
     name="supply",
-    inputs=SupplyInputs,
+    inputs=inputs(CONSUMERS),
     values=Path(__file__).with_name("parameters.toml"),
-    terminals=TERMINALS,
+    terminals=terminals(CONSUMERS),
 )

@@ -17,7 +17,7 @@ from fmus.identification.refinement.refine import RandomStart, RefinementResult,
 from fmus.identification.report import figures, prediction, report_texts
 from fmus.identification.report.attribution import attribute
 from fmus.identification.results import Estimate, named
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from orchestrator.base.signals import rms
 from orchestrator.data.recording import Recording
 from orchestrator.pages import html_page
@@ -139,7 +139,7 @@ def _parameter(estimate: Estimate, procedure: str) -> dict[str, Any]:
     """An estimate with its procedure, and the value that the parameter files have."""
     known = lookup(estimate.name, nominal())
     name = estimate.name.rpartition(".")[2]
-    text = next(q[name].text for s in SUBSYSTEMS.values() if name in (q := quantities(s.parameters)))
+    text = next(q[name].text for s in FERIC.subsystems.values() if name in (q := quantities(s.parameters)))
     before = {"prior": known.value, "prior_source": known.source}
     return {"estimate": estimate, "procedure": procedure, **before, "text": text}
 

@@ -15,7 +15,8 @@ from fmus.identification.procedures.momentum_balance import JOINTS
 from fmus.identification.recordings.clock import filter_for
 from fmus.identification.recordings.masks import good
 from fmus.identification.results import coverage_factor
-from fmus.machine.parts import INPUTS, SUBSYSTEMS, parts, wiring
+from fmus.machine.machine import wiring
+from fmus.machine.parts import FERIC
 from fmus.monolith import breakpoints, join, simulate
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
@@ -88,7 +89,7 @@ def predict(
     parameters   values by `part.name`; others are those of the files, and a variant may lack some
     variants     part -> its variant, for parts that are not the default ones
     """
-    machine = parts(**(variants or {}))
+    machine = FERIC.chosen(**(variants or {}))
     pose = {f"manipulator.initial_{joint}_angle": angle for joint, angle in excitation.pose.items()}
     known, chosen = {**parameters, **pose}, {part: values(sub) for part, sub in machine.items()}
     for part, own in chosen.items():
@@ -183,7 +184,7 @@ def compare(recording: Recording, predicted: Signals) -> RecordingComparison:
 
 def default_values(identified: Identified) -> dict[str, float]:
     """Values of the parameters of the default parts, by `part.name`; those of variants are left out."""
-    return {name: identified.parameters[name].value for name in declared(SUBSYSTEMS, "parameters")}
+    return {name: identified.parameters[name].value for name in declared(FERIC.subsystems, "parameters")}
 
 
 def prediction(identified: Identified) -> RecordingComparison | None:
@@ -268,7 +269,7 @@ def extrapolations(
 def extrapolated(identified: Identified) -> list[tuple[str, Extrapolation]]:
     """Inputs of the held-out recordings of the machine that leave their ranges in training, with the file."""
     training = [r for r in identified.recordings if r.use == "train"]
-    ranges = {n: [r[n] for r in training if n in r.signals] for n, *_ in INPUTS.values()}
+    ranges = {n: [r[n] for r in training if n in r.signals] for n, *_ in FERIC.inputs.values()}
     valves = [r["command"] for r in training if r.procedure == "valve" and "command" in r.signals]
     for name in COMMANDS.values():  # a bench shows an edge, and the machine has the same for the other sign
         ranges[name] += [sign * volts for volts in valves for sign in (1, -1)]
