@@ -193,7 +193,8 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
         path, tables = Path(sub.name), tables or _declared(sub)
     tables = read(path) if tables is None else tables
     parameters = quantities(sub.parameters)
-    tables = {**tables, "parameters": padded(tables["parameters"], parameters)}
+    stated = _declared(sub)["parameters"]  # of additions, which the file need not have
+    tables = {**tables, "parameters": {**stated, **padded(tables["parameters"], parameters)}}
     inputs_and_states = quantities(sub.inputs) | quantities(sub.states)
     missing = set(parameters) - set(tables["parameters"])
     if missing:

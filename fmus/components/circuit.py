@@ -16,10 +16,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 from fmus.components import chamber
-from fmus.components.chamber import Oil
 from fmus.contract import Scalar
 
 SUPPLY, TANK, GROUND = "supply", "tank", "ground"  # lines of a drive, and the atmosphere
@@ -49,6 +48,16 @@ class Kind(StrEnum):
 WORK = frozenset({Kind.PISTON, Kind.MOTOR, Kind.PUMP, Kind.CONSUMER, Kind.SOURCE})
 
 
+class Elastic(Protocol):
+    """What fills a volume, such as oil: its compliance [1/Pa] and energy [J/m3] at a gauge pressure."""
+
+    def compliance(self, pressure: Scalar, /) -> Scalar:
+        """C/V."""
+
+    def energy_density(self, pressure: Scalar, /) -> Scalar:
+        """The integral of P C/V from 0."""
+
+
 @dataclass(frozen=True)
 class Node:
     """A pressure [Pa]; that of oil is a state, any other one is given.
@@ -62,7 +71,7 @@ class Node:
     symbol: str = ""
     capacitance: Scalar = None
     volume: Scalar = 0
-    oil: Oil | None = None
+    oil: Elastic | None = None
     cavity: float = 1.0
 
     @property

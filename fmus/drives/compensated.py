@@ -154,9 +154,9 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
         **vars(compensator.shown(section, ports, u.command)),
         "head_valve_flow": edges[0].line,
         "rod_valve_flow": edges[1].line,
-        **cylinders.force(own, whole),
     }
-    return Drive(whole, sensed(valve, u), PORTS, _opening_rates(x, u, own, p), shown)
+    rates = _opening_rates(x, u, own, p)
+    return Drive(whole, sensed(valve, u), PORTS, cylinders.force(own), rates, shown)
 
 
 def _opening_rates(x: Any, u: Any, own: CylinderDrive, p: Any) -> dict[str, Scalar]:
@@ -244,17 +244,22 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
         "brake_torque": held.rate,
         "brake_applied": brake.applied_rate(x.brake_applied, _release(u, own, p)),
     }
-    driven = motors.torque(own, both(x, LINES), both(whole.rates, LINES))
+
+    def effort(whole: Circuit) -> dict[str, Scalar]:
+        driven = motors.torque(own)(whole)
+        braked = {
+            "torque": driven["torque"] - x.brake_torque,
+            "torque_rate": driven["torque_rate"] - held.rate,
+        }
+        return driven | braked
+
     shown = {
-        **driven,
         **vars(x),
         **vars(compensator.shown(section, ports, u.command)),
-        "torque": driven["torque"] - x.brake_torque,
-        "torque_rate": driven["torque_rate"] - held.rate,
         "flow_a": edges[0].line,
         "flow_b": edges[1].line,
     }
-    return Drive(whole, sensed(section.valve, u), LINES, rates, shown, stored=held.stored, heat=held.heat)
+    return Drive(whole, sensed(section.valve, u), LINES, effort, rates, shown, held.stored, held.heat)
 
 
 def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:

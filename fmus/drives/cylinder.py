@@ -11,6 +11,7 @@ extend the rod; a positive command extends the rod.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from fmus import ports
@@ -22,7 +23,7 @@ from fmus.components.hose import Hose, LumpedHose, ReferenceHose, VolumeHose
 from fmus.components.oil import OilTemperature
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar
-from fmus.drives.drive import Actuator, Names, Totals
+from fmus.drives.drive import Actuator, Names, Totals, both
 
 
 class Preload(OilTemperature):
@@ -143,12 +144,11 @@ def reliefs(relief: PressureValve, back: PressureValve, at: Names) -> dict[str, 
     }
 
 
-def force(own: Cylinder, whole: Circuit) -> dict[str, Scalar]:
+def force(own: Cylinder) -> Callable[[Circuit], dict[str, Scalar]]:
     """Force and its rate."""
-    pressures, rates = ((of["head_pressure"], of["rod_pressure"]) for of in (whole.pressures, whole.rates))
-    return {
-        "force": cylinder.force(*own.areas, *pressures),
-        "force_rate": cylinder.force(*own.areas, *rates),
+    return lambda whole: {
+        "force": cylinder.force(*own.areas, *both(whole.pressures, CHAMBERS)),
+        "force_rate": cylinder.force(*own.areas, *both(whole.rates, CHAMBERS)),
     }
 
 

@@ -181,8 +181,7 @@ def _cylinder(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
     supplied, load, rates = lines.supplied(x, u, own, p, hose_line(own, p))
     whole = cylinders.ends(x, u, own, p) | supplied
     whole |= Circuit({}, cylinders.reliefs(p.relief, p.anti_cavitation, cylinders.CHAMBERS))
-    shown = lines.shown(x, p) | cylinders.force(own, whole)
-    return Drive(whole, load, cylinders.CHAMBERS, rates, shown)
+    return Drive(whole, load, cylinders.CHAMBERS, cylinders.force(own), rates, lines.shown(x, p))
 
 
 def _motor(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
@@ -195,8 +194,7 @@ def _motor(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
         },
         {**motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage), **motors.reliefs(p)},
     )
-    shown = lines.shown(x, p) | motors.torque(own, both(x, motors.LINES), both(whole.rates, motors.LINES))
-    return Drive(whole, load, motors.LINES, rates, shown)
+    return Drive(whole, load, motors.LINES, motors.torque(own), rates, lines.shown(x, p))
 
 
 def detailed(lumps: Callable[[Axis], int]) -> Fidelity:

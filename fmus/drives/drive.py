@@ -5,7 +5,7 @@ declares has its name in the part: `boom_head_pressure`.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +13,7 @@ from typing import Any
 
 from fmus import ports
 from fmus.components import load_sensing
+from fmus.components.additions import Addition, Place
 from fmus.components.circuit import Circuit
 from fmus.components.load_sensing import Sensed
 from fmus.components.oil import at_temperature
@@ -59,6 +60,10 @@ def both(values: Any, names: Names) -> tuple[Scalar, Scalar]:
     return a, b
 
 
+def _none(*_: Any) -> dict[str, Scalar]:
+    return {}
+
+
 @dataclass(frozen=True)
 class Axis:
     """An axis of a part.
@@ -68,6 +73,7 @@ class Axis:
     inputs      command and motion
     named       names of its parameters from those in their group; default: with the name of the axis
     own_valve   whether the axis has a valve with parameters of its own
+    additions   components beside those of its model, with the begin of their names
     """
 
     name: str
@@ -75,10 +81,15 @@ class Axis:
     inputs: type[Group]
     named: Callable[[str], str] | None = None
     own_valve: bool = False
+    additions: tuple[tuple[str, type[Addition]], ...] = ()
 
     def of(self, values: Mapping[str, Scalar]) -> dict[str, Scalar]:
         """Values of the axis by their names in the part."""
         return {f"{self.name}_{n}": value for n, value in values.items()}
+
+    def parameter(self, name: str) -> str:
+        """Name of a parameter of the axis in the part."""
+        return self.named(name) if self.named else f"{self.name}_{name}"
 
 
 @dataclass(frozen=True)
@@ -87,6 +98,7 @@ class Drive:
 
     circuit   with the chambers of the actuator
     load      its load pressure, from those of the nodes `at`
+    effort    (circuit) -> force or torque, and its rate
     others    rates of the states that are not in the circuit
     shown     outputs that are not in the circuit
     stored, heat   energy [J] and dissipated power [W] beside the circuit
@@ -95,6 +107,7 @@ class Drive:
     circuit: Circuit
     load: Sensed
     at: Names
+    effort: Callable[[Circuit], Mapping[str, Scalar]]
     others: Mapping[str, Scalar] = field(default_factory=dict)
     shown: Mapping[str, Scalar] = field(default_factory=dict)
     stored: Scalar = 0
@@ -106,7 +119,7 @@ class Drive:
 
     def observe(self) -> dict[str, Scalar]:
         """Outputs by name."""
-        known = {**self.circuit.outputs(), **self.shown}
+        known = {**self.circuit.outputs(), **self.effort(self.circuit), **self.shown}
         known["stored_energy"] += self.stored
         known["dissipated_power"] += self.heat
         return known
@@ -114,10 +127,6 @@ class Drive:
     def load_pressure(self, u: Any) -> load_sensing.LoadPressure:
         """To the load-sensing line."""
         return self.load(both(self.circuit.pressures, self.at), both(self.circuit.rates, self.at), u)
-
-
-def _none(*_: Any) -> dict[str, Scalar]:
-    return {}
 
 
 @dataclass(frozen=True)
@@ -177,6 +186,94 @@ class Totals(Group):
 SUMMED = ("supply_flow", "return_flow", "stored_energy", "dissipated_power", "convected_power")
 
 
+@dataclass(frozen=True)
+class _Instant:
+    """An axis with its states, inputs and parameters, and the parameters of the part."""
+
+    axis: Axis
+    model: Model
+    x: Any
+    u: Any
+    own: Any
+    p: Any
+
+    @property
+    def drive(self) -> Drive:
+        """The drive with its additions."""
+        drive = self.model.drive(self.x, self.u, self.own, self.p)
+        circuit = drive.circuit
+        for name, _ in self.axis.additions:
+            own: Addition = getattr(self.own, name)
+            circuit |= own.added(Place(name, circuit, getattr(self.x, name, None), self.u, self.own, self.p))
+        return replace(drive, circuit=circuit)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The functions of the subsystem of a list of axes."""
+
+    name: str
+    models: Mapping[Axis, Model]
+    fidelity: Fidelity
+    states: type[Any]
+    outputs: type[Any]
+
+    def at(self, x: Any, u: Any, p: Any) -> Iterator[_Instant]:
+        """The axes at one instant; x may be anything for what does not depend on it."""
+        lines = vars(LineInputs.of(u))
+        for axis, model in self.models.items():
+            inputs = SimpleNamespace(**lines, **vars(getattr(u, axis.name)))
+            yield _Instant(axis, model, getattr(x, axis.name), inputs, getattr(p, axis.name), p)
+
+    def dynamics(self, x: Any, u: Any, p: Any) -> Any:
+        """Time derivative of the state."""
+        rates: dict[str, Scalar] = {}
+        for a in self.at(x, u, p):
+            rates |= a.axis.of(a.drive.rates())
+        return nested(self.states, rates)
+
+    def observe(self, x: Any, u: Any, p: Any) -> Any:
+        """Outputs; forces and torques depend on the state, their rates and the flows also on the inputs."""
+        found = [(a, a.drive) for a in self.at(x, u, p)]
+        shown = {a.axis: drive.observe() for a, drive in found}
+        load = reduce(load_sensing.highest, (drive.load_pressure(a.u) for a, drive in found))
+        known = {f"{self.name}_load_pressure": load.value, f"{self.name}_load_pressure_rate": load.rate}
+        known |= {n: sum(own[n] for own in shown.values()) for n in SUMMED}
+        for axis, own in shown.items():
+            known |= axis.of(own)
+        return nested(self.outputs, known)
+
+    def circuits(self, x: Any, u: Any, p: Any) -> dict[str, Circuit]:
+        """Circuits by axis."""
+        return {a.axis.name: a.drive.circuit for a in self.at(x, u, p)}
+
+    def initial(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
+        """Initial values of the states."""
+        start: dict[str, Scalar] = {}
+        for a in self.at(x, u, p):
+            start |= a.axis.of(a.model.initial(a.u, a.own, p))
+            for name, _ in a.axis.additions:
+                start |= a.axis.of({f"{name}_{n}": v for n, v in getattr(a.own, name).start().items()})
+        return start
+
+    def require(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
+        """Requirements of valves and axes."""
+        found = dict(self.fidelity.require(p.valve, p)) if hasattr(p, "valve") else {}
+        for a in self.at(x, u, p):
+            found |= a.axis.of(self.fidelity.require(a.own.valve, p)) if a.axis.own_valve else {}
+            required = a.model.require(a.u, a.own, p)
+            found |= {n.replace("{}", a.axis.name): margin for n, margin in required.items()}
+        return found
+
+    def derive(self, p: Any) -> dict[str, Scalar]:
+        """Derived parameters."""
+        return {
+            axis.parameter(n): value
+            for axis, model in self.models.items()
+            for n, value in model.derive(getattr(p, axis.name), p).items()
+        }
+
+
 def part(
     name: str,
     axes: Sequence[Axis],
@@ -185,73 +282,28 @@ def part(
     text: str,
     validity: str,
     values: Path | None = None,
+    numbers: Mapping[str, Mapping[str, Any]] | None = None,
     stiff: bool = True,
 ) -> Subsystem:
-    """The subsystem of a list of axes; `text`, `validity`, `values` and `stiff` as in `Subsystem`."""
+    """The subsystem of a list of axes; the other arguments are those of `Subsystem`."""
     models = {axis: fidelity.model(axis) for axis in axes}
-    states = make_group("States", {}, **{axis.name: m.states for axis, m in models.items()})
-    outputs = make_group("Outputs", _outputs(name, models))
-
-    def each(x: Any, u: Any, p: Any) -> Iterator[tuple[Axis, Model, Any, Any, Any]]:
-        """Axes with their states, inputs and parameters."""
-        lines = vars(LineInputs.of(u))
-        for axis, model in models.items():
-            own = SimpleNamespace(**lines, **vars(getattr(u, axis.name)))
-            yield axis, model, getattr(x, axis.name), own, getattr(p, axis.name)
-
-    def drives(x: Any, u: Any, p: Any) -> dict[Axis, tuple[Drive, Any]]:
-        return {axis: (m.drive(x_i, u_i, own, p), u_i) for axis, m, x_i, u_i, own in each(x, u, p)}
-
-    def dynamics(x: Any, u: Any, p: Any) -> Any:
-        rates: dict[str, Scalar] = {}
-        for axis, (drive, _) in drives(x, u, p).items():
-            rates |= axis.of(drive.rates())
-        return nested(states, rates)
-
-    def observe(x: Any, u: Any, p: Any) -> Any:
-        found = drives(x, u, p)
-        shown = {axis: drive.observe() for axis, (drive, _) in found.items()}
-        load = reduce(load_sensing.highest, (drive.load_pressure(u_i) for drive, u_i in found.values()))
-        known = {f"{name}_load_pressure": load.value, f"{name}_load_pressure_rate": load.rate}
-        known |= {n: sum(own[n] for own in shown.values()) for n in SUMMED}
-        for axis, own in shown.items():
-            known |= axis.of(own)
-        return nested(outputs, known)
-
-    def initial(x: Any, u: Any, p: Any) -> dict[str, Scalar]:
-        start: dict[str, Scalar] = {}
-        for axis, model, _, u_i, own in each(x, u, p):
-            start |= axis.of(model.initial(u_i, own, p))
-        return start
-
-    def require(x: Any, u: Any, p: Any) -> dict[str, Scalar]:
-        found = {} if all(axis.own_valve for axis in axes) else dict(fidelity.require(p.valve, p))
-        for axis, model, _, u_i, own in each(x, u, p):
-            found |= axis.of(fidelity.require(own.valve, p)) if axis.own_valve else {}
-            found |= {n.replace("{}", axis.name): margin for n, margin in model.require(u_i, own, p).items()}
-        return found
-
-    def derive(p: Any) -> dict[str, Scalar]:
-        return {
-            (axis.named or f"{axis.name}_{{}}".format)(n): value
-            for axis, model in models.items()
-            for n, value in model.derive(getattr(p, axis.name), p).items()
-        }
-
+    states = make_group("States", {}, **{axis.name: _states(axis, m) for axis, m in models.items()})
+    of = _Part(name, models, fidelity, states, make_group("Outputs", _outputs(name, models)))
     return at_temperature(
         Subsystem(
             name=name,
             parameters=_parameters(models, fidelity),
             states=states,
             inputs=make_group("Inputs", {}, LineInputs, **{axis.name: axis.inputs for axis in axes}),
-            outputs=outputs,
-            dynamics=dynamics,
-            observe=observe,
-            circuits=lambda x, u, p: {axis.name: d.circuit for axis, (d, _) in drives(x, u, p).items()},
-            initial=initial,
-            require=require,
-            derive=derive,
+            outputs=of.outputs,
+            dynamics=of.dynamics,
+            observe=of.observe,
+            circuits=of.circuits,
+            initial=of.initial,
+            require=of.require,
+            derive=of.derive,
             values=values,
+            numbers=numbers,
             terminals=(
                 *(axis.actuator.terminal(axis.name) for axis in axes),
                 *(ports.lever(axis.name) for axis in axes),
@@ -266,14 +318,20 @@ def part(
     )
 
 
+def _states(axis: Axis, model: Model) -> type[Any]:
+    """States of an axis, with those of its additions."""
+    added = {name: a.states for name, a in axis.additions if a.states}
+    return make_group("States", {}, model.states, **added) if added else model.states
+
+
 def _parameters(models: Mapping[Axis, Model], fidelity: Fidelity) -> type[Any]:
     """Common parameters, valve and axes."""
     kinds = [group for axis, m in models.items() for group in (*m.common, *axis.actuator.common)]
     parts: dict[str, Any] = {} if all(axis.own_valve for axis in models) else {"valve": fidelity.valve}
     for axis, m in models.items():
-        with_valve = {"valve": fidelity.valve} if axis.own_valve else {}
-        own = make_group("Own", {}, m.parameters, **with_valve)
-        parts[axis.name] = (own, axis.name, axis.named)
+        inner: dict[str, Any] = {"valve": fidelity.valve} if axis.own_valve else {}
+        inner |= {name: (added, "{}") for name, added in axis.additions}
+        parts[axis.name] = (make_group("Own", {}, m.parameters, **inner), axis.name, axis.named)
     return make_group("Parameters", {}, *dict.fromkeys((*fidelity.common, *kinds)), **parts)
 
 

@@ -56,8 +56,7 @@ def _supplied(kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: tuple[Scal
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
     supplied = _supplied(CYLINDER, x, u, own, p, (own.hose.inertance, own.hose.resistance))
     whole = cylinders.ends(x, u, own, p, own.hose.capacitance) | supplied
-    shown = cylinders.force(own, whole)
-    return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, shown=shown)
+    return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, cylinders.force(own))
 
 
 def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
@@ -77,13 +76,16 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     whole |= motor.behind_lines(
         nodes, motors.LINES, ports, line.resistance, own.displacement * u.speed, *own.leakage
     )
-    # the motor's ports are linear in the pressures, so the rates of the pressures give their rates
-    rates = motor.port_pressures(
-        *(*both(whole.rates, motors.LINES), u.tank_pressure_rate, line.resistance),
-        *(own.displacement * u.acceleration, *own.leakage),
-    )
-    shown = motors.torque(own, both(whole.pressures, ports), rates)
-    return Drive(whole, sensed(valve_of(own, p), u), motors.LINES, shown=shown)
+
+    def effort(whole: Circuit) -> dict[str, Scalar]:
+        """The motor's ports are linear in the pressures, so the rates of the pressures give their rates."""
+        rates = motor.port_pressures(
+            *(*both(whole.rates, motors.LINES), u.tank_pressure_rate, line.resistance),
+            *(own.displacement * u.acceleration, *own.leakage),
+        )
+        return motors.from_ports(own, both(whole.pressures, ports), rates)
+
+    return Drive(whole, sensed(valve_of(own, p), u), motors.LINES, effort)
 
 
 def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:

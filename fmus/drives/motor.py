@@ -7,16 +7,17 @@ above, and so does a positive command.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from fmus import ports
 from fmus.components import chamber, hose
-from fmus.components.circuit import TANK, Branch, Kind
+from fmus.components.circuit import TANK, Branch, Circuit, Kind
 from fmus.components.hose import HoseSize
 from fmus.components.oil import DENSITY, LAMINAR, TURBULENT, OilTemperature
 from fmus.components.orifice import Reliefs
 from fmus.contract import Group, Quantity, Scalar
-from fmus.drives.drive import Actuator, Totals
+from fmus.drives.drive import Actuator, Totals, both
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
@@ -181,7 +182,12 @@ def reliefs(p: Reliefs) -> dict[str, Branch]:
     }
 
 
-def torque(own: Motor, pressures: Pair, rates: Pair) -> dict[str, Scalar]:
+def torque(own: Motor) -> Callable[[Circuit], dict[str, Scalar]]:
+    """Torque and its rate of a motor directly at the lines."""
+    return lambda whole: from_ports(own, both(whole.pressures, LINES), both(whole.rates, LINES))
+
+
+def from_ports(own: Motor, pressures: Pair, rates: Pair) -> dict[str, Scalar]:
     """Torque and its rate, from the pressures of the motor's ports and their rates."""
     return {
         "torque": own.displacement * (pressures[0] - pressures[1]),

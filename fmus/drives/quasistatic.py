@@ -43,8 +43,7 @@ def _supplied(
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
     supplied, flows = _supplied(CYLINDER, x, u, own, p, own.hose.resistance)
     whole = cylinders.ends(x, u, own, p, own.hose.capacitance) | supplied
-    shown = flows | cylinders.force(own, whole)
-    return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, shown=shown)
+    return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, cylinders.force(own), shown=flows)
 
 
 def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
@@ -56,8 +55,7 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     }
     whole = Circuit(nodes, {}) | supplied
     whole |= Circuit({}, motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage))
-    shown = flows | motors.torque(own, both(x, motors.LINES), both(whole.rates, motors.LINES))
-    return Drive(whole, sensed(valve_of(own, p), u), motors.LINES, shown=shown)
+    return Drive(whole, sensed(valve_of(own, p), u), motors.LINES, motors.torque(own), shown=flows)
 
 
 MODELS = {

@@ -4,23 +4,33 @@
 drives of another machine.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from fmus.contract import Subsystem, family
+from fmus.components.additions import Addition
+from fmus.contract import Subsystem, family, make_group
 from fmus.supply import engine_pump, ideal, load_sensing
 from fmus.supply.variables import CONSUMERS, inputs, terminals
 
+NONE: Mapping[str, type[Addition]] = {}
 
-def supply(drives: Sequence[str], name: str = "supply") -> dict[str, Subsystem]:
-    """The variants of a supply of these drives."""
+
+def supply(
+    drives: Sequence[str], name: str = "supply", additions: Mapping[str, type[Addition]] = NONE
+) -> dict[str, Subsystem]:
+    """The variants of a supply of these drives; those with a supply line have the additions, by name."""
     variants = {
         "ideal": ideal.IDEAL,
         "engine_pump": engine_pump.ENGINE_PUMP,
         "load_sensing": load_sensing.LOAD_SENSING,
     }
     u, t = inputs(drives), terminals(drives)
-    return family(name, **{v: replace(sub, inputs=u, terminals=t) for v, sub in variants.items()})
+    made = {v: replace(sub, inputs=u, terminals=t) for v, sub in variants.items()}
+    for v in ("engine_pump", "load_sensing") if additions else ():
+        sub, states = made[v], {n: a.states for n, a in additions.items() if a.states}
+        parameters = make_group("Parameters", {}, sub.parameters, **additions)
+        made[v] = replace(sub, parameters=parameters, states=make_group("States", {}, sub.states, **states))
+    return family(name, **made)
 
 
 VARIANTS = supply(CONSUMERS)

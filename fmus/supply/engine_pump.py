@@ -24,7 +24,7 @@ import casadi as ca
 
 from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import DieselEngine, Pump
-from fmus.contract import Group, Quantity, Scalar, quantities
+from fmus.contract import Group, Quantity, Scalar, nested, quantities
 from fmus.supply import rail
 from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, Supply, TankParameters
 from fmus.supply.variables import line_pressure, variant
@@ -134,11 +134,12 @@ def _supply(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> Supply:
 def dynamics(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpState:
     """Time derivative of the state, field by field."""
     first, second = p.pumps
-    return EnginePumpState(
+    rates = dict(
         **_supply(x, u, p).rates(),
         pump_1_stroke=engine_and_pump.stroke_rate(first, x.pump_1_stroke, x.pump_1_pressure),
         pump_2_stroke=engine_and_pump.stroke_rate(second, x.pump_2_stroke, x.pump_2_pressure),
     )
+    return nested(type(x), rates)
 
 
 def observe(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpOutputs:

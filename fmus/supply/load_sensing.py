@@ -42,7 +42,7 @@ from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.circuit import Branch, Kind
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.load_sensing import LoadPressure
-from fmus.contract import Group, Quantity, Scalar, quantities
+from fmus.contract import Group, Quantity, Scalar, nested, quantities
 from fmus.smooth import ramp_inverse
 from fmus.supply import rail
 from fmus.supply.rail import (
@@ -178,11 +178,12 @@ def dynamics(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensi
         x.pump_pressure - p.reservoir_pressure,
     )
     load = line_pressure(u, p, p.pressure_cut_off).value
-    return LoadSensingState(
+    rates = dict(
         **_supply(x, u, p).rates(),
         load_sensing_pressure=(load - x.load_sensing_pressure) / p.load_sensing_lag,
         pump_stroke=engine_and_pump.servo_rate(pump, x.pump_stroke, target),
     )
+    return nested(type(x), rates)
 
 
 def observe(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensingOutputs:

@@ -25,6 +25,7 @@ from typing import Any
 import casadi as ca
 
 from fmus.components import engine_and_pump, oil
+from fmus.components.additions import Addition, Place
 from fmus.components.circuit import GROUND, Branch, Circuit, Kind, Node
 from fmus.components.engine_and_pump import Pump
 from fmus.components.orifice import PressureValve
@@ -198,6 +199,8 @@ class Supply:
         )
         for pump in self.pumps:
             whole |= pump.circuit(x.engine_speed, p)
+        for name, added in additions(p):
+            whole |= added.added(Place(name, whole, getattr(x, name, None), self.u, p, p))
         return whole
 
     def _into_tank(self, drop: Scalar) -> Scalar:
@@ -271,9 +274,15 @@ class Supply:
         }
 
 
+def additions(p: Any) -> list[tuple[str, Addition]]:
+    """Components beside those of the variant, by name."""
+    return [(name, part) for name, part in vars(p).items() if isinstance(part, Addition)]
+
+
 def start(p: TankParameters) -> dict[str, Scalar]:
     """Initial return line, temperature and volume of the oil, without flow."""
     return {
+        **{f"{name}_{n}": value for name, added in additions(p) for n, value in added.start().items()},
         "tank_pressure": return_pressure(p),
         "oil_temperature": p.oil_temperature_start,
         "reservoir_volume": p.reservoir_volume_start,
