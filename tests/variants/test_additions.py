@@ -1,0 +1,142 @@
+"""Components in addition to those of a model: they do nothing by default, and keep the energy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from kit.equations import SUPPLY, Part
+from scipy.integrate import quad
+
+from fmus import boom_stick
+from fmus.components.additions import (
+    CLOSED,
+    Accumulator,
+    Addition,
+    ChamberReliefs,
+    Cushion,
+    PistonLeakage,
+    Regeneration,
+)
+from fmus.contract import Subsystem, family, quantities
+from fmus.drives.drive import part
+from fmus.drives.lumped import LUMPED
+from fmus.machine.parts import FAMILIES
+from fmus.supply import CONSUMERS, supply
+
+# what they do if they act: values of parameters of the boom
+CYLINDERS = {
+    "leakage": (PistonLeakage, {"conductance": 1e-12}),
+    "reliefs": (ChamberReliefs, {"pressure": 8e6, "gain": 1e-9}),
+    "cushion": (Cushion, {"length": 0.3, "resistance": 1e12}),
+    "regeneration": (Regeneration, {"area": 2e-5}),
+}
+
+
+def drives(**additions: type[Addition]) -> Subsystem:
+    """The lumped boom and stick drives, the boom with additions."""
+    boom, stick = boom_stick.AXES
+    axes = (replace(boom, additions=tuple(additions.items())), stick)
+    sub = part("boom_stick", axes, LUMPED, text="-", validity="-", values=boom_stick.VALUES)
+    return family("boom_stick", **boom_stick.VARIANTS, more=sub)["more"]
+
+
+def point(of: Part, rng: np.random.Generator) -> tuple[np.ndarray, dict[str, float]]:
+    """States and inputs of a drive or supply in operation."""
+
+    def draw(name: str, nominal: float) -> float:
+        if "pressure" in name and not name.endswith("_rate"):
+            return rng.uniform(0, 2e7)
+        return rng.uniform(0.05, 0.4) if name.endswith("_position") else rng.normal() * nominal
+
+    x, u = ({n: draw(n, q.nominal) for n, q in quantities(g).items()} for g in (of.sub.states, of.sub.inputs))
+    return np.array([*x.values()]), u
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_an_addition_does_nothing_by_default(name):
+    """Rates and outputs are those of the drives without it, to rounding."""
+    plain, added = Part(FAMILIES["boom_stick"]["lumped"]), Part(drives(**{name: CYLINDERS[name][0]}))
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        x, u = point(plain, rng)
+        for one, other in zip(plain(x, **u), added(x, **u), strict=True):
+            assert other == pytest.approx(one, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", CYLINDERS)
+def test_energy_closes_with_an_addition_at_work(name):
+    """Power in + convected = d(stored)/dt + heat; the heat of the addition is not negative and not zero."""
+    group, values = CYLINDERS[name]
+    at_work = Part(drives(**{name: group}), **{f"boom_{name}_{n}": v for n, v in values.items()})
+    u, y, rng = at_work.expressions["u"], at_work.expressions["y"], np.random.default_rng(2)
+    power = (
+        u["supply_pressure"] * y["supply_flow"] - u["tank_pressure"] * y["return_flow"] + y["convected_power"]
+    )
+    power -= sum(y[f"{a}_force"] * u[f"{a}_velocity"] for a in ("boom", "stick"))
+    balance = at_work.of(power, at_work.along(y["stored_energy"]), y["dissipated_power"])
+    plain, more = Part(FAMILIES["boom_stick"]["lumped"]), 0.0
+    for _ in range(50):
+        x, given = point(at_work, rng)
+        power_in, stored, heat = (b.item() for b in balance(x, **given))
+        # exact identity; 1e-10 is 1e6 rounding errors of the largest term
+        assert power_in - stored - heat == pytest.approx(0, abs=1e-10 * (abs(power_in) + abs(stored) + heat))
+        alone = plain(x, **given)[1]["dissipated_power"]
+        assert heat >= alone * (1 - 1e-12)
+        more = max(more, heat - alone)
+    assert more > 1.0  # W
+
+
+def test_a_cushion_stops_the_oil_only_at_the_end_and_only_outwards():
+    """dp = R Q^2 at the end of the stroke, none at `length` from the end, none for oil that flows in."""
+    plain = Part(FAMILIES["boom_stick"]["lumped"])
+    at = plain.at("boom_head_flow")
+    inertance = plain.p["boom_hose_inertance"]
+    cushioned = Part(drives(cushion=Cushion), boom_cushion_length=0.1, boom_cushion_resistance=1e12)
+
+    def drop(position: float, flow: float) -> float:
+        x = plain.start(boom_head_flow=flow)
+        one, other = (p(x, boom_position=position)[0][at] for p in (plain, cushioned))
+        return float((one - other) * inertance)
+
+    assert drop(0.0, -1e-3) == pytest.approx(-1e6, rel=1e-9)  # Pa; rounding of pressures of 10 MPa
+    assert drop(0.1, -1e-3) == 0
+    assert drop(0.0, 1e-3) == 0
+
+
+def test_an_accumulator_holds_the_energy_of_its_gas():
+    """Its stored energy is the integral of P dV of p V^n = constant; below the precharge the port is closed."""
+    gas = Accumulator(volume=1e-2, precharge=9e6, exponent=1.4, conductance=1e-9)
+    start = 9e6 + 101325.0
+
+    def slope(pressure: float) -> float:  # dV/dP of V_0 (1 - (p_0/p)^(1/n))
+        return (start / (pressure + 101325.0)) ** (1 / 1.4) / 1.4 / (pressure + 101325.0)
+
+    energy = quad(lambda p: p * slope(p), 9e6, 2e7, epsrel=1e-12)[0] + CLOSED * slope(9e6) * 9e6**2 / 2
+    assert float(gas.energy_density(2e7)) == pytest.approx(energy, rel=1e-9)  # of the quadrature
+    assert float(gas.compliance(2e7)) == pytest.approx(slope(2e7), rel=1e-12)
+    assert float(gas.compliance(5e6)) == pytest.approx(CLOSED * slope(9e6), rel=1e-12)
+
+
+@pytest.mark.parametrize("variant", ["engine_pump", "load_sensing"])
+def test_an_accumulator_at_the_supply(variant):
+    """Shut off it changes nothing; open, it takes oil from the line, and the energy of the supply closes."""
+    sub = supply(CONSUMERS, additions={"accumulator": Accumulator})[variant]
+    plain, shut = Part(FAMILIES["supply"][variant]), Part(sub)
+    x, own = plain.start(), shut.start()
+    others = [i for i, n in enumerate(shut.states) if n != "accumulator_pressure"]
+    assert own[shut.at("accumulator_pressure")] == shut.p["accumulator_precharge"]
+    assert own[others] == pytest.approx(x, rel=1e-12)
+    assert shut(own)[0][others] == pytest.approx(plain(x)[0], rel=1e-12)
+    at_work = Part(sub, accumulator_conductance=1e-8)
+    y, u = at_work.expressions["y"], at_work.expressions["u"]
+    delivered = y["supply_pressure"] * y["supply_flow"] - y["tank_pressure"] * y["return_flow"]
+    balance = at_work.of(
+        y["engine_power"] - delivered, at_work.along(y["stored_energy"]), y["dissipated_power"]
+    )
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        state = own * rng.uniform(0.9, 1.1, own.size)
+        state[at_work.at("accumulator_pressure")] = rng.uniform(5e6, SUPPLY)
+        given = {n: rng.uniform(0, 1e-3) for n in u if "flow" in n}
+        power, stored, heat = (b.item() for b in balance(state, **given))
+        assert power - stored - heat == pytest.approx(0, abs=1e-9 * (abs(power) + abs(stored) + heat))
