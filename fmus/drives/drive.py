@@ -304,18 +304,19 @@ def part(
             derive=of.derive,
             values=values,
             numbers=numbers,
-            terminals=(
-                *(axis.actuator.terminal(axis.name) for axis in axes),
-                *(ports.lever(axis.name) for axis in axes),
-                ports.supply_line(),
-                ports.return_line(),
-                ports.load_sensing_line(name),
-            ),
+            terminals=_terminals(name, axes),
             text=text,
             validity=validity,
             stiff=stiff,
         )
     )
+
+
+def _terminals(name: str, axes: Sequence[Axis]) -> tuple[Terminal, ...]:
+    """Actuators, levers and lines."""
+    actuators = (axis.actuator.terminal(axis.name) for axis in axes)
+    lines = (ports.supply_line(), ports.return_line(), ports.load_sensing_line(name))
+    return (*actuators, *(ports.lever(axis.name) for axis in axes), *lines)
 
 
 def _states(axis: Axis, model: Model) -> type[Any]:

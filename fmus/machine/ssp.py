@@ -56,20 +56,12 @@ def write_systems(
     harvester.ssp has no inputs: Ecos and libcosim reject them, and FMPy delays them by one step. The other
     machine is at rest without inputs.
     """
-    controlled = {
-        name: controller_set(pose, manipulator, boom_stick)
-        for name, pose in controlled_poses(manipulator).items()
-    } | {COMPENSATED: section_flows()}
+    poses = controlled_poses(manipulator).items()
+    controlled = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
+    operated, own = parameter_sets(manipulator), controlled | {COMPENSATED: section_flows()}
     systems = (
-        (
-            NAME,
-            OPERATOR,
-            FERIC.operator_wires,
-            WORK_CYCLE_STOP,
-            parameter_sets(manipulator),
-            (NOMINAL, DEFAULT),
-        ),
-        (CONTROL, CONTROLLER, FERIC.controller_wires, CONTROL_STOP, controlled, (NOMINAL,)),
+        (NAME, OPERATOR, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
+        (CONTROL, CONTROLLER, FERIC.controller_wires, CONTROL_STOP, own, (NOMINAL,)),
     )
     return [
         write_ssp(

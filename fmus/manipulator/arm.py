@@ -3,6 +3,15 @@
 Signs: the boom angle is measured from the horizontal, upwards positive. The stick angle is measured from the
 boom, upwards positive; it is negative for a folded stick. The swing angle is counter-clockwise seen from
 above. Extending the boom cylinder raises the boom; extending the stick cylinder folds the stick in (J < 0).
+
+**Energies.** The head is a point mass at the tip, plus the energies that a `Head` adds. In the plane of the
+arm, stick and point mass enter with their first moment and their moment of inertia about the elbow; their
+whole mass moves with the elbow. The links are slender: they have no inertia about their own axis, so the
+inertia of a link at pitch f about the vertical is m r^2 + I cos(f)^2.
+
+The payload is a point mass that comes and goes at the place of the head's mass: at the tip for a point mass,
+at the centre of mass of a head that swings, because rollers and knives hold the stem there. So the head has
+the mass m_head + m_held, and the moment of inertia of the empty head.
 """
 
 from dataclasses import dataclass, replace
@@ -63,17 +72,7 @@ def _dot(a: Point, b: Point) -> Scalar:
 
 
 def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> EquationsOfMotion:
-    """M, V, G of eq. (4) from the energies of boom, stick and head, q = (swing, boom, stick, head angles).
-
-    The head is a point mass at the tip, plus the energies that `head` adds. In the plane of the arm, stick
-    and point mass enter with their first moment and their moment of inertia about the elbow; their whole mass
-    moves with the elbow. The links are slender: they have no inertia about their own axis, so the inertia of
-    a link at pitch f about the vertical is m r^2 + I cos(f)^2.
-
-    The payload is a point mass that comes and goes at the place of the head's mass: at the tip for a point
-    mass, at the centre of mass of a head that swings, because rollers and knives hold the stem there. So the
-    head has the mass m_head + m_held, and the moment of inertia of the empty head.
-    """
+    """M, V, G of eq. (4) from the energies of boom, stick and head, q = (swing, boom, stick, head angles)."""
     carried, empty = ca.SX.sym("head_mass"), p
     p = replace(p, head_mass=carried)
     pivot, elbow = (p.boom_pivot_x, p.boom_pivot_z), (p.stick_pivot_x, p.stick_pivot_z)
