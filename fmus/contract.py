@@ -121,7 +121,7 @@ class Group:
     A group is a frozen dataclass with keyword arguments. It inherits the fields of its base groups.
     Groups contain groups, before the fields of the class itself:
 
-        class Parameters(Group, boom=Cylinder, stick=Cylinder):      p.boom is a Cylinder, p.boom.bore a number
+        class Parameters(Group, boom=Cylinder, stick=Cylinder):      p.boom is a Cylinder: p.boom.bore
 
     A variable of the FMU has the names on the way to it, joined by "_": boom_bore. "{}" in the texts of
     `Cylinder` is replaced by the name of the field, or by "lift" for `boom=(Cylinder, "lift")`. A third item
