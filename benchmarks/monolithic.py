@@ -30,7 +30,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS, parts, wiring
+from fmus.machine.machine import wiring
+from fmus.machine.parts import FAMILIES, FERIC, OTHER_CIRCUITS
 from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
 from orchestrator.engine.result import SignalError, changes, compare
@@ -60,7 +61,7 @@ def combinations(every: bool = False) -> list[dict[str, str]]:
 
 def by_equations(variants: Mapping[str, str], stop: float = STOP) -> Trace:
     """States and outputs of the equations of a machine."""
-    chosen = parts(**variants)
+    chosen = FERIC.chosen(**variants)
     model = join(chosen, *wiring(chosen))
     grid = RECORD * np.arange(round(stop / RECORD) + 1)
     time = merge_times(grid, STROKES["time"][STROKES["time"] < stop])

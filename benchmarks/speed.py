@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from fmus.machine.build import build_machine, data
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from orchestrator import System, batch, load, run
 from orchestrator.studies.variants import inside
 
@@ -95,13 +95,18 @@ def main() -> None:
         difference = costs[True] - costs[False]
         print(f"harvester run: {costs[True]:.3g} s, of which its process {difference:.2g} s (bar 0.15)\n")
         print(f"{'':<22}us per step inside the FMUs{'':<33}{'us per step in all':>20}{'times real time':>20}")
-        heads = [*SUBSYSTEMS, "sum", WHOLE, "whole/sum", "parts", "whole", "parts", "whole"]
+        heads = [*FERIC.subsystems, "sum", WHOLE, "whole/sum", "parts", "whole", "parts", "whole"]
         print(f"{'master':<14}{'step':>8}" + "".join(f"{head:>12}" for head in heads))
         for master, step in SETTINGS:
             found = inside([parts, whole], repeats, scenario=cycle, master=master, step=step)
             means = found[0] | found[1]
-            total = sum(means[name] for name in SUBSYSTEMS)
-            inside_fmus = [*(means[name] for name in SUBSYSTEMS), total, means[WHOLE], means[WHOLE] / total]
+            total = sum(means[name] for name in FERIC.subsystems)
+            inside_fmus = [
+                *(means[name] for name in FERIC.subsystems),
+                total,
+                means[WHOLE],
+                means[WHOLE] / total,
+            ]
             (slow, slow_factor), (fast, fast_factor) = (
                 speed(s, master, step, repeats) for s in (parts, whole)
             )

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fmus.machine.parts import parts, wiring
+from fmus.machine.machine import wiring
+from fmus.machine.parts import FERIC
 from fmus.machine.work_cycle import Move
 from fmus.monolith import join, simulate
 
@@ -111,7 +112,7 @@ def modes(command: float, until: float = 2.0, **variants: str) -> list[Mode]:
 
     command   of the stick [V], ramped up between 0.5 and 0.8 s
     """
-    chosen = parts(**variants)
+    chosen = FERIC.chosen(**variants)
     whole = join(chosen, *wiring(chosen))
     time = np.array([0.0, 0.5, 0.8, until])
     inputs = np.tile(whole.u, (len(time), 1))

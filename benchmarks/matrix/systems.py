@@ -15,10 +15,11 @@ from benchmarks.matrix.cells import percent, remark, two
 from benchmarks.matrix.present import PARTS, Master, Tool
 from benchmarks.matrix.running import Outcome, Rows, carried_out
 from fmus.machine.build import data
-from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES, Connections
+from fmus.machine.machine import Connections
+from fmus.machine.parts import FERIC
 
 STEP, CYCLE = 1e-3, 42.0  # s
-WIRES = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES
+WIRES = FERIC.connections + FERIC.operator_wires + FERIC.supply_wires
 RATES = ("_rate", "_acceleration")
 OPEN_WIRES: Connections = tuple(wire for wire in WIRES if not wire[1].endswith(RATES))
 JOINTS = ("swing", "boom", "stick")

@@ -6,6 +6,7 @@ noise and a 12-bit converter. The transducer ends at +-1, and the logger missed 
 """
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
 from fmus.components.chamber import pressure_rate
-from fmus.components.spool_valve import Valve, ports_from_pressure
+from fmus.components.spool_valve import CurvedValve, ports_from_pressure
+from fmus.contract import nested, quantities
 from fmus.smooth import direction
 
 STEP, SAMPLES, SEED = 0.04, 1024, 7  # s, 1, 1
@@ -22,15 +24,17 @@ HEAD, ROD, LENGTH = 5e-3, 2.5e-3, 2.6  # areas of the piston [m2], both chambers
 PISTON, VISCOUS, DRY = 1.5e3, 9e4, 1.5e3  # moved with the piston [kg], friction [N.s/m] and [N]
 ARM, BENDING, INNER = 1.6e4, 1.1e6, 3e3  # mass of the arm [kg], its stiffness [N/m] and damping [N.s/m]
 SPOOL, RATIO = 22.0, 0.8  # natural frequency [rad/s] and damping ratio [1]
-VALVE = Valve(
-    area=9e-6,
-    discharge_coefficient=0.62,
-    dead_band=0.8,
-    full_command=4.5,
-    command_rounding=0.4,
-    leakage=2e-13,
-    transition_flow=1e-6,
-)
+NUMBERS = {
+    "area": 9e-6,
+    "discharge_coefficient": 0.62,
+    "dead_band": 0.8,
+    "full_command": 4.5,
+    "command_rounding": 0.4,
+    "leakage": 2e-13,
+    "transition_flow": 1e-6,
+}
+VALVE = nested(CurvedValve, dict.fromkeys(quantities(CurvedValve), 0.0) | NUMBERS)  # no tables
+LINES = SimpleNamespace(supply_pressure=SUPPLY, tank_pressure=TANK)
 FULL, SPAN = 10.0, 4.5e6  # V and Pa that the logger writes as 1
 NOISE, CODE = 0.004, 2 / 4096  # of the pressure, of what the logger writes
 MISSED = slice(330, 338)
@@ -55,7 +59,7 @@ def machine():
     """(state, command [V]) -> rate of the state, in SI units."""
     x, volts = ca.SX.sym("x", 8), ca.SX.sym("volts")
     p_a, p_b, stroke, speed, bend, arm, spool, slide = ca.vertsplit(x)
-    a, b = ports_from_pressure(VALVE, spool, p_a, p_b, SUPPLY, TANK, DENSITY, 0.0)
+    a, b = ports_from_pressure(VALVE, spool, (p_a, p_b), LINES, DENSITY, 0.0)
     force = BENDING * bend + INNER * (speed - arm)
     friction = VISCOUS * speed + DRY * direction(speed, 0.005)
     rate = ca.vertcat(

@@ -27,7 +27,7 @@ from fmus.export.model_description import (
     reference_parameters,
 )
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.parts import ALL, FAMILIES
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.reference import (
     RESULT_DIGITS,
     STEM,
@@ -46,15 +46,19 @@ from orchestrator.check.read_ls_ref import manifest, table
 from orchestrator.check.read_ls_ref import parameter_set as read_parameters
 from orchestrator.check.subject import parse_unpacked
 
-OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in ALL]
+OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in FERIC.components]
 # but the ideal source: it has no states, there is nothing to prove
-SUBSYSTEMS = {s.name: s for s in (*ALL.values(), *OTHERS, CONTROLLER, HARVESTER) if quantities(s.states)}
+SUBSYSTEMS = {
+    s.name: s for s in (*FERIC.components.values(), *OTHERS, CONTROLLER, HARVESTER) if quantities(s.states)
+}
 
 
 def built(folder: Path, name: str) -> Path:
     """The FMU of a subsystem in a folder of the built machine."""
     return folder / (
-        f"{name}.fmu" if name in (*ALL, CONTROLLER.name, HARVESTER.name) else f"variants/{name}.fmu"
+        f"{name}.fmu"
+        if name in (*FERIC.components, CONTROLLER.name, HARVESTER.name)
+        else f"variants/{name}.fmu"
     )
 
 
@@ -188,7 +192,7 @@ def test_an_fmu_with_other_values_reproduces_the_same_experiment(tmp_path):
 
 def test_what_has_no_experiment_ships_none(tmp_path):
     """A source without states, a user's subsystem without a reference, and a variant with other variables."""
-    assert ls_ref_files(ALL["supply"]) == {}
+    assert ls_ref_files(FERIC.components["supply"]) == {}
     assert ls_ref_files(replace(SWING, values=tmp_path / "parameters.toml")) == {}
     assert ls_ref_files(replace(SWING, outputs=SWING.states)) == {}
 

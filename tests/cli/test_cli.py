@@ -9,7 +9,7 @@ from kit.mistakes import problem, refused, table
 
 from fmus.contract import quantities
 from fmus.machine.build import data
-from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.poses import POSES
 from orchestrator import read_trace
 from orchestrator.__main__ import main
@@ -18,7 +18,7 @@ from orchestrator.base.files import require
 
 def test_build_makes_the_machine(built):
     """The FMUs, the system that connects them and all variants, for FMI 2.0 and 3.0, each with its size."""
-    files = [*(f"{name}.fmu" for name in (*ALL, "controller", "harvester"))]
+    files = [*(f"{name}.fmu" for name in (*FERIC.components, "controller", "harvester"))]
     files += ["harvester.ssp", "harvester_control.ssp"]
     files += [f"variants/{part}_{v}.fmu" for part, variants in FAMILIES.items() for v in variants]
     names = [*files, *(f"fmi3/{name}" for name in files)]
@@ -97,7 +97,7 @@ def test_lists_as_data(capsys):
     assert (mass["value"], mass["unit"], mass["part"]) == (350.0, "kg", "manipulator")
     assert {r["source"] for r in printed_json(capsys, "parameters", "--source", "paper")} == {"paper"}
     found = {(r["part"], r["variant"]): r for r in printed_json(capsys, "variants")}
-    assert found["swing", "lumped"]["states"] == len(quantities(SUBSYSTEMS["swing"].states))
+    assert found["swing", "lumped"]["states"] == len(quantities(FERIC.subsystems["swing"].states))
 
 
 @pytest.mark.usefixtures("here")

@@ -1,15 +1,18 @@
 """The complete controller: bumpless transfer, signs, dependencies, parameter values, recovery."""
 
+from collections import ChainMap
+
 import casadi as ca
 import numpy as np
 import pytest
 from kit.steering import INPUTS, PART, STATES, V, at, measured, rates
 
+from fmus.contract import quantities
 from fmus.controller.model import CONTROLLER
-from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE
+from fmus.controller.variables import AXES, OfMachine, OfSwing
 from fmus.export.python.instance import of_subsystem
 from fmus.machine.build import controller_of, parts_with_parameters
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.parameters import numbers, values
 
 FEEDBACK = [n for n in INPUTS if (n.startswith(AXES) and n.endswith(("_angle", "_speed"))) or "pressure" in n]
@@ -97,11 +100,10 @@ def test_the_correction_is_bounded_and_lets_go():
 def test_numbers_are_those_of_the_machine():
     """Parameters of geometry, cylinders, valves and motor are only in the files of the parts."""
     found = numbers(CONTROLLER)["parameters"]
-    drives = ("boom_stick", CYLINDERS, ""), ("swing", VALVE, "swing_"), ("swing", MOTOR, "")
-    for part, names, prefix in (("manipulator", GEOMETRY, ""), *drives):
-        own = numbers(SUBSYSTEMS[part])["parameters"]
-        for name in names:
-            here, there = found[prefix + name], own[name]
+    for group, parts in ((OfMachine, ("manipulator", "boom_stick")), (OfSwing, ("swing",))):
+        own = ChainMap(*(numbers(FERIC.subsystems[part])["parameters"] for part in parts))
+        for name in quantities(group):
+            here, there = found[name], own[name if name in own else name.removeprefix("swing_")]
             assert (here.value, here.unit) == (there.value, there.unit)
 
 

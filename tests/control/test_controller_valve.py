@@ -1,26 +1,25 @@
 """Inverse of valve and oil, from speed to command, against the equations of valve and oil."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import lines, number
 
-from fmus.boom_stick import compensated as boom_stick
 from fmus.components import pressure_compensator, spool_valve
 from fmus.components.spool_valve import Valve
 from fmus.controller import valve
 from fmus.controller.model import CONTROLLER, actuators
 from fmus.controller.valve import Actuator
+from fmus.drives.compensated import cylinder_section, motor_section
 from fmus.machine.parts import FAMILIES
-from fmus.parameters import values
-from fmus.swing import compensated as swing
+from fmus.parameters import parameters
 
-P = values(CONTROLLER).p
-FOOT = P["foot_share"]
+P = parameters(CONTROLLER)
+FOOT = P.foot_share
 SUPPLY, TANK = 20e6, 0.2e6
 VALVES = st.builds(
     Valve,
@@ -36,11 +35,7 @@ VALVES = st.builds(
 
 def drives() -> dict[str, Actuator]:
     """All three, pistons in the middle."""
-    return actuators((P["boom_stroke"] / 2, P["stick_stroke"] / 2), SimpleNamespace(**P))
-
-
-def number(expression) -> float:
-    return float(ca.DM(ca.evalf(ca.SX(expression))))
+    return actuators((P.boom.stroke / 2, P.stick.stroke / 2), P)
 
 
 @given(VALVES, st.floats(20 * FOOT, 1.0), st.sampled_from([-1, 1]))
@@ -76,11 +71,10 @@ def settled(a: Actuator, share: float, load: float) -> float:
     def excess(speed: float) -> float:
         forward = a.gain * share if share > 0 else 0.0
         backward = -a.gain * share if share < 0 else 0.0
-        edges = (a.valve.leakage, a.valve.transition_flow, SUPPLY, TANK)
         flows = a.head_area * speed, -a.rod_area * speed
         nodes = (
-            spool_valve.edge_flows_from_flow(flows[0], forward, backward, *edges),
-            spool_valve.edge_flows_from_flow(flows[1], backward, forward, *edges),
+            spool_valve.edge_flows_from_flow(a.valve, flows[0], forward, backward, lines(SUPPLY, TANK)),
+            spool_valve.edge_flows_from_flow(a.valve, flows[1], backward, forward, lines(SUPPLY, TANK)),
         )
         head, rod = (
             number(n.pressure - a.hose_resistance * q * np.sqrt(q**2 + a.valve.transition_flow**2))
@@ -121,8 +115,9 @@ def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
     With no droop, at 10 and 150 bar: 1 % of rounding where the valve opens, 0.1 % above it.
     """
     part = "swing" if name == "swing" else "boom_stick"
-    numbers = SimpleNamespace(**values(FAMILIES[part]["compensated"]).p | {"compensator_droop": 0.0})
-    section = swing.section(numbers) if name == "swing" else boom_stick.section(numbers, name)
+    p = parameters(FAMILIES[part]["compensated"])
+    p = replace(p, compensator=replace(p.compensator, droop=0.0))
+    section = (motor_section if name == "swing" else cylinder_section)(getattr(p, name), p)
     a = replace(drives()[name], section_flow=section.flow)
     fed, area = (0, a.head_area) if share > 0 else (1, a.rod_area)
     full = valve.section_speeds(a)
@@ -130,7 +125,7 @@ def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
     assert abs(speed) == pytest.approx(abs(share) * section.flow / area, rel=1e-12)  # rounding
     command = number(valve.command(a.valve, valve.opening_for(a, speed, full, FOOT), FOOT))
     for load in (1e6, 15e6):
-        ports = pressure_compensator.section_ports(section, command, (load, load), SUPPLY, load, TANK)
+        ports = pressure_compensator.section_ports(section, command, (load, load), lines(SUPPLY, TANK, load))
         flow = number(ports[fed].edges.supply) - a.valve.leakage * (SUPPLY - load)
         assert flow == pytest.approx(abs(speed) * area, rel=1e-2 if abs(share) < 0.1 else 1e-3)
 

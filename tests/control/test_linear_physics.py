@@ -9,12 +9,12 @@ from kit.equations import SUPPLY, edge_resistance, piston_areas, steady_velocity
 from kit.fmu import driving
 from scipy.signal import StateSpace, lsim
 
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.parameters import values
 from orchestrator import Trace, linearize, run
 from orchestrator.linear.modes import eigen
 
-OIL, SWING = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing"))
+OIL, SWING = (values(FERIC.subsystems[n]).p for n in ("boom_stick", "swing"))
 BAR = 5e-3  # the bar of all closed forms: leakage, friction, inertia of the oil lie below
 
 

@@ -8,11 +8,11 @@ from kit.equations import SUPPLY, edge_resistance, piston_areas, steady_velocity
 from kit.fmu import driving
 from scipy.optimize import brentq, fsolve
 
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.parameters import values
 
 BAR = 5e-3  # the stated bar: rounding of |Q| at Q_t and the leakage of closed edges lie below
-BOOM_STICK, SWING = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing"))
+BOOM_STICK, SWING = (values(FERIC.subsystems[n]).p for n in ("boom_stick", "swing"))
 
 
 def settled_force(path, name: str, command: float, velocity: float) -> float:

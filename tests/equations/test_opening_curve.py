@@ -2,6 +2,7 @@
 
 import ctypes
 import itertools
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -34,12 +35,9 @@ def table(points):
     )
 
 
-def curves(**points):
-    """The groups of all edges; an edge that is not given has no table."""
-    groups = {edge: vars(table(points.get(edge, ()))) for edge in opening_curve.EDGES}
-    return opening_curve.OpeningCurves(
-        **{f"{edge}_{n}": x for edge, group in groups.items() for n, x in group.items()}
-    )
+def curved(**points):
+    """The valve with a table of the edges that are given."""
+    return replace(VALVE, **{edge: table(of_edge) for edge, of_edge in points.items()})
 
 
 def evaluated(points, volts):
@@ -119,8 +117,8 @@ def test_a_straight_table_is_the_line_away_from_its_start():
 def test_each_edge_has_its_own_curve(edge):
     """A table changes its edge in its direction, and no other."""
     for command in (5.0, -5.0):
-        usual = spool_valve.edge_openings(VALVE, None, command)
-        found = spool_valve.edge_openings(VALVE, curves(**{edge: MEASURED}), command)
+        usual = spool_valve.edge_openings(VALVE, command)
+        found = spool_valve.edge_openings(curved(**{edge: MEASURED}), command)
         opens = (command > 0) == (edge in spool_valve.FORWARD)
         expected = {**usual, edge: 0.19 if opens else 0.0}
         assert {e: float(x) for e, x in found.items()} == pytest.approx(
@@ -206,7 +204,7 @@ def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, vo
 )
 def test_points_in_disorder_are_refused(points, wrong):
     """Exactly one requirement is violated, that of the list with the mistake."""
-    margins = opening_curve.requirements(curves(pa=points), 10.0)
+    margins = opening_curve.requirements(curved(pa=points), 10.0)
     violated = [text for text, margin in margins.items() if not float(ca.DM(margin)) > 0]
     assert len(violated) == bool(wrong)
     assert all(text.startswith(f"valve_pa_{wrong}") for text in violated)

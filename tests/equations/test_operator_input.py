@@ -172,10 +172,10 @@ def test_a_program_that_is_too_long_is_refused():
 def test_the_default_sets_are_the_start_values():
     """Default pose and program of the system are the values in the FMUs."""
     assert work_cycle.program(work_cycle.PROGRAMS[work_cycle.DEFAULT]) == values(OPERATOR).p
-    from fmus.machine.parts import SUBSYSTEMS
+    from fmus.machine.parts import FERIC
 
     for port, value in pose_set(POSES[NOMINAL]).items():
         component, name = port.split(".")
-        found = values(SUBSYSTEMS[component])
+        found = values(FERIC.subsystems[component])
         # stated with nine digits
         assert ({**found.u, **found.p})[name] == pytest.approx(value, rel=1e-8)

@@ -10,14 +10,14 @@ from kit.mistakes import problem, table
 
 from fmus import boom_stick, swing
 from fmus.contract import quantities, symbolic
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.parameters import Number, numbers, read, read_parameter_set, rows, values, with_parameters, write
 from orchestrator.base.errors import Problem
 
-BOOM_STICK, MANIPULATOR, SWING = (SUBSYSTEMS[n] for n in ("boom_stick", "manipulator", "swing"))
+BOOM_STICK, MANIPULATOR, SWING = (FERIC.subsystems[n] for n in ("boom_stick", "manipulator", "swing"))
 
 
-@pytest.mark.parametrize("sub", SUBSYSTEMS.values(), ids=SUBSYSTEMS)
+@pytest.mark.parametrize("sub", FERIC.subsystems.values(), ids=FERIC.subsystems)
 def test_every_number_has_provenance(sub):
     """All parameters are there, each with unit, source and a note that says something."""
     found = numbers(sub)
@@ -29,7 +29,7 @@ def test_every_number_has_provenance(sub):
                 assert any(word in n.note for word in ("section", "eq.", "printed", "hose")), name
 
 
-@pytest.mark.parametrize("sub", SUBSYSTEMS.values(), ids=SUBSYSTEMS)
+@pytest.mark.parametrize("sub", FERIC.subsystems.values(), ids=FERIC.subsystems)
 def test_write_then_read_gives_the_same_numbers(sub, tmp_path):
     """The writer is the inverse of the reader, to the last bit."""
     found = numbers(sub)
@@ -110,7 +110,7 @@ def test_only_what_follows_from_paper_numbers_is_called_derived():
     """A length, mass or viscosity that somebody chose makes what follows from it assumed, not FERIC data."""
     derived = {
         name
-        for s in SUBSYSTEMS.values()
+        for s in FERIC.subsystems.values()
         for name, n in numbers(s)["parameters"].items()
         if n.source == "derived"
     }
@@ -217,11 +217,11 @@ def test_a_parameter_set_is_converted(tmp_path):
     path = tmp_path / "crane.toml"
     entry = '[parameters.{}]\nvalue = {}\nsd = 5\nunit = "{}"\nsource = "assumed"\nnote = "a drawing"\n'
     path.write_text(entry.format("stick_length", 4200, "mm"), encoding="utf-8")
-    number = read_parameter_set(path, SUBSYSTEMS.values())["stick_length"]
+    number = read_parameter_set(path, FERIC.subsystems.values())["stick_length"]
     # one multiplication each
     assert (number.value, number.sd, number.unit) == (pytest.approx(4.2), pytest.approx(5e-3), "m")
     path.write_text(entry.format("stick_length", 4200, "kg"), encoding="utf-8")
-    told = problem(lambda: read_parameter_set(path, SUBSYSTEMS.values()))
+    told = problem(lambda: read_parameter_set(path, FERIC.subsystems.values()))
     assert (
         told == f"{path}: [parameters.stick_length]: unit 'kg' cannot be converted, expected a unit like 'm'"
     )

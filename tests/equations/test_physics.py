@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import EDGES, VALVE, random_curve
+from kit.equations import EDGES, VALVE, lines, random_curve
 from kit.properties import examples
 from scipy.optimize import brentq
 
 from fmus.components import cylinder, motor, spool_valve
 from fmus.components.circuit import TANK, Node
 from fmus.contract import column, quantities, symbolic
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.parameters import values
 from orchestrator.base.units import BASES, parse_unit
 
@@ -35,7 +35,7 @@ class Equations:
     """A subsystem as one function: `at(x, u, p)` gives rates, outputs and start by name."""
 
     def __init__(self, name):
-        self.sub = SUBSYSTEMS[name]
+        self.sub = FERIC.subsystems[name]
         s = symbolic(self.sub)
         self.x, self.u, self.p, self.y = (
             quantities(g) for g in (self.sub.states, self.sub.inputs, self.sub.parameters, self.sub.outputs)
@@ -88,7 +88,7 @@ def close(ours, theirs, declared, tolerance=1e-9):
         )
 
 
-@pytest.mark.parametrize("name", SUBSYSTEMS)
+@pytest.mark.parametrize("name", FERIC.subsystems)
 def test_every_formula_keeps_its_dimensions(name):
     """In other units of mass, length, time and current rates, outputs and start values stay the same.
 
@@ -116,7 +116,7 @@ def test_every_formula_keeps_its_dimensions(name):
             close(kept, in_other_units({n: ours[n] for n in kept}, group, per_second), group)
 
 
-@pytest.mark.parametrize("name", SUBSYSTEMS)
+@pytest.mark.parametrize("name", FERIC.subsystems)
 @examples(40)
 @given(seed=seeds)
 def test_no_subsystem_creates_power(name, seed):
@@ -201,9 +201,9 @@ def test_arm_swings_right_as_it_swings_left(seed):
 
 def test_nothing_depends_on_where_the_arm_points():
     """Without end stops the swing angle enters only the position of the tip seen from above."""
-    s = symbolic(SUBSYSTEMS["manipulator"])
+    s = symbolic(FERIC.subsystems["manipulator"])
     angle = s.x[list(equations("manipulator").x).index("swing_angle")]
-    stops = s.p[list(quantities(SUBSYSTEMS["manipulator"].parameters)).index("swing_stop_angle")]
+    stops = s.p[list(quantities(FERIC.subsystems["manipulator"].parameters)).index("swing_stop_angle")]
     y = ca.vertsplit(ca.substitute(s.y, stops, 0))
     outputs = dict(zip(equations("manipulator").y, y, strict=True))
     touched = [n for n, y in outputs.items() if ca.depends_on(y, angle)]
@@ -234,7 +234,7 @@ def test_boom_and_stick_drives_are_the_same_equations(seed):
 def test_opening_a_valve_further_never_costs_more_pressure(command, more, flow):
     """At the same flow the drops over both edges fall, or stay, as the command grows."""
     less, further = (
-        spool_valve.ports_from_flow(VALVE, c, flow, -flow, PS, 0.0, RHO) for c in (command, command + more)
+        spool_valve.ports_from_flow(VALVE, c, (flow, -flow), lines(), RHO) for c in (command, command + more)
     )
     # rounding of 1e7 Pa, and of pressures up to 1e12 Pa that belong to flows which a shut valve cannot pass
     for a, b in ((PS - less[0].pressure, PS - further[0].pressure), (less[1].pressure, further[1].pressure)):
@@ -245,7 +245,7 @@ def test_opening_a_valve_further_never_costs_more_pressure(command, more, flow):
 def test_a_port_gives_less_pressure_the_more_it_is_drawn(command, flow, more):
     """dP/dQ < 0 at each port and command: no valve position feeds an oscillation of its line."""
     before, after = (
-        spool_valve.ports_from_flow(VALVE, command, q, q, PS, 0.0, RHO) for q in (flow, flow + more)
+        spool_valve.ports_from_flow(VALVE, command, (q, q), lines(), RHO) for q in (flow, flow + more)
     )
     for a, b in zip(before, after, strict=True):
         assert float(ca.DM(b.pressure)) < float(ca.DM(a.pressure))

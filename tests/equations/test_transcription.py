@@ -9,7 +9,7 @@ from equations import transcription
 from kit import shards
 from kit.equations import EDGES, JOINTS, random_curve
 
-from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.machine.poses import pose_grid
 from fmus.monolith import join, simulate
 
@@ -30,8 +30,8 @@ STRIDE = 4  # the reference trace keeps every fourth sample
 def model():
     """The project's joined ODE; the rates of the commands do not enter it."""
     unused = ("load_sensing_pressure", "load_sensing_pressure_rate")
-    inputs = {n: ends for n, ends in INPUTS.items() if not n.endswith("_rate") and n not in unused}
-    return join(SUBSYSTEMS, CONNECTIONS, inputs)
+    inputs = {n: ends for n, ends in FERIC.inputs.items() if not n.endswith("_rate") and n not in unused}
+    return join(FERIC.subsystems, FERIC.connections, inputs)
 
 
 def random_numbers(rng):

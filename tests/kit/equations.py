@@ -2,29 +2,32 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 
-from fmus.components.spool_valve import Valve
-from fmus.contract import Subsystem, Symbolic, quantities, symbolic
-from fmus.machine.parts import parts, wiring
+from fmus.components.spool_valve import CurvedValve
+from fmus.contract import Subsystem, Symbolic, nested, quantities, symbolic
+from fmus.machine.machine import wiring
+from fmus.machine.parts import FERIC
 from fmus.machine.poses import POSES, parameter
 from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.monolith import Monolith, join, simulate
 from fmus.parameters import values
 
 SUPPLY = 20.684e6  # Pa
-# the valve of the paper, written out here
-VALVE = Valve(
-    area=4e-5,
-    discharge_coefficient=0.62,
-    dead_band=0.6,
-    full_command=10.0,
-    command_rounding=0.4,
-    leakage=1.6e-14,
-    transition_flow=1e-5,
-)
+# the valve of the paper, written out here; its edges have no tables
+_NUMBERS = {
+    "area": 4e-5,
+    "discharge_coefficient": 0.62,
+    "dead_band": 0.6,
+    "full_command": 10.0,
+    "command_rounding": 0.4,
+    "leakage": 1.6e-14,
+    "transition_flow": 1e-5,
+}
+VALVE = nested(CurvedValve, dict.fromkeys(quantities(CurvedValve), 0.0) | _NUMBERS)
 EDGES = ("pa", "at", "pb", "bt")
 JOINTS = ("swing", "boom", "stick")
 
@@ -32,6 +35,11 @@ JOINTS = ("swing", "boom", "stick")
 def number(value: object) -> float:
     """What CasADi made of numbers."""
     return float(ca.DM(value))
+
+
+def lines(supply: float = SUPPLY, tank: float = 0.0, sensing: float = 0.0) -> SimpleNamespace:
+    """Pressures [Pa] of the lines at a valve."""
+    return SimpleNamespace(supply_pressure=supply, tank_pressure=tank, load_sensing_pressure=sensing)
 
 
 def random_curve(rng: np.random.Generator, prefix: str) -> dict[str, float]:
@@ -169,7 +177,7 @@ class Part:
 @cache
 def machine(**variants: str) -> Monolith:
     """The machine with these variants as one ODE."""
-    chosen = parts(**variants)
+    chosen = FERIC.chosen(**variants)
     return join(chosen, *wiring(chosen))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmus.machine.build import data
-from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS
+from fmus.machine.parts import FERIC
 
 STEP = 1e-3  # s
 JOINTS = ("swing", "boom", "stick")
@@ -23,7 +23,7 @@ ORDER = ("manipulator", "boom_stick", "swing", "operator_input")
 FMUS = (*ORDER, "harvester")
 VERSIONS = ("fmu_dir", "fmi3_dir")  # fixtures: the folders of FMI 2.0 and 3.0
 
-RATED = CONNECTIONS + COMMAND_WIRES
+RATED = FERIC.connections + FERIC.operator_wires
 HELD = tuple(wire for wire in RATED if not wire[1].endswith(("_rate", "_acceleration")))
 
 # NRMSE over range. Measured: speed 2e-4, angle 3e-6, pressure 2e-4, the error of the coupling at 1 ms (it

@@ -13,10 +13,10 @@ from native.bench import CODE, Fmu, unpack
 from fmus.contract import Quantity
 from fmus.export.build import build
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.parts import ALL
+from fmus.machine.parts import FERIC
 from fmus.parameters import Values
 
-NAMES = (*ALL, HARVESTER.name)
+NAMES = (*FERIC.components, HARVESTER.name)
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ from kit.compile import HEADERS
 from native.bench import needs_gcc, run
 
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.parts import ALL
+from fmus.machine.parts import FERIC
 
 pytestmark = shards.c
 
@@ -34,7 +34,7 @@ def sources(fmu: Path, folder: Path) -> list[Path]:
 
 @needs_gcc
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
-@pytest.mark.parametrize("name", [*ALL, HARVESTER.name])
+@pytest.mark.parametrize("name", [*FERIC.components, HARVESTER.name])
 def test_sources_compile_without_a_warning(request, tmp_path, name, version):
     """All .c files in sources/ are plain C99 for another compiler, with FMPy's headers."""
     code = sources(request.getfixturevalue(version) / f"{name}.fmu", tmp_path)

@@ -8,7 +8,7 @@ from kit import shards
 from kit.any_fmu.edit import edited
 
 from fmus.export.python.build import build_python, build_user
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from orchestrator import load, run
 from orchestrator.check.checking import check
 from orchestrator.ssp.swap import with_swaps
@@ -23,13 +23,13 @@ def actuator(tmp_path_factory):
 
 
 # one part in every run: the code around the equations is the same for all
-EACH = [part if part == "swing" else pytest.param(part, marks=shards.machine) for part in SUBSYSTEMS]
+EACH = [part if part == "swing" else pytest.param(part, marks=shards.machine) for part in FERIC.subsystems]
 
 
 @pytest.mark.parametrize("part", EACH)
 def test_the_machine_does_not_notice(system, tmp_path, part):
     """With one part in Python every signal of the machine is that of the native FMUs, to 1e-9 of its size."""
-    swap = {part: str(build_python(SUBSYSTEMS[part], tmp_path))}
+    swap = {part: str(build_python(FERIC.subsystems[part], tmp_path))}
     native = run(system, stop=2.0).trace
     python = run(system, stop=2.0, swap=swap).trace
     assert set(native.signals) == set(python.signals)

@@ -20,12 +20,12 @@ from kit.mistakes import table
 
 from fmus.export.compile import PLATFORMS, host
 from fmus.export.python.build import build_python, library
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from orchestrator.base.files import write_zip
 from orchestrator.check.checking import check
 from python_fmu.lag import built
 
-BOOM_STICK = SUBSYSTEMS["boom_stick"]
+BOOM_STICK = FERIC.subsystems["boom_stick"]
 BLOCKED = """
 import sys
 sys.modules["fmus"] = None  # as if it were not installed

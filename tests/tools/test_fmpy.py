@@ -12,7 +12,7 @@ from kit.fmu import Fmu
 from kit.plain_jacobi import SAME, ours
 from kit.work_cycle import FMUS, ORDER, RATED, SIGNALS, STEP, VERSIONS, agree, check_log, same, step_through
 
-from fmus.machine.parts import HOLDING
+from fmus.machine.parts import FERIC
 from fmus.machine.poses import POSES
 
 
@@ -71,7 +71,7 @@ def test_fmpy_steps_the_system_as_we_do(request, fmu_dir, capfd, version):
     """A loop over FMPy's classes, in FMI 2.0 and 3.0, gives the numbers of our own orchestrator."""
     folder = request.getfixturevalue(version)
     parts = {name: Fmu(folder / f"{name}.fmu").enter() for name in ORDER}
-    carry(parts, HOLDING)
+    carry(parts, FERIC.holding)
     for part in parts.values():
         part.fmu.exitInitializationMode()
     carry(parts, RATED)

@@ -13,7 +13,7 @@ import pytest
 from kit import shards
 
 from fmus.machine import CONSTANT_INPUTS, LEVERS
-from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.machine.reference import TOLERANCE, work_cycle
 from fmus.machine.work_cycle import COMMANDS
 from fmus.monolith import join, simulate
@@ -150,7 +150,7 @@ def read(results: Path, name: str) -> pd.DataFrame:
 def truth() -> Mapping[str, tuple[np.ndarray, Mapping[str, np.ndarray]]]:
     """Time and outputs of the monolithic solution by case."""
     time, commands = work_cycle()
-    model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
+    model = join(FERIC.subsystems, FERIC.connections, FERIC.inputs)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
     found = {}

@@ -28,7 +28,7 @@ from kit.work_cycle import (
     worst,
 )
 
-from fmus.machine.parts import COMMAND_WIRES
+from fmus.machine.parts import FERIC
 
 pytestmark = shards.tools
 
@@ -108,7 +108,7 @@ def test_ecos_needs_no_small_steps_for_the_one_block(fmu_dir, capfd):
     structure = ecos.EcosSimulationStructure()
     for name in ("operator_input", "harvester"):
         structure.add_model(name, str(fmu_dir / f"{name}.fmu"))
-    for start, _ in COMMAND_WIRES:
+    for start, _ in FERIC.operator_wires:
         lever = start.split(".")[1]
         structure.make_real_connection(f"operator_input::{lever}", f"harvester::{lever}")
     names = [f"harvester::{name.split('.')[1]}" for name in SIGNALS]

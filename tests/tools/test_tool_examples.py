@@ -13,10 +13,10 @@ import pytest
 from kit.work_cycle import REFERENCE, SIGNALS
 from lxml import etree
 
-from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES
+from fmus.machine.parts import FERIC
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-WIRES = sorted(CONNECTIONS + COMMAND_WIRES)
+WIRES = sorted(FERIC.connections + FERIC.operator_wires)
 STOP = 2.0  # s
 WINDOW = REFERENCE["time"] <= STOP
 # each signal is off by a hundredth of its range
@@ -83,7 +83,7 @@ def test_pyfmi_has_the_parts_and_wires_of_the_ssp(fmu_dir, monkeypatch, capsys, 
     assert capsys.readouterr().out == PRINTED
     open_ports = () if rates else ("_rate", "_acceleration")
     assert sorted(seen["wires"]) == sorted(
-        wire for wire in WIRES + list(SUPPLY_WIRES) if not (open_ports and wire[1].endswith(open_ports))
+        wire for wire in WIRES + list(FERIC.supply_wires) if not (open_ports and wire[1].endswith(open_ports))
     )
     assert set(seen["models"]) == {end.split(".")[0] for wire in seen["wires"] for end in wire}
     assert (seen["stop"], seen["step_size"], seen["block_initialization"]) == (STOP, 5e-3, True)

@@ -104,7 +104,7 @@ def test_a_cushion_stops_the_oil_only_at_the_end_and_only_outwards():
 
 
 def test_an_accumulator_holds_the_energy_of_its_gas():
-    """Its stored energy is the integral of P dV of p V^n = constant; below the precharge the port is closed."""
+    """Its stored energy is the integral of P dV of p V^n = constant, none below the precharge."""
     gas = Accumulator(volume=1e-2, precharge=9e6, exponent=1.4, conductance=1e-9)
     start = 9e6 + 101325.0
 

@@ -9,17 +9,15 @@ import pytest
 from equations.circuits_transcription import air
 from kit.equations import Part, cavity, piston_areas
 
-from fmus.boom_stick.detailed import detailed as detailed_boom_stick
+from fmus import boom_stick, swing
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
-from fmus.swing.detailed import detailed as detailed_swing
 
 PARTS = ("swing", "boom_stick")
 DRIVES = {f"{part} {name}": sub for part in PARTS for name, sub in FAMILIES[part].items()} | {
-    "swing, three lumps, layers": detailed_swing(3, True),
-    "boom_stick, one lump, layers": detailed_boom_stick(1, True),
-    "boom_stick, different lumps": detailed_boom_stick({"boom": 1, "stick": 4}),
+    "swing, three lumps": swing.with_lumps(3),
+    "boom_stick, different lumps": boom_stick.with_lumps({"boom": 1, "stick": 4}),
 }
 drives = pytest.mark.parametrize("name", DRIVES)
 

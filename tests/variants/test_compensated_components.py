@@ -11,20 +11,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import lines
 
 from fmus.components import counterbalance_valve
 from fmus.components import pressure_compensator as compensator
-from fmus.components.counterbalance_valve import Counterbalance, Restriction
-from fmus.components.pressure_compensator import Compensator
+from fmus.components.counterbalance_valve import Restriction
+from fmus.drives.compensated import motor_section
 from fmus.machine.parts import FAMILIES
-from fmus.parameters import values
-from fmus.swing import compensated as swing
+from fmus.parameters import parameters
 
-NUMBERS = values(FAMILIES["boom_stick"]["compensated"]).p
-SWING = swing.Parameters(**values(FAMILIES["swing"]["compensated"]).p)
-SECTION = swing.section(SWING)
+SWING = parameters(FAMILIES["swing"]["compensated"])
+SECTION = motor_section(SWING.swing, SWING)
 COMPENSATOR = SECTION.compensator
-VALVE = Counterbalance(**{n: NUMBERS[f"counterbalance_{n}"] for n in Counterbalance.__dataclass_fields__})
+VALVE = parameters(FAMILIES["boom_stick"]["compensated"]).counterbalance
 ALONE = Restriction(0.62, 970.0, 0.0, 1e-5)  # without hose
 PRESSURE = st.floats(0, 4e7)
 COMMAND = st.floats(-10, 10)
@@ -40,7 +39,7 @@ def compiled(expression, *symbols):
 def supplied():
     """Flow from the supply into port A of a section at (command, port, supply, sensing), and its gradient."""
     command, port, supply, sensing = (ca.SX.sym(n) for n in ("u", "p", "s", "ls"))
-    a, _ = compensator.section_ports(SECTION, command, (port, 0.0), supply, sensing, 0.0)
+    a, _ = compensator.section_ports(SECTION, command, (port, 0.0), lines(supply, 0.0, sensing))
     return compiled(a.edges.supply, command, port, supply, sensing)
 
 
@@ -62,7 +61,7 @@ def test_a_section_never_flows_back_and_follows_its_pressures(command, port, sup
 @pytest.mark.parametrize("port", [1e5, 1.2e7, 1.79e7])
 def test_the_drops_of_a_section_are_what_the_supply_is_above_the_port(port):
     """Drops of metering edge and compensator add up, less half the pressure that opens the check valve."""
-    a, _ = compensator.section_ports(SECTION, 5.0, (port, 0.0), 1.8e7, 1.6e7, 0.0)
+    a, _ = compensator.section_ports(SECTION, 5.0, (port, 0.0), lines(1.8e7, 0.0, 1.6e7))
     assert float(a.metering_drop) > 0
     assert float(a.compensator_drop) > 0
     # 0.1 bar opens the check valve; rounding
@@ -73,7 +72,7 @@ def test_the_parameters_that_the_law_excludes_are_refused():
     """Requirements are positive for the numbers here, one is negative where sections would not share."""
     good = compensator.requirements(SECTION.valve, COMPENSATOR)
     assert min(map(float, good.values())) > 0
-    bad = Compensator(**{**vars(COMPENSATOR), "sharing": 0.95, "open_drop": 2e5})
+    bad = replace(COMPENSATOR, sharing=0.95, open_drop=2e5)
     assert min(map(float, compensator.requirements(SECTION.valve, bad).values())) < 0
 
 

@@ -10,9 +10,7 @@ import pytest
 from kit.equations import Part
 
 from fmus import boom_stick, swing
-from fmus.boom_stick.detailed import detailed as detailed_boom_stick
 from fmus.parameters import values
-from fmus.swing.detailed import detailed as detailed_swing
 
 LUMPED = {"swing": swing.VARIANTS["lumped"], "boom_stick": boom_stick.VARIANTS["lumped"]}
 DETAILED = {"swing": swing.VARIANTS["detailed"], "boom_stick": boom_stick.VARIANTS["detailed"]}
@@ -26,7 +24,7 @@ def part_of(sub, **numbers):
     return part
 
 
-@pytest.mark.parametrize("sub", [detailed_swing(3, True), detailed_boom_stick({"boom": 1, "stick": 3}, True)])
+@pytest.mark.parametrize("sub", [swing.with_lumps(3), boom_stick.with_lumps({"boom": 1, "stick": 3})])
 def test_started_at_rest_only_leakage_moves(sub):
     """Command zero, piston standing: after 1 s no chamber has changed by more than leakage explains."""
     part = part_of(sub)
@@ -60,7 +58,7 @@ def test_the_spool_starts_where_its_command_wants_it():
 
 
 # few lumps: what differs from `lumped` is the same for one lump and for many
-FEW = {"swing": DETAILED["swing"], "boom_stick": detailed_boom_stick({"boom": 1, "stick": 2})}
+FEW = {"swing": DETAILED["swing"], "boom_stick": boom_stick.with_lumps({"boom": 1, "stick": 2})}
 PRELOAD = 8e6  # Pa: no line of the swing tears while its valve still opens
 
 
@@ -157,7 +155,7 @@ def test_the_floor_falls_with_the_square_of_the_hose_length(part):
 
 @pytest.mark.parametrize("part", LUMPED)
 def test_the_python_lines_of_the_readme_run(part):
-    """What the section `detailed` of the README shows: choosing lumps and friction."""
+    """What the section `detailed` of the README shows: choosing lumps."""
     readme = LUMPED[part].values.with_name("README.md").read_text(encoding="utf-8")
     (snippet,) = re.findall(r"```python\n(.*?)```", readme.partition("## detailed")[2], re.DOTALL)
     exec(compile(snippet, "README.md", "exec"), {})

@@ -9,7 +9,8 @@ from kit import shards
 from kit.every import MACHINES
 
 from fmus.contract import quantities
-from fmus.machine.parts import FAMILIES, parts, wiring
+from fmus.machine.machine import wiring
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.work_cycle import COMMANDS, PROGRAMS, WORK_CYCLE_STOP, Move, Stem, payload, sample
 from fmus.monolith import breakpoints, join
 
@@ -65,7 +66,7 @@ def audit(index, program, changed=()):
 
     changed   (parameter, value), other than in parameters.toml
     """
-    chosen = parts(**MACHINES[index])
+    chosen = FERIC.chosen(**MACHINES[index])
     connections, inputs = wiring(chosen)
     model = join(chosen, connections, inputs)
     for name, value in changed:

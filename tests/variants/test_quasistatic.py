@@ -14,7 +14,8 @@ from kit.work_cycle import PRESSURES
 
 from fmus.components import spool_valve
 from fmus.contract import symbolic
-from fmus.machine.parts import FAMILIES, parts, wiring
+from fmus.machine.machine import wiring
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.monolith import join
 from fmus.parameters import Values, values
 
@@ -29,7 +30,7 @@ drops = st.floats(-4e7, 4e7)
 
 def ports(command, a, b, supply=equations.SUPPLY, tank=0.0, valve=equations.VALVE, hose=HOSE):
     """Both ports as numbers."""
-    found = spool_valve.ports_from_pressure(valve, command, a, b, supply, tank, RHO, hose)
+    found = spool_valve.ports_from_pressure(valve, command, (a, b), equations.lines(supply, tank), RHO, hose)
     return [{n: float(ca.DM(v)) for n, v in vars(port).items()} for port in found]
 
 
@@ -56,7 +57,7 @@ def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
     """dQ/ddp = K^2 / Q_t + G_leak there, by the derivative of the equations."""
     pressure = ca.SX.sym("pressure")
     supplied, _ = spool_valve.ports_from_pressure(
-        equations.VALVE, command, pressure, 0.0, equations.SUPPLY, 0.0, RHO, HOSE
+        equations.VALVE, command, (pressure, 0.0), equations.lines(), RHO, HOSE
     )
     slope = ca.Function("slope", [pressure], [-ca.jacobian(supplied.supply, pressure)])
     expected = square_gain(command) / equations.VALVE.transition_flow + equations.VALVE.leakage
@@ -141,7 +142,7 @@ def scaled(length: float, variant: str) -> dict[str, Values]:
         "manipulator": (),
     }
     numbers = {}
-    for part, sub in parts(swing=variant, boom_stick=variant).items():
+    for part, sub in FERIC.chosen(swing=variant, boom_stick=variant).items():
         v = values(sub)
         p = {n: x * length if n.endswith(of_length[part]) and of_length[part] else x for n, x in v.p.items()}
         numbers[part] = Values(p | ({"valve_leakage": 1e-17} if "valve_leakage" in p else {}), v.u, v.x)
@@ -150,7 +151,7 @@ def scaled(length: float, variant: str) -> dict[str, Values]:
 
 def moved(length: float, variant: str) -> np.ndarray:
     """Signals (signal, time) of 1.2 s in which three valves, a little open, are opened and closed again."""
-    chosen = parts(swing=variant, boom_stick=variant)
+    chosen = FERIC.chosen(swing=variant, boom_stick=variant)
     model = join(chosen, *wiring(chosen), scaled(length, variant))
     levers = {n: ([0, 0.4, 0.8, 1.2], [1.5, v, v, 1.5]) for n, v in MOTION.items()}
     y = equations.played(model, *equations.corners(1.2, levers, 100), tolerance=1e-10)

@@ -6,7 +6,7 @@ from kit.equations import corners, machine, played
 
 from fmus.components import chamber
 from fmus.export.build import build_all
-from fmus.machine.parts import parts
+from fmus.machine.parts import FERIC
 from fmus.parameters import values
 from orchestrator import Trace, run
 
@@ -21,7 +21,7 @@ def test_cross_port_relief_limits_the_braking_of_the_swing():
     brake = {"swing_command": ([0.0, 0.1, 1.5, 1.505], [0.0, 9.0, 9.0, 0.0])}
     usual = moved(2.2, brake)
     fine = moved(2.2, brake, swing="detailed")
-    p = values(parts(swing="detailed")["swing"]).p
+    p = values(FERIC.chosen(swing="detailed")["swing"]).p
 
     def difference(y):
         return np.abs(y["swing.swing_motor_pressure_a"] - y["swing.swing_motor_pressure_b"])
@@ -57,7 +57,7 @@ def test_anti_cavitation_valves_keep_the_oil_from_tearing():
 
 def test_a_port_below_the_vapour_pressure_is_a_warning(tmp_path):
     """Motor ports of a driven column, behind a closed valve: a message, and a line of the card."""
-    fmu = build_all([parts(swing="lumped")["swing"]], {2: tmp_path})[2][0]
+    fmu = build_all([FERIC.chosen(swing="lumped")["swing"]], {2: tmp_path})[2][0]
     time = np.array([0.0, 0.1, 0.11, 0.2])
     result = run(str(fmu), Trace(time, {"swing_speed": np.array([0.0, 0.0, 5.0, 5.0])}), step=1e-3)
     lowest = min((result.trace[f"swing.swing_motor_pressure_{line}"].min(), line) for line in "ab")
@@ -72,7 +72,7 @@ def test_a_port_below_the_vapour_pressure_is_a_warning(tmp_path):
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
 def test_a_pressure_beyond_the_class_is_a_warning_where_no_relief_limits_it(tmp_path, variant):
     """Closed valve, shaft driven: one message for each excursion above 350 bar; `detailed` stays below."""
-    sub = parts(swing=variant)["swing"]
+    sub = FERIC.chosen(swing=variant)["swing"]
     fmu = build_all([sub], {2: tmp_path})[2][0]
     time = np.array([0.0, 0.1, 0.11, 0.15, 0.17, 0.25, 0.26, 0.4, 0.41, 0.45, 0.47, 0.55, 0.56, 0.7])
     speed = 0.5 * np.array([0, 0, 1, 1, -1, -1, 0, 0, 1, 1, -1, -1, 0, 0])  # rad/s

@@ -6,7 +6,7 @@ from kit import shards
 from kit.equations import in_pose, machine, piston_areas, played
 from kit.every import MACHINES
 
-from fmus.machine.parts import parts
+from fmus.machine.parts import FERIC
 from fmus.parameters import values
 
 STAND = 1.0  # s
@@ -27,7 +27,7 @@ def test_a_machine_of_any_variants_stands_still(index, pose):
     """
     model = machine(**MACHINES[index])
     shown = played(model, np.linspace(0.0, STAND, 21), {}, in_pose(model, pose), tolerance=1e-10)
-    numbers = values(parts(**MACHINES[index])["boom_stick"]).p
+    numbers = values(FERIC.chosen(**MACHINES[index])["boom_stick"]).p
     given = dict(zip(model.inputs, model.u, strict=True)).get("supply_pressure", 0.0)
     highest = max(given, *(np.max(v) for n, v in shown.items() if n.endswith("_pressure")))
     for joint in ("boom", "stick"):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import VALVE
+from kit.equations import VALVE, lines, number
 from kit.properties import examples
 
 from fmus.components import spool_valve
-from fmus.components.spool_valve import Edges, Spool, SpoolState
+from fmus.components.spool_valve import Spool, SpoolState
 
 W, Z, V_MAX = 2 * math.pi * 30.0, 0.707, 20.0
 
@@ -97,22 +97,21 @@ def test_the_stroke_is_never_exceeded(x, u, w, z, v_max):
     assert rate + z * w * speed <= 1e-10 * w * w  # d/dt (v - z w (1 - x)); rounding
 
 
-EDGES = Edges.of(VALVE)
 ROUNDING = 0.04  # of the foot, as share of the stroke
 UNEQUAL = moving(W, Z, V_MAX, (0.06, 0.1, 0.2, 0.3))
-P_S, RHO = 20.684e6, 970.0
+RHO = 970.0
 
 
 @given(anything)
 def test_each_edge_opens_from_its_own_overlap_on(x):
-    """Oil from and to a port at 10 MPa: only leakage up to the overlap, more beyond, edge by edge."""
-    a, b = spool_valve.spool_ports(EDGES, UNEQUAL, x, 0.0, 0.0, P_S, 0.0, RHO)
+    """Oil from and to a port: only leakage up to the overlap, more beyond, edge by edge."""
+    a, b = spool_valve.spool_ports(VALVE, UNEQUAL, x, (0.0, 0.0), lines(1.0), RHO)
     for port, x_s, s, x_t, t in (
         (a, x, UNEQUAL.overlap_pa, -x, UNEQUAL.overlap_at),
         (b, -x, UNEQUAL.overlap_pb, x, UNEQUAL.overlap_bt),
     ):
         # without line flow both conductances show in the port pressure: P (G_s + G_t) = G_s P_s
-        share = float(port.pressure) / P_S
+        share = number(port.pressure)
         if x_s <= s and x_t <= t:
             assert share == pytest.approx(0.5, rel=1e-12)
         elif x_s > s + 1e-3:  # the foot is cubic: 1e-3 into it 1e-6 of the leakage
@@ -124,8 +123,8 @@ def test_each_edge_opens_from_its_own_overlap_on(x):
 @given(st.floats(-1.0, 1.0), st.floats(-2e-3, 2e-3))
 def test_equal_overlaps_make_the_valve_of_lumped(x, flow):
     """With the dead band as overlap of all edges and the spool at its command: the ports of lumped."""
-    usual = spool_valve.ports_from_flow(VALVE, 10.0 * x, flow, -flow, P_S, 0.0, RHO)
-    found = spool_valve.spool_ports(EDGES, SPOOL, x, flow, -flow, P_S, 0.0, RHO)
+    usual = spool_valve.ports_from_flow(VALVE, 10.0 * x, (flow, -flow), lines(), RHO)
+    found = spool_valve.spool_ports(VALVE, SPOOL, x, (flow, -flow), lines(), RHO)
     for mine, theirs in zip(found, usual, strict=True):
         # exact identity; volts and shares differ by rounding, which the foot of the opening multiplies
-        assert float(mine.pressure) == pytest.approx(float(theirs.pressure), rel=1e-6, abs=1.0)
+        assert number(mine.pressure) == pytest.approx(number(theirs.pressure), rel=1e-6, abs=1.0)

@@ -9,7 +9,7 @@ from kit.equations import JOINTS, Part, machine, played, work_cycle
 from kit.mistakes import table
 
 from fmus.contract import quantities
-from fmus.machine.parts import DRIVES, FAMILIES, SUPPLY_WIRES
+from fmus.machine.parts import DRIVES, FAMILIES, FERIC
 from fmus.parameters import values
 from orchestrator import Trace, run
 from orchestrator.ssp.power_bonds import find_bonds
@@ -44,7 +44,7 @@ def test_terminals_fit_those_of_the_drives(variant):
                 assert {m.flow, there[word].flow} in ({""}, {"in", "out"})
                 ends = (f"supply.{m.variable}", f"{drive}.{there[word].variable}")
                 wires.add(ends[::-1] if m.variable in inputs else ends)
-    assert wires == set(SUPPLY_WIRES)
+    assert wires == set(FERIC.supply_wires)
 
 
 def test_both_drives_have_their_bonds(system):

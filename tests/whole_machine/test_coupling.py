@@ -9,7 +9,7 @@ from kit.any_fmu.outcome import in_python
 from kit.mistakes import table
 
 from fmus.machine.build import data
-from fmus.machine.parts import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
+from fmus.machine.parts import FERIC
 from orchestrator import RunFailed, System, load, run
 from orchestrator.data.recording import read_recording
 from orchestrator.results.validation import Validation, validate
@@ -22,9 +22,9 @@ REFERENCE = read_recording(data("reference/work_cycle.csv"))
 def without_rates(system: System) -> System:
     """The same wires but those of the rate ports."""
     held = system.without("*_rate", "*_acceleration")
-    commands = [target for _, target in COMMAND_WIRES + SUPPLY_WIRES if target.endswith("_rate")]
+    commands = [target for _, target in FERIC.operator_wires + FERIC.supply_wires if target.endswith("_rate")]
     assert {c.target for c in system.connections} - {c.target for c in held.connections} == {
-        system.port(target) for target in (*(target for _, target in RATES), *commands)
+        system.port(target) for target in (*(target for _, target in FERIC.rates), *commands)
     }
     return held
 
@@ -199,8 +199,8 @@ def test_outputs_exist_at_the_first_instant(system):
 
 def test_supply_pressure_feeds_both_hydraulic_fmus(system):
     """A bare name means every component input of that name, and the machine's inputs have such names."""
-    for name, targets in INPUTS.items():
+    for name, targets in FERIC.inputs.items():
         assert {str(port) for port, _ in system.targets(name)} == set(targets)
     trace = run(system, set={"supply.pressure_setting": 15e6}, stop=0.01).trace
-    for name in INPUTS["supply_pressure"]:
+    for name in FERIC.inputs["supply_pressure"]:
         np.testing.assert_array_equal(trace[name], 15e6)

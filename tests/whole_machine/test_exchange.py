@@ -13,7 +13,7 @@ from kit import shards
 from whole_machine.exchange import Piece, columns, instance, integrated, stepped
 
 from fmus.contract import quantities
-from fmus.machine.parts import ALL
+from fmus.machine.parts import FERIC
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, sample
 from fmus.monolith import breakpoints
 from fmus.parameters import values
@@ -58,7 +58,7 @@ PUSH = {  # what moves an input: amplitude of one sine over the run
 
 def wave(name: str) -> list[Piece]:
     """Every input moves, straight from one piece to the next, with rates and positions that belong to it."""
-    inputs, start = quantities(ALL[name].inputs), values(ALL[name]).u
+    inputs, start = quantities(FERIC.components[name].inputs), values(FERIC.components[name]).u
     corners = np.arange(round(STOP / LENGTH) + 1) * LENGTH
     at = {n: start[n] + PUSH[n] * np.sin(2 * np.pi * corners / STOP) for n in inputs if n in PUSH}
     where = {n: start[n] for n in inputs if n.endswith("position")}

@@ -12,19 +12,19 @@ from lxml import etree
 
 from fmus.contract import quantities, symbolic
 from fmus.machine.build import data
-from fmus.machine.parts import ALL, SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.machine.reference import work_cycle
 from fmus.machine.tables import variant_names
 from fmus.parameters import values
 from orchestrator import load
 
-NAMES = tuple(SUBSYSTEMS)
+NAMES = tuple(FERIC.subsystems)
 STOP = 4.0  # s
 
 
 def staircase(name: str) -> np.ndarray:
     """Steps of commands, forces and swing speed at 0.2, 1.2, 2.0 and 3.0 s, as FMPy wants them."""
-    start = values(SUBSYSTEMS[name]).u
+    start = values(FERIC.subsystems[name]).u
     levels = np.array([0.0, 1.0, 0.0, -1.0, 0.0])
     pushed = {"swing_speed": 0.3, "swing_torque": 1e4, "boom_force": 2e3}
     height = {n: pushed.get(n, 4.0) for n in start if n in pushed or n.endswith("command")}
@@ -48,7 +48,7 @@ def test_only_derivatives_of_states_say_so_in_fmi_2(fmu_dir):
             root = etree.fromstring(archive.read("modelDescription.xml"))
         said = root.findall("ModelVariables/ScalarVariable/Real[@derivative]")
         assert len(said) == len(root.findall("ModelStructure/Derivatives/Unknown")), path.name
-        sub = next((s for s in ALL.values() if s.name == path.stem), None)
+        sub = next((s for s in FERIC.components.values() if s.name == path.stem), None)
         declared = {n: q.rate for n, q in quantities(sub.inputs).items() if q.rate} if sub else {}
         if declared:
             (component,) = load(path).components.values()
@@ -77,7 +77,7 @@ def test_fmpy_runs_co_simulation_and_model_exchange_alike(fmu_dir, name):
 
 def moved(name: str, rng: np.random.Generator) -> dict[str, float]:
     """Every input but the positions, anywhere within a third of its nominal value."""
-    sub = SUBSYSTEMS[name]
+    sub = FERIC.subsystems[name]
     free = {n: q.nominal for n, q in quantities(sub.inputs).items() if not n.endswith("position")}
     start = values(sub).u | {"payload_mass": 200.0}
     return {n: start[n] + 0.3 * size * rng.uniform(-1, 1) for n, size in free.items()}
@@ -86,7 +86,7 @@ def moved(name: str, rng: np.random.Generator) -> dict[str, float]:
 @pytest.mark.parametrize("name", NAMES)
 def test_compiled_equations_equal_the_python_equations(fmu_dir, name):
     """Derivatives and outputs through the ME interface are those of dynamics() and observe()."""
-    sub = SUBSYSTEMS[name]
+    sub = FERIC.subsystems[name]
     v, model = values(sub), symbolic(sub).function()
     states, rng = list(quantities(sub.states)), np.random.default_rng(3)
     with driving(fmu_dir / f"{name}.fmu", "me") as fmu:

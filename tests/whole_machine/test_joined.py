@@ -17,7 +17,7 @@ from fmus.composition import compose, declared, flat_names
 from fmus.contract import Quantity, Subsystem, quantities, symbolic
 from fmus.machine.build import data
 from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
-from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.machine.poses import pose_grid
 from fmus.monolith import join
 from fmus.parameters import Number, numbers, read, values
@@ -28,8 +28,8 @@ from orchestrator.results.layout import Layout
 from orchestrator.results.validate_system import comparable
 from orchestrator.results.validation import validate
 
-TABLES = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
-NAMES = flat_names(SUBSYSTEMS, TABLES, INPUTS, TOTALS, HIDDEN)
+TABLES = {name: numbers(sub) for name, sub in FERIC.subsystems.items()}
+NAMES = flat_names(FERIC.subsystems, TABLES, FERIC.inputs, TOTALS, HIDDEN)
 NUMBERS = values(HARVESTER)
 
 
@@ -40,7 +40,7 @@ def test_every_variable_of_the_components_has_a_name():
     """All states, parameters and outputs have a name in the composed subsystem, and no others exist."""
     for group in ("states", "parameters", "outputs"):
         known = quantities(getattr(HARVESTER, group))
-        wanted = {v: q for v, q in declared(SUBSYSTEMS, group).items() if v not in HIDDEN}
+        wanted = {v: q for v, q in declared(FERIC.subsystems, group).items() if v not in HIDDEN}
         assert {NAMES[v] for v in wanted} == set(known)
         for v, quantity in wanted.items():
             if NAMES[v] not in TEXTS:
@@ -54,7 +54,7 @@ def test_names_are_those_a_user_expects():
     prefixed = [n for n in parameters if n.startswith(("swing_", "boom_stick_", "manipulator_"))]
     own = [n for n in prefixed if not n.startswith("swing_stop_")]  # that is the manipulator's name of it
     assert own == ["swing_initial_preload", "boom_stick_initial_preload", "swing_damping"]
-    assert list(quantities(HARVESTER.inputs)) == list(INPUTS)
+    assert list(quantities(HARVESTER.inputs)) == list(FERIC.inputs)
     outputs = quantities(HARVESTER.outputs)
     assert {"boom_force", "boom_velocity", "boom_acceleration", "supply_flow", "tip_x"} <= set(outputs)
     assert not [n for n in outputs if n.endswith(("_rate", "_holding_force"))]
@@ -65,7 +65,7 @@ def test_rates_tunables_and_warnings_stay():
     assert quantities(HARVESTER.inputs)["boom_command"].rate == "boom_command_rate"
     tunable = {n for n, q in quantities(HARVESTER.parameters).items() if q.tunable}
     assert tunable == {
-        n for s in SUBSYSTEMS.values() for n, q in quantities(s.parameters).items() if q.tunable
+        n for s in FERIC.subsystems.values() for n, q in quantities(s.parameters).items() if q.tunable
     }
     assert quantities(HARVESTER.outputs)["boom_stop_force"].warn_above == 1.0
 
@@ -167,7 +167,7 @@ def test_targets_of_an_input_start_alike():
 
 def test_equations_are_those_of_the_monolith():
     """Derivatives, outputs and initial states at random points and for random parameters."""
-    model, whole = join(SUBSYSTEMS, CONNECTIONS, INPUTS), symbolic(HARVESTER)
+    model, whole = join(FERIC.subsystems, FERIC.connections, FERIC.inputs), symbolic(HARVESTER)
     start = whole.initial()
     first = start(*(list(group.values()) for group in (NUMBERS.x, NUMBERS.u, NUMBERS.p))).full()[:, 0]
     rng = np.random.default_rng(3)

@@ -8,15 +8,15 @@ import pytest
 from kit.equations import machine, piston_areas
 from kit.mistakes import table
 
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
 from fmus.parameters import values
 from orchestrator import Problem, run
 from orchestrator.data.trace_writer import RowLayout, TraceFile
 
-BOOM_STICK, MANIPULATOR = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "manipulator"))
-SUPPLY = values(SUBSYSTEMS["swing"]).u["supply_pressure"]
+BOOM_STICK, MANIPULATOR = (values(FERIC.subsystems[n]).p for n in ("boom_stick", "manipulator"))
+SUPPLY = values(FERIC.subsystems["swing"]).u["supply_pressure"]
 FULL_VACUUM = -101325.0  # Pa gauge
 ENGINE = 113.3e3  # W: 152 hp, section 2 of the paper
 PISTONS = ("boom", "stick")

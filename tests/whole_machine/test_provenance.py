@@ -11,7 +11,7 @@ from lxml import etree
 from fmus.export.build import build, packages
 from fmus.machine.build import controller_of, parts_with_parameters
 from fmus.machine.one_block import composed_machine
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.parameters import not_shipped
 from fmus.supply import SUPPLY
 from orchestrator import load, read_trace, run
@@ -71,7 +71,7 @@ def test_values_that_equal_the_shipped_ones_do_not_count(my_file):
 def test_each_fmu_knows_its_file_and_the_shipped_values(my_file, tmp_path):
     """Parts, variants, controller and the whole machine, in both versions; shipped FMUs say nothing."""
     parts, others = parts_with_parameters(my_file)
-    machine = composed_machine({name: parts[name] for name in SUBSYSTEMS})
+    machine = composed_machine({name: parts[name] for name in FERIC.subsystems})
     variant = next(sub for sub in others if sub.name == "swing_quasistatic")
     whole = (machine, controller_of(parts, my_file))
     for sub, name in ((variant, "valve_area"), *((sub, "swing_valve_area") for sub in whole)):

@@ -6,7 +6,7 @@ from kit import mistakes
 from fmus.contract import quantities
 from fmus.machine.build import parts_with_parameters
 from fmus.machine.one_block import composed_machine
-from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import parameter_sets
 from fmus.manipulator import MANIPULATOR
@@ -42,14 +42,14 @@ def test_a_name_reaches_every_part_that_declares_it(machine):
 def test_a_name_with_its_part_reaches_that_part_only(machine):
     """Both drives have a preload, and they are two things."""
     found = {n: values(machine[n]).p["initial_preload"] for n in ("swing", "swing_detailed", "boom_stick")}
-    usual = values(SUBSYSTEMS["boom_stick"]).p["initial_preload"]
+    usual = values(FERIC.subsystems["boom_stick"]).p["initial_preload"]
     assert found == {"swing": 1.2e6, "swing_detailed": 1.2e6, "boom_stick": usual}
 
 
 def test_what_the_set_leaves_out_stays(machine):
     """Nothing but the named numbers and what follows from them changes."""
     changed = {}
-    for name, sub in ALL.items():
+    for name, sub in FERIC.components.items():
         old, new = numbers(sub), numbers(machine[name])
         assert {s: set(t) for s, t in old.items()} == {s: set(t) for s, t in new.items()}
         changed |= {f"{name}.{v}": s for s, t in old.items() for v, n in t.items() if new[s][v] != n}
@@ -65,7 +65,7 @@ def test_what_the_set_leaves_out_stays(machine):
 
 def test_the_whole_and_the_poses_follow(machine):
     """The one block and the poses of the system are of the same machine as the parts."""
-    block = values(composed_machine({name: machine[name] for name in SUBSYSTEMS})).p
+    block = values(composed_machine({name: machine[name] for name in FERIC.subsystems})).p
     assert (block["valve_area"], block["swing_initial_preload"], block["head_mass"]) == (4.1e-5, 1.2e6, 400.0)
     pose = parameter_sets(machine["manipulator"])[NOMINAL]
     assert pose == pose_set(POSES[NOMINAL], machine["manipulator"])

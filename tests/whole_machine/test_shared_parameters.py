@@ -6,7 +6,7 @@ import pytest
 from kit import mistakes
 
 from fmus.contract import quantities
-from fmus.machine.parts import FAMILIES, SHARED
+from fmus.machine.parts import FAMILIES, FERIC
 from fmus.parameters import values
 from orchestrator import Problem, assemble, load, run
 from orchestrator.fmi.description import FmuVariable
@@ -23,7 +23,7 @@ SSV = """<ParameterSet xmlns="http://ssp-standard.org/SSP1/SystemStructureParame
 
 def test_shared_parameters_are_declared_with_one_value():
     """By a variant of each part that shares it."""
-    for name, parts in SHARED.items():
+    for name, parts in FERIC.shared.items():
         variants = [s for part in parts for s in FAMILIES[part].values()]
         declared = [s for s in variants if name in quantities(s.parameters)]
         assert {s.component for s in declared} == set(parts)
@@ -45,7 +45,7 @@ def test_the_name_of_a_shared_value_sets_all_parts(system):
     both = {"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.6}
     for given in ({"boom_stroke": 0.6}, both):
         changed = system.with_start(given)
-        assert [changed.components[p].value("boom_stroke") for p in SHARED["boom_stroke"]] == [0.6, 0.6]
+        assert [changed.components[p].value("boom_stroke") for p in FERIC.shared["boom_stroke"]] == [0.6, 0.6]
 
 
 def test_a_parameter_set_with_one_shared_value_is_refused(system, tmp_path):
@@ -60,7 +60,7 @@ def test_a_parameter_set_with_one_shared_value_is_refused(system, tmp_path):
 def test_an_ssp_keeps_what_its_parts_share(system, tmp_path):
     """Written, read, and without a part whose FMU lacks the parameter."""
     again = load(write_ssp(system, tmp_path / "again.ssp"))
-    assert dict(again.shared) == dict(system.shared) == SHARED
+    assert dict(again.shared) == dict(system.shared) == FERIC.shared
     both = ["boom_stick.boom_stroke", "manipulator.boom_stroke"]
     assert [str(port) for port in again.sharing("boom_stroke")] == both
     assert again.sharing("boom_bore") == []

@@ -10,15 +10,8 @@ from lxml import etree
 from fmus.contract import quantities
 from fmus.export.interface import interface_of
 from fmus.export.model_description import terminals
-from fmus.machine.parts import (
-    ALL,
-    COMMAND_WIRES,
-    CONNECTIONS,
-    CONTROL_WIRES,
-    SUBSYSTEMS,
-    SUPPLY_WIRES,
-    wiring,
-)
+from fmus.machine.machine import wiring
+from fmus.machine.parts import FERIC
 from fmus.parameters import values
 from fmus.ports import lever
 from fmus.supply import SUPPLY
@@ -28,9 +21,9 @@ from orchestrator.base.errors import Problem
 
 def pairs():
     """(component, other component, terminal name): terminals of one name and kind on both."""
-    for a, b in combinations(ALL, 2):
-        for terminal in ALL[a].terminals:
-            others = {t.name: t for t in ALL[b].terminals}
+    for a, b in combinations(FERIC.components, 2):
+        for terminal in FERIC.components[a].terminals:
+            others = {t.name: t for t in FERIC.components[b].terminals}
             supply = terminal.kind == "line"  # both drives hang on one line: not joined to each other
             if terminal.name in others and not supply:
                 yield a, b, terminal.name
@@ -38,12 +31,12 @@ def pairs():
 
 def members(component, name):
     """Member name -> Member of a terminal."""
-    terminal = next(t for t in ALL[component].terminals if t.name == name)
+    terminal = next(t for t in FERIC.components[component].terminals if t.name == name)
     return {m.name: m for m in terminal.members}
 
 
 def causality(component, variable):
-    return "input" if variable in quantities(ALL[component].inputs) else "output"
+    return "input" if variable in quantities(FERIC.components[component].inputs) else "output"
 
 
 @pytest.mark.parametrize(("a", "b", "name"), list(pairs()))
@@ -88,16 +81,18 @@ def expected_wires():
 
 def test_terminals_carry_all_wires_of_the_machine():
     """Connecting terminals by the rule "plug" gives the connections of the machine, no more and no fewer."""
-    wires = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES
+    wires = FERIC.connections + FERIC.operator_wires + FERIC.supply_wires
     assert sorted(wires) == sorted(expected_wires())
     assert len(wires) == 43
 
 
 def test_the_controller_measures_what_it_has_inputs_for():
     """Its levers feed the drives; angles, speeds, pressures of the cylinders and of the lines come back."""
-    levers = {(s.replace("operator_input", "controller"), t) for s, t in COMMAND_WIRES if "command" in s}
-    sources = {source for source, target in CONTROL_WIRES if target.startswith("controller.")}
-    assert set(CONTROL_WIRES) - levers == {(s, f"controller.{s.partition('.')[2]}") for s in sources}
+    levers = {
+        (s.replace("operator_input", "controller"), t) for s, t in FERIC.operator_wires if "command" in s
+    }
+    sources = {source for source, target in FERIC.controller_wires if target.startswith("controller.")}
+    assert set(FERIC.controller_wires) - levers == {(s, f"controller.{s.partition('.')[2]}") for s in sources}
     assert sources == {
         *(f"manipulator.{axis}_{kind}" for axis in MOTION for kind in ("angle", "speed")),
         *(f"boom_stick.{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
@@ -108,18 +103,20 @@ def test_the_controller_measures_what_it_has_inputs_for():
             "supply.tank_pressure",
         ),
     }
-    assert len(CONTROL_WIRES) == 20
+    assert len(FERIC.controller_wires) == 20
 
 
 def test_a_machine_without_supply_and_operator_has_their_signals_as_inputs():
     """Both drives share the lines; the levers come first."""
-    connections, inputs = wiring(SUBSYSTEMS)
-    assert connections == CONNECTIONS
+    connections, inputs = wiring(FERIC.subsystems)
+    assert connections == FERIC.connections
     levers = [f"{axis}_{v}" for axis in MOTION for v in ("command", "command_rate")]
     lines = [f"{line}{rate}" for line in LINES for rate in ("", "_rate")]
     assert list(inputs) == [*levers, *lines, "payload_mass"]
     assert all(inputs[line] == (f"swing.{line}", f"boom_stick.{line}") for line in lines)
-    assert wiring(SUBSYSTEMS | {"supply": SUPPLY})[1] == {n: inputs[n] for n in (*levers, "payload_mass")}
+    assert wiring(FERIC.subsystems | {"supply": SUPPLY})[1] == {
+        n: inputs[n] for n in (*levers, "payload_mass")
+    }
 
 
 def test_assemble_connects_terminals(fmu_dir):
@@ -137,7 +134,7 @@ def test_assemble_connects_terminals(fmu_dir):
         *levers,
         "operator_input.grip -> manipulator.grip",
     ]
-    files = {name: fmu_dir / f"{name}.fmu" for name in ALL}
+    files = {name: fmu_dir / f"{name}.fmu" for name in FERIC.components}
     found = {str(c) for c in assemble(files, [*wires, *lines]).connections}
     assert found == {str(c) for c in load(fmu_dir / "harvester.ssp").connections}
     assert len(found) == 43
@@ -149,7 +146,7 @@ def test_file_names_variables_of_the_fmu(request, version):
 
     FMI 2.0.4 adopted the folder from FMI 3.0.
     """
-    for name in ALL:
+    for name in FERIC.components:
         with zipfile.ZipFile(request.getfixturevalue(version) / f"{name}.fmu") as archive:
             assert archive.read("terminalsAndIcons/icon.png")
             ports = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
@@ -162,6 +159,6 @@ def test_file_names_variables_of_the_fmu(request, version):
 
 def test_member_that_is_no_port_is_refused():
     """A terminal with a parameter or an unknown name is told in one line."""
-    sub = replace(ALL["swing"], terminals=(lever("grapple"),))
+    sub = replace(FERIC.components["swing"], terminals=(lever("grapple"),))
     with pytest.raises(Problem, match="grapple_lever: grapple_command is not an input or output"):
         terminals(sub, interface_of(sub, values(sub)))

@@ -168,10 +168,9 @@ def port_flows(x: AxisState, u: AxisInputs, p: AxisParameters) -> tuple[Scalar, 
     back = (-volts, p.backward_factor * u.backward_gain, p)
     a = square_gain("pa", *ahead) + square_gain("at", *back)
     b = square_gain("bt", *ahead) + square_gain("pb", *back)
-    closed = (p.leakage, p.transition_flow, p.supply_pressure, p.tank_pressure)
     return (
-        spool_valve.edge_flows_from_pressure(x.head_pressure, behind_a, forward, a, *closed).line,
-        spool_valve.edge_flows_from_pressure(x.rod_pressure, behind_b, 1 - forward, b, *closed).line,
+        spool_valve.edge_flows_from_pressure(p, x.head_pressure, behind_a, forward, a, p).line,
+        spool_valve.edge_flows_from_pressure(p, x.rod_pressure, behind_b, 1 - forward, b, p).line,
     )
 
 

@@ -12,13 +12,13 @@ from fmus.identification.procedures.momentum_balance import (
     PARAMETERS,
     parameter_vector,
 )
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import FERIC
 from fmus.machine.work_cycle import Move
 from fmus.parameters import complete
 from orchestrator.data.recording import Sensor
 
 STEP = 0.005  # 200 Hz as the paper's
-KNOWN = {f"{s.name}.{n}": v for s in SUBSYSTEMS.values() for n, v in complete(s)["parameters"].items()}
+KNOWN = {f"{s.name}.{n}": v for s in FERIC.subsystems.values() for n, v in complete(s)["parameters"].items()}
 P = parameter_vector(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}  # what two parts have is equal
 ENCODER = Sensor("encoder of 65536 counts", 0.0, 2 * np.pi / 65536)
