@@ -18,7 +18,6 @@ import fidelity_pictures as pictures
 from fidelity_cases import (
     CAUSES,
     EFFECTS,
-    FINE,
     FULL,
     IN,
     LINES,
@@ -47,8 +46,6 @@ from fidelity_tables import (
     sensitivity,
 )
 
-from fmus.boom_stick.detailed import detailed
-from fmus.export.build import build
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator import load
@@ -91,7 +88,6 @@ def main() -> None:
 def everything(folder: Path) -> None:
     """Build, run, fill, draw."""
     build_machine(folder)
-    build(detailed(lumps=8, unsteady_friction=True), folder / Path(FINE).parent)
     system = folder / "harvester.ssp"
     found = {c.name: measure(system, c) for c in (*EFFECTS, *LINES, *CAUSES, *SENSITIVITY)}
     tables(found, system)

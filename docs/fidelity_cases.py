@@ -18,14 +18,12 @@ PRESSURES = (
 )
 STICK = tuple(m for m in WORK_CYCLE if m.axis == "stick" and m.hold > 1)
 SWING = tuple(m for m in WORK_CYCLE if m.axis == "swing")
-# in the built folder: detailed drives with more lumps and frequency-dependent friction
-FINE = "fine/boom_stick_detailed.fmu"
 Trace = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Case:
-    """Variants {part: name or file} and parameters, beside the paper's set."""
+    """Variants {part: name} and parameters, beside the paper's set."""
 
     name: str
     swap: Mapping[str, str] = field(default_factory=dict)
@@ -107,10 +105,7 @@ def within(part: str) -> tuple[Case, ...]:
 
 
 EARLY = {f"boom_stick.spool_overlap_{edge}": 0.0 for edge in ("at", "bt")}
-LINES = (
-    *within("boom_stick"),
-    Case("all, 8 lumps and frequency-dependent friction", {"boom_stick": FINE}),
-)
+LINES = within("boom_stick")
 CAUSES = (
     PAPER,
     Case("boom and stick quasistatic", {"boom_stick": "quasistatic"}),
@@ -144,10 +139,9 @@ SENSITIVITY = (
 def simulate(system: Path, case: Case, moves: Sequence[Move], stop: float, pose: str = "nominal") -> Trace:
     """A run with these strokes of the operator."""
     strokes = {f"operator_input.{name}": value for name, value in program(moves).items()}
-    swap = {part: str(system.parent / FINE) if v == FINE else v for part, v in case.swap.items()}
     given = {**strokes, **case.set}
     names = (*SPEEDS, *PRESSURES)
-    result = run(system, swap=swap, set=given, parameters=[pose], stop=stop, record=names)
+    result = run(system, swap=case.swap, set=given, parameters=[pose], stop=stop, record=names)
     return {"time": result.trace.time, **{name: result.trace[name] for name in names}}
 
 

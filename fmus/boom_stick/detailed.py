@@ -9,8 +9,8 @@ with the flows Q_h, Q_r out of the hoses of `fmus.components.hose`, kappa of `ch
 `spool_valve` and the relief and anti-cavitation valves of `orifice`, which are mounted at the cylinder.
 
 `boom_head_flow` is the flow into the cylinder, at the end of the hose, `boom_head_valve_flow` the flow at the
-valve; the same for other sides. The arguments of `detailed` change the number of states: lumps of each hose,
-and frequency-dependent friction. Signs as in `fmus.boom_stick.variables`.
+valve; the same for other sides. The argument of `detailed` changes the number of lumps of each hose. Signs as
+in `fmus.boom_stick.variables`.
 """
 
 from collections.abc import Mapping
@@ -67,13 +67,13 @@ def _drive(
     return Drive(size, u, circuit, load, spool_rates, shown)
 
 
-def _states(lumps: int, unsteady_friction: bool) -> DetailedStates:
+def _states(lumps: int) -> DetailedStates:
     """States of one drive, without prefix."""
     declared = {**quantities(OilState), **quantities(DetailedAxisOutputs)}
     head, rod = (
         hose.line_states(
             {name: declared[name] for name in (f"{side}_valve_flow", f"{side}_flow")},
-            *(f"{side}_hose", "", f"the {side} hose of the {{}}", lumps, unsteady_friction),
+            *(f"{side}_hose", "", f"the {side} hose of the {{}}", lumps),
         )
         for side in SIDES
     )
@@ -102,15 +102,14 @@ def default_lumps() -> dict[str, int]:
     return {axis: hose.default_lumps(line(p, axis)) for axis in AXES}
 
 
-def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bool = False) -> Subsystem:
+def detailed(lumps: int | Mapping[str, int] | None = None) -> Subsystem:
     """The subsystem of the detailed drives.
 
-    lumps               T-lumps per hose, one number or by axis; default: from `hose.lumps_needed` for 75 Hz
-    unsteady_friction   whether hoses have frequency-dependent friction: three more states for each flow
+    lumps   T-lumps per hose, one number or by axis; default: from `hose.lumps_needed` for 75 Hz
     """
     count = default_lumps() if lumps is None else lumps
     by_axis = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
-    of_axis = {axis: _states(n, unsteady_friction) for axis, n in by_axis.items()}
+    of_axis = {axis: _states(n) for axis, n in by_axis.items()}
     groups = {axis: make_group("DetailedDriveState", states.all("{}")) for axis, states in of_axis.items()}
 
     class State(Group, **groups):

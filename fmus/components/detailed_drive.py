@@ -54,7 +54,7 @@ class DetailedStates:
         nodes = {name: Node(port.pressure) for name, port in zip(self.ports, ports, strict=True)}
         circuit = Circuit(nodes, spool_valve.branches(ports, *self.ports))
         for states, port, chamber in zip(self.lines, self.ports, self.pressures, strict=True):
-            circuit |= hose.ladder(line, states, x, port, chamber, getattr(x, chamber))
+            circuit |= hose.ladder(line, states, x, port, chamber)
         full = edges.full_command
         bands = opening_curve.meter_in_dead_bands(curves, spool.overlap_pa, spool.overlap_pb, full)
         sensed = partial(load_sensing.load_pressure, state.position, state.speed, bands, 1)

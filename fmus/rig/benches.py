@@ -194,14 +194,13 @@ def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Star
     p = detailed()
     of, lumps = boom_stick_detailed.line(p, "stick"), boom_stick_detailed.default_lumps()["stick"]
     ends = {"flow_in": quantities(OilState)["head_flow"], "flow_out": quantities(OilState)["head_flow"]}
-    states = hose.line_states(ends, "inner", "", "the hose", lumps, unsteady_friction=False)
+    states = hose.line_states(ends, "inner", "", "the hose", lumps)
 
     def line(x: ByName) -> Circuit:
         # without volume, so the flow out of the hose gives the drop of the throttle
         drop = spool_valve.turbulent_drop(x["flow_out"], resistance, p.valve_transition_flow)
-        between = (SimpleNamespace(**x), "pressure_in", "pressure_out", RETURN + drop)
         end = Branch("pressure_out", TANK, Kind.THROTTLE, x["flow_out"])
-        return hose.ladder(of, states, *between) | Circuit(
+        return hose.ladder(of, states, SimpleNamespace(**x), "pressure_in", "pressure_out") | Circuit(
             {"pressure_out": Node(RETURN + drop)}, {"throttle": end}
         )
 

@@ -60,12 +60,12 @@ def _initial(states: DetailedStates, x: Any, u: SwingInputs, p: DetailedSwingPar
     return states.start(position, (a, b))
 
 
-def _states(lumps: int, unsteady_friction: bool) -> DetailedStates:
+def _states(lumps: int) -> DetailedStates:
     declared = quantities(DetailedSwingOutputs)
     a, b = (
         hose.line_states(
             {name: declared[name] for name in (f"swing_flow_{side}", f"swing_motor_flow_{side}")},
-            *("swing_line", f"_{side}", f"swing line {side.upper()}", lumps, unsteady_friction),
+            *("swing_line", f"_{side}", f"swing line {side.upper()}", lumps),
         )
         for side in SIDES
     )
@@ -79,14 +79,13 @@ def default_lumps() -> int:
     return hose.default_lumps(line(group_of(drive.PARAMETERS, DetailedSwingParameters)))
 
 
-def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
+def detailed(lumps: int | None = None) -> Subsystem:
     """The subsystem of the detailed drive.
 
-    lumps               T-lumps per line; default: from `hose.lumps_needed` for 75 Hz
-    unsteady_friction   whether lines have frequency-dependent friction: three more states for each flow
+    lumps   T-lumps per line; default: from `hose.lumps_needed` for 75 Hz
     """
     count = default_lumps() if lumps is None else lumps
-    states = _states(count, unsteady_friction)
+    states = _states(count)
     sub = drive.variant(
         partial(_drive, states),
         make_group("DetailedSwingState", states.all("swing")),

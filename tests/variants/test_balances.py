@@ -17,8 +17,7 @@ from fmus.swing.detailed import detailed as detailed_swing
 
 PARTS = ("swing", "boom_stick")
 DRIVES = {f"{part} {name}": sub for part in PARTS for name, sub in FAMILIES[part].items()} | {
-    "swing, three lumps, layers": detailed_swing(3, True),
-    "boom_stick, one lump, layers": detailed_boom_stick(1, True),
+    "swing, three lumps": detailed_swing(3),
     "boom_stick, different lumps": detailed_boom_stick({"boom": 1, "stick": 4}),
 }
 drives = pytest.mark.parametrize("name", DRIVES)

@@ -26,7 +26,7 @@ def part_of(sub, **numbers):
     return part
 
 
-@pytest.mark.parametrize("sub", [detailed_swing(3, True), detailed_boom_stick({"boom": 1, "stick": 3}, True)])
+@pytest.mark.parametrize("sub", [detailed_swing(3), detailed_boom_stick({"boom": 1, "stick": 3})])
 def test_started_at_rest_only_leakage_moves(sub):
     """Command zero, piston standing: after 1 s no chamber has changed by more than leakage explains."""
     part = part_of(sub)
