@@ -225,7 +225,7 @@ def number(value: float) -> str:
 # ---- called functions ------------------------------------------------------------------------------
 
 _CURVE = "opening_curve"
-_BY_HAND = {_CURVE: _CURVE, f"fwd1_{_CURVE}": f"{_CURVE}_slope", f"adj1_{_CURVE}": f"{_CURVE}_slope"}
+_BY_HAND = {_CURVE: _CURVE, f"fwd1_{_CURVE}": f"{_CURVE}_slope"}
 
 
 @dataclass(frozen=True)
@@ -256,11 +256,9 @@ class _Call:
         value = f"{_BY_HAND[name]}({command}, {self._vector(1, bounds[1])})"
         if name == _CURVE:
             return value
-        if name.startswith("fwd1_") and not self._zero(bounds[4]):
+        if not self._zero(bounds[4]):
             given = (command, self._vector(1, bounds[1]), self.arguments[bounds[3][0]])
             return f"{_CURVE}_along({', '.join(given)}, {self._vector(4, bounds[4])})"
-        if name.startswith("adj1_") and any(o >= 0 for o in self.outputs[1:]):
-            return ""
         return f"{value} * {self.arguments[bounds[3][0]]}"
 
     def _vector(self, n: int, bounds: tuple[int, int]) -> str:
