@@ -36,6 +36,8 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 
 from dataclasses import dataclass, replace
 
+import casadi as ca
+
 from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.circuit import Branch, Kind
 from fmus.components.engine_and_pump import DieselEngine, Pump
@@ -54,6 +56,7 @@ from fmus.supply.rail import (
 )
 from fmus.supply.variables import SupplyInputs, limited, line_pressure, variant
 
+_LEAST_DROP = 1e-60  # Pa, for the inverse of `ramp`, which is not defined at 0
 _ITERATIONS = 20  # of check valve and engine at standby; each gains about a digit
 
 
@@ -222,7 +225,8 @@ def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | Non
         leaking = replace(pump, leakage=pump.leakage + passed)
         stroke, pressure = engine_and_pump.dead_head(leaking, speed, tank)
         rise = pressure - tank
-        drop = ramp_inverse(passed * rise * p.main_pump_check_resistance, p.check_opening)
+        pressure_loss = ca.fmax(passed * rise * p.main_pump_check_resistance, _LEAST_DROP)
+        drop = ramp_inverse(pressure_loss, p.check_opening)
         passed = bleed * (1 - drop / rise)
         load = engine_and_pump.torque(pump, stroke, speed, rise)
         if engine is not None and iteration < _ITERATIONS - 1:
