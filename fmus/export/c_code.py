@@ -21,6 +21,7 @@ import casadi as ca
 
 from fmus import called_functions
 from fmus.called_functions import without_zero_calls
+from fmus.components import opening_curve
 from fmus.contract import Symbolic, column
 from fmus.export import c_functions, elimination
 from fmus.export.c_functions import Routine, c_function, hoist, number, split
@@ -147,7 +148,10 @@ def native_sources(fmi: int) -> dict[str, str]:
     """The hand-written C files by name: those that both FMI versions share, and those of this version."""
     folder = files("fmus.export") / "native"
     other_version = f"fmi{5 - fmi}"
-    return {
+    points, last = opening_curve.POINTS, opening_curve.COEFFICIENTS - 1
+    # of the first piece only three coefficients are not zero
+    curve = rendered(TEMPLATES / "opening_curve.h.j2", points=points, rows=points + 3, last=last)
+    return {"opening_curve.h": f"{curve}\n"} | {
         f.name: f.read_text(encoding="utf-8")
         for f in folder.iterdir()
         if f.name.endswith((".c", ".h")) and not f.name.startswith(other_version)

@@ -4,7 +4,7 @@ The generator of CasADi would test every argument for null and omit the names of
 
 A function that a CasADi expression calls (`never_inline`) becomes a C function of its own, and so do its
 derivatives. A call takes its vectors by pointer if their entries are consecutive. The opening curve has its C
-code in native/opening_curve.h, because only one of its pieces must be evaluated.
+code in templates/opening_curve.h.j2, because only one of its pieces must be evaluated.
 """
 
 import math
@@ -248,7 +248,7 @@ class _Call:
         return all(value == number(0.0) for value in self.arguments[slice(*bounds)])
 
     def _by_hand(self) -> str:
-        """The expression with a function of native/opening_curve.h; empty if there is none for this call."""
+        """The expression with a function of opening_curve.h; empty if there is none for this call."""
         name, bounds = self.function.name(), input_bounds(self.function)
         if name not in _BY_HAND:
             return ""

@@ -1,4 +1,4 @@
-"""Components of a variant of the manipulator: a processing head and a friction law.
+"""`Design`, what a variant of the manipulator consists of: a processing head and a friction law.
 
 `fmus.manipulator.model` builds the subsystem from them; the arm is the same in all variants.
 """
@@ -87,3 +87,13 @@ def viscous_friction(contact: str, speed: Scalar, _: Any, p: Any) -> Resistance:
 
 
 POINT_MASS = Head()
+
+
+@dataclass(frozen=True)
+class Design:
+    """A head, a friction law, and the groups of states and outputs that they need."""
+
+    states: type[Any]
+    outputs: type[Any]
+    head: Head = POINT_MASS
+    friction: FrictionLaw = viscous_friction
