@@ -118,7 +118,7 @@ extras: $(RELEASING)
 FAST := tests/cli/test_extras.py tests/cli/test_cli.py tests/cli/test_validate.py tests/orchestrator/test_cli.py \
   tests/orchestrator/test_run.py tests/orchestrator/test_matlab.py tests/validation tests/check/test_good.py tests/sweep/test_running.py \
   tests/sweep/test_analysis_sobol.py tests/identification/procedures tests/view/test_page_command.py \
-  tests/control/test_linear_use.py tests/python_fmu/test_agreement.py
+  tests/control/test_linear_use.py tests/python_fmu/test_user_file.py
 
 test-lowest: $(RELEASING)
 	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest

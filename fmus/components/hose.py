@@ -8,31 +8,13 @@
 
     inlet  I/2N  C/N  I/N  C/N ... I/2N  outlet        sections of I/2 - C - I/2
 
-    w I dQ/dt  = P_in - P_out - w Q sqrt(R^2 + (C_R Q)^2) - w sum_i R_i (Q - q_i)       w = 1/2N or 1/N
+    w I dQ/dt  = P_in - P_out - w Q sqrt(R^2 + (C_R Q)^2)       w = 1/2N or 1/N
     C_k dP/dt  = Q_in - Q_out        C_k = V/N (kappa(P) + 1/E_wall)
-    dq_i/dt    = (Q - q_i)/T_i       with frequency-dependent friction
 
 The friction changes from laminar to turbulent at Q = R/C_R, which is Re 2500 for the longest hose. Inputs are
 the pressures at both ends, outputs the flows. Valid below the bandwidth in `lumps_needed`: the T-lumps have
 the exact wave numbers of the line, but their frequencies are too low by the factor sin(t)/t with t = k l/2N.
-
-**Frequency-dependent friction** of laminar flow: Trikha's three terms as a passive network. The wall friction
-depends on past changes of the flow through the boundary layer (W. Zielke, J. Basic Engineering 90 (1968)
-109); over the whole line, with the steady resistance R,
-
-    dp = R Q + R/2 int dQ/dt(t') W(nu (t - t')/r^2) dt',        W(T) ~ sum_i m_i exp(-n_i T)
-
-    m = 40, 8.1, 1        n = 8000, 200, 26.4          (A. K. Trikha, J. Fluids Engineering 97 (1975) 97)
-
-Each term is a resistance R_i = m_i R/2 with an inertance L_i = R_i r^2/(n_i nu) in parallel that carries q_i:
-
-    drop R_i (Q - q_i)        dq_i/dt = (Q - q_i)/T_i,  T_i = r^2/(n_i nu)        heat R_i (Q - q_i)^2
-
-so energy is stored (L_i q_i^2/2) and dissipated, never generated. The inertances add up to I/3, as required:
-slow flow has the inertance 4/3 I of its parabolic profile. Up to w r^2/nu = `RANGE` the real part, which
-damps, is within 26 % of Zielke's and the whole impedance within 2.5 %; steady friction alone has 4 % of the
-real part at that limit. The range ends at 700 Hz for a 3/4 in hose and 20 mm2/s. The memory of turbulent flow
-is shorter, so the terms are an upper bound for it.
+Friction is that of steady flow, which damps the modes of a hose less than the boundary layer does.
 
 Signs: flows are positive from inlet to outlet; pressures are gauge.
 """
@@ -40,7 +22,7 @@ Signs: flows are positive from inlet to outlet; pressures are gauge.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -56,11 +38,6 @@ from fmus.contract import Group, Quantity, Scalar
 REFERENCE_LENGTH, REFERENCE_BORE = 4.0, 0.01905  # [m], hose from which all resistances are scaled
 BANDWIDTH = 75.0  # Hz: highest mode of a line that recordings at the paper's 200 Hz show
 FREQUENCY_ERROR = 0.05  # largest relative error of the frequencies of modes up to BANDWIDTH
-
-WEIGHTS = (40.0, 8.1, 1.0)  # m_i of the frequency-dependent friction
-DECAYS = (8000.0, 200.0, 26.4)  # n_i of the frequency-dependent friction
-TERMS = len(WEIGHTS)
-RANGE = 2e4  # largest w r^2/nu of the frequency-dependent friction
 
 
 class HoseSize(Group):
@@ -194,19 +171,6 @@ def frequency_limit(length: Scalar, density: Scalar, bulk_modulus: Scalar) -> Sc
 # ---- a line of many lumps
 
 
-def _friction_terms(line: HydraulicLine) -> tuple[tuple[Scalar, Scalar], ...]:
-    """(R_i, 1/T_i) of each term of the frequency-dependent friction, for the whole line."""
-    diffusion = line.fluid.viscosity / line.fluid.density / (line.bore / 2) ** 2
-    r = line.laminar_resistance
-    return tuple((m * r / 2, n * diffusion) for m, n in zip(WEIGHTS, DECAYS, strict=True))
-
-
-def impedance(line: HydraulicLine, omega: float) -> complex:
-    """dp/Q [Pa.s/m3] of the whole line for laminar flow at the angular frequency `omega` [rad/s]."""
-    unsteady = sum(r * 1j * omega / (1j * omega + n) for r, n in _friction_terms(line))
-    return complex(1j * omega * line.inertance + line.laminar_resistance + unsteady)
-
-
 @dataclass(frozen=True)
 class HydraulicLine:
     """Parameters of a line: length, bore [m], turbulent C_R [Pa.s2/m6], wall modulus [Pa], oil."""
@@ -239,16 +203,14 @@ class LineStates:
 
     flows       N+1 flows [m3/s] from inlet to outlet
     pressures   N pressures [Pa]
-    layers      for each flow the q_i [m3/s] of the frequency-dependent friction; empty without it
     """
 
     flows: Mapping[str, Quantity]
     pressures: Mapping[str, Quantity]
-    layers: Sequence[Mapping[str, Quantity]]
 
     def all(self) -> dict[str, Quantity]:
         """All states in order."""
-        return {**self.flows, **self.pressures, **{name: q for of in self.layers for name, q in of.items()}}
+        return {**self.flows, **self.pressures}
 
 
 def length_fractions(lumps: int) -> tuple[float, ...]:
@@ -256,10 +218,8 @@ def length_fractions(lumps: int) -> tuple[float, ...]:
     return (0.5 / lumps, *(1 / lumps,) * (lumps - 1), 0.5 / lumps)
 
 
-def ladder(
-    line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str, pressure: Scalar
-) -> Circuit:
-    """The line between two nodes, from a state x; pressure: at the outlet [Pa]."""
+def ladder(line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str) -> Circuit:
+    """The line between two nodes, from a state x."""
     n = len(states.pressures)
     wall = line.volume / n / line.wall_modulus
     nodes = {
@@ -268,31 +228,14 @@ def ladder(
     }
     branches: dict[str, Branch] = {}
     ends = pairwise((inlet, *states.pressures, outlet))
-    for name, w, (start, end), layers in zip(
-        *(states.flows, length_fractions(n), ends, states.layers or [{}] * (n + 1)), strict=True
-    ):
-        q, behind = getattr(x, name), nodes[end].pressure if end in nodes else pressure
-        for layer, (r, rate) in zip(layers, _friction_terms(line), strict=False):
-            q_i, node = getattr(x, layer), f"{layer}_pressure"
-            drop = w * r * (q - q_i)
-            behind += drop
-            nodes[node] = Node(behind)
-            branches[f"{layer}_drag"] = Branch(node, end, Kind.RESISTANCE, q - q_i, drop=drop)
-            branches[layer] = Branch(node, end, Kind.COLUMN, q_i, "", w * r / rate, 0)
-            end = node
+    for name, w, (start, end) in zip(states.flows, length_fractions(n), ends, strict=True):
+        q = getattr(x, name)
         steady = w * q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2)
         branches[name] = Branch(start, end, Kind.COLUMN, q, "I", w * line.inertance, steady)
     return Circuit(nodes, branches)
 
 
-def line_states(
-    ends: Mapping[str, Quantity],
-    inner: str,
-    side: str,
-    line: str,
-    lumps: int,
-    unsteady_friction: bool = False,
-) -> LineStates:
+def line_states(ends: Mapping[str, Quantity], inner: str, side: str, line: str, lumps: int) -> LineStates:
     """States of a line.
 
     ends          both flows at its ends
@@ -308,16 +251,7 @@ def line_states(
         f"{inner}_pressure{side}_{k}": chamber.pressure(f"Pressure of lump {k} of {line}")
         for k in range(1, lumps + 1)
     }
-    text = "Layer flow q_{} of the frequency-dependent friction of flow {} in {}"
-    layers = [
-        {
-            f"{inner}_layer{side}_{k}_{i}": Quantity("m3/s", text.format(i, k, line), 1e-3)
-            for i in range(1, TERMS + 1)
-        }
-        for k in range(lumps + 1)
-    ]
-    flows = {first: first_flow, **middle, last: last_flow}
-    return LineStates(flows, pressures, layers if unsteady_friction else [])
+    return LineStates({first: first_flow, **middle, last: last_flow}, pressures)
 
 
 def lumps_needed(
@@ -329,15 +263,15 @@ def lumps_needed(
 
         gamma(s_ladder) = gamma(s_line) sin(t)/t,        t = k l/2N,        gamma(s)^2 = Z(s) s C/l
 
-    with the impedance Z of the line. Without friction the frequencies are too low by the fraction 1 -
-    sin(t)/t. So N = k l/2t with sin(t)/t = 1 - error and k = |gamma| at the bandwidth. Viscosity reduces the
-    wave speed, so a narrow bore needs more lumps. With a chamber at an end the k of the ladder is slightly
+    with the impedance Z = R + s I of the line. Without friction the frequencies are too low by the fraction
+    1 - sin(t)/t. So N = k l/2t with sin(t)/t = 1 - error and k = |gamma| at the bandwidth. Viscosity reduces
+    the wave speed, so a narrow bore needs more lumps. With a chamber at an end k of the ladder is a little
     higher and its error smaller. Air is neglected, although it reduces the wave speed at low pressure.
     """
     modulus = 1 / (1 / fluid.bulk_modulus + 1 / wall_modulus)
     line = HydraulicLine(length, bore, 0.0, wall_modulus, fluid)
     omega = 2 * math.pi * bandwidth
-    viscous_factor = abs(impedance(line, omega)) / (omega * line.inertance)
+    viscous_factor = math.hypot(1.0, line.laminar_resistance / (omega * line.inertance))
     phase = omega * length * math.sqrt(fluid.density / modulus * viscous_factor)
     return max(1, math.ceil(phase / (2 * _angle(error)) * (1 - 1e-12)))
 

@@ -192,7 +192,7 @@ def _inner_slope(h1: Scalar, h2: Scalar, d1: Scalar, d2: Scalar) -> Scalar:
 def _curve() -> ca.Function:
     """(command, coefficients) -> opening, as a function that stays a call in larger expressions.
 
-    This expression evaluates all pieces; the C code of the FMUs evaluates one (native/opening_curve.h).
+    This expression evaluates all pieces; the C code of the FMUs evaluates one (templates/opening_curve.h.j2).
     """
     command, table = ca.SX.sym("command"), ca.SX.sym("table", COEFFICIENTS)
     v, factors = table[:POINTS], table[POINTS:-1]

@@ -34,7 +34,7 @@ import casadi as ca
 from fmus.components import cylinder
 from fmus.components.spool_valve import Valve, flow_gain
 from fmus.contract import Scalar
-from fmus.smooth import capped, direction, positive, ramp, s_curve
+from fmus.smooth import capped, direction, positive, ramp, ramp_inverse, s_curve
 
 ROUNDING = 2e5  # Pa: keeps the root real if the pressure drop over an edge is negative
 MARGIN = 5e5  # Pa: excess of supply pressure over what the load needs from which the valve may open fully
@@ -173,20 +173,6 @@ def command(valve: Valve, opening: Scalar, rounding_opening: Scalar) -> Scalar:
     asked: by 7.7 % at 7 times `rounding_opening`, by 0.5 % at 20 times.
     """
     size = ca.sqrt(opening**2 + rounding_opening**2)
-    z = inverse_ramp(size * ramp(valve.full_command - valve.dead_band, valve.command_rounding), valve)
+    width = valve.command_rounding
+    z = ramp_inverse(size * ramp(valve.full_command - valve.dead_band, width), width)
     return opening / size * (valve.dead_band + z)
-
-
-def inverse_ramp(value: Scalar, valve: Valve) -> Scalar:
-    """z > 0 with ramp(z, w) = value > 0, exact to rounding error.
-
-    Below z = w, s^3 - s^4/2 = c with s = z/w, c = value/w: two steps of Halley's method from a series.
-    """
-    w = valve.command_rounding
-    c = ca.fmin(value / w, 0.5)
-    t = c ** (1 / 3)
-    s = t * (1 + t / 6 + 0.19 * t**2)
-    for _ in range(2):
-        f, f_s, f_ss = s**3 - s**4 / 2 - c, 3 * s**2 - 2 * s**3, 6 * s - 6 * s**2
-        s = s - 2 * f * f_s / (2 * f_s**2 - f * f_ss)
-    return w * s + ca.fmax(value - w / 2, 0)

@@ -139,7 +139,7 @@ class Lines:
         nodes = {name: Node(port.pressure) for name, port in zip(ports, found, strict=True)}
         whole = Circuit(nodes, spool_valve.branches(found, ports))
         for port, (end, states) in zip(ports, self.chambers, strict=True):
-            whole |= hose.ladder(line, states, x, port, end, getattr(x, end))
+            whole |= hose.ladder(line, states, x, port, end)
         full = valve.full_command
         bands = opening_curve.meter_in_dead_bands(valve, spool.overlap_pa, spool.overlap_pb, full)
         sensed = partial(load_sensing.load_pressure, state.position, state.speed, bands, 1)

@@ -1,1 +1,1 @@
-"""Export of a `Subsystem` as an FMU: FMI 2.0 and 3.0 in C (`build`), FMI 2.0 in Python (`python.build`)."""
+"""Export of a `Subsystem` as an FMU: FMI 2.0 and 3.0 in C. A user's `Model` in Python: `python.build`."""

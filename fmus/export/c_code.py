@@ -1,8 +1,8 @@
 """Generated C code of a model, and one file that includes all C files.
 
-sizes.h, model.c and adjoint.c (FMI 3) hold the equations, start.h and start.c the GUID and the start values.
+sizes.h and model.c hold the equations, start.h and start.c the GUID and the start values.
 
-The equations become the C functions of native/model.h: values, directional and adjoint derivatives.
+The equations become the C functions of native/model.h: values and directional derivatives.
 `fmus.export.c_functions` prints them.
 """
 
@@ -21,6 +21,7 @@ import casadi as ca
 
 from fmus import called_functions
 from fmus.called_functions import without_zero_calls
+from fmus.components import opening_curve
 from fmus.contract import Symbolic, column
 from fmus.export import c_functions, elimination
 from fmus.export.c_functions import Routine, c_function, hoist, number, split
@@ -41,19 +42,15 @@ _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "model_forward": (["vdx", "vy"], ["vx", "vu"]),
     "model_start_forward": (["vx0", "vdx0", "vy0"], ["vx", "vu", "vp"]),
 }
-_ADJOINT: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
-    "model_reverse": (["wx", "wu"], ["wdx", "wy"]),
-    "model_start_reverse": (["wx_start", "wu_start", "wp_start"], ["wx0", "wdx", "wy"]),
-}
 
 
-def model_equations(interface: Interface) -> tuple[list[Routine], list[Routine], dict[str, int]]:
-    """The C functions of native/model.h, those for adjoint derivatives, and the lengths of vectors."""
+def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]]:
+    """The C functions of native/model.h, and the lengths of vectors."""
     sym = interface.equations
     system = eliminate(without_zero_calls(ca.jacobian(sym.dx, sym.x)))
-    # directions v of states, inputs, parameters; time derivatives du of inputs; weights w of results
-    like = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u, "wx0": sym.x, "wdx": sym.x}
-    arguments = {name: ca.SX.sym(name, v.numel()) for name, v in (like | {"wy": interface.y}).items()}
+    # directions v of states, inputs, parameters; time derivatives du of inputs
+    like = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u}
+    arguments = {name: ca.SX.sym(name, v.numel()) for name, v in like.items()}
     values = {
         "x0": sym.start,
         "dx": sym.dx,
@@ -63,22 +60,18 @@ def model_equations(interface: Interface) -> tuple[list[Routine], list[Routine],
         "require": sym.require,
         "delay": sym.next_event,
         **directional(sym, interface.y, arguments),
-        **_adjoint(sym, interface.y, arguments),
     }
     values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
     model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
     values, arguments["z"], observed = _split_by_inputs(values, model)
-    main, adjoint = (
-        [
-            Routine(
-                name,
-                model | {i: arguments[i] for i in inputs},
-                {o.partition("_inputs")[0]: values[o] for o in outputs},
-            )
-            for name, (outputs, inputs) in table.items()
-        ]
-        for table in (_ROUTINES, _ADJOINT)
-    )
+    main = [
+        Routine(
+            name,
+            model | {i: arguments[i] for i in inputs},
+            {o.partition("_inputs")[0]: values[o] for o in outputs},
+        )
+        for name, (outputs, inputs) in _ROUTINES.items()
+    ]
     matrix = {"diagonal": system.diagonal, "jac": system.jac}
     states = {"x": sym.x, "p": sym.p, "c": c}
     others = [
@@ -88,7 +81,7 @@ def model_equations(interface: Interface) -> tuple[list[Routine], list[Routine],
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
     ]
     lengths = {"NC": c.numel(), "NZ": observed.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
-    return [*others, *main], adjoint, lengths
+    return [*others, *main], lengths
 
 
 def _split_by_inputs(
@@ -137,25 +130,6 @@ def directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca
     }
 
 
-def _adjoint(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-    """Adjoint derivatives; those at the start (..._start) go through the initial states."""
-
-    def adjoint(value: ca.SX, weights: ca.SX, *variables: ca.SX) -> list[ca.SX]:
-        return split(ca.jtimes(value, ca.vertcat(*variables), weights, True), variables)
-
-    results, weights = ca.vertcat(sym.dx, y), ca.vertcat(d["wdx"], d["wy"])
-    wx, wu = adjoint(results, weights, sym.x, sym.u)
-    direct_x, direct_u, direct_p = adjoint(results, weights, sym.x, sym.u, sym.p)
-    start_x, start_u, start_p = adjoint(sym.start, d["wx0"] + direct_x, sym.x, sym.u, sym.p)
-    return {
-        "wx": wx,
-        "wu": wu,
-        "wx_start": start_x,
-        "wu_start": direct_u + start_u,
-        "wp_start": direct_p + start_p,
-    }
-
-
 # ---- files -----------------------------------------------------------------------------------------
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -165,7 +139,7 @@ INCLUDED = ".inc"  # model.c is model.c.inc in an FMU, so that only one .c file 
 
 # order in which the C files are included; all others follow in alphabetical order
 _ORDER = (
-    *("start", "model", "adjoint", "inputs", "rosenbrock"),
+    *("start", "model", "inputs", "rosenbrock"),
     *("runge_kutta", "solver", "core", "snapshot", "instance"),
 )
 
@@ -174,7 +148,10 @@ def native_sources(fmi: int) -> dict[str, str]:
     """The hand-written C files by name: those that both FMI versions share, and those of this version."""
     folder = files("fmus.export") / "native"
     other_version = f"fmi{5 - fmi}"
-    return {
+    points, last = opening_curve.POINTS, opening_curve.COEFFICIENTS - 1
+    # of the first piece only three coefficients are not zero
+    curve = rendered(TEMPLATES / "opening_curve.h.j2", points=points, rows=points + 3, last=last)
+    return {"opening_curve.h": f"{curve}\n"} | {
         f.name: f.read_text(encoding="utf-8")
         for f in folder.iterdir()
         if f.name.endswith((".c", ".h")) and not f.name.startswith(other_version)
@@ -188,7 +165,7 @@ def sources(
 
     printed   the equations in C, if they are known
     """
-    code = native_sources(fmi) | generated(interface, guid, fmi, printed)
+    code = native_sources(fmi) | generated(interface, guid, printed)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
     packed = {f"{name}{INCLUDED}" if name in names else name: text for name, text in code.items()}
@@ -204,10 +181,9 @@ def main_source(model: str) -> str:
 
 @dataclass(frozen=True)
 class PrintedEquations:
-    """The equations in C, the same for all values: those of model.c and adjoint.c, and lengths of vectors."""
+    """The equations in C, the same for all values: those of model.c, and lengths of vectors."""
 
     model: str
-    adjoint: str
     lengths: Mapping[str, int]
 
 
@@ -230,10 +206,9 @@ def printed_equations(interface: Interface) -> PrintedEquations:
 
 def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
     """The fields of `PrintedEquations` as JSON."""
-    *parts, lengths = model_equations(interface)
-    model, adjoint = ("\n".join(c_function(r, names) for r in routines) for routines in parts)
-    adjoint = adjoint.replace("LOCAL void", "SHARED void")  # see model.h
-    return json.dumps({"model": model, "adjoint": adjoint, "lengths": lengths}).encode()
+    routines, lengths = model_equations(interface)
+    model = "\n".join(c_function(r, names) for r in routines)
+    return json.dumps({"model": model, "lengths": lengths}).encode()
 
 
 @cache
@@ -243,10 +218,8 @@ def generator_sources() -> list[bytes]:
     return [Path(file).read_bytes() for file in (__file__, *(str(module.__file__) for module in modules))]
 
 
-def generated(
-    interface: Interface, guid: str, fmi: int, printed: PrintedEquations | None = None
-) -> dict[str, str]:
-    """The generated files by name: sizes.h, model.c, start.h, start.c, and adjoint.c for FMI 3."""
+def generated(interface: Interface, guid: str, printed: PrintedEquations | None = None) -> dict[str, str]:
+    """The generated files by name: sizes.h, model.c, start.h, start.c."""
     printed = printed or printed_equations(interface)
     content: dict[str, Any] = {
         "name": interface.name,
@@ -264,11 +237,7 @@ def generated(
         "string": string,
     }
     names = ("sizes.h", "model.c", "start.h", "start.c")
-    code = {name: rendered(TEMPLATES / f"{name}.j2", **content) for name in names}
-    if fmi == 3:
-        head = f"/* {interface.name}: adjoint derivatives. Generated. */\n\n#include <math.h>\n"
-        code["adjoint.c"] = f'{head}\n#include "fmi3.h"\n\n{printed.adjoint}'
-    return code
+    return {name: rendered(TEMPLATES / f"{name}.j2", **content) for name in names}
 
 
 def _sizes(interface: Interface, lengths: Mapping[str, int]) -> dict[str, tuple[int, str]]:

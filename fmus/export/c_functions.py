@@ -4,7 +4,7 @@ The generator of CasADi would test every argument for null and omit the names of
 
 A function that a CasADi expression calls (`never_inline`) becomes a C function of its own, and so do its
 derivatives. A call takes its vectors by pointer if their entries are consecutive. The opening curve has its C
-code in native/opening_curve.h, because only one of its pieces must be evaluated.
+code in templates/opening_curve.h.j2, because only one of its pieces must be evaluated.
 """
 
 import math
@@ -225,7 +225,7 @@ def number(value: float) -> str:
 # ---- called functions ------------------------------------------------------------------------------
 
 _CURVE = "opening_curve"
-_BY_HAND = {_CURVE: _CURVE, f"fwd1_{_CURVE}": f"{_CURVE}_slope", f"adj1_{_CURVE}": f"{_CURVE}_slope"}
+_BY_HAND = {_CURVE: _CURVE, f"fwd1_{_CURVE}": f"{_CURVE}_slope"}
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ class _Call:
         return all(value == number(0.0) for value in self.arguments[slice(*bounds)])
 
     def _by_hand(self) -> str:
-        """The expression with a function of native/opening_curve.h; empty if there is none for this call."""
+        """The expression with a function of opening_curve.h; empty if there is none for this call."""
         name, bounds = self.function.name(), input_bounds(self.function)
         if name not in _BY_HAND:
             return ""
@@ -256,11 +256,9 @@ class _Call:
         value = f"{_BY_HAND[name]}({command}, {self._vector(1, bounds[1])})"
         if name == _CURVE:
             return value
-        if name.startswith("fwd1_") and not self._zero(bounds[4]):
+        if not self._zero(bounds[4]):
             given = (command, self._vector(1, bounds[1]), self.arguments[bounds[3][0]])
             return f"{_CURVE}_along({', '.join(given)}, {self._vector(4, bounds[4])})"
-        if name.startswith("adj1_") and any(o >= 0 for o in self.outputs[1:]):
-            return ""
         return f"{value} * {self.arguments[bounds[3][0]]}"
 
     def _vector(self, n: int, bounds: tuple[int, int]) -> str:

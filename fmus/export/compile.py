@@ -110,7 +110,6 @@ def shared_library(
 
 
 START, START_HEADER, IN_PARTS = "start.c", "start.h", ("-DIN_PARTS", "-Wno-unused-function")
-ADJOINT = "-fno-slp-vectorize"  # of adjoint derivatives: it takes half of the time and makes them no faster
 
 
 def _in_parts(
@@ -124,20 +123,17 @@ def _in_parts(
     names = re.findall(r'#include "(.+)"', code[compiled[0]].decode())
     names.remove(START + INCLUDED)
     version = [name for name in names if name.startswith("fmi")]
-    adjoint = [name for name in names if name.startswith("adjoint")]
-    shared = [name for name in names if name not in (*version, *adjoint)]
+    shared = [name for name in names if name not in version]
     headers = {name: text for name, text in code.items() if name.endswith(".h") and name != START_HEADER}
     made = {START: code[START + INCLUDED], START_HEADER: code[START_HEADER]}
     system, flags = _headers(), [flag for flag in (*FLAGS, *LIBRARY) if flag not in ("-s", "-shared")]
     flags = ["-target", TARGETS[platform].target, *flags, *IN_PARTS, "-c", "-isystem", str(HEADERS)]
-    for part, included in (("adjoint", adjoint), ("fmi", version), ("model", shared)):
-        if included:
-            texts = {n: h for n, h in headers.items() if part != "model" or not n.startswith("fmi")}
-            texts |= {name: code[name] for name in included}
-            texts[f"{part}.c"] = "".join(f'#include "{name}"\n' for name in included).encode()
-            arguments = [*flags, *([ADJOINT] if part == "adjoint" else []), f"{part}.c"]
-            name = f"{model}_{part}.o"
-            made[name] = compiler.shared_library(name, texts, arguments, system).read_bytes()
+    for part, included in (("fmi", version), ("model", shared)):
+        texts = {n: h for n, h in headers.items() if part != "model" or not n.startswith("fmi")}
+        texts |= {name: code[name] for name in included}
+        texts[f"{part}.c"] = "".join(f'#include "{name}"\n' for name in included).encode()
+        name = f"{model}_{part}.o"
+        made[name] = compiler.shared_library(name, texts, [*flags, f"{part}.c"], system).read_bytes()
     return made, [*IN_PARTS, START, *(name for name in made if name.endswith(".o"))]
 
 

@@ -47,7 +47,6 @@ _COMMON_3 = {
     "canGetAndSetFMUState": "true",
     "canSerializeFMUState": "true",
     "providesDirectionalDerivatives": "true",
-    "providesAdjointDerivatives": "true",
 }
 # FMI version -> element -> attributes of FMUs with compiled C code
 CAPABILITIES: Mapping[int, Mapping[str, Mapping[str, str]]] = {

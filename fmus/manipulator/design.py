@@ -1,4 +1,4 @@
-"""Components of a variant of the manipulator: a processing head and a friction law.
+"""`Design`, what a variant of the manipulator consists of: a processing head and a friction law.
 
 `fmus.manipulator.model` builds the subsystem from them; the arm is the same in all variants.
 """
@@ -98,3 +98,13 @@ def damping(contact: str, p: Any) -> Scalar:
 
 
 POINT_MASS = Head()
+
+
+@dataclass(frozen=True)
+class Design:
+    """A head, a friction law, and the groups of states and outputs that they need."""
+
+    states: type[Any]
+    outputs: type[Any]
+    head: Head = POINT_MASS
+    friction: FrictionLaw = viscous_friction

@@ -12,8 +12,8 @@ be too high.
 
 from fmus.components.friction import Bristles, Resistance, lugre
 from fmus.contract import Group, Quantity, Scalar
-from fmus.manipulator.design import damping
-from fmus.manipulator.model import Design, manipulator
+from fmus.manipulator.design import Design, damping
+from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
 
 

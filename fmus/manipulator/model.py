@@ -18,7 +18,6 @@ The pick-up is inelastic: max(m_h', 0) v^2/2 is heat, v the speed of the payload
 m_h' g z + min(m_h', 0) v^2/2 enters, z its height (`payload_power`). Derivation: `fmus.components.mechanics`.
 """
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ from fmus.components.friction import Resistance
 from fmus.contract import Scalar, Subsystem, column, flat, nested, quantities
 from fmus.manipulator import arm
 from fmus.manipulator.arm import Piston
-from fmus.manipulator.design import CONTACTS, POINT_MASS, FrictionLaw, Head, viscous_friction
+from fmus.manipulator.design import CONTACTS, Design, viscous_friction
 from fmus.manipulator.variables import (
     ManipulatorInputs,
     ManipulatorOutputs,
@@ -43,16 +42,6 @@ PORTS = (
     *(ports.rod(axis, drives=False) for axis in ("boom", "stick")),
     ports.grip(),
 )
-
-
-@dataclass(frozen=True)
-class Design:
-    """A head, a friction law, and the groups of states and outputs that they need."""
-
-    states: type[Any]
-    outputs: type[Any]
-    head: Head = POINT_MASS
-    friction: FrictionLaw = viscous_friction
 
 
 def manipulator(design: Design, *, text: str, validity: str, parameters: type[Any]) -> Subsystem:

@@ -16,10 +16,7 @@ angle of the joint about its pin is a - f, f = boom + stick angle. Its damping
 
     d (a' - f')  on the pin, opposite on boom and stick;       d b'  in the yoke
 
-couples the head to the stick. The yoke has stops at b = +-B, elastic with contact damping (Hunt and Crossley,
-J. Appl. Mech. 42 (1975) 440), r the `ramp` of `fmus.smooth`:
-
-    -k r(b - B) (1 + c b') + k r(-b - B) (1 - c b')       on b; stored k (R(b - B) + R(-b - B)), R' = r
+couples the head to the stick. The yoke has stops at b = +-B, those of `cylinder.stop`.
 
 The coordinates are singular at b = +-90 degrees: the head is parallel to the pin and a is undefined.
 T, U and dissipation: Goldstein, Poole and Safko, Classical Mechanics, chapters 1 and 2.
@@ -32,14 +29,14 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components import friction
+from fmus.components import cylinder, friction
+from fmus.components.cylinder import Stop
 from fmus.contract import Quantity, Scalar
 from fmus.manipulator import arm
-from fmus.manipulator.design import Head, Joint, TipMotion
+from fmus.manipulator.design import Design, Head, Joint, TipMotion
 from fmus.manipulator.friction import FrictionOutputs, FrictionParameters, FrictionState, resist
-from fmus.manipulator.model import Design, manipulator
+from fmus.manipulator.model import manipulator
 from fmus.manipulator.variables import ManipulatorOutputs, ManipulatorParameters, ManipulatorState
-from fmus.smooth import ramp, ramp_integral
 
 SIDE_LIMIT = 1.4  # rad; at the singularity the inertia of the first axis, (J + m L^2) cos(b)^2, is zero
 STOP_ROUNDING = 0.01  # rad, smoothing angle of the stop torque
@@ -124,30 +121,19 @@ def joint(x: PendulumState, p: PendulumParameters) -> Joint:
     """Damping of the joint and stops of its yoke."""
     pin_speed, yoke_speed = x.head_speed - x.boom_speed - x.stick_speed, x.head_side_speed
     pin, yoke = p.head_joint_damping * pin_speed, p.head_joint_damping * yoke_speed
-    left, right = _penetrations(x, p)
-    contact = p.head_stop_damping * p.head_stop_stiffness * yoke_speed * sum(map(_ramp, (left, right)))
+    stops = stop(x, p)
     return Joint(
         on_stick=pin,
-        on_head=(-pin, -yoke + stop_torque(x, p)),
-        heat=pin * pin_speed + (yoke + contact) * yoke_speed,
-        stored=p.head_stop_stiffness * sum(ramp_integral(d, STOP_ROUNDING) for d in (left, right)),
+        on_head=(-pin, -yoke + stops.force),
+        heat=pin * pin_speed + yoke * yoke_speed + stops.heat,
+        stored=stops.stored,
     )
 
 
-def _penetrations(x: PendulumState, p: PendulumParameters) -> tuple[Scalar, Scalar]:
-    """Penetration of the left and the right stop [rad], negative without contact."""
-    return x.head_side_angle - p.head_stop_angle, -x.head_side_angle - p.head_stop_angle
-
-
-def _ramp(depth: Scalar) -> Scalar:
-    return ramp(depth, STOP_ROUNDING)
-
-
-def stop_torque(x: PendulumState, p: PendulumParameters) -> Scalar:
-    """Torque [N.m] of the stops on the side angle."""
-    left, right = map(_ramp, _penetrations(x, p))
-    closing = p.head_stop_damping * x.head_side_speed
-    return p.head_stop_stiffness * (right * (1 - closing) - left * (1 + closing))
+def stop(x: PendulumState, p: PendulumParameters) -> Stop:
+    """End stops of the yoke."""
+    end, law = p.head_stop_angle, (p.head_stop_stiffness, p.head_stop_damping, STOP_ROUNDING)
+    return cylinder.stop(x.head_side_angle + end, x.head_side_speed, 2 * end, *law)
 
 
 def outputs(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
@@ -160,7 +146,7 @@ def outputs(x: PendulumState, p: PendulumParameters) -> dict[str, Scalar]:
         "head_x": out * cos - left * sin,
         "head_y": out * sin + left * cos,
         "head_height": tip[1] + p.head_length * n[2],
-        "head_stop_torque": stop_torque(x, p),
+        "head_stop_torque": stop(x, p).force,
     }
 
 

@@ -188,14 +188,13 @@ def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Star
     p = detailed()
     of, lumps = hose_line(p.stick, p), lumps_of(boom_stick.VALUES)(boom_stick.AXES[1])
     ends = dict.fromkeys(("flow_in", "flow_out"), quantities(Flows)["head_flow"])
-    states = hose.line_states(ends, "inner", "", "the hose", lumps, unsteady_friction=False)
+    states = hose.line_states(ends, "inner", "", "the hose", lumps)
 
     def line(x: ByName) -> Circuit:
         # without volume, so the flow out of the hose gives the drop of the throttle
         drop = spool_valve.turbulent_drop(x["flow_out"], resistance, p.valve.transition_flow)
-        between = (SimpleNamespace(**x), "pressure_in", "pressure_out", RETURN + drop)
         end = Branch("pressure_out", TANK, Kind.THROTTLE, x["flow_out"])
-        return hose.ladder(of, states, *between) | Circuit(
+        return hose.ladder(of, states, SimpleNamespace(**x), "pressure_in", "pressure_out") | Circuit(
             {"pressure_out": Node(RETURN + drop)}, {"throttle": end}
         )
 

@@ -38,6 +38,8 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
 
+import casadi as ca
+
 from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.circuit import Branch, Kind
 from fmus.components.engine_and_pump import DieselEngine, Pump
@@ -56,6 +58,7 @@ from fmus.supply.rail import (
 )
 from fmus.supply.variables import limited, line_pressure, variant
 
+_LEAST_DROP = 1e-60  # Pa, for the inverse of `ramp`, which is not defined at 0
 _ITERATIONS = 20  # of check valve and engine at standby; each gains about a digit
 
 
@@ -225,7 +228,8 @@ def _standby(u: Any, p: LoadSensingParameters, speed: Scalar, engine: DieselEngi
         leaking = replace(pump, leakage=pump.leakage + passed)
         stroke, pressure = engine_and_pump.dead_head(leaking, speed, tank)
         rise = pressure - tank
-        drop = ramp_inverse(passed * rise * p.main_pump.check_resistance, p.check_opening)
+        pressure_loss = ca.fmax(passed * rise * p.main_pump.check_resistance, _LEAST_DROP)
+        drop = ramp_inverse(pressure_loss, p.check_opening)
         passed = bleed * (1 - drop / rise)
         load = engine_and_pump.torque(pump, stroke, speed, rise)
         if engine is not None and iteration < _ITERATIONS - 1:

@@ -27,8 +27,7 @@ def build(
     connect them.
 
     model        Build only this model, as an FMU whose code is Python: a file with your own model, such as
-                 my_actuator.py, or a subsystem, such as fmus.boom_stick:VARIANTS.lumped; default: the
-                 machine.
+                 my_actuator.py; default: the machine.
     out          Folder of the FMUs; those of FMI 3.0 go to the subfolder fmi3, FMUs whose code is Python to
                  the subfolder python.
     fmi          FMI version: 2, 3 or both; an FMU of MODEL always has version 2.
@@ -57,18 +56,27 @@ def build(
     # an FMU whose code is Python takes its library from the package
     needed = [name for name in EXTRAS["build"] if model is None or name != "ziglang"]
     require("build", "harvester build", *needed, advice="" if model else copying)
-    from fmus.export.compile import select
+    from fmus.export.compile import WASM, select
 
     platforms = select(platform or ["host"])
     make_folder(out)
     if model is not None:
-        from fmus.export.python.build import build_model
+        from fmus.export.python.build import SUBFOLDER, build_user
 
+        if not model.endswith(".py"):
+            raise Problem(
+                f"{model}: expected a file such as my_actuator.py; fmus.build(...) builds one of equations"
+            )
         if 2 not in versions[fmi]:
             raise Problem(f"--fmi {fmi}: expected 2, because an FMU whose code is Python uses FMI 2.0")
         if parameters is not None:
             raise Problem(f"--parameters {parameters}: expected none with MODEL, which has its own values")
-        print(build_model(model, out, platforms))
+        if WASM in platforms:
+            raise Problem(
+                f"--platform {WASM}: expected another one with MODEL: a browser has no Python for {model}"
+            )
+        # in a subfolder, so that no FMU with C code of the same name is overwritten
+        print(build_user(Path(model), out / SUBFOLDER, platforms=platforms))
         return
     from fmus.machine.build import build_machine
     from orchestrator.base.progress import doing

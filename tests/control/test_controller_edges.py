@@ -6,11 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
 from kit.properties import examples
-from kit.steering import INPUTS, PART, STATES, V, measured, rates
+from kit.steering import INPUTS, PART, STATES, measured, rates
 
-from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES
-from fmus.export.python.instance import of_subsystem
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL
 from orchestrator import Trace, read_trace, run
@@ -57,13 +55,6 @@ def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_val
         assert np.isfinite(dx).all()
         for axis in AXES:
             assert sign * dx[STATES.index(f"{axis}_command")] <= 0, axis
-
-
-def test_what_is_no_number_is_an_error_of_the_step():
-    """NaN from a sensor: the step is an error with the name of the input."""
-    controller = of_subsystem(CONTROLLER).initialise(**V.u)
-    with pytest.raises(Exception, match="boom_head_pressure"):
-        controller.assign(**{**V.u, "boom_head_pressure": float("nan")})
 
 
 # ---- reach and paths

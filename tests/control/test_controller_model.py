@@ -5,12 +5,12 @@ from collections import ChainMap
 import casadi as ca
 import numpy as np
 import pytest
+from kit.fmu import driving
 from kit.steering import INPUTS, PART, STATES, V, at, measured, rates
 
 from fmus.contract import quantities
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES, OfMachine, OfSwing
-from fmus.export.python.instance import of_subsystem
 from fmus.machine.build import controller_of, parts_with_parameters
 from fmus.machine.parts import FERIC
 from fmus.parameters import numbers, values
@@ -51,33 +51,28 @@ def test_feedforward_alone_uses_no_measurement():
     assert (np.abs(with_feedback).sum(axis=0) > 0).sum() > 10  # nearly all count
 
 
-def test_engaging_a_moving_machine_is_bumpless():
+def test_engaging_a_moving_machine_is_bumpless(fmu_dir):
     """Driven by a lever, then engaged at the same speed: the command bends, it does not jump.
 
     The machine here moves as its valve says in steady motion, so the lever's command is what the controller
     would have chosen: what it changes in the first 50 ms stays below 0.1 V of 2 V (pressures of rest).
     """
     u = {**V.u, "boom_lever": 1.6, "boom_speed": 0.1}
-    run = of_subsystem(CONTROLLER).initialise(**u)
-    time = 0.0
+    with driving(fmu_dir / "controller.fmu", **u) as run:
 
-    def step(count: int, **given: float) -> list[float]:
-        nonlocal time
-        found = []
-        for _ in range(count):
-            u["boom_angle"] += 0.01 * u["boom_speed"]
-            run.assign(**(u | given))
-            run.step(time, 0.01)
-            time += 0.01
-            found.append(run["boom_command"])
-        return found
+        def step(count: int, **given: float) -> list[float]:
+            found = []
+            for _ in range(count):
+                u["boom_angle"] += 0.01 * u["boom_speed"]
+                found.append(run.set(**(u | given)).step(0.01)["boom_command"])
+            return found
 
-    step(40)
-    assert run["boom_command"] == pytest.approx(1.6, rel=1e-6)
-    # the measured angle is held over each step: half a step of 0.1 rad/s at 4.5 m is 2.3 mm
-    assert run["tip_error"] < 3e-3
-    radial, vertical = run["radial_lever"], run["vertical_lever"]
-    engaged = step(5, engaged=1.0, radial_velocity=radial, vertical_velocity=vertical)
+        step(40)
+        assert run["boom_command"] == pytest.approx(1.6, rel=1e-6)
+        # the measured angle is held over each step: half a step of 0.1 rad/s at 4.5 m is 2.3 mm
+        assert run["tip_error"] < 3e-3
+        radial, vertical = run["radial_lever"], run["vertical_lever"]
+        engaged = step(5, engaged=1.0, radial_velocity=radial, vertical_velocity=vertical)
     assert np.abs(np.diff([1.6, *engaged])).max() < 0.1
 
 

@@ -3,6 +3,7 @@
 import math
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -151,6 +152,13 @@ def test_the_reference_waits_for_a_machine_at_rest():
     assert math.dist(later, pistons(0.2, -1.4)) < ahead
 
 
-def test_s_curve_goes_from_none_to_all():
-    """0, 1/2, 1, and flat outside."""
+def test_s_curve_goes_from_none_to_all_and_is_twice_differentiable():
+    """0, 1/2, 1, and flat outside; slope and curvature grow from zero at both ends, in a straight line."""
     assert [float(s_curve(z)) for z in (-1, 0, 0.5, 1, 2)] == [0, 0, 0.5, 1, 1]
+    z = ca.SX.sym("z")
+    curve = s_curve(z)
+    slope = ca.gradient(curve, z)
+    ends = ca.Function("f", [z], [slope, ca.gradient(slope, z)])
+    for inside in (1e-6, 1 - 1e-6):
+        # the third derivative is 60 at the ends: slope 30 dz^2, curvature 60 dz, next terms 2 and 3 dz of it
+        assert [abs(float(v)) for v in ends(inside)] == pytest.approx([3e-11, 6e-5], rel=1e-4)

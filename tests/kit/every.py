@@ -1,4 +1,4 @@
-"""Every variant of every part as FMUs of both back ends, driven by the inputs of the machine at work."""
+"""Every variant of every part as FMUs, driven by the inputs of the machine at work."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +10,6 @@ import numpy as np
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.export.model_description import COMMUNICATION_STEP, data_file
-from fmus.export.python.build import build_python
 from fmus.machine.parts import FAMILIES
 from fmus.operator_input.model import OPERATOR
 from kit.fmu import Fmu, driving
@@ -68,9 +67,3 @@ def outputs(sub: Subsystem) -> list[str]:
 def native(name: str, folder: Path) -> Path:
     """The native FMU in a folder that `build_machine` filled."""
     return folder / ("" if name in (OPERATOR.name, CONTROLLER.name) else "variants") / f"{name}.fmu"
-
-
-def python(name: str, folder: Path) -> Path:
-    """The Python FMU, built into a folder when it is first asked for."""
-    path = folder / f"{EVERY[name].name}.fmu"
-    return path if path.is_file() else build_python(EVERY[name], folder)

@@ -33,7 +33,7 @@ def life(fmu: Fmu, steps: int) -> Iterator[str]:
                 yield from (f"step {i} {length} {part}", f"restore {i}", f"at {i} {r * part * length!r}")
                 yield from (f"write {i} bytes", f"read {i} bytes")
             yield from (f"step {i} {length} {part}", look(fmu, i), f"slopes {i} {unknown + fmu.states} 1")
-            yield from (f"along {i} {unknown} {known}", f"against {i} {unknown} {known}", f"forget {i}")
+            yield from (f"along {i} {unknown} {known}", f"forget {i}")
     for i in range(instances):
         yield from (f"reset {i}", f"free {i}")
     yield from begin(fmu, 0, "me")

@@ -20,12 +20,11 @@ pytestmark = [
 def work(fmu, steps):
     """A life with everything that computes or allocates."""
     unknown, known = fmu.shown[0] + fmu.states, fmu.shown[0]
-    derive = [f"along 0 {unknown} {known}", f"against 0 {unknown} {known}"]
     return [
         *begin(fmu),
         *moves(fmu, 0, steps),
         "save 0",
-        *derive,
+        f"along 0 {unknown} {known}",
         "restore 0",
         "forget 0",
         look(fmu),

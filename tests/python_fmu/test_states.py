@@ -3,17 +3,14 @@
 from pathlib import Path
 
 import pytest
-from kit import shards
-from kit.every import EVERY
+from kit.every import EVERY, row
 from kit.fmu import driving, elsewhere
 
-from fmus.contract import Subsystem, quantities
-from fmus.export.python.build import build_python, build_user
+from fmus.contract import quantities
+from fmus.export.python.build import build_user
 from python_fmu.lag import built
-from python_fmu.test_agreement import first_seconds, shown
 
 ACTUATOR = Path(__file__).parents[2] / "examples" / "my_subsystem" / "my_actuator.py"
-PARTS = [name for name in EVERY if name not in ("operator_input", "controller")]
 
 
 def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[str, float]) -> None:
@@ -31,25 +28,12 @@ def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[s
     assert first == again == beside == elsewhere(path, data, time, 1e-2, 7, *names)
 
 
-# each kind of part once in every run: what a state holds is the same code for all of them
-FEW = ("swing_lumped", "manipulator_rigid")
-
-
-@pytest.mark.parametrize("name", [n if n in FEW else pytest.param(n, marks=shards.machine) for n in PARTS])
-def test_a_subsystem_repeats_its_steps(tmp_path, name):
-    """A saved state contains states, inputs, their derivatives, and the step size of the solver."""
-    sub: Subsystem = EVERY[name]
-    rows, _ = first_seconds(sub)
-    repeated(build_python(sub, tmp_path), shown(sub), rows[0], rows[40])
-
-
 def test_a_model_by_hand_repeats_its_steps(tmp_path):
     """The example repeats its steps bit-identically."""
     sub = EVERY["boom_stick_lumped"]
-    rows, _ = first_seconds(sub)
     names = ["boom_force", "stick_force", "boom_force_rate", "supply_flow", "return_flow"]
     assert set(names) <= set(quantities(sub.outputs))
-    repeated(build_user(ACTUATOR, tmp_path), names, rows[0], rows[40])
+    repeated(build_user(ACTUATOR, tmp_path), names, row(sub, 0), row(sub, 40))
 
 
 def test_foreign_and_damaged_states_are_refused(tmp_path, capsys):

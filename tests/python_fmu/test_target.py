@@ -19,13 +19,12 @@ from kit.fmu import Fmu, in_new_process
 from kit.mistakes import table
 
 from fmus.export.compile import PLATFORMS, host
-from fmus.export.python.build import build_python, library
-from fmus.machine.parts import FERIC
+from fmus.export.python.build import build_user, library
 from orchestrator.base.files import write_zip
 from orchestrator.check.checking import check
 from python_fmu.lag import built
+from python_fmu.test_states import ACTUATOR
 
-BOOM_STICK = FERIC.subsystems["boom_stick"]
 BLOCKED = """
 import sys
 sys.modules["fmus"] = None  # as if it were not installed
@@ -48,23 +47,23 @@ os._exit(0)
 
 
 @pytest.fixture(scope="module")
-def boom_stick(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The FMU of a part."""
-    return build_python(BOOM_STICK, tmp_path_factory.mktemp("boom_stick"))
+def actuator(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The FMU of the example."""
+    return build_user(ACTUATOR, tmp_path_factory.mktemp("actuator"))
 
 
-def test_a_missing_package_is_told(boom_stick):
+def test_a_missing_package_is_told(actuator):
     """If the package is not installed, the message contains what the FMU needs, in which Python."""
-    out = in_new_process(BLOCKED, boom_stick)
-    assert re.search(r"ERROR.*boom_stick needs the package harvester-cosim \S+ in the Python in \S+: ", out)
+    out = in_new_process(BLOCKED, actuator)
+    assert re.search(r"ERROR.*my_actuator needs the package harvester-cosim \S+ in the Python in \S+: ", out)
 
 
 @table(__file__, "cards", "key, value, message")
 def test_an_fmu_that_does_not_fit_the_installation_is_refused(
-    boom_stick, tmp_path, capsys, key, value, message
+    actuator, tmp_path, capsys, key, value, message
 ):
-    """Another version, other equations, a part that is missing, files of different builds: one line each."""
-    with zipfile.ZipFile(boom_stick) as archive:
+    """Another version, a file that is missing, files of different builds: one line each."""
+    with zipfile.ZipFile(actuator) as archive:
         content = {name: archive.read(name) for name in archive.namelist()}
     card = json.loads(content["resources/model.json"]) | {key: value}
     write_zip(tmp_path / "changed.fmu", content | {"resources/model.json": json.dumps(card).encode()})
@@ -118,18 +117,18 @@ def test_there_is_a_library_for_each_platform(platform):
     assert not [name for name in names if re.search(r"libpython|python3|Python\.framework", name)]
 
 
-def test_pythonfmu_runs_the_same_slave(boom_stick, tmp_path):
+def test_pythonfmu_runs_the_same_slave(actuator, tmp_path):
     """With the library of PythonFMU the slave gives the same results.
 
     In a process of its own: that library frees a dictionary of the script's module once too often.
     """
     theirs = tmp_path / "theirs.fmu"
     folder = Path(pythonfmu.__file__).parent / "resources" / "binaries"
-    with zipfile.ZipFile(boom_stick) as archive:
+    with zipfile.ZipFile(actuator) as archive:
         content = {n: archive.read(n) for n in archive.namelist() if not n.startswith("binaries/")}
     for path in folder.rglob("*pythonfmu-export.*"):
-        content[f"binaries/{path.parent.name}/boom_stick{path.suffix}"] = path.read_bytes()
+        content[f"binaries/{path.parent.name}/my_actuator{path.suffix}"] = path.read_bytes()
     write_zip(theirs, content)
-    found = [in_new_process(PUSHED, path).splitlines()[-1] for path in (boom_stick, theirs)]
+    found = [in_new_process(PUSHED, path).splitlines()[-1] for path in (actuator, theirs)]
     assert found[0] == found[1]
     assert len(found[0]) == 32

@@ -3,6 +3,7 @@
 import signal
 import sys
 from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from kit.mistakes import problem, refused, table
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import quantities
+from fmus.export.build import build
 from fmus.export.python import subgroup
 from fmus.export.python.build import build_user
 from orchestrator.__main__ import main
@@ -114,15 +116,19 @@ NATIVE = Path(__file__).with_name("lag_of_equations.txt").read_text(encoding="ut
 
 
 @table(__file__, "equations", "old, new, expected")
-def test_a_mistake_in_a_file_of_equations_is_one_line(tmp_path, monkeypatch, capsys, old, new, expected):
-    """File, line and function of a user's subsystem, by the command that builds it."""
+def test_a_mistake_in_equations_is_one_line(tmp_path, old, new, expected):
+    """File, line and function of a user's subsystem, by the function that builds it."""
     assert old in NATIVE
-    name = f"native_{tmp_path.name}"
-    (tmp_path / f"{name}.py").write_text(NATIVE.replace(old, new), encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    line = refused(capsys, ["build", f"{name}:LAG", "--out", tmp_path / "out"])
-    assert line.startswith(f"harvester: {name}:LAG")
+    (tmp_path / "native.py").write_text(NATIVE.replace(old, new), encoding="utf-8")
+    line = problem(lambda: build(run_path(str(tmp_path / "native.py"))["LAG"], tmp_path / "out"))
     assert expected in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_builds_no_subsystem(capsys):
+    """The name of a subsystem, as until version 0.1, is refused with what builds it."""
+    line = refused(capsys, ["build", "fmus.boom_stick:VARIANTS.lumped"])
+    assert "lumped: expected a file such as my_actuator.py; fmus.build(...) builds one of equations" in line
 
 
 def test_a_file_of_equations_is_told_how_to_build_it(tmp_path):

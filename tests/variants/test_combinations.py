@@ -4,15 +4,13 @@ import csv
 import itertools
 import shutil
 
-import numpy as np
 import pytest
 from kit import shards
 from kit.any_fmu.edit import edited
-from kit.every import EVERY, python
 
 from fmus.machine.parts import FAMILIES
 from fmus.machine.tables import variant_names
-from orchestrator import load, run
+from orchestrator import load
 from orchestrator.__main__ import main
 from orchestrator.studies.variants import combinations
 
@@ -149,26 +147,3 @@ def test_an_interrupt_tells_where_the_table_is(fmu_dir, tmp_path, capsys, monkey
     assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 130
     assert f"\n1 of 2 combinations, in {out}\n" in capsys.readouterr().out
     assert len(out.read_text(encoding="utf-8").splitlines()) == 2
-
-
-# python_fmu/test_machine.py exchanges each usual part, python_fmu/test_agreement.py drives each variant
-SAMPLE = [
-    {"swing": "quasistatic", "manipulator": "pendulum_friction"},
-    {"boom_stick": "lumped", "supply": "engine_pump"},
-    {"swing": "detailed", "boom_stick": "quasistatic", "manipulator": "rigid", "supply": "ideal"},
-]
-
-
-@shards.machine
-@pytest.mark.parametrize("chosen", SAMPLE, ids=lambda c: "-".join(itertools.chain(*c.items())))
-def test_python_fmus_take_the_place_of_native_ones(system, tmp_path, chosen):
-    """The machine moves the same with Python FMUs of the same variants: to 1e-9 of each signal's range."""
-    files = {part: python(f"{part}_{variant}", tmp_path) for part, variant in chosen.items()}
-    native = run(system, swap=chosen, step=1e-3, stop=2.0, record_step=0.02).trace
-    mixed = run(system, swap=files, step=1e-3, stop=2.0, record_step=0.02).trace
-    assert {f.stem for f in files.values()} == {EVERY[f"{p}_{v}"].name for p, v in chosen.items()}
-    for name in WATCH:
-        span = np.ptp(native[name])
-        assert span > 1e-3
-        # rounding in another order, through 2000 steps of a damped machine
-        assert np.max(np.abs(mixed[name] - native[name])) < 1e-9 * span, name

@@ -10,7 +10,6 @@ from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
 
-from fmus.export.python.instance import of_subsystem
 from orchestrator import Trace, run
 
 BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
@@ -128,15 +127,3 @@ def test_the_card_tells_when_the_engine_stalled(system, bench):
         crossed = np.argmax(speed < limit)
         assert float(found[2]) == pytest.approx(time[crossed])
         assert float(found[1]) == pytest.approx(limit - speed[crossed], abs=1e-4)  # six digits of 83.7758
-
-
-def test_the_python_fmu_says_the_same():
-    """A flow of 120 L/min at 200 bar stalls an engine of 60 N.m."""
-    told = []
-    instance = of_subsystem(BENCHES[0].sub)
-    instance.warn = told.append
-    instance.initialise(engine_rated_torque=60.0, supply_flow_swing=2e-3)
-    for _ in range(20):
-        instance.advance(0.1)
-    assert [t.partition(" = ")[0] for t in told] == ["engine_speed_below_idle", "engine_speed_below_stall"]
-    assert told[1].endswith(" is above 0 rad/s: the engine has stalled and does not start again")

@@ -48,7 +48,7 @@ def in_between(one: HydraulicLine, lumps: int, pressure: float) -> tuple[dict[st
     states = hose.line_states(flows, "inner", "", "the line", lumps)
     x = {name: ca.SX.sym(name) for name in states.all()}
     ends = Circuit({"inlet": Node(pressure), "outlet": Node(pressure)}, {})
-    return x, ends | hose.ladder(one, states, SimpleNamespace(**x), "inlet", "outlet", pressure)
+    return x, ends | hose.ladder(one, states, SimpleNamespace(**x), "inlet", "outlet")
 
 
 @cache
@@ -147,10 +147,11 @@ def test_what_n_lumps_just_reach_takes_n(n):
 
 
 def test_a_narrow_bore_needs_more_lumps():
-    """Viscosity slows the waves: of two lines of the same length the narrow one has the shorter waves."""
-    fluid = oil(MU)
-    wide, narrow = (lumps_needed(4.0, bore, 100.0, 0.05, fluid) for bore in (0.02, 0.002))
-    assert narrow > wide
+    """Friction of sqrt(3) times w I doubles |R + jw I|, so waves are as many as in a line sqrt(2) longer."""
+    narrow = math.sqrt(32 * MU / RHO / (2 * math.pi * 100.0 * math.sqrt(3)))  # R = 32 mu l/(A d^2)
+    found = lumps_needed(4.0, narrow, 100.0, 0.005, oil(MU))
+    wide, longer = (lumps_needed(n * 4.0, 0.02, 100.0, 0.005, oil(1e-12)) for n in (1, math.sqrt(2)))
+    assert found == longer > wide
 
 
 def test_default_hoses_have_the_default_lumps():

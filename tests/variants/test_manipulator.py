@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from kit import shards
 from kit.equations import JOINTS, Part, machine, played
 from kit.properties import examples
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from fmus.components.friction import CREEP, Bristles, lugre, viscous
@@ -171,9 +171,26 @@ def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
     np.testing.assert_allclose(-roots.real / np.abs(roots), 0.1, rtol=0.03)
 
 
+def rounded(z: float) -> float:
+    """m_w(z) of docs/equations.md."""
+    return (z + math.hypot(z, 0.01)) / 2
+
+
+@heads
+def test_a_head_that_is_pulled_out_of_its_stop_is_let_go(name):
+    """However fast the yoke leaves its stop, the stop pushes or does nothing."""
+    v = variant(name)
+    angle, c = v.p["head_stop_angle"] + 0.05, v.p["head_stop_damping"]
+    torques = [
+        v(v.start(head_side_angle=angle, head_side_speed=-f / c))[1]["head_stop_torque"] for f in (0, 1, 3)
+    ]
+    assert torques == sorted(torques)
+    assert -1e-2 * v.p["head_stop_stiffness"] < torques[-1] < 0
+
+
 @pytest.mark.parametrize("speed", [1.0, -15.0])
 def test_thrown_head_comes_back_from_its_stop_as_the_law_of_contact_says(speed):
-    """v dv = -k r(d)/I (1 + c v) dd, so v/c - ln(1 + c v)/c^2 is equal at the first and the last touch."""
+    """v dv = -k r(d)/I m_w(1 + c v) dd: the integral of v/m_w(1 + c v) is equal at first and last touch."""
     v = variant("pendulum", gravity=0.0, head_joint_damping=0.0, **HELD)
     i, c, stop = v.at("head_side_angle"), v.p["head_stop_damping"], v.p["head_stop_angle"]
     start = v.start(head_side_angle=math.copysign(stop, speed), head_side_speed=speed)
@@ -184,8 +201,8 @@ def test_thrown_head_comes_back_from_its_stop_as_the_law_of_contact_says(speed):
     left.direction, left.terminal = -1, True
     run = solve_ivp(lambda _, x: v(x)[0], (0, 1), start, "DOP853", events=left, rtol=1e-10, atol=1e-12)
     back = -run.y[v.at("head_side_speed"), -1] / math.copysign(1, speed)
-    level = abs(speed) / c - math.log1p(c * abs(speed)) / c**2
-    expected = brentq(lambda u: -u / c - math.log1p(-c * u) / c**2 - level, 0.0, (1 - 1e-12) / c)
+    level = quad(lambda u: u / rounded(1 + c * u), 0, abs(speed))[0]
+    expected = brentq(lambda end: quad(lambda u: u / rounded(1 - c * u), 0, end)[0] - level, 0, abs(speed))
     assert 0.5 * abs(speed) < expected < abs(speed)
     assert back == pytest.approx(expected, rel=1e-6)  # the arm, 1e12 kg.m2, gives way by 1e-7
     assert np.abs(run.y[i]).max() < 1.3
@@ -201,8 +218,8 @@ def test_stops_of_the_head_are_not_felt_inside(name):
         assert (y["head_stop_torque"], y["stored_energy"]) == (0.0, 0.0)
     for angle in (stop + 0.05, -stop - 0.05):
         _, y = v(v.start(head_side_angle=angle))
-        # k (d - w/2): a straight line beyond the rounding
-        expected = v.p["head_stop_stiffness"] * (0.05 - STOP_ROUNDING / 2)
+        # k m_w(1) (d - w/2): a straight line beyond the rounding
+        expected = v.p["head_stop_stiffness"] * rounded(1.0) * (0.05 - STOP_ROUNDING / 2)
         assert y["head_stop_torque"] == pytest.approx(-math.copysign(expected, angle), rel=1e-12)
         assert y["stored_energy"] > 0
 

@@ -1,4 +1,4 @@
-"""The standard suite: what every variant of every part must do, as FMU of either back end."""
+"""The standard suite: what every variant of every part must do, as FMU."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from kit import shards
-from kit.every import EVERY, at_work, native, outputs, python, row, work
+from kit.every import EVERY, at_work, native, outputs, row, work
 from kit.fmu import Fmu
 
 from fmus.contract import Subsystem, quantities
@@ -15,15 +14,6 @@ from fmus.export.model_description import COMMUNICATION_STEP
 from orchestrator.base.units import parse_unit
 
 WORKING = 2.4  # s: boom, swing and stick have started
-# in Python one variant of each part, those with the most states: the back end knows no part
-IN_PYTHON = (
-    *("swing_compensated", "boom_stick_detailed"),
-    *("manipulator_pendulum_friction", "supply_load_sensing"),
-)
-CASES = [
-    *(("native", name) for name in EVERY),
-    *(pytest.param(("python", n), marks=() if n in IN_PYTHON else shards.search) for n in EVERY),
-]
 
 
 class Case(NamedTuple):
@@ -34,14 +24,12 @@ class Case(NamedTuple):
     fmu: Fmu
 
 
-@pytest.fixture(scope="module", params=CASES, ids=lambda case: "-".join(case))
-def case(request, fmu_dir, once):
-    """Each variant as FMU of each back end."""
-    backend, name = request.param
-    folder = fmu_dir if backend == "native" else once(f"python_{name}", lambda folder: python(name, folder))
-    path = native(name, folder) if backend == "native" else python(name, folder)
-    with at_work(path, EVERY[name], WORKING) as fmu:
-        yield Case(EVERY[name], path, fmu)
+@pytest.fixture(scope="module", params=EVERY)
+def case(request, fmu_dir):
+    """Each variant as FMU."""
+    sub, path = EVERY[request.param], native(request.param, fmu_dir)
+    with at_work(path, sub, WORKING) as fmu:
+        yield Case(sub, path, fmu)
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -60,7 +48,7 @@ def test_fmpy_finds_no_problem(case):
 
 @pytest.mark.parametrize("name", EVERY)
 def test_fmpy_finds_no_problem_in_fmi_3(fmi3_dir, name):
-    """The same for the native FMUs of FMI 3.0."""
+    """The same for the FMUs of FMI 3.0."""
     assert validate_fmu(str(native(name, fmi3_dir))) == []
 
 

@@ -35,8 +35,8 @@ LOCAL void core_reset(Core *core) {
     for (int i = 0; i < NU; i++) s->u[i] = s->last_set[i] = model_start_values[FIRST_INPUT + i];
     for (int i = 0; i < NX; i++) s->x[i] = model_start_values[FIRST_STATE + i];
     s->initial = 1;
-    memset(&core->held, 0, sizeof core->held);
-    memcpy(core->held.last, s->u, sizeof s->u);
+    memset(&core->stepped, 0, sizeof core->stepped);
+    memcpy(core->stepped.last, s->u, sizeof s->u);
     core_invalidate(core);
 }
 
@@ -118,7 +118,7 @@ static void compute_requirements(Core *core) {
     model_require(core->s.x, core->s.u, core->s.p, core->c, core->z, core->require);
 }
 
-/* ---- inputs that are held ---------------------------------------------------------------------- */
+/* ---- inputs that move in steps -------------------------------------------------------------------- */
 
 /* An input that moved in fewer steps has jumped, which no rate input would tell. */
 enum { MOVING = 3 };
@@ -128,19 +128,19 @@ enum { MOVING = 3 };
 static void tell_held_inputs(Core *core, Status kind) {
     int most = -1;
     double largest = 0.0;
-    for (int i = 0; i < NU && !(core->held.told & 1u << kind); i++) {
-        const double change = fabs(core->held.change[i]) / model_variables[FIRST_INPUT + i].nominal;
-        if (core->held.steps[i] < MOVING || change <= largest) continue;
+    for (int i = 0; i < NU && !(core->stepped.told & 1u << kind); i++) {
+        const double change = fabs(core->stepped.change[i]) / model_variables[FIRST_INPUT + i].nominal;
+        if (core->stepped.steps[i] < MOVING || change <= largest) continue;
         most = i;
         largest = change;
     }
     if (most < 0) return;
-    core->held.told |= 1u << kind;
+    core->stepped.told |= 1u << kind;
     const Variable *v = &model_variables[FIRST_INPUT + most];
     core_message(core, kind,
                  "%s moved in each of the last %d steps while its rate input %s stayed 0. Held inputs can make "
                  "connected FMUs unstable: connect the rate inputs, or take shorter steps",
-                 v->name, core->held.steps[most], model_variables[FIRST_INPUT + v->rate].name);
+                 v->name, core->stepped.steps[most], model_variables[FIRST_INPUT + v->rate].name);
 }
 
 /* Before each step: counts steps in which an input moves while its rate input stays 0. */
@@ -149,10 +149,10 @@ static void watch_held_inputs(Core *core) {
     for (int i = 0; i < NU; i++) {
         const int rate = model_variables[FIRST_INPUT + i].rate;
         if (rate < 0) continue;
-        core->held.change[i] = s->last_set[i] - core->held.last[i];
-        const int held = core->held.change[i] != 0.0 && s->last_set[rate] == 0.0 && !s->has_derivatives[i];
-        core->held.steps[i] = held ? core->held.steps[i] + 1 : 0;
-        core->held.last[i] = s->last_set[i];
+        core->stepped.change[i] = s->last_set[i] - core->stepped.last[i];
+        const int held = core->stepped.change[i] != 0.0 && s->last_set[rate] == 0.0 && !s->has_derivatives[i];
+        core->stepped.steps[i] = held ? core->stepped.steps[i] + 1 : 0;
+        core->stepped.last[i] = s->last_set[i];
     }
     tell_held_inputs(core, OK);
 }

@@ -50,7 +50,7 @@ typedef struct Core {
         double change[ROOM(NU)]; /* since the step before */
         int steps[ROOM(NU)];     /* so many in a row */
         unsigned told; /* a bit for each Status with which it was told */
-    } held;
+    } stepped;
     Work work;
     const char *call; /* name of the FMI function that runs, for messages */
     void (*report)(void *owner, Status kind, const char *text);

@@ -2,7 +2,7 @@
 
        dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
 
-   sizes.h, model.c, adjoint.c, start.h and start.c are generated; all other files are the same for every model.
+   sizes.h, model.c, start.h and start.c are generated; all other files are the same for every model.
    model.c also defines three tables: model_variables (by value reference), model_watched (value references of the
    variables with a warning limit) and model_statements (descriptions of the requirements; model_require computes
    the values that must be positive). start.c holds all that another set of parameter values changes.

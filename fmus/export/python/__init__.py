@@ -1,4 +1,4 @@
-"""FMUs whose code is Python: of a `Subsystem`, or of a `Model` that a user writes."""
+"""FMUs whose code is Python: of a `Model` that a user writes."""
 
 from fmus.export.python.user_model import Model, subgroup
 

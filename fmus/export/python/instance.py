@@ -1,12 +1,7 @@
-"""An instance of a model in Python: variables, inputs over a step, integration, checks, FMU states.
+"""An instance of a model in Python: variables, inputs over a step, checks, FMU states.
 
 The class is the counterpart of native/core.c, instance.c, step.c and values.c for Co-Simulation, with the
-same results and messages. It can be used without an FMU:
-
-    instance = of_subsystem(SWING)
-    instance.initialise(swing_command=2.0)
-    instance.advance(1e-3)
-    instance["swing_torque"]
+same messages.
 
 A saved state is a header that identifies the model, a SHA-256 checksum, and one double per value. So a
 restored state is bit-identical in another instance or process and on another machine.
@@ -22,22 +17,16 @@ import hashlib
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus import parameters
-from fmus.contract import Subsystem
-from fmus.export.c_code import DEFAULT_TOLERANCE
-from fmus.export.interface import Variable, interface_of
-from fmus.export.python.subsystem_model import RunnableModel, SubsystemFunctions, SubsystemModel
-from fmus.parameters import Values
-from fmus.solver import MEMORY_SIZE, Array, InputPolynomials, Unsolved
+from fmus.export.interface import Variable
+from fmus.export.python.user_model import Array, InputPolynomials, UserModel
 from orchestrator.base.errors import Problem
 
-LOOSEST_TOLERANCE = 1e-3  # as in native/core.h
 INSTANTIATED, INITIALIZATION, STEP_MODE, STEP_FAILED, TERMINATED = 1, 2, 4, 8, 16
 MOST_WARNINGS = 3  # of one variable, as in native/core.c
 WARNING_MARGIN = 1e-5  # relative excess over a limit without a warning, as in native/core.c
@@ -53,7 +42,6 @@ REASONS = {
     "FIXED": "a fixed parameter can be set only before the initialisation is over",
     "STATE": "a state can be set only before the initialisation is over",
     "CALCULATED_STATE": "its start value is calculated",
-    "DERIVATIVE": "it is a derivative",
     "OUTPUT": "it is an output",
 }
 
@@ -69,15 +57,11 @@ class InstanceState:
 
     x, p, u             states, parameters, inputs at the current time
     last_set            inputs as last set: their values at the start of the next step
-    end_derivative      time derivatives of the inputs at the end of the last step
     input_derivatives   derivatives of order 1 to 3 that were set for the next step, shape (n, 3)
     has_derivatives     inputs for which such derivatives were set
-    had_derivatives     inputs for which they were set for the last step
     beyond              1 for watched variables above their limit, -1 for those below, by value reference
     warnings            that were logged of each variable
     time, start_time, stop_time   [s]; stop_time is infinite if it is not defined
-    tolerance           relative tolerance of the solver
-    memory              memory of the solver between steps, see `fmus.solver.solve`
     initial             1 until the initialisation is over: the states are computed from their start values
     phase               state of the FMI state machine, a key of `PHASES`
     """
@@ -86,17 +70,13 @@ class InstanceState:
     p: Array
     u: Array
     last_set: Array
-    end_derivative: Array
     input_derivatives: Array
     has_derivatives: NDArray[np.bool_]
-    had_derivatives: NDArray[np.bool_]
     beyond: NDArray[np.int_]
     warnings: NDArray[np.int_]
     time: float = 0.0
     start_time: float = 0.0
     stop_time: float = np.inf
-    tolerance: float = 0.0
-    memory: Array = field(default_factory=lambda: np.zeros(MEMORY_SIZE))
     initial: float = 1.0
     phase: float = 1.0
 
@@ -130,29 +110,22 @@ def _header(guid: str) -> bytes:
 # ---- inputs inside a step ----------------------------------------------------------------------------
 
 
-def _derivative(s: InstanceState, rates: Sequence[int], u: Array, i: int, order: int) -> float:
-    """Derivative of the given order of input i; u: values of the inputs, rates: see `Instance`."""
+def _derivative(s: InstanceState, rates: Sequence[int], i: int, order: int) -> float:
+    """Derivative of the given order of input i; rates: see `Instance`."""
     if s.has_derivatives[i]:
         return float(s.input_derivatives[i, order - 1])
     if rates[i] < 0:
         return 0.0
-    return float(u[rates[i]]) if order == 1 else _derivative(s, rates, u, rates[i], order - 1)
+    return float(s.last_set[rates[i]]) if order == 1 else _derivative(s, rates, rates[i], order - 1)
 
 
 def input_polynomials(s: InstanceState, rates: Sequence[int]) -> InputPolynomials:
     """The polynomials of all inputs over the next step."""
     terms = (
-        [_derivative(s, rates, s.last_set, i, order) / factorial for i in range(s.last_set.size)]
+        [_derivative(s, rates, i, order) / factorial for i in range(s.last_set.size)]
         for order, factorial in ((1, 1), (2, 2), (3, 6))
     )
     return InputPolynomials(np.array([s.last_set, *terms]))
-
-
-def current_derivative(s: InstanceState, rates: Sequence[int], i: int) -> float:
-    """Time derivative of input i at the current time."""
-    if s.has_derivatives[i]:
-        return float(s.input_derivatives[i, 0])
-    return float(s.end_derivative[i] if rates[i] < 0 or s.had_derivatives[i] else s.u[rates[i]])
 
 
 # ---- instance ----------------------------------------------------------------------------------------
@@ -162,18 +135,11 @@ class Refused(Problem):
     """A call that failed, has invalid arguments, or is not allowed in the present phase."""
 
 
-def of_subsystem(sub: Subsystem, values: Values | None = None) -> Instance:
-    """An instance of a subsystem with these parameter and start values, or those of its parameters.toml."""
-    interface = interface_of(sub, values or parameters.values(sub, derive=False))
-    return Instance(SubsystemModel(SubsystemFunctions(interface)))
-
-
 class Instance:
-    """One instance of a model; `get` and `set` use value references, `assign` and [] names of variables."""
+    """One instance of a model; variables by value reference."""
 
-    def __init__(self, model: RunnableModel, guid: str = "", warn: Callable[[str], object] = str) -> None:
+    def __init__(self, model: UserModel, guid: str = "", warn: Callable[[str], object] = str) -> None:
         self.model, self.guid, self.warn, self.variables = model, guid, warn, model.interface.variables
-        self.references = {v.name: v.reference for v in self.variables}
         self.ends = np.cumsum([len(group) for group in model.interface.groups]).tolist()
         index = {v.name: i for i, v in enumerate(model.interface.inputs)}
         # for each input the index of its rate input, or -1
@@ -184,7 +150,7 @@ class Instance:
     # ---- state machine
 
     def reset(self) -> None:
-        """Return to the phase after instantiation: variables, time, tolerance, solver and warnings as new."""
+        """Return to the phase after instantiation: variables, time and warnings as new."""
         start = np.array([v.start or 0.0 for v in self.variables[: self.ends[2]]])
         p, u, x = np.split(start, self.ends[:2])
         self.state = InstanceState(
@@ -192,20 +158,17 @@ class Instance:
             p=p,
             u=u,
             last_set=u.copy(),
-            end_derivative=np.zeros(u.size),
             input_derivatives=np.zeros((u.size, 3)),
             has_derivatives=np.zeros(u.size, dtype=bool),
-            had_derivatives=np.zeros(u.size, dtype=bool),
             beyond=np.zeros(len(self.variables), dtype=int),
             warnings=np.zeros(len(self.variables), dtype=int),
-            tolerance=DEFAULT_TOLERANCE,
             phase=INSTANTIATED,
         )
         self._discard_cache()
 
     def _discard_cache(self) -> None:
-        """Discard the cached initial states, derivatives and outputs; they are computed on demand."""
-        self._started, self._dx, self._y = False, None, None  # type: tuple[bool, Array | None, Array | None]
+        """Discard the cached initial states and outputs; they are computed on demand."""
+        self._started, self._y = False, None  # type: tuple[bool, Array | None]
 
     def require_phase(self, phases: int) -> None:
         """Refuse the call in any other phase than these."""
@@ -224,7 +187,6 @@ class Instance:
         s = self.state
         s.time = s.start_time = start
         s.stop_time = math.inf if stop is None else stop
-        s.tolerance = DEFAULT_TOLERANCE if tolerance is None else min(tolerance, LOOSEST_TOLERANCE)
 
     def enter(self) -> None:
         """Enter initialisation mode."""
@@ -242,22 +204,14 @@ class Instance:
         self.require_phase(STEP_MODE | STEP_FAILED)
         self.state.phase = TERMINATED
 
-    def initialise(self, time: float = 0.0, tolerance: float | None = None, **start: float) -> Instance:
-        """`setup`, `enter` and `exit`, with start values by name; returns the instance."""
-        self.setup(time, None, tolerance)
-        self.assign(**start)
+    def initialise(self) -> Instance:
+        """`setup`, `enter` and `exit`; returns the instance."""
+        self.setup()
         self.enter()
         self.exit()
         return self
 
     # ---- values
-
-    def __getitem__(self, name: str) -> float:
-        return self.get([self.references[name]])[0]
-
-    def assign(self, **values: float) -> None:
-        """Set variables by name."""
-        self.set([self.references[name] for name in values], list(values.values()))
 
     def get(self, references: Sequence[int]) -> list[float]:
         """Values of variables; refused if one is not finite."""
@@ -289,15 +243,13 @@ class Instance:
 
     def _value(self, r: int) -> float:
         self.variable(r)
-        s, (np_, nu, nx, ndx, _) = self.state, self.ends
+        s, (np_, nu, nx, *_) = self.state, self.ends
         if r < np_:
             return float(s.p[r])
         if r < nu:
             return float(s.u[r - np_])
         self.start()
-        if r < nx:
-            return float(s.x[r - nu])
-        return float(self.derivatives()[r - nx] if r < ndx else self._outputs()[r - ndx])
+        return float(s.x[r - nu] if r < nx else self._outputs()[r - nx])
 
     def set(self, references: Sequence[int], values: Sequence[float]) -> None:
         """Set variables; none is changed if one value is refused."""
@@ -336,13 +288,6 @@ class Instance:
             s = self.state
             s.x, self._started = self.model.start(s.x, s.u, s.p), True
 
-    def derivatives(self) -> Array:
-        """Time derivatives of the states."""
-        if self._dx is None:
-            s = self.state
-            self._dx = self.model.rate(s.x, s.u, s.p).copy()
-        return self._dx
-
     def _outputs(self) -> Array:
         if self._y is None:
             s = self.state
@@ -357,7 +302,7 @@ class Instance:
         for statement, value in self._requirements():
             if not value > 0:
                 self._violated(statement, value)
-        self._finite(y, self.ends[3])
+        self._finite(y, self.ends[2])
         self._watch()
 
     def _finite(self, values: Array, first: int) -> None:
@@ -421,34 +366,19 @@ class Instance:
         s, begin = self.state, self.state.time
         inputs = input_polynomials(s, self.rates)
         self._discard_cache()
-        try:
-            s.x, s.memory = self.model.advance(s, inputs, length)
-        except Unsolved as problem:
-            raise Refused(self._failure(problem)) from None
-        s.time, s.u, s.end_derivative = begin + length, inputs.value(length), inputs.derivative(length)
-        s.had_derivatives, s.has_derivatives = s.has_derivatives, np.zeros_like(s.has_derivatives)
+        s.x = self.model.advance(s.x, s.p, begin, inputs, length)
+        s.time, s.u, s.has_derivatives = (
+            begin + length,
+            inputs.value(length),
+            np.zeros_like(s.has_derivatives),
+        )
         try:
             self._check()
         except Refused:
             s.time = begin
             raise
 
-    def _failure(self, e: Unsolved) -> str:
-        v, when = self.variables[self.ends[1] + e.worst], f"t = {self.state.time + e.tau:.9g} s"
-        value = f"{v.name} = {e.x[e.worst]:.6g} {v.quantity.unit}"
-        if e.why == "not finite":
-            return f"the derivative of {v.name} is {e.value:g} at {when} ({value})"
-        if e.why == "singular":
-            return f"the linear system of the smallest inner step that was tried is singular at {when}"
-        if e.why == "many":
-            return f"more inner steps than allowed at {when}; the largest error is in {value}"
-        tolerance = self.state.tolerance
-        return (
-            f"tolerance {tolerance:g} not reached with an inner step of {e.step:.3g} s at {when}; "
-            f"the largest error is in {value}"
-        )
-
-    # ---- derivatives of variables
+    # ---- derivatives of inputs
 
     def set_input_derivatives(
         self, references: Sequence[int], orders: Sequence[int], values: Sequence[float]
@@ -468,57 +398,6 @@ class Instance:
             if not s.has_derivatives[i]:  # orders that are not set are zero
                 s.input_derivatives[i] = 0.0
             s.has_derivatives[i], s.input_derivatives[i, order - 1] = True, value
-
-    def directional_derivative(
-        self, unknown: Sequence[int], known: Sequence[int], seed: Sequence[float]
-    ) -> list[float]:
-        """Directional derivatives of unknowns along the seed of knowns."""
-        self.require_phase(INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED)
-        direction = np.zeros(len(self.variables))
-        if self.state.initial:
-            kinds = {"INPUT", "STATE", "FIXED", "TUNABLE"}
-            expected = "an input, a parameter or a state with a start value"
-        else:
-            kinds, expected = {"INPUT", "STATE", "CALCULATED_STATE"}, "an input or a state"
-        for r, value in zip(known, seed, strict=True):
-            v = self.variable(r)
-            if v.kind not in kinds:
-                raise Refused(f"{v.name} is not a known, expected {expected}")
-            direction[r] += value
-        for r in unknown:
-            if self.variable(r).kind in ("FIXED", "TUNABLE", "INPUT"):
-                raise Refused(
-                    f"{self.variables[r].name} is not an unknown, expected an output, a derivative or a state"
-                )
-        return self._finite_derivatives(unknown, self._along(direction))
-
-    def output_derivatives(self, references: Sequence[int], orders: Sequence[int]) -> list[float]:
-        """Time derivatives of outputs and states; orders above 1 are not available and returned as 0."""
-        self.require_phase(STEP_MODE | STEP_FAILED | TERMINATED)
-        direction, (first, last, end, *_) = np.zeros(len(self.variables)), self.ends
-        direction[first:last] = [current_derivative(self.state, self.rates, i) for i in range(last - first)]
-        direction[last:end] = self.derivatives()
-        for r, order in zip(references, orders, strict=True):
-            v = self.variable(r)
-            if v.kind not in ("OUTPUT", "STATE", "CALCULATED_STATE"):
-                raise Refused(f"{v.name} is not an output or a state")
-            if order < 1:
-                raise Refused(f"the order of the derivative of {v.name} is less than 1")
-        first_order = self._finite_derivatives(references, self._along(direction))
-        return [0.0 if order > 1 else value for order, value in zip(orders, first_order, strict=True)]
-
-    def _along(self, direction: Array) -> Array:
-        """Directional derivatives of all variables, from the directions of parameters, inputs and states."""
-        self.start()
-        s, parts = self.state, np.split(direction, self.ends[:3])
-        x, dx, y = self.model.forward(s.x, s.u, s.p, (parts[0], parts[1], parts[2]), bool(s.initial))
-        return np.concatenate([parts[0], parts[1], x, dx, y])
-
-    def _finite_derivatives(self, references: Sequence[int], values: Array) -> list[float]:
-        for r in references:
-            if not math.isfinite(values[r]):
-                raise Refused(f"the derivative of {self.variables[r].name} is not finite")
-        return [float(values[r]) for r in references]
 
     # ---- FMU states
 

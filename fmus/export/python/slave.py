@@ -1,6 +1,6 @@
-"""Slave classes of FMUs in Python, and the dispatcher through which the FMU's library calls them.
+"""The slave class of FMUs in Python, and the dispatcher through which the FMU's library calls it.
 
-The script of an FMU defines a subclass of `SubsystemSlave` or `UserSlave`, whose methods call an `Instance`.
+The script of an FMU defines a subclass of `PythonSlave`, whose methods call an `Instance`.
 The library (native/python_fmu.c) calls a `Dispatcher` with the name of an FMI function and its arguments as
 bytes; the result is a status, messages and a value as bytes. The library of PythonFMU can call the slave as
 well, with the functions that it supports.
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 import sys
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -23,22 +22,13 @@ import numpy as np
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
-from fmus.export.interface import interface_of
 from fmus.export.model_description import LOG_CATEGORIES
 from fmus.export.python.instance import ANY, INSTANTIATED, STEP_FAILED, Instance
-from fmus.export.python.subsystem_model import (
-    RunnableModel,
-    SubsystemFunctions,
-    SubsystemModel,
-    fingerprint,
-    import_subsystem,
-)
 from fmus.export.python.user_model import UserModel, load, message
-from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 from orchestrator.base.xml import package_version
 
-MODEL_FILE = "model.json"  # in resources/: origin or file of the model, values, version, GUID
+MODEL_FILE = "model.json"  # in resources/: name and file of the model, version, GUID
 
 
 class PythonSlave(Fmi2Slave):  # type: ignore[misc]
@@ -53,15 +43,12 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
         self.built = json.loads((self.folder / MODEL_FILE).read_text(encoding="utf-8"))
         self.guid = self.built["guid"]
         self._check_version()
-        self.instance = i = Instance(self.model(), self.guid, lambda text: self.log(text, Fmi2Status.warning))
+        model = UserModel(load(self.folder / self.built["file"]))
+        self.instance = i = Instance(model, self.guid, lambda text: self.log(text, Fmi2Status.warning))
         # what the library of PythonFMU calls; it also calls do_step and saves and restores states
         self.setup_experiment, self.terminate = i.setup, i.terminate
         self.enter_initialization_mode, self.exit_initialization_mode = i.enter, i.exit
         self.get_real, self.set_real = i.get, i.set
-
-    @abstractmethod
-    def model(self) -> RunnableModel:
-        """The model."""
 
     def _check_version(self) -> None:
         name, built, installed = self.built["name"], self.built["version"], package_version()
@@ -85,36 +72,6 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
 
     def _set_fmu_state(self, state: dict[str, str]) -> None:
         self.instance.restore(bytes.fromhex(state["state"]))
-
-
-# by the text of model.json: all instances of an FMU share the functions
-_SHARED: dict[str, SubsystemFunctions] = {}
-
-
-class SubsystemSlave(PythonSlave):
-    """A slave whose model is a `Subsystem` of an installed package."""
-
-    def model(self) -> RunnableModel:
-        """The subsystem from which the FMU was built, with the values of the build."""
-        key = json.dumps(self.built)
-        if key not in _SHARED:
-            sub = import_subsystem(self.built["origin"])
-            interface = interface_of(sub, Values(**self.built["values"]))
-            if fingerprint(interface) != self.built["fingerprint"]:
-                raise Problem(
-                    f"{self.built['name']}: {self.built['origin']} in {sys.prefix} has other equations or "
-                    "variables than at the time of the build: build the FMU again"
-                )
-            _SHARED[key] = SubsystemFunctions(interface)
-        return SubsystemModel(_SHARED[key])
-
-
-class UserSlave(PythonSlave):
-    """A slave whose model is a user's, in a file next to the script."""
-
-    def model(self) -> RunnableModel:
-        """The model in the user's file."""
-        return UserModel(load(self.folder / self.built["file"]))
 
 
 # ---- dispatcher ---------------------------------------------------------------------------
@@ -227,6 +184,10 @@ def _no_variables(_: Dispatcher, references: bytes) -> None:
         raise Problem("the model has Real variables only")
 
 
+def _no_derivatives(*_: object) -> None:
+    raise Problem("a model written by hand has no derivatives of outputs")
+
+
 def _cancel(_: Dispatcher) -> None:
     raise Problem("no step is in progress: fmi2DoStep returns when it is done")
 
@@ -267,12 +228,8 @@ CALLS: Mapping[str, Callable[..., bytes | None]] = {
     "fmi2SetRealInputDerivatives": lambda calls, vr, orders, v: calls.instance.set_input_derivatives(
         _references(vr), _integers(orders), _doubles(v)
     ),
-    "fmi2GetRealOutputDerivatives": lambda calls, vr, orders: _packed(
-        calls.instance.output_derivatives(_references(vr), _integers(orders))
-    ),
-    "fmi2GetDirectionalDerivative": lambda calls, unknown, known, seed: _packed(
-        calls.instance.directional_derivative(_references(unknown), _references(known), _doubles(seed))
-    ),
+    "fmi2GetRealOutputDerivatives": _no_derivatives,
+    "fmi2GetDirectionalDerivative": _no_derivatives,
     "fmi2GetFMUstate": lambda calls: calls.instance.save(),
     "fmi2SetFMUstate": lambda calls, data: calls.instance.restore(data),
     "fmi2DeSerializeFMUstate": _check_state,

@@ -13,7 +13,6 @@
 The groups are frozen dataclasses with fields `Annotated[float, Quantity(unit, text)]`; the default of a field
 is the start value. `subgroup` selects fields of another group. `examples/my_subsystem` is an example. An
 instance runs a `UserModel`: the model with its FMI interface, and with checks of all that its methods return.
-The file of the model is loaded and checked: its imports, its dependencies, a few steps.
 """
 
 from __future__ import annotations
@@ -24,28 +23,29 @@ import importlib.util
 import inspect
 import math
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
 from itertools import product
 from numbers import Real
 from pathlib import Path
 from types import FunctionType
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from fmus.contract import Quantity, Subsystem, Symbolic, place, quantities, unstack
 from fmus.export.interface import Interface, Variable, make_interface, variable_groups
 from fmus.export.model_description import Unknowns
-from fmus.export.python.instance import Instance, InstanceState
 from fmus.parameters import Values
-from fmus.solver import Array, InputPolynomials
 from orchestrator.base.errors import Problem, suggest
 
 # what the page of the reference shows
 __all__ = ["Model", "UserModel", "check_model", "read_only", "subgroup"]
+
+Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -262,8 +262,24 @@ def _initial_states(model: Model, values: object, states: Collection[str]) -> Ma
     return values
 
 
+@dataclass(frozen=True)
+class InputPolynomials:
+    """Inputs over a step: u = sum over k of coefficients[k] tau^k, tau [s] since its start; shape (4, nu)."""
+
+    coefficients: Array
+
+    def value(self, tau: float) -> Array:
+        """Inputs at tau."""
+        m = self.coefficients
+        u: Array = m[0] + tau * (m[1] + tau * (m[2] + tau * m[3]))
+        return u
+
+
 class UserModel:
-    """A model by hand as `subsystem_model.RunnableModel`."""
+    """A model by hand with its interface; x states, u inputs, p parameters, t time [s].
+
+    statements   descriptions of the requirements, whose values must be positive
+    """
 
     def __init__(self, model: Model) -> None:
         self.model, self.interface = model, _interface(model)
@@ -285,7 +301,7 @@ class UserModel:
         )
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
-        """See `RunnableModel`."""
+        """Initial states, from their start values."""
         result = self.model.initial(*self._groups(x, u, p))
         initial = _initial_states(self.model, result, self._calculated)
         if set(initial) != set(self._calculated):
@@ -293,12 +309,8 @@ class UserModel:
         pairs = zip(self.interface.states, x, strict=True)
         return np.array([self._number("initial", v.name, initial.get(v.name, start)) for v, start in pairs])
 
-    def rate(self, x: Array, u: Array, p: Array) -> Array:
-        """See `RunnableModel`; there are no derivatives."""
-        return np.zeros(0)
-
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]:
-        """See `RunnableModel`."""
+        """Outputs that are not states, and the values of the requirements."""
         y = self._values("observe", self.model.observe(*self._groups(x, u, p), t), self.model.Outputs)
         for i, state in self._state_outputs:
             if y[i] != x[state] and not (math.isnan(y[i]) and math.isnan(x[state])):
@@ -319,22 +331,15 @@ class UserModel:
             )
         return {statement: self._number("require", statement, n) for statement, n in values.items()}
 
-    def advance(self, s: InstanceState, inputs: InputPolynomials, length: float) -> tuple[Array, Array]:
-        """See `RunnableModel`: equal steps, none longer than `inner_step`."""
-        x = s.x
+    def advance(self, x: Array, p: Array, time: float, inputs: InputPolynomials, length: float) -> Array:
+        """States after `length` seconds: equal steps, none longer than `inner_step`."""
         count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
         h = length / count
         for k in range(count):
             u = inputs.value((k + 0.5) * h)
-            after = self.model.step(*self._groups(x, u, s.p), s.time + k * h, h)
+            after = self.model.step(*self._groups(x, u, p), time + k * h, h)
             x = self._values("step", after, self.model.State)
-        return x, s.memory
-
-    def forward(
-        self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
-    ) -> tuple[Array, Array, Array]:
-        """See `RunnableModel`; refused."""
-        raise Problem("a model written by hand has no directional derivatives")
+        return x
 
     def _values(self, method: str, result: object, group: type[Any]) -> Array:
         if not isinstance(result, group):
@@ -509,78 +514,3 @@ def structure(user: UserModel) -> Unknowns:
             if v.kind != "STATE"
         ],
     }
-
-
-# ---- checks ----------------------------------------------------------------------------------------
-
-CHANGE = 0.01  # change of an input that tests a dependency, relative to the nominal value of the input
-POINTS, STEPS = 8, 3  # number of random points and of steps
-
-
-def checked(path: Path, step: float) -> UserModel:
-    """The model in a file. A few steps show that it runs, hides no state and declares its dependencies."""
-    try:
-        model = UserModel(load(path))
-        structure(model)
-        instance = Instance(model).initialise()
-        _check_dependencies(model, instance)
-        for _ in range(STEPS):
-            instance.advance(step)
-        _check_replay(model.model.name, instance, step)
-        _check_dependencies(model, instance)
-    except (Exception, SystemExit) as problem:
-        raise in_file(problem, path) from None
-    return model
-
-
-def _check_replay(name: str, instance: Instance, step: float) -> None:
-    """Steps from a saved state must give the same bits when they are repeated."""
-    saved = instance.save()
-    ends = []
-    for _ in range(2):
-        instance.restore(saved)
-        for _ in range(STEPS):
-            instance.advance(step)
-        ends.append((instance.save(), instance.get([v.reference for v in instance.variables])))
-    if ends[0] != ends[1]:
-        raise Problem(
-            f"{name}: steps repeated from a saved state give different values: the model stores something "
-            "outside State (in a list, a global variable, a random number generator)"
-        )
-
-
-def _check_dependencies(user: UserModel, instance: Instance) -> None:
-    """Outputs and computed states must not change with inputs that `depends` does not list for them."""
-    model, interface = user.model, user.interface
-    p = np.array([v.start or 0.0 for v in interface.parameters])
-    states = [i for i, v in enumerate(interface.states) if v.kind == "CALCULATED_STATE"]
-    functions: list[tuple[list[str], Callable[[Array, Array], Array]]] = [
-        ([v.name for v in interface.outputs], lambda x, u: user.observe(x, u, p, 0.0)[0]),
-        ([interface.states[i].name for i in states], lambda x, u: user.start(x, u, p)[states]),
-    ]
-    inputs = [v.name for v in interface.inputs]
-    for (x, u), (names, function), (i, v) in product(
-        list(_points(instance, interface)), functions, list(enumerate(interface.inputs))
-    ):
-        changed_u = u.copy()
-        changed_u[i] += CHANGE * v.quantity.nominal
-        try:
-            before, after = function(x, u), function(x, changed_u)
-        except Exception:  # the model may be undefined at a random point
-            continue
-        changed = (before != after) & np.isfinite(before) & np.isfinite(after)
-        for name in (n for n, c in zip(names, changed, strict=True) if c):
-            if v.name not in model.depends.get(name, inputs):
-                raise Problem(
-                    f"{model.name}: {name} changes with {v.name}, which is missing in depends[{name!r}]"
-                )
-
-
-def _points(instance: Instance, interface: Interface) -> Iterator[tuple[Array, Array]]:
-    """States and inputs: the initial ones, and random ones close to these."""
-    rng, s = np.random.default_rng(0), instance.state
-    nominal = [np.array([v.quantity.nominal for v in g]) for g in (interface.states, interface.inputs)]
-    yield s.x, s.u
-    for _ in range(POINTS):
-        x, u = (v + 0.1 * n * rng.uniform(-1, 1, v.size) for v, n in zip((s.x, s.u), nominal, strict=True))
-        yield x, u

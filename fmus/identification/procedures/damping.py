@@ -61,7 +61,7 @@ class FrictionContact:
         return f"manipulator.{self.parameter}"
 
 
-CONTACTS = {
+BY_JOINT = {
     joint: FrictionContact(joint, f"{joint}_{parameter}", unit, (speed, speed_unit), (resistance, force_unit))
     for joint, parameter, unit, speed, speed_unit, resistance, force_unit in (
         ("swing", "damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"),
@@ -114,12 +114,12 @@ class JointDamping:
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """B of each joint that has recordings."""
-    by_joint: dict[str, list[Recording]] = {joint: [] for joint in CONTACTS}
+    by_joint: dict[str, list[Recording]] = {joint: [] for joint in BY_JOINT}
     for recording in data.training_recordings(recordings, "damping", dict.fromkeys(momentum.ANGLES, "rad")):
-        joint = data.condition(recording, "joint", CONTACTS)
+        joint = data.condition(recording, "joint", BY_JOINT)
         require(recording, dict.fromkeys(momentum.PRESSURES[joint], "Pa"))
         by_joint[joint].append(recording)
-    joints = [joint_damping(CONTACTS[j], r, parameters) for j, r in by_joint.items() if r]
+    joints = [joint_damping(BY_JOINT[j], r, parameters) for j, r in by_joint.items() if r]
     return ProcedureResult(
         procedure="damping",
         title="Viscous damping of the joints: resistance over speed",

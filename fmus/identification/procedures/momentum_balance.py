@@ -31,7 +31,8 @@ from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.results import Curve, Panel
 from fmus.manipulator import MANIPULATOR, arm
-from fmus.manipulator.model import Design, forces
+from fmus.manipulator.design import Design
+from fmus.manipulator.model import forces
 from fmus.manipulator.variables import ManipulatorInputs
 from fmus.parameters import Number
 from fmus.swing import SWING

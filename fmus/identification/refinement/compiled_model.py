@@ -233,7 +233,7 @@ def sources(model: ReducedModel) -> dict[str, str]:
         rows = [f"    {{{i}, {j}}}," for i, j in pattern] or ["    {0, 0},"]
         tables += [f"static const int {name}[][2] = {{ /* row and column */", *rows, "};", ""]
     listed = [f"    {name} = {n}," for name, n in {**lengths, "WIDTH": WIDTH}.items()]
-    return generated(_interface(model), "", 2) | {
+    return generated(_interface(model), "") | {
         "sens.h": SENS_H.format(lengths="\n".join(listed)),
         "sens.c": "\n".join([SENS_C_HEAD, *tables, *(c_function(r, names) for r in routines)]),
     }

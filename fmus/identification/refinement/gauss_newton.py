@@ -49,7 +49,7 @@ class Iteration:
 
 
 @dataclass(frozen=True)
-class Solution:
+class Minimum:
     """The end of a search: the last iterate with its linearisation, the reason of the end."""
 
     linear: Linearisation
@@ -73,8 +73,8 @@ def minimise(
     iterations: int = ITERATIONS,
     tolerance: float = TOLERANCE,
     progress: Callable[[Iteration], None] | None = None,
-    previous: Solution | None = None,
-) -> Solution:
+    previous: Minimum | None = None,
+) -> Minimum:
     """Search from z, or from the end of the search `previous`, with measured initial states.
 
     After an interrupt, or if no step reduces the merit, the result is the best iterate so far.
@@ -92,7 +92,7 @@ def minimise(
     linear = linearise(shooting, start, start, start.scales(outputs, correlated=False))
     history, reason = list(previous.history) if previous else [], f"{iterations} iterations"
     if previous and previous.reason == INTERRUPTED:
-        return Solution(linear, tuple(history), INTERRUPTED)
+        return Minimum(linear, tuple(history), INTERRUPTED)
     far, trust = True, (1.0, 1.0)
     try:
         for _ in range(iterations):
@@ -117,7 +117,7 @@ def minimise(
             linear = linearise(shooting, new, new, scales)
     except KeyboardInterrupt:
         reason = INTERRUPTED
-    return Solution(linear, tuple(history), reason)
+    return Minimum(linear, tuple(history), reason)
 
 
 def _next(

@@ -28,7 +28,7 @@ from fmus.identification.refinement.gauss_newton import (
     STUCK,
     TOLERANCE,
     Iteration,
-    Solution,
+    Minimum,
     minimise,
 )
 from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
@@ -195,13 +195,13 @@ def fit_predictions(
     z: Array,
     horizon: float = HORIZON,
     progress: Callable[[Iteration], None] | None = None,
-) -> Solution:
+) -> Minimum:
     """The first search: predictions over the horizon [s] from measured states."""
     edges = tuple(cut(run.time, horizon) for run in shooting.problem.training)
     return minimise(replace(shooting, edges=edges, detached=True), z, progress=progress)
 
 
-def result(shooting: Shooting, solution: Solution) -> RefinementResult:
+def result(shooting: Shooting, solution: Minimum) -> RefinementResult:
     """Statistics, and simulations with the estimated parameters."""
     problem, simulator = shooting.problem, shooting.simulator
     z, p = solution.z, problem.values_of(solution.z)
@@ -321,7 +321,7 @@ def multistart(refined: RefinementResult, count: int) -> Iterator[RandomStart]:
         yield RandomStart(z, apart, solution.history[-1].residual, iterations, joined)
 
 
-def _whole(shooting: Shooting, z: Array, predictions: Solution) -> Solution:
+def _whole(shooting: Shooting, z: Array, predictions: Minimum) -> Minimum:
     """The fit of whole recordings; an interrupt ends all searches."""
     solution = minimise(shooting, z, START_ITERATIONS, previous=predictions)
     if solution.reason == INTERRUPTED:

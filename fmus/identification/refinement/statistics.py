@@ -23,7 +23,7 @@ from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
-from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution
+from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Minimum
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import CondensedRun, Shooting, linearise
 from orchestrator.base.text import join_words
@@ -74,7 +74,7 @@ class Statistics:
         return np.asarray(self.covariance / np.outer(sd, sd))
 
 
-def statistics(solution: Solution, prior_sd: Array, by_inputs: Array) -> Statistics:
+def statistics(solution: Minimum, prior_sd: Array, by_inputs: Array) -> Statistics:
     """Statistics at the end of a search.
 
     prior_sd    prior standard deviations of z
@@ -136,7 +136,7 @@ def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Ar
     return np.asarray((count - 1) / count * all_changes.T @ all_changes + inverse @ prior @ inverse)
 
 
-def input_covariance(shooting: Shooting, solution: Solution) -> Array:
+def input_covariance(shooting: Shooting, solution: Minimum) -> Array:
     """Covariance of z that the noise of the inputs causes, shape (np, np): that which smoothing leaves."""
     parameters, names = len(solution.z), shooting.simulator.inputs
     if not any(run.input_noise for run in shooting.problem.training):

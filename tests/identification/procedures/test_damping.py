@@ -11,21 +11,21 @@ from kit import shards
 from kit.mistakes import problem, table
 
 from fmus.identification import results
-from fmus.identification.procedures.damping import CONTACTS, as_printed, identify, joint_damping
+from fmus.identification.procedures.damping import BY_JOINT, as_printed, identify, joint_damping
 from orchestrator.data.recording import Sensor
 
-JOINTS = tuple(CONTACTS)
+JOINTS = tuple(BY_JOINT)
 
 
 def truth(joint):
     """The value that the machine was simulated with."""
-    return KNOWN[CONTACTS[joint].theta].value
+    return KNOWN[BY_JOINT[joint].theta].value
 
 
 def found(record):
     """B, its standard deviation."""
     joint = record.text_condition("joint")
-    damping = joint_damping(CONTACTS[joint], [record], KNOWN)
+    damping = joint_damping(BY_JOINT[joint], [record], KNOWN)
     return damping.value, damping.sd
 
 
@@ -52,7 +52,7 @@ def test_intervals_have_their_coverage():
 def test_the_result_has_all_joints_with_figure_and_remarks():
     """One call with all recordings: three estimates by names of parameters.toml, Fig. 9, no false alarm."""
     result = identify([recording(j, seed=1) for j in JOINTS], KNOWN)
-    assert {e.name: e.unit for e in result.estimates} == {c.parameter: c.unit for c in CONTACTS.values()}
+    assert {e.name: e.unit for e in result.estimates} == {c.parameter: c.unit for c in BY_JOINT.values()}
     for e, joint in zip(result.estimates, JOINTS, strict=True):
         # 3.3 standard deviations: 1 in 1000, seeds are fixed
         assert abs(e.value - truth(joint)) < 3.3 * e.sd
@@ -75,7 +75,7 @@ def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected()
             shaken = changed(
                 told, {"manipulator.stick_angle": told["manipulator.stick_angle"] + sign * noise}
             )
-            _, *one = as_printed([shaken], joint, CONTACTS[joint].theta, P)[size]
+            _, *one = as_printed([shaken], joint, BY_JOINT[joint].theta, P)[size]
             plain.append(one[0])
             corrected.append(one[1])
     lost, left = (np.mean(x) / truth(joint) - 1 for x in (plain, corrected))

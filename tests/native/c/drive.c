@@ -9,7 +9,7 @@
        make I cs|me               begin I TIME TOLERANCE     end I
        set I REFERENCE VALUE      get I FIRST COUNT          slopes I FIRST COUNT
        step I LENGTH COUNT        euler I LENGTH COUNT STATES
-       along I UNKNOWN KNOWN      against I UNKNOWN KNOWN
+       along I UNKNOWN KNOWN
        save I                     restore I                  forget I
        write I FILE               read I FILE                at I TIME
        reset I                    free I
@@ -51,11 +51,11 @@ static int print(Run *run, Slot *s, Get *get, const char *rest) {
     return status;
 }
 
-static int derive(Run *run, Slot *s, int (*get)(void *, unsigned, unsigned, double *), const char *rest) {
+static int derive(Run *run, Slot *s, const char *rest) {
     unsigned unknown, known;
     double value;
     if (sscanf(rest, "%u %u", &unknown, &known) != 2) return NOT_A_COMMAND;
-    const int status = get(s->c, unknown, known, &value);
+    const int status = fmu_along(s->c, unknown, known, &value);
     if (!status) fprintf(run->out, "%.17g\n", value);
     return status;
 }
@@ -135,8 +135,7 @@ static int command(Run *run, const char *word, Slot *s, const char *rest) {
     if (IS("get")) return print(run, s, fmu_get, rest);
     if (IS("slopes")) return print(run, s, fmu_slopes, rest);
     if (IS("step") || IS("euler")) return advance(s, rest);
-    if (IS("along")) return derive(run, s, fmu_along, rest);
-    if (IS("against")) return derive(run, s, fmu_against, rest);
+    if (IS("along")) return derive(run, s, rest);
     if (IS("save")) return fmu_save(s->c, &s->state);
     if (IS("restore")) return fmu_restore(s->c, s->state);
     if (IS("forget")) return fmu_forget(s->c, &s->state);

@@ -19,7 +19,6 @@ int fmu_set(void *c, unsigned reference, double value);
 int fmu_get(void *c, const unsigned references[], size_t n, double values[]);
 int fmu_slopes(void *c, const unsigned references[], size_t n, double values[]); /* of outputs */
 int fmu_along(void *c, unsigned unknown, unsigned known, double *value);
-int fmu_against(void *c, unsigned unknown, unsigned known, double *value);
 
 int fmu_step(void *c, double time, double length);
 int fmu_euler(void *c, double time, double length, size_t states); /* model exchange: one explicit step */

@@ -71,11 +71,6 @@ int fmu_along(void *c, unsigned unknown, unsigned known, double *value) {
     return (int)GetDirectionalDerivative(c, &unknown, 1, &known, 1, &seed, value);
 }
 
-/* FMI 2 has one way only. */
-int fmu_against(void *c, unsigned unknown, unsigned known, double *value) {
-    return fmu_along(c, unknown, known, value);
-}
-
 int fmu_step(void *c, double time, double length) { return (int)DoStep(c, time, length, fmi2True); }
 
 int fmu_euler(void *c, double time, double length, size_t states) {

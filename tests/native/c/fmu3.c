@@ -8,7 +8,7 @@
 #define FUNCTIONS(X)                                                                                         \
     X(InstantiateCoSimulation) X(InstantiateModelExchange) X(FreeInstance) X(EnterInitializationMode)        \
     X(ExitInitializationMode) X(Reset) X(GetFloat64) X(SetFloat64) X(GetDirectionalDerivative)               \
-    X(GetAdjointDerivative) X(GetFMUState) X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize)          \
+    X(GetFMUState) X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize)          \
     X(SerializeFMUState) X(DeserializeFMUState) X(UpdateDiscreteStates) X(EnterContinuousTimeMode)           \
     X(SetTime) X(SetContinuousStates) X(GetContinuousStateDerivatives) X(GetContinuousStates)                \
     X(CompletedIntegratorStep) X(GetOutputDerivatives) X(DoStep)
@@ -72,11 +72,6 @@ int fmu_slopes(void *c, const unsigned references[], size_t n, double values[]) 
 int fmu_along(void *c, unsigned unknown, unsigned known, double *value) {
     const double seed = 1.0;
     return (int)GetDirectionalDerivative(c, &unknown, 1, &known, 1, &seed, 1, value, 1);
-}
-
-int fmu_against(void *c, unsigned unknown, unsigned known, double *value) {
-    const double seed = 1.0;
-    return (int)GetAdjointDerivative(c, &unknown, 1, &known, 1, &seed, 1, value, 1);
 }
 
 int fmu_step(void *c, double time, double length) {

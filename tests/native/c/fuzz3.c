@@ -183,20 +183,6 @@ static void try_directional(void) {
     forget_arguments(&unknown);
 }
 
-static void try_adjoint_of(void) {
-    Arguments known = arguments(0, FIRST_DERIVATIVE), unknown = arguments(FIRST_STATE, NUMBER_OF_VARIABLES);
-    start("fmi3GetAdjointDerivative");
-    const int status = judge((int)fmi3GetAdjointDerivative(
-                                 instance_of(slot_in(INITIALIZATION | SIMULATING)), maybe(unknown.references),
-                                 unknown.claimed, maybe(known.references), known.claimed, maybe(unknown.seed),
-                                 count_of(&unknown), maybe(known.results), count_of(&known)),
-                             known.results, known.n);
-    check_known(status, &known);
-    check_known(status, &unknown);
-    forget_arguments(&known);
-    forget_arguments(&unknown);
-}
-
 static void try_output_derivatives(void) {
     Arguments a = arguments(FIRST_OUTPUT, NUMBER_OF_VARIABLES);
     start("fmi3GetOutputDerivatives");
@@ -392,7 +378,6 @@ static const Choice TABLE[] = {
     {try_get_float, 20},
     {try_set_float, 20},
     {try_directional, 12},
-    {try_adjoint_of, 12},
     {try_output_derivatives, 8},
     {try_other_types, 1},
     {try_clocks, 1},
