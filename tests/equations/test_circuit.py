@@ -3,11 +3,11 @@
 import casadi as ca
 import numpy as np
 import pytest
-from kit.equations import number
+from kit.equations import JOINTS, number
 
 from fmus.components.chamber import AeratedOil
 from fmus.components.circuit import GROUND, SUPPLY, TANK, Branch, Circuit, Kind, Node
-from fmus.contract import Subsystem, column, quantities, symbols
+from fmus.contract import Subsystem, column, quantities, stack, symbols
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
 
@@ -73,16 +73,16 @@ def test_power_into_a_node_is_what_it_stores_and_what_its_oil_takes_along():
 # ---- the paper's figures: its branches, by symbol, between the nodes of the variant
 
 FIG_2 = {
-    ("C_R", SUPPLY, "swing_valve_pressure_a"),
-    ("I_1", "swing_valve_pressure_a", "swing_pressure_a"),
-    ("R_1", "swing_pressure_a", "swing_motor_pressure_a"),
-    ("R_in", "swing_motor_pressure_a", "swing_motor_pressure_b"),
-    ("D_m N", "swing_motor_pressure_a", "swing_motor_pressure_b"),
-    ("R_e1", "swing_motor_pressure_a", TANK),
-    ("R_e2", "swing_motor_pressure_b", TANK),
-    ("R_2", "swing_motor_pressure_b", "swing_pressure_b"),
-    ("I_2", "swing_pressure_b", "swing_valve_pressure_b"),
-    ("C_Re", "swing_valve_pressure_b", TANK),
+    ("C_R", SUPPLY, "valve_pressure_a"),
+    ("I_1", "valve_pressure_a", "pressure_a"),
+    ("R_1", "pressure_a", "motor_pressure_a"),
+    ("R_in", "motor_pressure_a", "motor_pressure_b"),
+    ("D_m N", "motor_pressure_a", "motor_pressure_b"),
+    ("R_e1", "motor_pressure_a", TANK),
+    ("R_e2", "motor_pressure_b", TANK),
+    ("R_2", "motor_pressure_b", "pressure_b"),
+    ("I_2", "pressure_b", "valve_pressure_b"),
+    ("C_Re", "valve_pressure_b", TANK),
 }
 FIG_3 = {
     ("C_R", SUPPLY, "head_valve_pressure"),
@@ -93,7 +93,7 @@ FIG_3 = {
     ("C_Re", "rod_valve_pressure", TANK),
 }
 # correction E7: the edges that the other direction opens
-OTHER_EDGES = {"swing": ("swing_valve_pressure_b", "swing_valve_pressure_a")}
+OTHER_EDGES = {"swing": ("valve_pressure_b", "valve_pressure_a")}
 OTHER_EDGES |= dict.fromkeys(("boom", "stick"), ("rod_valve_pressure", "head_valve_pressure"))
 
 
@@ -129,8 +129,7 @@ def drawn(sub: Subsystem) -> dict[str, Circuit]:
 def at_random(sub: Subsystem, expressions, rng):
     """Expressions of x, u, p at pressures up to 40 MPa, with the parameters of the file."""
     x, u, p = groups(sub)
-    stacked = [column(*vars(g).values()) for g in (x, u, p)]
-    found = ca.Function("f", stacked, [column(*expressions(sub.circuits(x, u, p)))])
+    found = ca.Function("f", [stack(g) for g in (x, u, p)], [column(*expressions(sub.circuits(x, u, p)))])
     own = values(sub)
 
     def one(name, quantity, start):
@@ -152,7 +151,7 @@ def test_every_variant_is_drawn(name):
     circuits = drawn(sub)
     assert circuits
     for circuit_name, circuit in circuits.items():
-        prefix = f"{circuit_name}_" if circuit_name in ("boom", "stick") else ""
+        prefix = f"{circuit_name}_" if circuit_name in JOINTS else ""
         for branch in circuit.branches.values():
             assert {branch.start, branch.end} <= circuit.nodes.keys()
             assert branch.start != branch.end

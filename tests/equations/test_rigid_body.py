@@ -10,7 +10,7 @@ from kit.equations import Part
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from fmus.contract import symbols
+from fmus.contract import stack, symbols
 from fmus.manipulator import VARIANTS
 from fmus.manipulator.arm import mechanics
 from fmus.parameters import values
@@ -27,7 +27,7 @@ def mechanics_of(variant):
     x, p = symbols(sub.states), symbols(sub.parameters)
     motion = mechanics(x, p, sub.dynamics.args[0].head)
     terms = [motion.mass, motion.coriolis, motion.gravity, motion.kinetic, motion.potential]
-    return ca.Function("mechanics", [ca.vertcat(*vars(group).values()) for group in (x, p)], terms)
+    return ca.Function("mechanics", [stack(x), stack(p)], terms)
 
 
 @cache

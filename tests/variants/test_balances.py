@@ -1,5 +1,6 @@
-"""Every drive at random states: what any variant of swing, boom and stick must keep, whatever its circuit."""
+"""Every drive at random states: what any axes in any variant must keep, whatever their circuit."""
 
+from dataclasses import is_dataclass, replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -10,14 +11,47 @@ from equations.circuits_transcription import air
 from kit.equations import Part, cavity, piston_areas
 
 from fmus import boom_stick, swing
-from fmus.contract import quantities
+from fmus.contract import Subsystem, family, quantities, symbols
+from fmus.drives import cylinder, motor
+from fmus.drives.compensated import COMPENSATED
+from fmus.drives.cylinder import CYLINDER
+from fmus.drives.detailed import detailed
+from fmus.drives.drive import Axis, Fidelity, part
+from fmus.drives.lumped import LUMPED
+from fmus.drives.motor import MOTOR
+from fmus.drives.quasistatic import QUASISTATIC
 from fmus.machine.parts import FAMILIES
-from fmus.parameters import values
+from fmus.parameters import numbers, values
 
 PARTS = ("swing", "boom_stick")
+# a crane of one's own: a valve for two axes, another one for the third
+AXES = (
+    Axis("lift", CYLINDER, cylinder.Inputs),
+    Axis("slew", MOTOR, motor.Inputs),
+    Axis("grab", CYLINDER, cylinder.Inputs, own_valve=True),
+)
+FROM = {"lift_": "boom_", "grab_valve_": "valve_", "grab_": "stick_", "slew_": ""}
+
+
+def crane(variant: str, fidelity: Fidelity) -> Subsystem:
+    """The crane with the numbers of the harvester's drives."""
+    sub = part("crane", AXES, fidelity, text="Crane", validity="-")
+    known = {n: q for name in PARTS for n, q in numbers(FAMILIES[name][variant])["parameters"].items()}
+    found = {}
+    for name in quantities(sub.parameters):
+        begin = next((b for b in FROM if name.startswith(b)), "")
+        source = FROM.get(begin, "") + name.removeprefix(begin)
+        found[name] = known[source if source in known else f"swing_{source}"]
+    return replace(sub, numbers={"parameters": found, "start": {}})
+
+
+FIDELITIES = {"lumped": LUMPED, "quasistatic": QUASISTATIC, "compensated": COMPENSATED}
+FIDELITIES["detailed"] = detailed(lambda axis: 1 + len(axis.name) % 2)
+CRANES = family("crane", **{variant: crane(variant, fidelity) for variant, fidelity in FIDELITIES.items()})
 DRIVES = {f"{part} {name}": sub for part in PARTS for name, sub in FAMILIES[part].items()} | {
     "swing, three lumps": swing.with_lumps(3),
     "boom_stick, different lumps": boom_stick.with_lumps({"boom": 1, "stick": 4}),
+    **{f"{variant} crane": sub for variant, sub in CRANES.items()},
 }
 drives = pytest.mark.parametrize("name", DRIVES)
 
@@ -47,16 +81,20 @@ def random_point(part, rng):
     return np.array([*x.values()]), u
 
 
+def ports(part):
+    """Force and velocity of each cylinder, torque and speed of each motor."""
+    for name, motion in (("force", "velocity"), ("torque", "speed")):
+        axes = [n.removesuffix(f"_{motion}") for n in part.inputs if n.endswith(f"_{motion}")]
+        yield from ((f"{axis}_{name}", f"{axis}_{motion}") for axis in axes)
+
+
 @drives
 def test_energy_balance_closes_to_rounding(name):
     """Power in + convected = d(stored)/dt + heat at random states, and no heat is negative."""
     part, rng = drive(name), np.random.default_rng(4)
     u, y = part.expressions["u"], part.expressions["y"]
     power = u["supply_pressure"] * y["supply_flow"] - u["tank_pressure"] * y["return_flow"]
-    if part.sub.part == "swing":
-        power -= y["swing_torque"] * u["swing_speed"]
-    else:
-        power += y["convected_power"] - sum(y[f"{a}_force"] * u[f"{a}_velocity"] for a in ("boom", "stick"))
+    power += y.get("convected_power", 0) - sum(y[effort] * u[motion] for effort, motion in ports(part))
     balance = part.of(power, part.along(y["stored_energy"]), y["dissipated_power"])
     for _ in range(100):
         x, given = random_point(part, rng)
@@ -71,17 +109,17 @@ def test_rates_are_exact_and_forces_depend_on_states_alone(name):
     """A rate output is the derivative along the solution; no input moves a force or torque at once.
 
     The load pressure refers to the return line, which has no rate, so only its rate is compared. The torque
-    of the lumped swing follows its speed: docs/design.md, "The cut between the FMUs".
+    of a lumped motor follows its speed: docs/design.md, "The cut between the FMUs".
     """
     part, rng = drive(name), np.random.default_rng(5)
     u, y = part.expressions["u"], part.expressions["y"]
     names = [n for n in y if f"{n}_rate" in y]
     assert f"{part.sub.part}_load_pressure" in names
-    resistive = part.sub.variant == "lumped" and part.sub.part == "swing"
     for moved in names:
         if not moved.endswith("load_pressure"):
             followed = {n for n in u if ca.depends_on(y[moved], u[n])}
-            assert followed <= ({"swing_speed", "tank_pressure"} if resistive else set())
+            resistive = part.sub.variant == "lumped" and moved.endswith("_torque")
+            assert followed <= ({moved.replace("torque", "speed"), "tank_pressure"} if resistive else set())
         both = part.of(y[f"{moved}_rate"], part.along(y[moved]))
         for _ in range(20):
             x, given = random_point(part, rng)
@@ -128,6 +166,26 @@ def test_oil_is_neither_made_nor_lost(name):
         terms = [y["supply_flow"], -y["return_flow"], *(-q for q in (*filled, *swept))]
         # exact identity; rounding of the largest term, which a cavity makes large
         assert sum(terms) == pytest.approx(0, abs=1e-11 * sum(map(abs, terms)))
+
+
+@pytest.mark.parametrize("variant", CRANES)
+def test_the_variables_of_own_axes_have_the_name_of_their_axis(variant):
+    """Common ones have none, those of an own valve that of its axis; no name stands for two variables."""
+    sub = CRANES[variant]
+
+    def variables(group):
+        return sum(variables(v) if is_dataclass(v) else 1 for v in vars(group).values())
+
+    groups = (sub.parameters, sub.inputs, sub.states, sub.outputs)
+    assert [variables(symbols(group)) for group in groups] == [len(quantities(group)) for group in groups]
+    p, u, x, y = map(quantities, groups)
+    assert {"density", "valve_leakage", "grab_valve_leakage", "lift_hose_length", "slew_line_length"} <= set(
+        p
+    )
+    assert not [n for n in p if n.startswith(("lift_valve", "slew_valve", "slew_hose", "grab_line"))]
+    assert {"supply_pressure", "lift_command", "grab_velocity", "slew_speed"} <= set(u)
+    assert {"lift_head_pressure", "grab_rod_pressure", "slew_pressure_a"} <= set(x)
+    assert {"crane_load_pressure", "supply_flow", "slew_torque", "grab_force_rate"} <= set(y)
 
 
 @pytest.mark.parametrize(("variant", "least"), [("detailed", 20), ("compensated", 12)])
