@@ -88,7 +88,9 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
     del values[time]
-    quality = examine(Recording(time_axis(columns, time, units[time]), values, in_si, data, sensors=shown))
+    logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]))] for n in values}
+    seconds = time_axis(columns, time, units[time])
+    quality = examine(Recording(seconds, values, in_si, data, sensors=shown, faults=logged))
     sensors = _sensors(procedure)
     dimensions, proposed = {parse_unit(unit).exponents for unit in sensors}, set[str]()
     rows, lines = list[Sequence[str]](), list[str]()
@@ -116,8 +118,7 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     use = f"harvester identify {out.parent}" if procedure else f"harvester validate --reference {data}"
     after = f"{out}: written; fill in the names of the signals, then: {use}"
     about = f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"
-    faults = [f"{n}: {f}" for n in in_si for f in log_faults(columns.values[n], SignalDescription(units[n]))]
-    return "\n".join([about, *table, *unread, *quality.remarks(), *faults, after])
+    return "\n".join([about, *table, *unread, *quality.remarks(), after])
 
 
 def _text(text: str) -> str:

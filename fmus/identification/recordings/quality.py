@@ -5,7 +5,7 @@
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,7 @@ class SignalQuality:
     step        quantisation step estimated from the samples, 0 if there is none
     noise       noise estimated from the samples
     moving      noise of the samples that differ from their neighbours
+    logged      what the logger has probably done
     unused      cause of `masks.faults` -> fraction of the samples, and a text, empty if there are none
     """
 
@@ -56,6 +57,7 @@ class SignalQuality:
     step: float
     noise: float
     moving: float
+    logged: Sequence[str]
     unused: Mapping[str, tuple[float, str]]
 
     def faults(self) -> list[str]:
@@ -88,7 +90,8 @@ class SignalQuality:
             f"{steps}, finer than {resolution}.": 0 < self.step < FINE * known,
             f"{steps} without a stated resolution.": known == 0 and visible,
         }
-        return [sentence for sentence, true in tests.items() if true]
+        logged = [f"{fault}." for fault in self.logged]
+        return logged + [sentence for sentence, true in tests.items() if true]
 
     def row(self) -> tuple[str, ...]:
         """The signal's row of the table."""
@@ -150,7 +153,7 @@ def examine(recording: Recording) -> Quality:
         unused = {
             cause: _unused(mask, recording.time) for cause, mask in masks.faults(recording, name).items()
         }
-        found = (float(low), float(high), masks.step(values), *noises, unused)
+        found = (float(low), float(high), masks.step(values), *noises, recording.faults.get(name, ()), unused)
         signals.append(SignalQuality(name, recording.units[name], sensor, *found))
     return Quality(recording.source.name, *_clock(recording), signals)
 
