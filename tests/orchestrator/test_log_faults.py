@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.identification.recordings.quality import examine
+from fmus.identification.recordings.reading import doubtful
 from orchestrator.base.errors import Problem
 from orchestrator.data.corrections import corrected, log_faults
 from orchestrator.data.description import SignalDescription
@@ -142,13 +142,13 @@ def test_a_signal_on_another_clock_has_gaps_only_where_it_is_slower():
 
 
 def test_the_keys_work_in_a_file(tmp_path, capsys):
-    """Without them one line names the column and the key, in the quality of a recording, too."""
+    """Without them one line names the column and the key, in the warnings of `identify`, too."""
     rows = np.column_stack([TIME, np.where(ROW % 500 == 9, 6553.5, NOISY), 3 * ANGLE % 360])
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,p,a", comments="")
     text = '[signals.p]\nunit = "bar"\n{}\n[signals.a]\nunit = "deg"\n{}\n'
     (tmp_path / "a.toml").write_text(text.format("", ""), encoding="utf-8")
-    told = [line for line in examine(read_recording(tmp_path / "a.csv")).remarks() if " = " in line]
-    assert [line[:10] for line in told] == ["p: 4 sampl", "a: jumps 2"]
+    told = doubtful([read_recording(tmp_path / "a.csv")])
+    assert [line.partition(": ")[2][:10] for line in told] == ["p: 4 sampl", "a: jumps 2"]
     read_trace(tmp_path / "a.csv")
     told = capsys.readouterr().err.splitlines()
     assert [line.partition(": ")[2][:10] for line in told] == ["p: 4 sampl", "a: jumps 2"]

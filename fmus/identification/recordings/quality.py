@@ -1,18 +1,18 @@
 """Quality of a recording: `examine` checks its clock and its signals against their description.
 
-`Quality.remarks` reports faults in sentences, `Quality.table` lists all signals. Faulty samples come from
-`masks`. A magnitude that no machine reaches indicates a wrong unit.
+`Quality.remarks` reports faults in sentences. Faulty samples come from `masks`. A magnitude that no machine
+reaches indicates a wrong unit.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from fmus.identification.recordings import masks
 from fmus.identification.recordings.clock import GAP, UNIFORM, period
-from orchestrator.base.text import TextTable, display_unit
+from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
@@ -45,7 +45,6 @@ class SignalQuality:
     step        quantisation step estimated from the samples, 0 if there is none
     noise       noise estimated from the samples
     moving      noise of the samples that differ from their neighbours
-    logged      what the logger has probably done
     unused      cause of `masks.faults` -> fraction of the samples, and a text, empty if there are none
     """
 
@@ -57,7 +56,6 @@ class SignalQuality:
     step: float
     noise: float
     moving: float
-    logged: Sequence[str]
     unused: Mapping[str, tuple[float, str]]
 
     def faults(self) -> list[str]:
@@ -90,15 +88,7 @@ class SignalQuality:
             f"{steps}, finer than {resolution}.": 0 < self.step < FINE * known,
             f"{steps} without a stated resolution.": known == 0 and visible,
         }
-        logged = [f"{fault}." for fault in self.logged]
-        return logged + [sentence for sentence, true in tests.items() if true]
-
-    def row(self) -> tuple[str, ...]:
-        """The signal's row of the table."""
-        fractions = (f"{100 * fraction:.2g} %" if text else "-" for fraction, text in self.unused.values())
-        pairs = ((self.step, self.sensor.resolution), (self.noise, self.sensor.noise))
-        cells = (f"{self.show(v)} ({self.show(stated) if stated else '-'})" for v, stated in pairs)
-        return (self.name, *fractions, *cells)
+        return [sentence for sentence, true in tests.items() if true]
 
     def show(self, value: float) -> str:
         """A value in its display unit."""
@@ -134,14 +124,6 @@ class Quality:
                 remarks.append(f"{s.name}: {dead} in the sensor's dead zone of {zone}, not used.")
         return [*remarks, f"One value throughout: {', '.join(constant)}."] if constant else remarks
 
-    def table(self) -> str:
-        """One line for each signal: fractions of faulty samples, estimated (and stated) step and noise."""
-        head = ("signal", "gaps", "clipped", "stuck", "dead zone", "step (stated)", "noise (stated)")
-        lines = TextTable(head, [signal.row() for signal in self.signals], left=range(len(head))).lines()
-        return "\n".join(
-            [f"{self.source}: {self.rate:.6g} Hz, jitter {round(1e3 * self.jitter, 6):.2g} ms", *lines]
-        )
-
 
 def examine(recording: Recording) -> Quality:
     """The quality of a recording, from its samples and its description."""
@@ -153,7 +135,7 @@ def examine(recording: Recording) -> Quality:
         unused = {
             cause: _unused(mask, recording.time) for cause, mask in masks.faults(recording, name).items()
         }
-        found = (float(low), float(high), masks.step(values), *noises, recording.faults.get(name, ()), unused)
+        found = (float(low), float(high), masks.step(values), *noises, unused)
         signals.append(SignalQuality(name, recording.units[name], sensor, *found))
     return Quality(recording.source.name, *_clock(recording), signals)
 

@@ -79,7 +79,7 @@ LONGEST = 1e4  # [s]; a longer recording is in milliseconds
 
 
 def doubtful(recordings: Iterable[Recording]) -> list[str]:
-    """Signals and times of recordings that are a factor 1000 from usual, with the unit that may be meant."""
+    """Signals and times a factor 1000 from usual, with the unit that may be meant, and faults of loggers."""
     told: list[str] = []
     for r in recordings:
         rows = []
@@ -88,7 +88,7 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
             factor, offset = factor_and_offset(unit, r.file_units.get(name, unit), name)
             usual = [factor * size + offset for size in USUAL.get(unit, ())]  # in the unit of the file
             rows.append((f"{r.source}: {name}", *r.peak(name), usual))
-        told += doubts(rows)
+        told += [*doubts(rows), *r.log_faults()]
         if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
             told.append(f"{r.source}: {end:.6g} s; did you mean ms?")
         if r.procedure in MACHINE_SIGNALS and abs(slope := _stick_over_boom(r)) > 0.5:

@@ -136,14 +136,15 @@ def test_parameters_and_an_effect_are_told_apart(excitation, effects):
 
 @pytest.mark.parametrize("delay", [0.01, -0.015])
 def test_commands_at_another_time_are_named_with_their_delay(excitation, effects, delay):
-    """The machine acts on the commands of other times; linear in the delay to some percent."""
+    """The machine acts on the commands of other times."""
     moved = {n: MOVES[n].sample(excitation.time - delay) for n in COMMANDS}
     now, then = (predict(e, {}) for e in (excitation, replace(excitation, commands=moved)))
     residual = {n: then[n] - now[n] for n in effects[attribution.LATE]}
     explanation = attribution.explain(noisy(residual, 0.1), effects, step=STEP)
     assert explanation.effect == (attribution.LATE if delay > 0 else attribution.EARLY)
     told = float(re.search(r"`delay = (\S+)` at each command", explanation.verdict)[1])
-    assert told == pytest.approx(delay, rel=0.1)
+    # linear in the delay, to a fifth
+    assert told == pytest.approx(delay, rel=0.2)
 
 
 def test_gaps_do_not_count(effects):
