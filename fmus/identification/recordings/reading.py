@@ -83,7 +83,7 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
     told: list[str] = []
     for r in recordings:
         rows = []
-        for name in r.signals:
+        for name in (n for n in r.signals if not r.faults.get(n)):  # such as an error code
             unit = r.units[name]
             factor, offset = factor_and_offset(unit, r.file_units.get(name, unit), name)
             usual = [factor * size + offset for size in USUAL.get(unit, ())]  # in the unit of the file
