@@ -8,7 +8,7 @@ are both recordings. `write_recording` writes a computed recording.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -101,6 +101,7 @@ class Recording(Trace):
     start, stop  limits of the evaluated window [s]
     metadata     the table [reference] of the description: title, kind, origin, solver, date, change ...
     description  the TOML file that describes the columns, if there is one
+    faults       signal -> what its logger has probably done, see `log_faults`
     """
 
     source: Path = Path("recording")
@@ -116,6 +117,7 @@ class Recording(Trace):
     stop: float = math.inf
     metadata: Mapping[str, str | float] = field(default_factory=dict)
     description: Path | None = None
+    faults: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def _only(self, variable: str) -> NoReturn:
         """A recording has no short names."""
@@ -136,6 +138,10 @@ class Recording(Trace):
         if self.description:
             return f"{self.description}: signals.{toml.quote_key(name)}"
         return f"{self.source}: {name}"
+
+    def log_faults(self) -> Iterator[str]:
+        """A line for each fault of the logger."""
+        yield from (f"{self.source}: {name}: {fault}" for name in self for fault in self.faults.get(name, ()))
 
     def sensor(self, name: str) -> Sensor:
         """The instrument of a signal; without properties if the description contains none."""
@@ -232,8 +238,6 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         if not spec.unit:
             where = f"{description_file}: signals.{toml.quote_key(name)}"
             raise Problem(f"{where}: unit: expected a text, got nothing")
-        for fault in log_faults(columns.values[column[name]], spec):
-            tell_once(f"{file}: {name}: {fault}")
         # a calibrated column may have another unit than in the file
         unit = columns.units.get(column[name], spec.unit) if spec.factor == 1 else spec.unit
         if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
@@ -268,6 +272,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         stop=description.time.stop,
         metadata={key: value for key, value in about.items() if value not in ("", None)},
         description=description_file,
+        faults={name: [*log_faults(columns.values[column[name]], spec)] for name, spec in specs},
     )
 
 

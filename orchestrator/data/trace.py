@@ -305,7 +305,10 @@ def read_trace(path: str | Path | Location) -> Trace:
     if description and description.signals:
         from orchestrator.data.recording import read_recording
 
-        return read_recording(file.path).filled()
+        recording = read_recording(file.path)
+        for fault in recording.log_faults():
+            tell_once(fault)
+        return recording.filled()
     return trace_of(file, description)
 
 

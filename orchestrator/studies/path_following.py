@@ -11,10 +11,10 @@ angle), not from what the controller reports. A file of the machine has the name
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ from orchestrator.ssp.system import System
 
 RECORD_STEP = 5e-3  # [s], sampling interval of the paths
 SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal
+TURN = 1.0  # [s]; no crane turns once in this time
 FAR = 0.1  # [m]: a larger error is reported with its cause; usual errors are ten times smaller
 MM = 1e3
 WITH, WITHOUT = "-", (0, (3, 1.5))
@@ -192,6 +193,7 @@ def follow(
     """Run a system along the path of a scenario; a Problem names machine and path."""
     scenario = read_trace(path)
     points(scenario, names.path, str(path))  # a file without a path is reported before anything runs
+    scenario = unwrapped(scenario, names.path[-1])
     driven, values = completed(scenario, names), {**start, names.feedback: float(feedback)}
     limits = {name: limit for name, limit in names.limits.items() if system.has(name)}
     try:
@@ -214,6 +216,14 @@ def _lasting(use: Array, count: int) -> Array:
     if use.size >= count:
         least[count - 1 :] = np.lib.stride_tricks.sliding_window_view(use, count).min(axis=1)
     return least
+
+
+def unwrapped(scenario: Trace, name: str) -> Trace:
+    """The scenario with an angle that goes on where it jumps by a turn in less than `TURN`, as of arctan2."""
+    angle = scenario[name]
+    turns = np.round(np.diff(angle, prepend=angle[:1]) / math.tau)
+    turns[np.diff(scenario.time, prepend=-math.inf) > TURN] = 0
+    return replace(scenario, signals={**scenario.signals, name: angle - math.tau * np.cumsum(turns)})
 
 
 def completed(scenario: Trace, names: TrackedMachine) -> Trace:
@@ -343,7 +353,7 @@ def differences(system: System, names: TrackedMachine) -> list[str]:
         for name, value in {} if part == names.controller else component.real_parameters().items():
             assumed_name = f"{part}_{name}" if f"{part}_{name}" in assumed else name
             other = assumed.get(assumed_name)
-            if other is None or isclose(other, value, rel_tol=SAME_VALUE):
+            if other is None or math.isclose(other, value, rel_tol=SAME_VALUE):
                 continue
             variable = component.interface.variables[name]
             unit = variable.unit

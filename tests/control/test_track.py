@@ -24,6 +24,7 @@ from orchestrator.studies.path_following import (
     side_view,
     text,
     top_view,
+    unwrapped,
 )
 
 VARIANTS = ("swing=detailed", "boom_stick=detailed", "manipulator=pendulum_friction", "supply=engine_pump")
@@ -141,6 +142,19 @@ def test_a_plain_table_of_places_is_a_path(track, tmp_path):
     path = tmp_path / "mine.csv"
     path.write_text("time,path_radius,path_height,path_angle\n0,4,1,0\n2,4,1,0\n4,4,1.5,0.1\n6,4,1.5,0.1\n")
     assert track("--path", str(path), *ALONE, "--limit", "40")[0] == 0
+
+
+def test_an_angle_that_jumps_by_a_turn_is_the_same_path():
+    """Of arctan2, or of 0 to 360 degrees; a turn that takes a second or more is a turn."""
+    time = np.arange(0, 8, 0.02)
+    angle = np.pi + 0.9 * np.sin(time)
+    for wrapped in (np.angle(np.exp(1j * angle)), 2 * angle % (2 * np.pi)):
+        found = unwrapped(Trace(time, {"a": wrapped}), "a")["a"]
+        scale = 2 if wrapped.min() >= 0 else 1
+        np.testing.assert_allclose(np.diff(found), scale * np.diff(angle), atol=1e-12)  # rounding
+    for duration, turned in ((0.99, 0.0), (1.01, 2 * np.pi)):
+        turn = Trace(np.array([0.0, duration]), {"a": np.array([0.0, 2 * np.pi])})
+        assert unwrapped(turn, "a")["a"][1] == turned
 
 
 def test_a_missed_limit_is_reported(track, capsys):

@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fmus.identification.recordings.reading import doubtful
 from orchestrator.base.errors import Problem
 from orchestrator.data.corrections import corrected, log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.logger_files import at_times
 from orchestrator.data.recording import Recording, Sensor, fill_gaps, read_recording
+from orchestrator.data.trace import Trace, read_trace
+from orchestrator.results.validate_system import delay_note
 
 RNG = np.random.default_rng(11)
 ROW = np.arange(2000)
@@ -139,21 +142,50 @@ def test_a_signal_on_another_clock_has_gaps_only_where_it_is_slower():
 
 
 def test_the_keys_work_in_a_file(tmp_path, capsys):
-    """Without them one line names the column and the key."""
+    """Without them one line names the column and the key, in the warnings of `identify`, too."""
     rows = np.column_stack([TIME, np.where(ROW % 500 == 9, 6553.5, NOISY), 3 * ANGLE % 360])
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,p,a", comments="")
     text = '[signals.p]\nunit = "bar"\n{}\n[signals.a]\nunit = "deg"\n{}\n'
     (tmp_path / "a.toml").write_text(text.format("", ""), encoding="utf-8")
-    read_recording(tmp_path / "a.csv")
+    told = doubtful([read_recording(tmp_path / "a.csv")])
+    assert [line.partition(": ")[2][:10] for line in told] == ["p: 4 sampl", "a: jumps 2"]
+    read_trace(tmp_path / "a.csv")
     told = capsys.readouterr().err.splitlines()
     assert [line.partition(": ")[2][:10] for line in told] == ["p: 4 sampl", "a: jumps 2"]
     keys = "invalid = [6553.5]\ndelay = 0.005", "wrap = 360"
     (tmp_path / "a.toml").write_text(text.format(*keys), encoding="utf-8")
     made = read_recording(tmp_path / "a.csv")
+    assert [*made.log_faults()] == []
+    read_trace(tmp_path / "a.csv")
     assert capsys.readouterr().err == ""
     assert np.flatnonzero(np.isnan(made["p"])).tolist() == [10, 510, 1010, 1510]
     # 18 digits of the file
     np.testing.assert_allclose(made["a"], np.radians(3 * ANGLE - 360), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("delay", "error", "told"),
+    [
+        (0.04, 0.0, "0.04 s later"),
+        (-0.025, 0.0, "0.025 s earlier"),
+        (0.0, 0.05, ""),
+        (0.04, 0.1, "0.04 s later"),
+        (0.04, 0.2, ""),
+        (0.004, 0.0, ""),
+    ],
+)
+def test_a_reference_with_late_commands_names_the_delay(delay, error, told):
+    """The played command is left out; nothing is said of a short delay, or where other errors are large."""
+
+    def at(time):
+        return {"angle": np.sin(3 * time), "pressure": 1e7 * np.cos(5 * time) * np.exp(-time / 9)}
+
+    wrong = {name: values * (1 + error * np.sin(11 * TIME)) for name, values in at(TIME - delay).items()}
+    reference = Recording(TIME, wrong | {"lever": LEVER}, {})
+    line = delay_note(Trace(TIME, at(TIME) | {"lever": LEVER}), reference)
+    assert told in line
+    assert bool(line) == bool(told)
+    assert f"`delay = {delay:.2g}`" in line or not told
 
 
 def test_samples_far_outside_the_span_do_not_drive_a_simulation():

@@ -20,7 +20,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import write_whole
 from orchestrator.base.signals import bare_name
-from orchestrator.base.text import TextTable, first_names
+from orchestrator.base.text import first_names
 from orchestrator.base.units import COMMON, convert, parse_unit, si_unit
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
@@ -88,10 +88,13 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
     del values[time]
-    quality = examine(Recording(time_axis(columns, time, units[time]), values, in_si, data, sensors=shown))
+    logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]))] for n in values}
+    seconds = time_axis(columns, time, units[time])
+    recording = Recording(seconds, values, in_si, Path(data.name), sensors=shown, faults=logged)
+    quality = examine(recording)
     sensors = _sensors(procedure)
     dimensions, proposed = {parse_unit(unit).exponents for unit in sensors}, set[str]()
-    rows, lines = list[Sequence[str]](), list[str]()
+    lines = list[str]()
     for signal in quality.signals:
         column, unit = signal.name, units[signal.name]
         finite = columns.values[column][np.isfinite(columns.values[column])]
@@ -101,23 +104,21 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         names, may_be = _candidates(column, unit, sensors)
         name = next((n for n in names if n not in proposed), "NAME")
         proposed.add(name)
-        rows.append((column, unit or "?", extent, found, may_be or names[0]))
         keys = f"column = {_text(column)}, unit = {_text(unit or '?')}"
         if unit and parse_unit(unit).exponents not in dimensions:  # counts, mA, %
             keys = f'column = {_text(column)}, unit = "?", factor = 1.0, offset = 0.0'
-        about = "; ".join(filter(None, (f"{extent} {unit}".rstrip(), found, may_be)))
-        lines.append(f"# {column}: {about}\n{'# ' * bool(may_be)}{_text(name)} = {{ {keys} }}\n")
+        about = "; ".join(filter(None, (f"{column}: {extent} {unit or '?'}", found, may_be or names[0])))
+        lines.append(f"# {about}\n{'# ' * bool(may_be)}{_text(name)} = {{ {keys} }}\n")
     mark, conditions = "" if procedure else "# ", ", ".join(CONDITIONS.get(procedure, ()))
     experiment = f'{mark}[experiment]\n{mark}procedure = "{procedure or MACHINE}"'
     experiment += f"  # its conditions, see docs/recordings.md: {conditions}" if conditions else ""
     head = HEAD.format(_text(data.name), _text(time), _text(units[time]), experiment)
     write_whole(out, "\n".join([head, *lines]))
-    table = TextTable(("column", "unit", "range", "found", "may be"), rows, left=range(5)).lines()
     use = f"harvester identify {out.parent}" if procedure else f"harvester validate --reference {data}"
     after = f"{out}: written; fill in the names of the signals, then: {use}"
+    columns_found = [line.partition("\n")[0].removeprefix("# ") for line in lines]
     about = f"{data}: {len(columns.rows)} rows at {quality.rate:.6g} Hz, time in {time!r} [{units[time]}]"
-    faults = [f"{n}: {f}" for n in in_si for f in log_faults(columns.values[n], SignalDescription(units[n]))]
-    return "\n".join([about, *table, *unread, *quality.remarks(), *faults, after])
+    return "\n".join([about, *columns_found, *unread, *quality.remarks(), *recording.log_faults(), after])
 
 
 def _text(text: str) -> str:

@@ -1,7 +1,7 @@
 """Quality of a recording: `examine` checks its clock and its signals against their description.
 
-`Quality.remarks` reports faults in sentences, `Quality.table` lists all signals. Faulty samples come from
-`masks`. A magnitude that no machine reaches indicates a wrong unit.
+`Quality.remarks` reports faults in sentences. Faulty samples come from `masks`. A magnitude that no machine
+reaches indicates a wrong unit.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 
 from fmus.identification.recordings import masks
 from fmus.identification.recordings.clock import GAP, UNIFORM, period
-from orchestrator.base.text import TextTable, display_unit
+from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
@@ -90,13 +90,6 @@ class SignalQuality:
         }
         return [sentence for sentence, true in tests.items() if true]
 
-    def row(self) -> tuple[str, ...]:
-        """The signal's row of the table."""
-        fractions = (f"{100 * fraction:.2g} %" if text else "-" for fraction, text in self.unused.values())
-        pairs = ((self.step, self.sensor.resolution), (self.noise, self.sensor.noise))
-        cells = (f"{self.show(v)} ({self.show(stated) if stated else '-'})" for v, stated in pairs)
-        return (self.name, *fractions, *cells)
-
     def show(self, value: float) -> str:
         """A value in its display unit."""
         unit = display_unit(self.unit)
@@ -130,14 +123,6 @@ class Quality:
                 zone = s.show(s.sensor.dead_zone)
                 remarks.append(f"{s.name}: {dead} in the sensor's dead zone of {zone}, not used.")
         return [*remarks, f"One value throughout: {', '.join(constant)}."] if constant else remarks
-
-    def table(self) -> str:
-        """One line for each signal: fractions of faulty samples, estimated (and stated) step and noise."""
-        head = ("signal", "gaps", "clipped", "stuck", "dead zone", "step (stated)", "noise (stated)")
-        lines = TextTable(head, [signal.row() for signal in self.signals], left=range(len(head))).lines()
-        return "\n".join(
-            [f"{self.source}: {self.rate:.6g} Hz, jitter {round(1e3 * self.jitter, 6):.2g} ms", *lines]
-        )
 
 
 def examine(recording: Recording) -> Quality:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
+from orchestrator.base.signals import rms
 from orchestrator.base.text import first_names
 from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
@@ -70,23 +71,40 @@ USUAL: Mapping[str, tuple[float, float]] = {
     **{"Pa": (1e5, 1e7), "m3/s": (1e-4, 1e-3), "m": (0.1, 1.0), "m/s": (0.1, 1.0), "V": (1.0, 10.0)},
     **{"rad": (0.1, 1.0), "rad/s": (0.1, 10.0), "N": (1e3, 1e5), "kg": (10.0, 1e3)},
 }
+BOOM, STICK, LEVER = "manipulator.boom_angle", "manipulator.stick_angle", "boom_stick.stick_command"
+SPARSE = 20  # rows between samples of these, in which angles change by more than their noise
+AT_REST = 0.02  # of its largest value: a lever
+LEAST_MOTION = 2e-3  # [rad] per `SPARSE` rows, ten times the noise of an encoder
 LONGEST = 1e4  # [s]; a longer recording is in milliseconds
 
 
 def doubtful(recordings: Iterable[Recording]) -> list[str]:
-    """Signals and times of recordings that are a factor 1000 from usual, with the unit that may be meant."""
+    """Signals and times a factor 1000 from usual, with the unit that may be meant, and faults of loggers."""
     told: list[str] = []
     for r in recordings:
         rows = []
-        for name in r.signals:
+        for name in (n for n in r.signals if not r.faults.get(n)):  # such as an error code
             unit = r.units[name]
             factor, offset = factor_and_offset(unit, r.file_units.get(name, unit), name)
             usual = [factor * size + offset for size in USUAL.get(unit, ())]  # in the unit of the file
             rows.append((f"{r.source}: {name}", *r.peak(name), usual))
-        told += doubts(rows)
+        told += [*doubts(rows), *r.log_faults()]
         if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
             told.append(f"{r.source}: {end:.6g} s; did you mean ms?")
+        if r.procedure in MACHINE_SIGNALS and abs(slope := _stick_over_boom(r)) > 0.5:
+            of = f"{r.source}: {STICK} moves by {slope:.2g} of {BOOM} while the stick's lever is at rest"
+            told.append(f"{of}: is it the pitch of an inertial sensor? Subtract that of the boom")
     return told
+
+
+def _stick_over_boom(recording: Recording) -> float:
+    """Change of the stick's angle over that of the boom's, while its lever is at rest; 0 if unknown."""
+    if not {BOOM, STICK, LEVER} <= recording.signals.keys():
+        return 0.0
+    boom, stick, lever = (recording.interpolated(n)[::SPARSE] for n in (BOOM, STICK, LEVER))
+    rest = np.abs(lever) <= AT_REST * np.abs(lever).max()
+    moved, followed = (np.diff(angle)[rest[1:] & rest[:-1]] for angle in (boom, stick))
+    return float(moved @ followed / (moved @ moved)) if rms(moved) > LEAST_MOTION else 0.0
 
 
 def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:

@@ -16,9 +16,8 @@ shares add up to the share that all effects explain.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from itertools import permutations
+from dataclasses import dataclass, replace
+from itertools import permutations, repeat
 
 import numpy as np
 import statsmodels.api as sm
@@ -45,6 +44,8 @@ EFFECTS: Mapping[str, Mapping[str, str]] = {
     "hose walls, air and spool of the swing": {"swing": "detailed"},
     "pump and engine": {"supply": "engine_pump"},
 }
+SHIFT = 0.02  # s, of the commands; the signals change nearly in proportion to it
+LATE, EARLY = (f"commands {SHIFT:g} s {than} than logged" for than in ("later", "earlier"))
 ABOVE_NOISE = 1.5  # rms residual over the sensor's noise below which a signal is left out
 MEMORY = 0.5  # s, lag up to which samples of a residual are assumed to be correlated
 LEAST = 0.2  # share above which an effect is reported
@@ -61,14 +62,18 @@ def candidate_effects(excitation: Excitation) -> dict[str, Mapping[str, str]]:
 def effect_changes(
     excitation: Excitation, parameters: Mapping[str, float], processes: int = 1
 ) -> dict[str, dict[str, Array]]:
-    """Change of every signal of the machine by each effect."""
+    """Change of every signal of the machine by each effect, and by commands at other times."""
     default, effects = predict(excitation, parameters), candidate_effects(excitation)
-    with mapping(min(processes, len(effects))) as each:
-        predicted = each(partial(predict, excitation, parameters), effects.values())
-        return {
+    time, commands = excitation.time, excitation.commands
+    late = replace(excitation, commands={n: np.interp(time - SHIFT, time, u) for n, u in commands.items()})
+    excited = [late, *repeat(excitation, len(effects))]
+    with mapping(min(processes, len(excited))) as each:
+        predicted = each(predict, excited, repeat(parameters), [{}, *effects.values()])
+        changes = {
             name: {n: y[n] - default[n] for n in default if n in y}
-            for name, y in zip(effects, predicted, strict=True)
+            for name, y in zip((LATE, *effects), predicted, strict=True)
         }
+    return changes | {EARLY: {n: -y for n, y in changes[LATE].items()}}
 
 
 def attribute(
@@ -264,6 +269,9 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
         close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
         if close:
             text += f" The data can hardly distinguish it from {' and '.join(close)}."
+    if first.alone >= LEAST and first.effect in (LATE, EARLY):
+        delay = first.coefficient * (SHIFT if first.effect == LATE else -SHIFT)
+        text += f" The key `delay = {delay:.2g}` at each command corrects most of it."
     if parameters > LEAST / 2:
         text += (
             f" Slightly different values of the identified parameters would remove {percent(parameters)}: "

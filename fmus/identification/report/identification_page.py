@@ -86,6 +86,7 @@ def page_content(
     """
     refined, outside, tests = identified.refined, prediction.extrapolated(identified), identified.findings
     shown = named(finding for _, finding in tests)
+    missing = [name for name, reason in identified.skipped.items() if reason == NO_RECORDING]
     explanation = None
     if comparison and refined:
         explanation = attribute(comparison, prediction.default_values(identified), processes)
@@ -101,7 +102,7 @@ def page_content(
         "figures": list(_joints(comparison)) if comparison else [],
         "commands": _next_commands(folder, out, identified),
         "remarks": [
-            *(f"{name}: {reason}." for name, reason in identified.skipped.items() if reason == NO_RECORDING),
+            *([f"No recording of {', '.join(missing)}."] if missing else ()),
             *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
             *map(extrapolation_text, outside),
         ],

@@ -87,7 +87,7 @@ def probability(p: float | None) -> str:
 NAMED = 3  # signals named in a warning
 POOR = 0.2  # training NRMSE above which signs, units or the assignment of levers must be wrong
 CHECK = (
-    "Check before you use the numbers: which command moves which joint, the sign of each command, "
+    "Check before you use the numbers: which command moves which joint, the sign and time of each command, "
     "angle and flow, the unit of each signal, and the pose from which each recording begins."
 )
 

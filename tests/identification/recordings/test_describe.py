@@ -65,7 +65,7 @@ def test_the_file_is_read_after_the_names_are_filled_in(log):
         np.testing.assert_allclose(made[name], values, rtol=1e-7)  # digits of psi
     np.testing.assert_allclose(made.time, 0.005 * K, atol=1e-12)  # rounding
     assert shown.splitlines()[0] == f"{log}: 400 rows at 200 Hz, time in 't_ms' [ms]"
-    assert re.search(r"\nAI_7 \(mA\) +mA +6\S* to 12 +anything", shown)
+    assert re.search(r"\nAI_7 \(mA\): 6\S* to 12 mA; anything", shown)
 
 
 def test_what_remains_a_comment_is_left_out(log):
@@ -107,16 +107,16 @@ def test_the_unit_of_time_is_that_of_a_logger(step, unit, tmp_path):
 
 
 def test_faults_are_named(tmp_path):
-    """Gaps, clipped and constant channels in the table and in sentences; columns of texts are left out."""
+    """Gaps, clipped and constant channels in a line each and in sentences; columns of texts are left out."""
     rng = np.random.default_rng(5)
     pressure = np.round(np.minimum(100 + 8 * np.sin(K / 40) + rng.normal(0, 0.1, K.size), 105), 2)
     flow = np.where((K > 100) & (K < 141), np.nan, 30 + np.sin(K / 9))
     data = {"t": K / 200, "p_bar": pressure, "Q [L/min]": flow, "off": 7, "mode": "auto"}
     pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
     shown = describe(tmp_path / "a.csv")
-    assert re.search(r"\np_bar +bar +9\S+ to 105 +clipped \d+ %", shown)
-    assert re.search(r"\nQ \[L/min\] +L/min +\S+ to \S+ +gaps 10 %", shown)
-    assert re.search(r"\noff +\? +7 to 7 +constant", shown)
+    assert re.search(r"\np_bar: 9\S+ to 105 bar; clipped \d+ %", shown)
+    assert re.search(r"\nQ \[L/min\]: \S+ to \S+ L/min; gaps 10 %", shown)
+    assert re.search(r"\noff: 7 to 7 \?; constant", shown)
     assert "a.csv: line 2: column 'mode': expected a number, got 'auto'; left out\n" in shown
     assert "\nQ [L/min]: 40 samples (10 %; first at 0.505 s, longest 0.2 s) without a sample.\n" in shown
 

@@ -164,6 +164,25 @@ def test_signals_far_from_usual_are_doubted(unit, low, high):
     assert reading.doubtful([replace(usual, time=1.2 * time)]) == ["a.csv: 10800 s; did you mean ms?"]
 
 
+@pytest.mark.parametrize(("share", "lever", "motion", "named"), [
+    (1.0, 0.0, 1.0, True), (-1.0, 0.0, 1.0, True), (0.55, 0.0, 1.0, True), (0.45, 0.0, 1.0, False),
+    (1.0, 0.03, 1.0, False), (1.0, 0.01, 1.0, True), (1.0, 0.0, 0.01, False),
+])  # fmt: skip
+def test_the_pitch_of_a_stick_is_no_angle(share, lever, motion, named):
+    """It follows the boom while the lever of the stick is at rest; a wide or quiet boom tells nothing."""
+    time = np.arange(4000) / 200
+    boom = 0.3 * motion * np.sin(time)
+    signals = {
+        reading.BOOM: boom,
+        reading.STICK: share * boom - 1.2,
+        reading.LEVER: np.where(time > 19, 5, 5 * lever),
+    }
+    units = {reading.BOOM: "rad", reading.STICK: "rad", reading.LEVER: "V"}
+    made = Recording(time, signals, units, Path("a.csv"), procedure="machine")
+    told = reading.doubtful([made])
+    assert [("pitch of an inertial sensor" in line) for line in told] == [True] * named
+
+
 # ---- files of numbers without a description
 
 VALUES = np.stack([np.linspace(-1, 1, 1024), np.sin(np.linspace(0, 20, 1024))], axis=1)

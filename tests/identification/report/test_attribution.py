@@ -1,5 +1,7 @@
 """Attribution of a residual to physical effects."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +49,7 @@ def noisy(change, share, seed=0):
     return {n: y + share * np.sqrt(np.mean(y**2)) * rng.standard_normal(y.size) for n, y in moved.items()}
 
 
-@pytest.mark.parametrize("effect", attribution.EFFECTS)
+@pytest.mark.parametrize("effect", [*attribution.EFFECTS, attribution.LATE, attribution.EARLY])
 def test_the_effect_in_the_residual_is_identified(effects, effect):
     """One effect plus as much noise: its name, its share and its strength are right."""
     explanation = attribution.explain(noisy(effects[effect], 1.0), effects, step=STEP)
@@ -73,7 +75,7 @@ def test_white_noise_shows_no_effect(effects):
     assert explanation.effect == ""
     assert explanation.verdict.startswith("None of the effects")
     assert "a cause that is not in the list" in explanation.verdict  # the noise of the sensors is not given
-    # five columns explain five of some thousand samples by chance
+    # seven columns explain seven of some thousand samples by chance
     assert explanation.together < 0.02
 
 
@@ -130,6 +132,19 @@ def test_parameters_and_an_effect_are_told_apart(excitation, effects):
     explanation = attribution.explain(residual, effects, step=STEP, absorbed=slope)
     assert explanation.effect == "dry friction"
     assert explanation.shares[0].alone + explanation.parameters < 1.0
+
+
+@pytest.mark.parametrize("delay", [0.01, -0.015])
+def test_commands_at_another_time_are_named_with_their_delay(excitation, effects, delay):
+    """The machine acts on the commands of other times."""
+    moved = {n: MOVES[n].sample(excitation.time - delay) for n in COMMANDS}
+    now, then = (predict(e, {}) for e in (excitation, replace(excitation, commands=moved)))
+    residual = {n: then[n] - now[n] for n in effects[attribution.LATE]}
+    explanation = attribution.explain(noisy(residual, 0.1), effects, step=STEP)
+    assert explanation.effect == (attribution.LATE if delay > 0 else attribution.EARLY)
+    told = float(re.search(r"`delay = (\S+)` at each command", explanation.verdict)[1])
+    # linear in the delay, to a fifth
+    assert told == pytest.approx(delay, rel=0.2)
 
 
 def test_gaps_do_not_count(effects):
