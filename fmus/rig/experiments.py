@@ -179,7 +179,7 @@ def _edge(edge: str, machine: str) -> Experiment:
 
 def _hose(named: Named, time: Array, signals: Signals) -> Experiment:
     p = detailed()
-    length, bore = (Condition(value, "m") for value in (p.stick_hose_length, p.stick_hose_bore))
+    length, bore = (Condition(value, "m") for value in (p.stick.hose.length, p.stick.hose.bore))
     density = Condition(p.density, "kg/m3")
     return _bench(named, time, signals, length=length, diameter=bore, density=density)
 

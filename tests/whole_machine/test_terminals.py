@@ -107,12 +107,12 @@ def test_the_controller_measures_what_it_has_inputs_for():
 
 
 def test_a_machine_without_supply_and_operator_has_their_signals_as_inputs():
-    """Both drives share the lines; the levers come first."""
+    """Both drives share the lines, which come last."""
     connections, inputs = wiring(FERIC.subsystems)
     assert connections == FERIC.connections
     levers = [f"{axis}_{v}" for axis in MOTION for v in ("command", "command_rate")]
     lines = [f"{line}{rate}" for line in LINES for rate in ("", "_rate")]
-    assert list(inputs) == [*levers, *lines, "payload_mass"]
+    assert list(inputs) == [*levers, "payload_mass", *lines]
     assert all(inputs[line] == (f"swing.{line}", f"boom_stick.{line}") for line in lines)
     assert wiring(FERIC.subsystems | {"supply": SUPPLY})[1] == {
         n: inputs[n] for n in (*levers, "payload_mass")
