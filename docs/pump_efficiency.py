@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fmus.components import engine_and_pump, oil
 from fmus.machine.parts import FAMILIES
-from fmus.parameters import values
+from fmus.parameters import parameters, values
 from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.plotting import heading, new_figure, png, style_axes
 
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 def ours(rise: Array, stroke: Array, celsius: float = 60.0) -> Array:
     """Overall efficiency of a pump of the supply at its rated speed."""
     pump = engine_and_pump.at_viscosity(
-        SUPPLY.parameters(**P).pumps[0], float(oil.viscosity_ratio(celsius + 273.15))
+        parameters(SUPPLY).pumps[0], float(oil.viscosity_ratio(celsius + 273.15))
     )
     flow = engine_and_pump.suction_flow(pump, stroke, SPEED) - pump.leakage * rise
     friction = np.array([float(engine_and_pump.pump_friction(pump, SPEED, p)) for p in rise.ravel()])

@@ -337,7 +337,10 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
                 if part
                 else {}
             )
-            declared |= inner if part else {f.name: f.metadata["quantity"]}
+            found = inner if part else {f.name: f.metadata["quantity"]}
+            if double := declared.keys() & found.keys():
+                raise Problem(f"{group.__name__}: {min(double)} is declared twice, expected different names")
+            declared |= found
     else:
         hints = get_type_hints(group, include_extras=True)
         declared = {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
@@ -406,9 +409,7 @@ def symbolic(sub: Subsystem) -> Symbolic:
     for group in (sub.states, sub.inputs, sub.parameters, sub.outputs):
         quantities(group)  # refuses what is no group
     x, u, declared = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
-    given = flat(declared)
-    derived = _call(sub, "derive", declared).items()
-    p = nested(sub.parameters, given | {n: ca.if_else(given[n] > 0, given[n], v) for n, v in derived})
+    p = with_derived(sub, declared)
     calculated = _call(sub, "initial", x, u, p)
     unknown = set(calculated) - set(quantities(sub.states))
     if unknown:
@@ -433,6 +434,13 @@ def symbolic(sub: Subsystem) -> Symbolic:
         statements=tuple(require),
         next_event=ca.SX(sub.next_event(x, u, p)),
     )
+
+
+def with_derived(sub: Subsystem, p: Any) -> Any:
+    """The parameters, those that are 0 derived from the others."""
+    given = flat(p)
+    derived = _call(sub, "derive", p).items()
+    return nested(sub.parameters, given | {n: ca.if_else(given[n] > 0, given[n], v) for n, v in derived})
 
 
 def _call(sub: Subsystem, function: str, *groups: Any) -> Any:

@@ -54,19 +54,19 @@ class MyActuator(Model):
 
     def flows(self, x, u, p):
         return (
-            FLOW.ev(u.boom_command, x.boom_force / p.boom_area),
-            FLOW.ev(u.stick_command, x.stick_force / p.stick_area),
+            FLOW.ev(u.boom.command, x.boom_force / p.boom_area),
+            FLOW.ev(u.stick.command, x.stick_force / p.stick_area),
         )
 
     def rates(self, x, u, p):
         boom, stick = self.flows(x, u, p)
         return (
-            p.boom_stiffness * (boom / p.boom_area - u.boom_velocity),
-            p.stick_stiffness * (stick / p.stick_area - u.stick_velocity),
+            p.boom_stiffness * (boom / p.boom_area - u.boom.velocity),
+            p.stick_stiffness * (stick / p.stick_area - u.stick.velocity),
         )
 
     def initial(self, x, u, p):
-        return {"boom_force": u.boom_holding_force, "stick_force": u.stick_holding_force}
+        return {"boom_force": u.boom.holding_force, "stick_force": u.stick.holding_force}
 
     def step(self, x, u, p, t, h):
         boom_rate, stick_rate = self.rates(x, u, p)

@@ -9,7 +9,7 @@ import pytest
 from kit.fmu import driving
 
 import fmus
-from fmus.contract import symbolic
+from fmus.contract import flat, nested, symbolic
 from fmus.parameters import numbers
 from orchestrator.base.errors import Problem
 
@@ -88,16 +88,33 @@ def test_a_group_is_used_twice_with_prefixes():
 
     class Cart(fmus.Group, front=Wheel, back=(Wheel, "rear")):
         mass: fmus.Scalar = fmus.Quantity("kg", "Mass", value=2.0)
-        front_turn: fmus.Scalar = fmus.Quantity("rad/s2", "An own text, in the same place")
 
     found = fmus.quantities(Cart)
     assert list(found) == ["front_speed", "front_turn", "back_speed", "back_turn", "mass"]
     assert found["back_speed"].text == "Speed of the rear wheel"
     assert (found["front_speed"].group, found["front_speed"].rate) == ("Front wheel", "front_turn")
-    assert found["front_turn"].text == "An own text, in the same place"
-    cart = Cart(front_speed=1, front_turn=2, back_speed=3, back_turn=4)
-    assert cart.mass == 2.0
-    assert Wheel.of(cart, "back") == Wheel(speed=3, turn=4)
+    cart = Cart(front=Wheel(speed=1, turn=2), back=Wheel(speed=3, turn=4))
+    assert (cart.mass, cart.back.turn) == (2.0, 4)
+    values = {"front_speed": 1, "front_turn": 2, "back_speed": 3, "back_turn": 4, "mass": 2.0}
+    assert flat(cart) == values
+    assert nested(Cart, values) == cart
+
+
+def test_two_variables_of_one_name_are_refused():
+    """A group and a field, or two groups without a prefix."""
+
+    class Wheel(fmus.Group):
+        speed: fmus.Scalar = fmus.Quantity("rad/s", "Speed")
+
+    class Cart(fmus.Group, front=Wheel):
+        front_speed: fmus.Scalar = fmus.Quantity("rad/s", "Speed")
+
+    class Both(fmus.Group, front=(Wheel, "front", str), back=(Wheel, "back", str)):
+        pass
+
+    for group, name in ((Cart, "front_speed"), (Both, "speed")):
+        with pytest.raises(Problem, match=f"^{group.__name__}: {name} is declared twice, expected different"):
+            fmus.quantities(group)
 
 
 def test_the_registry_holds_every_variant():

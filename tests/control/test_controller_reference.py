@@ -1,7 +1,6 @@
 """The reference: inverse kinematics, limits, singular poses, waiting for the machine."""
 
 import math
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -11,13 +10,14 @@ from hypothesis import strategies as st
 from kit.properties import examples
 from kit.steering import PART, STATES, V, at, measured, rates
 
-from fmus.controller import geometry, reference
+from fmus.controller import CONTROLLER, geometry, reference
 from fmus.controller.geometry import Cylindrical, Joints, strokes_and_moment_arms
+from fmus.parameters import parameters
 from fmus.smooth import s_curve
 from orchestrator.base.errors import Problem
 
-P = SimpleNamespace(**V.p)
-STROKES = P.boom_stroke, P.stick_stroke
+P = parameters(CONTROLLER)
+STROKES = P.boom.stroke, P.stick.stroke
 ANGLES = st.tuples(st.floats(-0.4, 0.95), st.floats(-2.1, -0.6))  # inside the strokes
 
 
@@ -106,7 +106,7 @@ def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
     assert abs(swing) * factor <= P.swing_speed_limit * slack
     for name, position, speed in (("boom", boom_at, boom), ("stick", stick_at, stick)):
         assert abs(speed) * factor <= getattr(P, f"{name}_speed_limit") * slack
-        way = getattr(P, f"{name}_stroke") - position if speed > 0 else position
+        way = getattr(P, name).stroke - position if speed > 0 else position
         left = way - P.stroke_margin
         assert abs(speed) * factor <= P.stroke_gain * max(left, 0.0) + reference.CREEP * slack
 

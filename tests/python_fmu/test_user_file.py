@@ -196,7 +196,7 @@ def test_ports_are_taken_from_the_part_that_a_model_stands_for():
         n: quantities(BOOM_STICK.outputs)[n] for n in ("stick_force", "boom_force")
     }
     with pytest.raises(
-        Problem, match=r"^Own: BoomStickOutputs has no boom_forces, expected a name such as boom_force"
+        Problem, match=r"^Own: Outputs has no boom_forces, expected a name such as boom_force"
     ):
         subgroup("Own", BOOM_STICK.outputs, "boom_forces")
 

@@ -15,6 +15,7 @@ from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
 
 from fmus.components import engine_and_pump
+from fmus.contract import nested
 
 ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
 IDEAL = Bench("ideal")
@@ -147,7 +148,7 @@ def test_the_oil_settles_where_cooler_and_tank_give_off_the_heat(bench):
 
 def stroke_after(start: float, pressure: float, time: float) -> float:
     """Stroke of the first pump at a constant outlet pressure."""
-    s, (pump, _) = ca.SX.sym("s"), ENGINE_PUMP.sub.parameters(**P).pumps
+    s, (pump, _) = ca.SX.sym("s"), nested(ENGINE_PUMP.sub.parameters, P).pumps
     ode = {"x": s, "ode": engine_and_pump.stroke_rate(pump, s, pressure)}
     options = {"reltol": 1e-10, "abstol": 1e-12}
     return float(ca.integrator("s", "cvodes", ode, 0.0, time, options)(x0=start)["xf"])

@@ -36,7 +36,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.contract import Quantity, Subsystem, Symbolic, place, quantities, unstack
+from fmus.contract import Quantity, Subsystem, Symbolic, flat, nested, place, quantities, unstack
 from fmus.export.interface import Interface, Variable, make_interface, variable_groups
 from fmus.export.model_description import Unknowns
 from fmus.parameters import Values
@@ -227,7 +227,7 @@ def _interface(model: Model) -> Interface:
     }
     start["Inputs"] |= {name: _start_value(f"start of {name}", value) for name, value in model.start.items()}
     values = Values(p=start["Parameters"], u=start["Inputs"], x=start["State"])
-    x, u, p = (groups[name](**start[name]) for name in ("State", "Inputs", "Parameters"))
+    x, u, p = (nested(groups[name], start[name]) for name in ("State", "Inputs", "Parameters"))
     calculated = _initial_states(model, model.initial(x, u, p), declared["State"])
     text = (type(model).__doc__ or model.name).strip().partition("\n")[0].rstrip(".")
     variables = variable_groups([*declared.values()], values, calculated, derivatives=False)
@@ -283,7 +283,7 @@ class UserModel:
 
     def __init__(self, model: Model) -> None:
         self.model, self.interface = model, _interface(model)
-        self._outputs = [f.name for f in fields(model.Outputs)]
+        self._outputs = list(quantities(model.Outputs))
         states = [v.name for v in self.interface.states]
         self._calculated = [v.name for v in self.interface.states if v.kind == "CALCULATED_STATE"]
         self._only_outputs = [i for i, n in enumerate(self._outputs) if n not in states]
@@ -346,7 +346,7 @@ class UserModel:
             raise Problem(
                 f"{self.model.name}: {method}() returned {type(result).__name__}, expected {group.__name__}"
             )
-        return np.array([self._number(method, f.name, getattr(result, f.name)) for f in fields(group)])
+        return np.array([self._number(method, name, value) for name, value in flat(result).items()])
 
     def _number(self, method: str, name: str, value: Any) -> float:
         problem = Problem(f"{self.model.name}: {method}() returned {name} = {value!r}, expected a number")

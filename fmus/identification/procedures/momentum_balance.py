@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import Subsystem, quantities, symbols, unstack
+from fmus.contract import Subsystem, flat, nested, quantities, symbols, unstack, with_derived
 from fmus.identification import balance
 from fmus.identification.balance import Law, Samples, Solution
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
@@ -96,15 +96,13 @@ def symbolic_equations() -> SimpleNamespace:
 
 def _at(group: type[Any], values: Mapping[str, ca.SX]) -> Any:
     """A group at these values, and symbols for its other fields, on which nothing here depends."""
-    return replace(symbols(group), **{n: x for n, x in values.items() if n in quantities(group)})
+    return nested(group, {**flat(symbols(group)), **values})
 
 
 def _parameters_of(sub: Subsystem, p: ca.SX) -> Any:
     """The parameters of a subsystem among those of the machine; one that is 0 is derived from the others."""
     rows = [PARAMETERS.index(f"{sub.name}.{n}") for n in quantities(sub.parameters)]
-    own = unstack(sub.parameters, p[rows])
-    derived = {n: ca.if_else(getattr(own, n) > 0, getattr(own, n), v) for n, v in sub.derive(own).items()}
-    return replace(own, **derived)
+    return with_derived(sub, unstack(sub.parameters, p[rows]))
 
 
 @lru_cache(maxsize=16)
