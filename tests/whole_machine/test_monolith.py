@@ -61,7 +61,7 @@ def test_reference_trace_is_what_the_monolith_gives(monkeypatch, stop):
     """The stored work cycle equals a new solution to the digits it is written with."""
     file = data("reference/work_cycle.csv")
     stored = np.loadtxt(file, delimiter=",", skiprows=1)
-    names = file.open(encoding="utf-8").readline().strip().split(",")
+    names = file.read_text(encoding="utf-8").partition("\n")[0].split(",")
     assert set(names) == {"time", *reference.SIGNALS}
     cycle, commands = reference.work_cycle()
     first = cycle <= stop
