@@ -14,6 +14,7 @@ from orchestrator.data.logger_files import Array, at_times
 
 SAME = 1e-9  # relative difference of equal values, which a scale may have rounded
 RUNS = 20  # runs of equal values, from which a hold is recognised
+SLOWEST = 1.0  # s: a bus sends more often; what is held for longer is a step of an experiment
 LEVELS = 8  # different values, from which a signal has a range
 RARE = 0.05  # largest share of error codes at one end
 STEP = 1.5  # times the smallest step
@@ -39,8 +40,8 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
     return moved
 
 
-def log_faults(raw: Array, spec: SignalDescription) -> Iterator[str]:
-    """What a logger has probably done to a column, with the key that corrects it."""
+def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str]:
+    """What a logger has probably done to a column, with the key that corrects it; step: between rows [s]."""
     values = corrected(raw, raw, replace(spec, delay=0.0))
     if codes := _codes(values):
         raws = ", ".join(f"{(code - spec.offset) / spec.factor:.10g}" for code in codes)
@@ -54,7 +55,8 @@ def log_faults(raw: Array, spec: SignalDescription) -> Iterator[str]:
         yield f"jumps {jumps.sum()} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
     sizes = np.abs(np.diff(values))
     # steps of one size are those of a converter that follows a slow signal
-    if (hold := _hold(values)) and np.median(sizes[sizes > 0]) > STEP * sizes[sizes > 0].min():
+    hold = _hold(values)
+    if 0 < hold * step < SLOWEST and np.median(sizes[sizes > 0]) > STEP * sizes[sizes > 0].min():
         yield f"each value is held for {hold:.3g} rows, slower than the log: held = true uses each once"
 
 

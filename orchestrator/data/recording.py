@@ -248,6 +248,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         for name, value in description.experiment.items()
     }
     time = _seconds(columns, description)
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     signals = {n: _si(corrected(columns.values[column[n]], time, s), s.unit) for n, s in specs}
     if not description.experiment:  # rows of one event are apart, as in a trace
         trace = checked(replace(columns, values={TIME: time, **signals}, units={}), gaps=True)
@@ -272,7 +273,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         stop=description.time.stop,
         metadata={key: value for key, value in about.items() if value not in ("", None)},
         description=description_file,
-        faults={name: [*log_faults(columns.values[column[name]], spec)] for name, spec in specs},
+        faults={name: [*log_faults(columns.values[column[name]], spec, step)] for name, spec in specs},
     )
 
 

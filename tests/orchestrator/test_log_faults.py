@@ -18,7 +18,8 @@ from orchestrator.results.validate_system import delay_note
 
 RNG = np.random.default_rng(11)
 ROW = np.arange(2000)
-TIME = ROW / 200
+STEP = 1 / 200  # s
+TIME = ROW * STEP
 ANGLE = 170 + 60 * np.sin(TIME)  # deg
 NOISY = 100 + 30 * np.sin(TIME) + RNG.normal(0, 0.1, ROW.size)
 LEVER = 6 * np.sin(TIME * (1 + TIME / 20)) * (np.sin(TIME) > -0.5)
@@ -64,7 +65,7 @@ NAMED = {
 def test_a_fault_is_named_with_its_key(name):
     """One line, and none once the key is set."""
     raw, spec, told = NAMED[name]
-    (line,) = log_faults(raw, spec)
+    (line,) = log_faults(raw, spec, STEP)
     assert re.search(told, line), line
     if "invalid" in line:
         spec = replace(spec, invalid=tuple(map(float, re.search(r"\[(.*)\]", line)[1].split(","))))
@@ -72,7 +73,7 @@ def test_a_fault_is_named_with_its_key(name):
         spec = replace(spec, wrap=float(re.search(r"wrap = (\S+)", line)[1]))
     else:
         spec = replace(spec, held=True)
-    assert [*log_faults(raw, spec)] == []
+    assert [*log_faults(raw, spec, STEP)] == []
 
 
 HEALTHY = {
@@ -95,7 +96,7 @@ HEALTHY = {
 def test_nothing_is_named_in_a_healthy_column(name):
     """Converters, slow and fast signals, steps, clipped and missing samples are no faults of a logger."""
     values, unit = HEALTHY[name]
-    assert [*log_faults(values, SignalDescription(unit))] == []
+    assert [*log_faults(values, SignalDescription(unit), STEP)] == []
 
 
 def test_codes_become_gaps_before_the_calibration():
@@ -231,4 +232,10 @@ def test_a_code_may_be_rounded_by_its_scale(off, is_code):
 )
 def test_both_sides_of_what_is_named(raw, named):
     """Few values, frequent codes and other jumps may be the signal itself."""
-    assert len([*log_faults(raw, DEG)]) == named
+    assert len([*log_faults(raw, DEG, STEP)]) == named
+
+
+@pytest.mark.parametrize(("hold", "named"), [(0.95, True), (1.05, False)])
+def test_what_is_held_for_a_second_is_a_step_of_the_experiment(hold, named):
+    """A bus sends more often; steps of a command last for seconds."""
+    assert len([*log_faults(held(LEVER, 10), SignalDescription("V"), hold / 10)]) == named

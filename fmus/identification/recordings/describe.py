@@ -88,8 +88,9 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
     del values[time]
-    logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]))] for n in values}
     seconds = time_axis(columns, time, units[time])
+    every = float(np.median(np.diff(seconds))) if seconds.size > 1 else 0.0
+    logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]), every)] for n in values}
     recording = Recording(seconds, values, in_si, Path(data.name), sensors=shown, faults=logged)
     quality = examine(recording)
     sensors = _sensors(procedure)
