@@ -89,9 +89,9 @@ class VolumeHose(Hose):
         "m3/Pa", "Capacitance of each {}; 0: derived from length, bore and bulk modulus", 1e-12, minimum=0.0
     )
 
-    def node(self, pressure: Scalar, air: Air) -> Node:
+    def node(self, pressure: Scalar, air: Air, symbol: str) -> Node:
         """The hose as a volume with air in its oil."""
-        return Node(pressure, "C", self.capacitance, area(self.bore) * self.length, air)
+        return Node(pressure, symbol, self.capacitance, area(self.bore) * self.length, air)
 
 
 class LumpedHose(VolumeHose):
@@ -257,19 +257,19 @@ def length_fractions(lumps: int) -> tuple[float, ...]:
 
 
 def ladder(
-    line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str, pressure: Scalar
+    line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str, pressure: Scalar, of: str = ""
 ) -> Circuit:
-    """The line between two nodes, from a state x; pressure: at the outlet [Pa]."""
+    """The line between two nodes, from a state x; pressure: at the outlet [Pa]; of: begin of its indices."""
     n = len(states.pressures)
     wall = line.volume / n / line.wall_modulus
     nodes = {
-        name: Node(getattr(x, name), f"C_{k}", wall, line.volume / n, line.fluid, cavity=1 / n)
+        name: Node(getattr(x, name), f"C_{of}{k}", wall, line.volume / n, line.fluid, cavity=1 / n)
         for k, name in enumerate(states.pressures, 1)
     }
     branches: dict[str, Branch] = {}
     ends = pairwise((inlet, *states.pressures, outlet))
-    for name, w, (start, end), layers in zip(
-        *(states.flows, length_fractions(n), ends, states.layers or [{}] * (n + 1)), strict=True
+    for k, (name, w, (start, end), layers) in enumerate(
+        zip(states.flows, length_fractions(n), ends, states.layers or [{}] * (n + 1), strict=True), 1
     ):
         q, behind = getattr(x, name), nodes[end].pressure if end in nodes else pressure
         for layer, (r, rate) in zip(layers, _friction_terms(line), strict=False):
@@ -281,7 +281,7 @@ def ladder(
             branches[layer] = Branch(node, end, Kind.COLUMN, q_i, "", w * r / rate, 0)
             end = node
         steady = w * q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2)
-        branches[name] = Branch(start, end, Kind.COLUMN, q, "I", w * line.inertance, steady)
+        branches[name] = Branch(start, end, Kind.COLUMN, q, f"I_{of}{k}", w * line.inertance, steady)
     return Circuit(nodes, branches)
 
 
