@@ -1,4 +1,4 @@
-"""Draws the hydraulic diagrams of docs/machine.md, with parameters: `python docs/circuits.py`."""
+"""Draws the diagrams of docs/machine.md, with parameters, and its graphs: `python docs/circuits.py`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from hydraulic_symbols import Sheet
 
+from fmus.export.graph import graphs
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import complete
 
@@ -408,10 +409,19 @@ CIRCUITS: dict[str, Callable[[], Sheet]] = {
 }
 
 
+def pictures() -> dict[str, str]:
+    """All pictures by file name: diagrams, and the graphs of each variant."""
+    drawn = {f"circuit_{name}.svg": draw().svg() for name, draw in CIRCUITS.items()}
+    for variants in FAMILIES.values():
+        for variant, sub in variants.items():
+            drawn |= {f"graph_{axis}_{variant}.svg": graph for axis, graph in graphs(sub).items()}
+    return drawn
+
+
 def main() -> None:
     """Write the pictures."""
-    for name, draw in CIRCUITS.items():
-        (IMAGES / f"circuit_{name}.svg").write_text(draw().svg(), encoding="utf-8")
+    for name, drawn in pictures().items():
+        (IMAGES / name).write_text(drawn, encoding="utf-8")
 
 
 if __name__ == "__main__":

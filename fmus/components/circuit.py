@@ -42,6 +42,8 @@ class Kind(StrEnum):
     PUMP = "pump"
     CONSUMER = "drives"
     SOURCE = "pressure source"
+    CAPACITANCE = "capacitance"  # of a node, in drawings
+    GIVEN = "given pressure"
 
 
 # branches whose power is work: the two-ports of the graph, and its ends
@@ -100,6 +102,7 @@ class Branch:
     flow        state or expression; or a law, the flow over the pressure difference [Pa]
     inertance   I [kg/m4] of an oil column, whose flow is a state
     drop        pressure [Pa] that friction takes; default: all between the nodes
+    mechanics   of a two-port: symbols of the speed at its mechanical side, and of the damping there
     """
 
     start: str
@@ -109,6 +112,7 @@ class Branch:
     symbol: str = ""
     inertance: Scalar = None
     drop: Scalar = None
+    mechanics: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -66,9 +66,9 @@ class VolumeHose(Hose):
         "m3/Pa", "Capacitance of each {}; 0: derived from length, bore and bulk modulus", 1e-12, minimum=0.0
     )
 
-    def node(self, pressure: Scalar, air: Air) -> Node:
+    def node(self, pressure: Scalar, air: Air, symbol: str) -> Node:
         """The hose as a volume with air in its oil."""
-        return Node(pressure, "C", self.capacitance, area(self.bore) * self.length, air)
+        return Node(pressure, symbol, self.capacitance, area(self.bore) * self.length, air)
 
 
 class LumpedHose(VolumeHose):
@@ -218,20 +218,21 @@ def length_fractions(lumps: int) -> tuple[float, ...]:
     return (0.5 / lumps, *(1 / lumps,) * (lumps - 1), 0.5 / lumps)
 
 
-def ladder(line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str) -> Circuit:
-    """The line between two nodes, from a state x."""
+def ladder(line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: str, of: str = "") -> Circuit:
+    """The line between two nodes, from a state x; of: begin of the indices of its symbols."""
     n = len(states.pressures)
     wall = line.volume / n / line.wall_modulus
     nodes = {
-        name: Node(getattr(x, name), f"C_{k}", wall, line.volume / n, line.fluid, cavity=1 / n)
+        name: Node(getattr(x, name), f"C_{of}{k}", wall, line.volume / n, line.fluid, cavity=1 / n)
         for k, name in enumerate(states.pressures, 1)
     }
     branches: dict[str, Branch] = {}
     ends = pairwise((inlet, *states.pressures, outlet))
-    for name, w, (start, end) in zip(states.flows, length_fractions(n), ends, strict=True):
+    parts = zip(states.flows, length_fractions(n), ends, strict=True)
+    for k, (name, w, (start, end)) in enumerate(parts, 1):
         q = getattr(x, name)
         steady = w * q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2)
-        branches[name] = Branch(start, end, Kind.COLUMN, q, "I", w * line.inertance, steady)
+        branches[name] = Branch(start, end, Kind.COLUMN, q, f"I_{of}{k}", w * line.inertance, steady)
     return Circuit(nodes, branches)
 
 

@@ -36,6 +36,7 @@ from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp, s_curve
 
 Pair = tuple[str, str]  # names of the nodes at A and B
+SHAFT = ("q̇_sw", "B_sw")  # speed of the gear, and its damping, which is in the mechanics
 BRAKE_ROUNDING = 1e-3  # b relative to T_b
 
 
@@ -47,7 +48,7 @@ def branches(ports: Pair, displaced: Scalar, internal: Scalar, external: Scalar)
     """
     (a, b), g_in, g_ex = ports, 1 / internal, 1 / external
     return {
-        "motor": Branch(a, b, Kind.MOTOR, displaced, "D_m N"),
+        "motor": Branch(a, b, Kind.MOTOR, displaced, "D_m N", mechanics=SHAFT),
         "internal_leakage": Branch(a, b, Kind.LEAKAGE, lambda drop: g_in * drop, "R_in"),
         "drain_a": Branch(a, TANK, Kind.DRAIN, lambda drop: g_ex * drop, "R_e1"),
         "drain_b": Branch(b, TANK, Kind.DRAIN, lambda drop: g_ex * drop, "R_e2"),
@@ -60,7 +61,9 @@ def behind_lines(
     """The motor with its ports, which have no oil, behind laminar lines; motor: as in `branches`."""
     p_a, p_b = (nodes[line].pressure for line in lines)
     found = port_pressures(p_a, p_b, nodes[TANK].pressure, line_resistance, *motor)
-    at_ports = Circuit({**nodes, **dict(zip(ports, map(Node, found), strict=True))}, branches(ports, *motor))
+    at_ports = Circuit(
+        {**nodes, **dict(zip(ports, map(Node, found, ("P_1", "P_2")), strict=True))}, branches(ports, *motor)
+    )
     # line flows from the node balance, because (P_c1 - P1)/R_1 is a difference of nearly equal values
     flow_a, flow_b = (-at_ports.into(port) for port in ports)
     return at_ports | Circuit(

@@ -294,6 +294,9 @@ def ports_from_pressure(
     )
 
 
+PORTS = ("P_A", "P_B")  # symbols of the pressures
+
+
 def branches(ports: tuple[EdgeFlows, EdgeFlows], nodes: tuple[str, str]) -> dict[str, Branch]:
     """The metering edges of ports A and B, which are these nodes of a circuit."""
     a, b = nodes

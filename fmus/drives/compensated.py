@@ -141,12 +141,12 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
         for opening in OPENINGS
     )
     whole = cylinders.ends(x, u, own, p) | Circuit(
-        {name: line.node(getattr(x, name), air) for name in PORTS},
+        {n: line.node(getattr(x, n), air, of) for n, of in zip(PORTS, ("C_V1", "C_V2"), strict=True)},
         {
             **spool_valve.branches(edges, PORTS),
             **cylinders.reliefs(p.port_relief, p.anti_cavitation, PORTS),
-            "head_flow": Branch("head_valve_pressure", "head_pressure", Kind.COUNTERBALANCE, head),
-            "rod_flow": Branch("rod_valve_pressure", "rod_pressure", Kind.COUNTERBALANCE, rod),
+            "head_flow": Branch("head_valve_pressure", "head_pressure", Kind.COUNTERBALANCE, head, "Q_C1"),
+            "rod_flow": Branch("rod_valve_pressure", "rod_pressure", Kind.COUNTERBALANCE, rod, "Q_C2"),
         },
     )
     shown = {

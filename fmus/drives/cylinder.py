@@ -114,6 +114,7 @@ CYLINDER = Actuator(
     common=(Preload, ReferenceHose),
     terminal=lambda axis: ports.rod(axis, drives=True),
 )
+PISTON = ("ẋ", "B")  # speed of a piston, and damping of its seals, which is in the mechanics
 CHAMBERS = CYLINDER.names("pressure")
 PORTS = CYLINDER.names("valve_pressure")
 
@@ -128,8 +129,12 @@ def ends(x: Any, u: Any, own: Cylinder, oil: Oil, capacitance: Scalar = 0) -> Ci
             "rod_pressure": Node(x.rod_pressure, "C_2", capacitance, v_rod, oil),
         },
         {
-            "head_piston": Branch("head_pressure", GROUND, Kind.PISTON, head * u.velocity, "gy_1"),
-            "rod_piston": Branch(GROUND, "rod_pressure", Kind.PISTON, rod * u.velocity, "gy_2"),
+            "head_piston": Branch(
+                "head_pressure", GROUND, Kind.PISTON, head * u.velocity, "gy_1", mechanics=PISTON
+            ),
+            "rod_piston": Branch(
+                GROUND, "rod_pressure", Kind.PISTON, rod * u.velocity, "gy_2", mechanics=PISTON
+            ),
         },
     )
 
@@ -137,10 +142,10 @@ def ends(x: Any, u: Any, own: Cylinder, oil: Oil, capacitance: Scalar = 0) -> Ci
 def reliefs(relief: PressureValve, back: PressureValve, at: Names) -> dict[str, Branch]:
     """Relief and anti-cavitation valves at two nodes."""
     return {
-        "head_relief": Branch(at[0], TANK, Kind.RELIEF, relief.flow),
-        "rod_relief": Branch(at[1], TANK, Kind.RELIEF, relief.flow),
-        "head_anti_cavitation": Branch(TANK, at[0], Kind.ANTI_CAVITATION, back.flow),
-        "rod_anti_cavitation": Branch(TANK, at[1], Kind.ANTI_CAVITATION, back.flow),
+        "head_relief": Branch(at[0], TANK, Kind.RELIEF, relief.flow, "Q_relief,h"),
+        "rod_relief": Branch(at[1], TANK, Kind.RELIEF, relief.flow, "Q_relief,r"),
+        "head_anti_cavitation": Branch(TANK, at[0], Kind.ANTI_CAVITATION, back.flow, "Q_anti,h"),
+        "rod_anti_cavitation": Branch(TANK, at[1], Kind.ANTI_CAVITATION, back.flow, "Q_anti,r"),
     }
 
 

@@ -136,10 +136,12 @@ class Lines:
         state = SpoolState(x.spool_position, x.spool_speed)
         flows = both(x, self.kind.names(self.kind.ends[0]))
         found = spool_valve.spool_ports(valve, spool, state.position, flows, u, p.density)
-        nodes = {name: Node(port.pressure) for name, port in zip(ports, found, strict=True)}
+        nodes = {
+            n: Node(port.pressure, of) for n, port, of in zip(ports, found, spool_valve.PORTS, strict=True)
+        }
         whole = Circuit(nodes, spool_valve.branches(found, ports))
-        for port, (end, states) in zip(ports, self.chambers, strict=True):
-            whole |= hose.ladder(line, states, x, port, end)
+        for port, (end, states), of in zip(ports, self.chambers, ("1.", "2."), strict=True):
+            whole |= hose.ladder(line, states, x, port, end, of)
         full = valve.full_command
         bands = opening_curve.meter_in_dead_bands(valve, spool.overlap_pa, spool.overlap_pb, full)
         sensed = partial(load_sensing.load_pressure, state.position, state.speed, bands, 1)

@@ -23,7 +23,7 @@ from fmus.contract import Scalar
 from fmus.drives import cylinder as cylinders
 from fmus.drives import motor as motors
 from fmus.drives.cylinder import CYLINDER
-from fmus.drives.drive import Actuator, Drive, Fidelity, Model, both, valve_of
+from fmus.drives.drive import Actuator, Drive, Fidelity, Model, Names, both, valve_of
 from fmus.drives.motor import MOTOR
 
 
@@ -35,14 +35,16 @@ class MotorState(motors.Flows, motors.Pressures):
     """Pressures and flows of a motor."""
 
 
-def _supplied(kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: tuple[Scalar, Scalar]) -> Circuit:
+def _supplied(
+    kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: tuple[Scalar, Scalar], symbols: Names
+) -> Circuit:
     """Edges of the valve, and the oil columns to the chambers; line: inertance and C_R."""
     flows, ports, chambers = (kind.names(n) for n in ("flow", "valve_pressure", "pressure"))
     valve, q = valve_of(own, p), both(x, flows)
     found = spool_valve.ports_from_flow(valve, u.command, q, u, p.density)
-    columns = zip(flows, ports, chambers, q, ("I_1", "I_2"), strict=True)
+    columns = zip(flows, ports, chambers, q, symbols, strict=True)
     return Circuit(
-        {name: Node(port.pressure) for name, port in zip(ports, found, strict=True)},
+        {n: Node(port.pressure, of) for n, port, of in zip(ports, found, spool_valve.PORTS, strict=True)},
         {
             **spool_valve.branches(found, ports),
             **{
@@ -54,7 +56,8 @@ def _supplied(kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: tuple[Scal
 
 
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
-    supplied = _supplied(CYLINDER, x, u, own, p, (own.hose.inertance, own.hose.resistance))
+    line = (own.hose.inertance, own.hose.resistance)
+    supplied = _supplied(CYLINDER, x, u, own, p, line, ("I_1, R_1", "I_2, R_2"))
     whole = cylinders.ends(x, u, own, p, own.hose.capacitance) | supplied
     return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, cylinders.force(own))
 
@@ -66,7 +69,7 @@ def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
 
 def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     line, ports = own.line, MOTOR.names("motor_pressure")
-    supplied = _supplied(MOTOR, x, u, own, p, (line.inertance, line.turbulent_resistance))
+    supplied = _supplied(MOTOR, x, u, own, p, (line.inertance, line.turbulent_resistance), ("I_1", "I_2"))
     nodes = {
         **circuit.lines(u),
         "pressure_a": Node(x.pressure_a, "C_1", line.capacitance),

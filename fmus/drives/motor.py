@@ -176,9 +176,9 @@ LINES = MOTOR.names("pressure")
 def reliefs(p: Reliefs) -> dict[str, Branch]:
     """Crossover relief valves at the motor, and make-up from the return line."""
     return {
-        "crossover_relief": Branch(*LINES, Kind.RELIEF, p.relief.cross_flow),
-        "anti_cavitation_a": Branch(TANK, LINES[0], Kind.ANTI_CAVITATION, p.anti_cavitation.flow),
-        "anti_cavitation_b": Branch(TANK, LINES[1], Kind.ANTI_CAVITATION, p.anti_cavitation.flow),
+        "crossover_relief": Branch(*LINES, Kind.RELIEF, p.relief.cross_flow, "Q_cross"),
+        "anti_cavitation_a": Branch(TANK, LINES[0], Kind.ANTI_CAVITATION, p.anti_cavitation.flow, "Q_anti,a"),
+        "anti_cavitation_b": Branch(TANK, LINES[1], Kind.ANTI_CAVITATION, p.anti_cavitation.flow, "Q_anti,b"),
     }
 
 

@@ -23,6 +23,7 @@ from markupsafe import Markup
 
 from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE, TEMPLATES
+from fmus.export.graph import graphs
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import LOG_CATEGORIES, PAGE, ls_ref_files
 from fmus.package_files import project_file
@@ -291,6 +292,7 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         style=Markup(rendered(TEMPLATES / "page.css")),
         text=text,
         sections=sections,
+        graphs={name: Markup(graph) for name, graph in graphs(sub).items()},
         ports=_ports(sub, rows),
         directions={name: row["direction"] for name, row in rows.items()},
         not_zero=[rows[v.name] for v in interface.inputs if v.start],

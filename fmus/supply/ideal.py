@@ -42,7 +42,7 @@ def dynamics(x: IdealState, u: Any, p: IdealParameters) -> IdealState:
 def circuit(x: IdealState, u: Any, p: IdealParameters) -> Circuit:
     """The source between the lines."""
     nodes = {
-        "supply_pressure": Node(p.pressure_setting, "P_s"),
+        "supply_pressure": Node(p.pressure_setting),
         "tank_pressure": Node(p.reservoir_pressure, "P_t"),
         GROUND: Node(0),
     }

@@ -168,7 +168,7 @@ def _supply(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> Supply:
     line = (p.main_pump.check_resistance, p.main_pump.line_capacitance)
     pump = rail.viscous(p.pump(x.load_sensing_pressure), x)
     bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature)
-    leakage = Branch("supply_pressure", RESERVOIR, Kind.LEAKAGE, lambda drop: bleed * drop)
+    leakage = Branch("supply_pressure", RESERVOIR, Kind.LEAKAGE, lambda drop: bleed * drop, "k_l")
     pumps = [Outlet("pump", pump, *line, x.pump_pressure, x.pump_stroke)]
     return Supply(pumps, u, x, p, {"rail_leakage_flow": leakage})
 

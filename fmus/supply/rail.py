@@ -153,12 +153,12 @@ class Outlet:
         return Circuit(
             {node: Node(self.pressure, "C_p", self.capacitance)},
             {
-                self.name: Branch(RESERVOIR, node, Kind.PUMP, suction),
+                self.name: Branch(RESERVOIR, node, Kind.PUMP, suction, "D_p"),
                 f"{self.name}_leakage": Branch(
-                    node, RESERVOIR, Kind.LEAKAGE, lambda rise: self.pump.leakage * rise
+                    node, RESERVOIR, Kind.LEAKAGE, lambda rise: self.pump.leakage * rise, "k"
                 ),
                 f"{self.name}_flow": Branch(
-                    node, "supply_pressure", Kind.CHECK, partial(engine_and_pump.check_flow, *check)
+                    node, "supply_pressure", Kind.CHECK, partial(engine_and_pump.check_flow, *check), "R_c"
                 ),
             },
         )
@@ -192,8 +192,8 @@ class Supply:
             },
             {
                 **consumers(self.u),
-                "relief_flow": Branch("supply_pressure", RESERVOIR, Kind.RELIEF, p.relief.flow),
-                "return_check": Branch("tank_pressure", RESERVOIR, Kind.CHECK, self._into_tank),
+                "relief_flow": Branch("supply_pressure", RESERVOIR, Kind.RELIEF, p.relief.flow, "Q_relief"),
+                "return_check": Branch("tank_pressure", RESERVOIR, Kind.CHECK, self._into_tank, "R_b"),
                 **self.branches,
             },
         )

@@ -86,8 +86,8 @@ def consumers(u: Any) -> dict[str, Branch]:
     """The drives, in the circuit of a supply."""
     returned = sum(drive.return_flow for drive in vars(u).values())
     return {
-        "supply_flow": Branch("supply_pressure", GROUND, Kind.CONSUMER, supply_flow(u)),
-        "return_flow": Branch(GROUND, "tank_pressure", Kind.CONSUMER, returned),
+        "supply_flow": Branch("supply_pressure", GROUND, Kind.CONSUMER, supply_flow(u), "Q"),
+        "return_flow": Branch(GROUND, "tank_pressure", Kind.CONSUMER, returned, "Q_return"),
     }
 
 

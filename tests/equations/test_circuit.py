@@ -86,10 +86,10 @@ FIG_2 = {
 }
 FIG_3 = {
     ("C_R", SUPPLY, "head_valve_pressure"),
-    ("I_1", "head_valve_pressure", "head_pressure"),
+    ("I_1, R_1", "head_valve_pressure", "head_pressure"),
     ("gy_1", "head_pressure", GROUND),
     ("gy_2", GROUND, "rod_pressure"),
-    ("I_2", "rod_pressure", "rod_valve_pressure"),
+    ("I_2, R_2", "rod_pressure", "rod_valve_pressure"),
     ("C_Re", "rod_valve_pressure", TANK),
 }
 # correction E7: the edges that the other direction opens
