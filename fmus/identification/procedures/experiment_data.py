@@ -136,7 +136,7 @@ def _most_noise(values: Array, sensor: Sensor) -> float:
     Correlated noise shows itself in means; so does a fast motion, which makes the result too large. A
     converter hides noise of half a step.
     """
-    found = [masks.noise(values, sensor, moving=True)]
+    found, values = [masks.noise(values, sensor, moving=True)], values[np.isfinite(values)]
     for size in (4, 16):
         blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
         found.append(masks.noise(blocks) * math.sqrt(size))
@@ -172,8 +172,8 @@ def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
 
 
 def _saturation_finding(recording: Recording, name: str, label: str) -> Finding:
-    values, sensor = recording[name], recording.sensor(name)
-    ends = [float(np.nanmax(values))] + ([float(np.nanmin(values))] if np.nanmin(values) < 0 else [])
+    values, sensor = recording[name][np.isfinite(recording[name])], recording.sensor(name)
+    ends = [float(values.max())] + ([float(values.min())] if values.min() < 0 else [])
     chance = max(masks.equal_by_chance(values, sensor), masks.MIN_CHANCE)
     runs = [s.stop - s.start for end in ends for s in true_intervals((values == end) & (end != 0))]
     longest = max(runs, default=0)
