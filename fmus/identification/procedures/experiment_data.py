@@ -56,10 +56,11 @@ def training_recordings(
 
 def condition(recording: Recording, name: str, choices: Collection[str]) -> str:
     """A condition of the experiment that is one of some words."""
-    word = recording.text_condition(name)
-    if word not in choices:
-        raise Problem(f"{recording.source}: [experiment] {name}: expected {', '.join(choices)}, got {word!r}")
-    return word
+    word = recording.conditions.get(name)
+    if isinstance(word, str) and word in choices:
+        return word
+    got = "nothing" if word is None else repr(word)
+    raise Problem(f"{recording.source}: [experiment] {name}: expected {', '.join(choices)}, got {got}")
 
 
 def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:

@@ -69,7 +69,7 @@ def zeros_of_dead_zone(values: Array, sensor: Sensor) -> float:
     if sensor.dead_zone or not (values == 0).any():
         return 0.0
     others = values[np.isfinite(values) & (values != 0)]
-    if not equal_by_chance(others, sensor) <= MAX_CHANCE:  # a signal without noise may be zero
+    if not others.size or equal_by_chance(others, sensor) > MAX_CHANCE:  # a signal without noise may be zero
         return 0.0
     least = float(np.abs(others).min())
     return least if least > AT_ZERO * max(step_and_noise(others, sensor)) else 0.0
@@ -138,8 +138,8 @@ def overstated(sensor: Sensor, moving: float) -> bool:
 
 def _long_runs(values: Array, sensor: Sensor) -> Mask:
     """Mask of runs of equal values that are too long for chance."""
-    known, held = np.isfinite(values), values == 0
-    held &= zeros_of_dead_zone(values, sensor) > 0
+    known = np.isfinite(values)
+    held: Mask = (values == 0) & (zeros_of_dead_zone(values, sensor) > 0)
     chance = max(equal_by_chance(values, sensor), MIN_CHANCE)
     if chance > MAX_CHANCE or not known.any():
         return held
