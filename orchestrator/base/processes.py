@@ -78,7 +78,7 @@ def resident_memory(process: int) -> float:
 
 def size_text(rows: int, signals: int, number: int = FLOAT64) -> str:
     """How much the rows of a trace are, in words; number: bytes of each number."""
-    return f"{rows:.3g} points of {signals} signals, {number * rows * (signals + 1) / 1e9:.2g} GB"
+    return f"{rows:.3g} points of {signals} signals, {number * rows * (signals + 1) / 1e9:.2g} GB of values"
 
 
 def check_room(rows: int, signals: int, folder: Path | None = None, number: int = FLOAT64) -> None:

@@ -31,8 +31,9 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
     if spec.wrap:
         known = np.isfinite(values)
         values[known] = np.unwrap(values[known], period=spec.wrap)
-    if spec.held:
-        values = np.where(_is_new(values), values, np.nan)
+    if spec.held:  # also if there are gaps between its samples
+        known = np.isfinite(values)
+        values[known] = np.where(_is_new(values[known]), values[known], np.nan)
     if not spec.delay:
         return values
     moved = at_times(time, time + spec.delay, values)
@@ -50,14 +51,15 @@ def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str
         values = values[~np.isin(values, codes)]
     angle = spec.unit in ("", "1") or parse_unit(spec.unit).exponents == parse_unit("rad").exponents
     turn = parse_unit("rev").factor / parse_unit(spec.unit).factor if spec.unit not in ("", "1") else 360.0
-    jumps = np.abs(np.abs(np.diff(values[np.isfinite(values)])) / turn - 1) < 0.1
+    values = values[np.isfinite(values)]
+    jumps = np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1
     if angle and jumps.any():
         yield f"jumps {jumps.sum()} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
     sizes = np.abs(np.diff(values))
     # steps of one size are those of a converter that follows a slow signal
     hold = _hold(values)
     if 0 < hold * step < SLOWEST and np.median(sizes[sizes > 0]) > STEP * sizes[sizes > 0].min():
-        yield f"each value is held for {hold:.3g} rows, slower than the log: held = true uses each once"
+        yield f"each value is held for {hold:.3g} samples, slower than the log: held = true uses each once"
 
 
 def _codes(values: Array) -> list[float]:

@@ -16,7 +16,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BytesIO
 from itertools import islice
@@ -48,6 +48,7 @@ DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", r"\s+": "white spa
 FIRST_ROWS, FIRST_CELLS = 30, 200  # number of rows, and of their cells, that show how a file is written
 DAY, FIRST_DATE, LAST_DATE = 86400.0, 1e9, 1e11  # [s]; times in between are seconds since 1970
 NUMBER = re.compile(r"([-+]?(?:\d[\d.,']*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|[%°].*)?")  # and its unit
+DATE = re.compile(r"\d\d?\.\d\d?\.\d{4}|\d{4}-\d\d-\d\d")
 GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= )")
 NAME_AND_UNIT = re.compile(r"(.*\S)(?: *\[([^][]+)\]| +\(([^()]+)\))", re.DOTALL)
 
@@ -129,7 +130,7 @@ def read_columns(
     return columns
 
 
-def column_names(source: Path) -> list[str]:
+def column_names(source: Path, form: TextFormat | None = None) -> list[str]:
     """The names of the columns of a file; texts and empty arrays of a MATLAB file are left out."""
     file, suffix = Location(source), source.suffix.lower()
     if suffix == ".mat":
@@ -139,7 +140,7 @@ def column_names(source: Path) -> list[str]:
         return list(_read_parquet(file, None).values)
     if kind := logger_format(file):
         return list(_read_logger(file, kind, None).values)
-    return _Text(file, TextFormat()).names
+    return _Text(file, form or TextFormat()).names
 
 
 def _read_logger(file: Location, kind: str, names: Collection[str] | None) -> Columns:
@@ -213,6 +214,10 @@ class _Text:
         self.file, self.form = file, form
         self.check_format()
         text = self._text()
+        if named and not form.skip_lines and (above := _lines_above(text)):
+            left_out = f"lines 1 to {above} are" if above > 1 else "line 1 is"
+            tell_once(f"{file}: {left_out} left out, the names are in line {above + 1}")
+            self.form = form = replace(form, skip_lines=above)
         breaks = [match.end() for match in islice(LINE_BREAK.finditer(text), form.skip_lines)]
         start = breaks[-1] if breaks else 0
         if len(breaks) < form.skip_lines or not text[start:].strip():
@@ -234,6 +239,7 @@ class _Text:
         if named:  # the rest of the line of names, which is empty
             del lines[0]
         self.rows = self._rows(lines, len(LINE_BREAK.findall(text, 0, end)) + 1 + named)
+        self._join_date()
         has_comma = self.delimiter != "," and text.find(",", end) >= 0
         self.decimal = form.decimal or (self._decimal() if has_comma else ".")
         first = [self.cells(row) for row in islice(self.rows.values(), FIRST_ROWS)]
@@ -261,9 +267,24 @@ class _Text:
         """Where the user can set a key of the format."""
         return f"set {key} in [file] of {self.file.path.with_suffix('.toml').name}"
 
+    def _join_date(self) -> None:
+        """A column of dates next to one of times of day is a part of it."""
+        first = [cell.strip() for cell in self.cells(next(iter(self.rows.values()), ""))]
+        dates = [k for k, cell in enumerate(first) if DATE.fullmatch(cell)]
+        pairs = [(k, n) for k in dates for n in (k + 1, k - 1) if ":" in "".join(first[n : n + 1])]
+        for date, time in pairs[:1]:
+            del self.names[date : date + 1]
+            for number, row in self.rows.items():
+                cells = [*self.cells(row)]
+                if len(cells) > max(date, time):
+                    cells[time] = f"{cells[date].strip()} {cells[time].strip()}"
+                    del cells[date]
+                self.rows[number] = cells
+
     def _decimal(self) -> str:
         """The last mark in the first number that has one."""
-        numbers = (NUMBER.fullmatch(cell.strip()) for row in self.rows.values() for cell in self.cells(row))
+        cells = (cell.strip() for row in self.rows.values() for cell in self.cells(row))
+        numbers = (NUMBER.fullmatch(cell) for cell in cells if not DATE.fullmatch(cell))
         return next((max(".,", key=n[1].rfind) for n in numbers if n and {*".,"} & {*n[1]}), ".")
 
     def _text(self) -> str:
@@ -378,7 +399,7 @@ class _Text:
             value = _number(number.replace(",", ".") if comma else number)
         if value is None:
             expected = hint = ""
-            if {*number} <= {*"+-0123456789.,' \xa0"}:
+            if number.strip("-") and {*number} <= {*"+-0123456789.,' \xa0"}:
                 expected = f" with a decimal {'comma' if comma else 'point'} and no thousands separator"
                 hint = f": export it so, or {self.place('decimal')}"
             elif "/" in number or ":" in number:
@@ -412,6 +433,23 @@ def _count_values(text: str, start: int, delimiter: str) -> int:
     # an empty last cell is that of a delimiter at the end
     wide = [row for row in rows if len(row) in (len(names), len(names) + (not row[-1]))]
     return sum(map(_is_value, (cell for row in wide for cell in row[:FIRST_CELLS]))) if names[1:] else 0
+
+
+def _lines_above(text: str) -> int:
+    """The number of lines above the names: these are the last heading before the most rows of its width."""
+    starts = [0, *(match.end() for match in islice(LINE_BREAK.finditer(text), FIRST_ROWS))]
+    best, above = 0, 0
+    for number, start in enumerate(starts):
+        line = LINE_BREAK.split(text[start : starts[number + 1] if number + 1 < len(starts) else None], 1)[0]
+        for delimiter in DELIMITERS:
+            names = _cells(line, delimiter if len(delimiter) == 1 else None)[0]
+            units = [is_unit(_unwrapped(name)) for name in names if name]
+            if number and (not _is_heading(names) or all(units)):
+                continue
+            count = _count_values(text, start, delimiter)
+            if count > best or (above and count == best):
+                best, above = count, number
+    return above
 
 
 def _is_heading(row: Sequence[str] = ()) -> bool:

@@ -140,7 +140,7 @@ class Validation:
     def verdict(self) -> str:
         """The outcome as text."""
         if not self.judged:
-            return "not judged: the reference has no limits"
+            return "not judged: the reference has no limits (keys tolerance, or group and [tolerances])"
         inside = len(self.judged) - len(self.failed)
         outcome, count = "pass" if self.passed else "fail", len(self.judged)
         outcome += ", the result is not reliable" if self.unreliable else ""

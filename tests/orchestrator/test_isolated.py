@@ -40,12 +40,12 @@ def test_a_run_says_in_advance_what_it_takes_and_is_refused_if_it_cannot_fit(fmu
     assert told(step=1e-7, stop=2.0, record_step=1.0) == "not now"
     assert (
         capfd.readouterr().err
-        == "note: 2e+07 steps of 1e-07 s up to 2 s, 3 points of 2 signals, 1.4e-07 GB\n"
+        == "note: 2e+07 steps of 1e-07 s up to 2 s, 3 points of 2 signals, 1.4e-07 GB of values\n"
     )
     assert told(step=1e-3, stop=2.0) == "not now"
     assert capfd.readouterr().err == ""
     refused = told(step=1e-3, stop=5e8)  # 1e11 rows of time and two signals, 15 bytes each, are 4500 GB
-    assert refused.startswith("1e+11 points of 2 signals, 4.5e+03 GB, do not fit on the disk of ")
+    assert refused.startswith("1e+11 points of 2 signals, 4.5e+03 GB of values, do not fit on the disk of ")
     assert refused.endswith("; choose a longer record step or stop earlier")
 
 

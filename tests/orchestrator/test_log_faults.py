@@ -37,9 +37,14 @@ NAMED = {
     "encoder 0 to 360": (ANGLE * 2 % 360, DEG, "jumps 4 times by about 360; wrap = 360 unwraps an angle"),
     "atan2": (np.angle(np.exp(1j * 4 * np.sin(TIME))), SignalDescription("rad"), "jumps .* by about 6.28319"),
     "turns": (ANGLE / 90 % 1, SignalDescription("rev"), "jumps .* by about 1; wrap = 1 "),
-    "bus of 20 Hz": (held(LEVER, 10), SignalDescription("V"), "each value is held for 10 rows"),
-    "bus of 47 Hz": (held(NOISY, 4.25), SignalDescription("bar"), r"each value is held for 4\.2\d rows"),
-    "bus of 100 Hz": (held(NOISY, 2), SignalDescription("bar"), "each value is held for 2 rows"),
+    "bus of 20 Hz": (held(LEVER, 10), SignalDescription("V"), "each value is held for 10 samples"),
+    "bus of 47 Hz": (held(NOISY, 4.25), SignalDescription("bar"), r"each value is held for 4\.2\d samples"),
+    "bus of 100 Hz": (held(NOISY, 2), SignalDescription("bar"), "each value is held for 2 samples"),
+    "bus in every third row": (
+        np.where(ROW % 3 == 1, held(LEVER, 15), np.nan),
+        SignalDescription("V"),
+        "each value is held for 5 samples",
+    ),
     "0xFFFF": (
         np.where(ROW % 700 == 5, 6553.5, NOISY),
         SignalDescription("bar"),

@@ -8,6 +8,7 @@ from kit.mistakes import problem, table
 from fmus.identification.recordings.reading import read_series
 from orchestrator import Trace, assemble, read_recording, read_trace, run, write_trace
 from orchestrator.base import files
+from orchestrator.data.table import read_columns, time_axis
 from orchestrator.engine.scenario import drive
 
 
@@ -186,3 +187,43 @@ def test_a_decimal_comma_may_come_late(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time;u\n" + "".join(f"{k};{k % 5}\n" for k in range(60)) + "60;2,5\n", encoding="utf-8")
     assert read_trace(path)["u"][-1] == 2.5
+
+
+PLAIN = "Zeit [s];Druck [bar]\n0,0;1,5\n0,1;2,5\n"
+ABOVE = {
+    "title": "Prüfling: Harvester\nGerät;XY\n\n",
+    "commas": "Prüfer: A, B\n",
+    "wide": "Messung;Nr;7;von;9\n\n",
+}
+
+
+@pytest.mark.parametrize("name", ABOVE)
+def test_lines_above_the_names_are_left_out(name, tmp_path, capsys):
+    """The names are in the last line before rows of their width; the message numbers the lines."""
+    path = tmp_path / "a.csv"
+    path.write_text(ABOVE[name] + PLAIN, encoding="utf-8")
+    columns = read_columns(path, None)
+    assert {n: v.tolist() for n, v in columns.values.items()} == {
+        "Zeit [s]": [0, 0.1],
+        "Druck [bar]": [1.5, 2.5],
+    }
+    line = ABOVE[name].count("\n") + 1
+    assert columns.location(0) == f"{path}: line {line + 1}"
+    assert f"the names are in line {line}\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Datum;Uhrzeit;p\n27.11.2026;23:59:59,990;86,5\n28.11.2026;00:00:00,010;86,9\n",
+        "Uhrzeit;Datum;p\n23:59:59,99;27.11.2026;86,5\n00:00:00,01;28.11.2026;86,9\n",
+        "Datum,Uhrzeit,p\n2026-11-27,23:59:59.990,86.5\n2026-11-28,00:00:00.010,86.9\n",
+    ],
+)
+def test_date_and_time_of_day_in_two_columns(text, tmp_path):
+    """They are one time, over midnight, too; the column of dates is a part of it."""
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    columns = read_columns(tmp_path / "a.csv", None)
+    assert [*columns.values] == ["Uhrzeit", "p"]
+    assert columns.values["p"].tolist() == [86.5, 86.9]
+    assert time_axis(columns, "Uhrzeit").tolist() == [0.0, 0.02]

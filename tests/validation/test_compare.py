@@ -209,7 +209,9 @@ def test_without_limits_nothing_is_judged() -> None:
     found = validate(metres(t, t), made(t, t + 5), rate=False)
     assert found.passed
     assert found.judged == ()
-    assert found.verdict == "not judged: the reference has no limits"
+    assert found.verdict == (
+        "not judged: the reference has no limits (keys tolerance, or group and [tolerances])"
+    )
 
 
 def test_the_run_of_one_fmu_under_the_names_of_a_system() -> None:

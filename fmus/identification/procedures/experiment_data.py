@@ -56,10 +56,11 @@ def training_recordings(
 
 def condition(recording: Recording, name: str, choices: Collection[str]) -> str:
     """A condition of the experiment that is one of some words."""
-    word = recording.text_condition(name)
-    if word not in choices:
-        raise Problem(f"{recording.source}: [experiment] {name}: expected {', '.join(choices)}, got {word!r}")
-    return word
+    word = recording.conditions.get(name)
+    if isinstance(word, str) and word in choices:
+        return word
+    got = "nothing" if word is None else repr(word)
+    raise Problem(f"{recording.source}: [experiment] {name}: expected {', '.join(choices)}, got {got}")
 
 
 def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
@@ -136,7 +137,7 @@ def _most_noise(values: Array, sensor: Sensor) -> float:
     Correlated noise shows itself in means; so does a fast motion, which makes the result too large. A
     converter hides noise of half a step.
     """
-    found = [masks.noise(values, sensor, moving=True)]
+    found, values = [masks.noise(values, sensor, moving=True)], values[np.isfinite(values)]
     for size in (4, 16):
         blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
         found.append(masks.noise(blocks) * math.sqrt(size))
@@ -172,8 +173,8 @@ def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
 
 
 def _saturation_finding(recording: Recording, name: str, label: str) -> Finding:
-    values, sensor = recording[name], recording.sensor(name)
-    ends = [float(np.nanmax(values))] + ([float(np.nanmin(values))] if np.nanmin(values) < 0 else [])
+    values, sensor = recording[name][np.isfinite(recording[name])], recording.sensor(name)
+    ends = [float(values.max())] + ([float(values.min())] if values.min() < 0 else [])
     chance = max(masks.equal_by_chance(values, sensor), masks.MIN_CHANCE)
     runs = [s.stop - s.start for end in ends for s in true_intervals((values == end) & (end != 0))]
     longest = max(runs, default=0)

@@ -15,7 +15,15 @@ import numpy as np
 
 from fmus.identification.recordings.masks import noise, step
 from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.reading import CONDITIONS, MACHINE, MACHINE_SIGNALS, REST
+from fmus.identification.recordings.reading import (
+    CHOICES,
+    CONDITIONS,
+    MACHINE,
+    MACHINE_SIGNALS,
+    NUMBERS,
+    REST,
+)
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import write_whole
@@ -25,7 +33,7 @@ from orchestrator.base.units import COMMON, convert, parse_unit, si_unit
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
-from orchestrator.data.table import Columns, column_names, is_unit, read_columns, time_axis
+from orchestrator.data.table import Columns, TextFormat, column_names, is_unit, read_columns, time_axis
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
 SENSORS: Mapping[str, Sequence[str]] = {
@@ -49,17 +57,20 @@ WORDS: Mapping[str, str] = {
     "flow": "durchfluss|menge|volumenstrom", "head": "kolben|boden", "rod": "stange|ringseite",
     "supply": "pump|versorg", "tank": "return|rück|rueck", "temperature": "temp",
 }  # fmt: skip
+GROUPS = {"rad": "angle", "rad/s": "speed", "m": "position", "Pa": "pressure", "m3/s": "flow"}
 TIME = re.compile(r"t\b|t_|.*(time|zeit|uhr|stamp)", re.IGNORECASE)
 SLOWEST = 2.0  # Hz; a time without a unit is in the largest unit in which a logger is faster
 HEAD = """# Remove "# " in front of the signals that you need, and correct their names and units.
 # What remains a comment is left out. `harvester signals` lists all names, docs/recordings.md all keys.
 
 [file]
-csv = {}
+{}
 
 [time]
 column = {}
 unit = {}
+
+{}
 
 {}
 
@@ -78,9 +89,11 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         raise Problem(f"--procedure: expected one of {', '.join(CONDITIONS)}, got {procedure!r}")
     if out.suffix != ".toml" or out.resolve().parent != data.resolve().parent:
         raise Problem(f"--out {out}: expected a file that ends in .toml, in the folder of {data}")
-    if out.exists() and not force:
+    file = toml.read_file(out) if out.exists() else toml.Table(str(out), {})
+    if not file.data.keys() <= {"file"} and not force:
         raise Problem(f"{out}: expected no such file, got one; --force overwrites it")
-    columns, unread = _columns(data)
+    form = replace(toml.read_dataclass(TextFormat, file.table("file")), csv=data.name)
+    columns, unread = _columns(data, form)
     units = {name: _unit(columns, name) for name in columns.values}
     time, units[time] = _time(columns, units)
     values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
@@ -109,11 +122,28 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         if unit and parse_unit(unit).exponents not in dimensions:  # counts, mA, %
             keys = f'column = {_text(column)}, unit = "?", factor = 1.0, offset = 0.0'
         about = "; ".join(filter(None, (f"{column}: {extent} {unit or '?'}", found, may_be or names[0])))
-        lines.append(f"# {about}\n{'# ' * bool(may_be)}{_text(name)} = {{ {keys} }}\n")
-    mark, conditions = "" if procedure else "# ", ", ".join(CONDITIONS.get(procedure, ()))
+        group = GROUPS.get(si_unit(unit), "")
+        keys += f', group = "{group}"' * bool(group)
+        factor = parse_unit(unit).factor
+        # finer steps are digits of the file
+        shown_keys = {"dead_zone": signal.zone, "noise": signal.noise, "resolution": signal.step}
+        shown_keys["resolution"] *= signal.step > signal.noise / 10
+        instrument = ", ".join(f"{k} = {v / factor:.3g}" for k, v in shown_keys.items() if v > 0)
+        lines.append(
+            f"# {about}\n{'# ' * bool(may_be)}{_text(name)} = {{ {keys} }}"
+            f"{f'  # as the samples show: {instrument}' if instrument else ''}\n"
+        )
+    mark = "" if procedure else "# "
     experiment = f'{mark}[experiment]\n{mark}procedure = "{procedure or MACHINE}"'
-    experiment += f"  # its conditions, see docs/recordings.md: {conditions}" if conditions else ""
-    head = HEAD.format(_text(data.name), _text(time), _text(units[time]), experiment)
+    for name in CONDITIONS.get(procedure, ()):
+        first, *others = map(_text, CHOICES.get(name, ["?"]))
+        value = first if name in CHOICES else f"{{ value = ?, unit = {_text(NUMBERS[name])} }}"
+        experiment += f"\n# {name} = {value}{'  # or ' * bool(others)}{', '.join(others)}"
+    formats = "\n".join(f"{key} = {_text(v)}" for key, v in vars(form).items() if v or key == "csv")
+    limits = ["# [tolerances]  # with which `harvester validate` judges, here of errors over the range"]
+    groups = (g for g in GROUPS.values() if f'group = "{g}"' in "".join(lines))
+    limits += [f'# {group} = {{ metric = "nrmse", limit = 0.1 }}' for group in groups]
+    head = HEAD.format(formats, _text(time), _text(units[time]), experiment, "\n".join(limits))
     write_whole(out, "\n".join([head, *lines]))
     use = f"harvester identify {out.parent}" if procedure else f"harvester validate --reference {data}"
     after = f"{out}: written; fill in the names of the signals, then: {use}"
@@ -122,17 +152,19 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     return "\n".join([about, *columns_found, *unread, *quality.remarks(), *recording.log_faults(), after])
 
 
-def _text(text: str) -> str:
-    """A text in TOML, which has the escapes of JSON."""
+def _text(text: str | int) -> str:
+    """A text or a number in TOML, which has the escapes of JSON."""
     return json.dumps(text, ensure_ascii=False)
 
 
-def _columns(data: Path) -> tuple[Columns, list[str]]:
+def _columns(data: Path, form: TextFormat) -> tuple[Columns, list[str]]:
     """The columns of numbers, and a sentence for each of the others."""
-    names, unread = column_names(data), list[str]()
+    names, unread = column_names(data, form), list[str]()
     while True:
         try:
-            columns = read_columns(data, names)
+            columns = read_columns(data, names, form)
+            if len(names) < 2 and unread:
+                raise Problem(unread[0].removesuffix("; left out"))
             return replace(columns, values={name: columns.values[name] for name in names}), unread
         except Problem as problem:
             numbers = [name for name in names if f"column {name!r}: " not in str(problem)]
@@ -145,6 +177,10 @@ def _columns(data: Path) -> tuple[Columns, list[str]]:
 def _time(columns: Columns, units: Mapping[str, str]) -> tuple[str, str]:
     """The first column of increasing times, one with such a name before the others; its unit or a guess."""
     increasing = [name for name, values in columns.values.items() if (np.diff(values) > 0).all()]
+    for clock in () if any(map(TIME.match, increasing)) else columns.moments:
+        late = int((np.diff(columns.values[clock]) <= 0).argmax()) + 1
+        expected = "expected increasing times, got one that is not later: a clock without milliseconds?"
+        raise Problem(f"{columns.location(late)}: column {clock!r}: {expected}")
     if not increasing:
         names = first_names(columns.values, 8)
         raise Problem(f"{columns.file}: expected a column of increasing times, got none among {names}")
@@ -163,8 +199,8 @@ def _unit(columns: Columns, name: str) -> str:
 
 def _sensors(procedure: str) -> Mapping[str, Sequence[str]]:
     """SI unit -> signals that a procedure reads."""
-    if procedure in ("", REST, *MACHINE_SIGNALS):
-        return SENSORS
+    if procedure in ("", REST, *MACHINE_SIGNALS):  # validate knows only signals of the machine
+        return {unit: names for unit, names in SENSORS.items() if procedure or unit != "K"}
     require("identify", f"harvester describe --procedure {procedure}")
     signals = import_module(f"fmus.identification.procedures.{procedure}").SIGNALS
     return {unit: [name for name, u in signals.items() if u == unit] for unit in signals.values()}

@@ -7,6 +7,7 @@ equal by chance with the probability
 
 with the resolution `step` of the converter and the standard deviation `sd` of the noise, for sd > step. A run
 of equal values that chance does not explain is a fault: clipped at the signal's own extreme, stuck elsewhere.
+A missing sample, as between those of a slower group of the logger, does not end a run.
 A signal without visible noise (a command, an encoder at rest) may be constant and is not judged.
 
 `steady` returns the intervals in which a command is constant, `averages` the means of good samples there.
@@ -31,6 +32,7 @@ MAX_CHANCE = 0.5  # largest probability of equal samples that can be judged; a s
 OVERSTATED = 3.0  # stated noise over estimated noise, from which the stated noise is not used
 WHITE = 0.7  # least ratio of the noise estimates by the sixth and the fourth difference if the noise is white
 MIN_GOOD = 0.5  # least fraction of good samples for an average
+AT_ZERO = 6.0  # standard deviations, which noise exceeds once in 5e8 samples
 ROUNDING = 1e-9  # s, of time stamps, in a settling time
 EXACT = Sensor()  # without noise, steps, ends and dead zone
 
@@ -39,13 +41,18 @@ def noise(values: Array, sensor: Sensor = EXACT, order: int = ORDER, moving: boo
     """Standard deviation of the white noise of one sample; NaN if there are too few samples.
 
     The estimate is the median of the sixth difference. It is insensitive to a smooth signal, and to any
-    disturbance of less than half of the recording. Samples in the dead zone are left out.
+    disturbance of less than half of the recording. Samples in the dead zone are left out. Without enough
+    neighbours, in a slower group of the logger, successive samples count as neighbours.
 
     moving   leave out samples whose difference is zero: a signal is stuck there, or an encoder at rest
     """
-    difference = np.abs(np.diff(np.where(in_dead_zone(values, sensor), np.nan, values), order))
-    difference = difference[np.isfinite(difference) & ((difference > 0) | (not moving))]
-    if len(difference) < 4 * order:
+    judged = np.where(in_dead_zone(values, sensor), np.nan, values)
+    for part in (judged, judged[np.isfinite(values)]):
+        difference = np.abs(np.diff(part, order))
+        difference = difference[np.isfinite(difference) & ((difference > 0) | (not moving))]
+        if len(difference) >= 4 * order:
+            break
+    else:
         return math.nan
     sd = float(np.median(difference)) / (MEDIAN_TO_SD * math.sqrt(math.comb(2 * order, order)))
     rounding = 1e-12 * float(np.nanmax(np.abs(values)))
@@ -55,6 +62,17 @@ def noise(values: Array, sensor: Sensor = EXACT, order: int = ORDER, moving: boo
 def in_dead_zone(values: Array, sensor: Sensor) -> Mask:
     """Mask of the samples in the sensor's dead zone, where a meter may be constant."""
     return np.asarray((np.abs(values) <= sensor.dead_zone) & (sensor.dead_zone > 0))
+
+
+def zeros_of_dead_zone(values: Array, sensor: Sensor) -> float:
+    """The least magnitude beyond the exact zeros of a meter, if noise does not bridge it; else 0."""
+    if sensor.dead_zone or not (values == 0).any():
+        return 0.0
+    others = values[np.isfinite(values) & (values != 0)]
+    if not others.size or equal_by_chance(others, sensor) > MAX_CHANCE:  # a signal without noise may be zero
+        return 0.0
+    least = float(np.abs(others).min())
+    return least if least > AT_ZERO * max(step_and_noise(others, sensor)) else 0.0
 
 
 def step(values: Array) -> float:
@@ -120,13 +138,16 @@ def overstated(sensor: Sensor, moving: float) -> bool:
 
 def _long_runs(values: Array, sensor: Sensor) -> Mask:
     """Mask of runs of equal values that are too long for chance."""
+    known = np.isfinite(values)
+    held: Mask = (values == 0) & (zeros_of_dead_zone(values, sensor) > 0)
     chance = max(equal_by_chance(values, sensor), MIN_CHANCE)
-    if chance > MAX_CHANCE:
-        return np.zeros(len(values), dtype=bool)
-    longest = 1 + math.ceil(math.log(FALSE_ALARM / len(values)) / math.log(chance))
-    edges = np.flatnonzero(~(np.diff(values) == 0)) + 1  # each gap is a run of its own
-    lengths = np.diff(edges, prepend=0, append=len(values))
-    return np.repeat(lengths > longest, lengths)
+    if chance > MAX_CHANCE or not known.any():
+        return held
+    longest = 1 + math.ceil(math.log(FALSE_ALARM / known.sum()) / math.log(chance))
+    edges = np.flatnonzero(np.diff(values[known])) + 1
+    lengths = np.diff(edges, prepend=0, append=known.sum())
+    held[known] |= np.repeat(lengths > longest, lengths)
+    return held
 
 
 def faults(recording: Recording, name: str) -> dict[str, Mask]:

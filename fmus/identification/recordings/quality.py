@@ -16,7 +16,6 @@ from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
-AT_ZERO = 6.0  # standard deviations, which noise exceeds once in 5e8 samples
 # SI unit -> plausible range of the largest magnitude in a recording
 PLAUSIBLE: Mapping[str, tuple[float, float]] = {
     "Pa": (1e4, 1e8),  # a tenth of a bar; burst pressure of a hose
@@ -32,6 +31,7 @@ FINEST_STATED = 1e-4  # fraction of a signal's range; finer steps, such as digit
 CLOSE = 0.5  # periods; time stamps closer than this belong to one sample that was written twice
 SIGNIFICANT = 5  # standard deviations; a larger count or drift is not due to chance
 RARE = 0.05  # rows that are equal by chance with a larger probability are not judged
+HALF_ZERO = 60  # successive zeros, which noise that is mostly negative or rounds to 0 has: 0.7^60 = 5e-10
 NEIGHBOURS = 8  # samples on each side that determine the slope of a signal
 BOW = 0.25  # periods; a remark if the drift moves time stamps farther than this off a uniform clock
 
@@ -45,7 +45,8 @@ class SignalQuality:
     step        quantisation step estimated from the samples, 0 if there is none
     noise       noise estimated from the samples
     moving      noise of the samples that differ from their neighbours
-    unused      cause of `masks.faults` -> fraction of the samples, and a text, empty if there are none
+    zone        least magnitude beyond the zeros of an undeclared dead zone, 0 if there is none
+    unused      cause of `masks.faults` -> fraction of the samples, and a text of those that may be faults
     """
 
     name: str
@@ -56,6 +57,7 @@ class SignalQuality:
     step: float
     noise: float
     moving: float
+    zone: float
     unused: Mapping[str, tuple[float, str]]
 
     def faults(self) -> list[str]:
@@ -65,7 +67,7 @@ class SignalQuality:
         least, most = PLAUSIBLE.get(self.unit, (0.0, math.inf))
         largest = max(abs(self.low), abs(self.high))
         # what is zero up to the noise of its sensor tells nothing about its unit
-        implausible = largest > AT_ZERO * sensor.sd and not least <= largest <= most
+        implausible = largest > masks.AT_ZERO * sensor.sd and not least <= largest <= most
         limits = f"{show(least)} to {show(most)}" if least else f"up to {show(most)}"
         extremes = f"from {show(self.low)} to {show(self.high)}"
         # a slow signal rounded to steps looks like noise of up to half a step
@@ -78,6 +80,7 @@ class SignalQuality:
         tests = {
             f"{gaps} without a sample.": gaps,
             f"{clipped} clipped, {ends}.": clipped,
+            f"reads 0 or at least {show(self.zone)}: a meter's dead zone? dead_zone states it.": self.zone,
             f"{stuck} stuck at one value, without the noise of the sensor; not used.": stuck,
             f"{extremes}, expected a largest magnitude of {limits}: is its unit right?": implausible,
             f"noise of {found}, stated {noise}.": self.noise > LOUD * stated > 0,
@@ -132,26 +135,33 @@ def examine(recording: Recording) -> Quality:
         sensor, finite = recording.sensor(name), values[np.isfinite(values)]
         low, high = (finite.min(), finite.max()) if finite.size else (math.nan, math.nan)
         noises = masks.noise(values, sensor), masks.noise(values, sensor, moving=True)
+        zone, found = masks.zeros_of_dead_zone(values, sensor), masks.faults(recording, name)
+        zeros = max(
+            (run.stop - run.start for run in true_intervals(values[np.isfinite(values)] == 0)), default=0
+        )
+        # a sensor from 0 on reads zero where noise around it is negative
+        rest = (values == 0) & (zone > 0 or (sensor.low == 0 and zeros < HALF_ZERO))
         unused = {
-            cause: _unused(mask, recording.time) for cause, mask in masks.faults(recording, name).items()
+            c: (float(m.mean()), _unused(m & ~(rest & (c != "dead zone")), recording.time))
+            for c, m in found.items()
         }
-        found = (float(low), float(high), masks.step(values), *noises, unused)
-        signals.append(SignalQuality(name, recording.units[name], sensor, *found))
+        numbers = (float(low), float(high), masks.step(values), *noises, zone)
+        signals.append(SignalQuality(name, recording.units[name], sensor, *numbers, unused))
     return Quality(recording.source.name, *_clock(recording), signals)
 
 
-def _unused(mask: Mask, time: Array) -> tuple[float, str]:
-    """Fraction of the samples that are not used for one cause, and a text."""
+def _unused(mask: Mask, time: Array) -> str:
+    """A text of the samples that are not used for one cause; empty if there are none."""
     count, parts, fraction = int(mask.sum()), true_intervals(mask), float(mask.mean())
     if not parts:
-        return 0.0, ""
+        return ""
     ends = np.append(time, 2 * time[-1] - time[-2])  # an interval of one sample lasts until the next sample
     longest = max(float(ends[part.stop] - time[part.start]) for part in parts)
     share = f"{100 * fraction:.2g} %" if fraction < 0.995 else "all"
     several = f"in {len(parts)} parts, " if len(parts) > 1 else ""
     first = f"first at {time[parts[0].start]:.6g} s"
     samples = f"{count} sample{'s' * (count > 1)}"
-    return fraction, f"{samples} ({share}; {several}{first}, longest {longest:.3g} s)"
+    return f"{samples} ({share}; {several}{first}, longest {longest:.3g} s)"
 
 
 def _clock(recording: Recording) -> tuple[float, float, list[str]]:

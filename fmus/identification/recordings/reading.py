@@ -34,6 +34,9 @@ CONDITIONS: Mapping[str, tuple[str, ...]] = {
     MACHINE: ("tank_pressure",),
     REST: (),
 }
+# words that a condition may have; the others are numbers with their SI unit
+CHOICES = {"edge": ("P-A", "B-T", "P-B", "A-T"), "shaft": ("locked",), "joint": ("swing", "boom", "stick")}
+NUMBERS = {"length": "m", "diameter": "m", "density": "kg/m3", "tank_pressure": "Pa", "payload": "kg"}
 
 
 def read(path: Path | str) -> Recording:

@@ -104,6 +104,17 @@ def test_uncertain_rounding_widens_the_dead_band():
     assert found["dead_band + rounding/2"].sd < 1e-3
 
 
+def test_an_undeclared_dead_zone_in_a_slower_group_leaves_the_dead_band_open():
+    """Every second flow is missing, and 0 below 10 L/min: the interval holds the truth."""
+    log = bench.edge("P-A", 0)
+    log = replace(log, sensors={"flow": replace(bench.FLOW, dead_zone=0.0)})
+    flow = np.where(np.arange(log.time.size) % 2, np.nan, log["flow"])
+    command = np.round(log["command"] * 4096 / 20) * 20 / 4096
+    result = valve.identify([bench.changed(log, {"flow": flow, "command": command})], bench.KNOWN)
+    found = bench.named(result)["valve_dead_band"]
+    assert found.low <= bench.DEAD_BAND <= found.high
+
+
 UNKNOWN = {n: v for n, v in bench.KNOWN.items() if n != "boom_stick.density"}
 
 

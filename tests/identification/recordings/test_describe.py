@@ -126,11 +126,66 @@ def test_a_bench_has_the_names_and_conditions_of_its_procedure(tmp_path):
     pd.DataFrame({"t": K / 200, "U [V]": K % 9, "Q [L/min]": 3 * K}).to_csv(tmp_path / "b.csv", index=False)
     describe(tmp_path / "b.csv", tmp_path / "valve.toml", procedure="valve")
     text = (tmp_path / "valve.toml").read_text(encoding="utf-8")
-    assert (
-        '[experiment]\nprocedure = "valve"  # its conditions, see docs/recordings.md: edge, density' in text
-    )
+    conditions = '# edge = "P-A"  # or "B-T", "P-B", "A-T"\n# density = { value = ?, unit = "kg/m3" }\n'
+    assert f'[experiment]\nprocedure = "valve"\n{conditions}' in text
     filled_in(tmp_path / "valve.toml")
     assert [*read(tmp_path / "valve.toml")] == ["command", "flow"]
+
+
+def test_the_keys_of_an_instrument_stand_behind_its_line(tmp_path):
+    """As the samples show them, in the unit of the file; digits of the file are no resolution."""
+    rng = np.random.default_rng(4)
+    flow = 30 * np.sin(K / 40) + rng.normal(0, 0.3, K.size)
+    flow = np.where(K % 2, np.nan, np.where(np.abs(flow) < 10, 0, np.round(flow, 4)))
+    pressure = np.round((100 + 9 * np.sin(K / 30) + rng.normal(0, 0.1, K.size)) / 0.1) * 0.1
+    data = {"t": K / 200, "Q [L/min]": flow, "p [bar]": pressure}
+    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
+    assert "Q [L/min]: reads 0 or at least 10" in describe(tmp_path / "a.csv")
+    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    q, p = (line for line in text.splitlines() if "as the samples show" in line)
+    # least of 100 readings above 10 L/min, whose slope is 0.75 L/min
+    assert float(re.search(r"dead_zone = ([\d.]+),", q)[1]) == pytest.approx(10, abs=1)
+    assert "resolution" not in q
+    # standard error 1.8 / sqrt(400) = 9 %, three times that, and what rounding adds
+    assert float(re.search(r"noise = ([\d.]+),", p)[1]) == pytest.approx(np.hypot(0.1, 0.03), rel=0.3)
+    assert p.endswith("resolution = 0.1")
+
+
+def test_limits_are_proposed_and_only_signals_that_validate_reads(tmp_path):
+    """A whole block; the oil's temperature is one of recordings for an identification."""
+    data = {"t": K / 200, "p_bar": K % 7, "boom_angle [deg]": K % 9, "Öltemperatur [°C]": 40 + K % 3}
+    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
+    describe(tmp_path / "a.csv")
+    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    assert "oil_temperature" not in text
+    (tmp_path / "a.toml").write_text(re.sub("# (.tolerances|angle|pressure)", r"\1", text), encoding="utf-8")
+    filled_in(tmp_path / "a.toml")
+    read_back = read_recording(tmp_path / "a.csv")
+    limits = {name: read_back.criterion(name).tolerance.limit for name in read_back}
+    assert set(limits.values()) == {0.1}
+    assert len(limits) == 2
+    describe(tmp_path / "a.csv", procedure="machine", force=True)
+    assert "oil_temperature" in (tmp_path / "a.toml").read_text(encoding="utf-8")
+
+
+def test_the_format_of_an_existing_file_is_used(tmp_path):
+    """A file with [file] alone is what a message asks for; its keys remain."""
+    (tmp_path / "a.csv").write_text("x\ny\nz\nt|p\n0|1,5\n0,01|2,5\n", encoding="utf-8")
+    form = '[file]\ndelimiter = "|"\ndecimal = ","\nskip_lines = 3\n'
+    (tmp_path / "a.toml").write_text(form, encoding="utf-8")
+    assert "p: 1.5 to 2.5" in describe(tmp_path / "a.csv")
+    text = (tmp_path / "a.toml").read_text(encoding="utf-8")
+    assert '[file]\ncsv = "a.csv"\ndelimiter = "|"\ndecimal = ","\nskip_lines = 3\n' in text
+
+
+def test_a_file_without_a_column_to_describe_gets_none(tmp_path):
+    """Nor one whose clock repeats a time."""
+    (tmp_path / "a.csv").write_text("t;p\n0;on\n1;off\n", encoding="utf-8")
+    (tmp_path / "b.csv").write_text("Uhrzeit;p\n10:00:00;1\n10:00:01;2\n10:00:01;3\n", encoding="utf-8")
+    for name, message in {"a": r"line 2: column 'p'", "b": r"line 4: column 'Uhrzeit'.*milliseconds"}.items():
+        with pytest.raises(Problem, match=message):
+            describe(tmp_path / f"{name}.csv")
+        assert not (tmp_path / f"{name}.toml").exists()
 
 
 MISTAKES = {

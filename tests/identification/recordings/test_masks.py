@@ -150,6 +150,40 @@ def test_a_run_is_stuck_if_chance_makes_one_in_a_thousand_recordings(size, longe
         assert faults(recording(x=values), "x")["stuck"].sum() == run * (run > longest)
 
 
+ROW = np.arange(SIZE)
+SLOWER = {"all": ROW >= 0, "half": ROW % 2 == 0, "two thirds": ROW % 3 > 0, "fifth": ROW % 5 == 2}
+
+
+@pytest.mark.parametrize("logged", SLOWER.values(), ids=SLOWER)
+@pytest.mark.parametrize("sensor", [Sensor(), GAUGE], ids=["unknown", "known"])
+def test_gaps_of_a_slower_group_do_not_hide_faults(logged, sensor):
+    """Stuck and clipped samples are found as at the full rate of the logger."""
+    stuck, top = (ROW >= 1000) & (ROW < 1300), 227.5
+    values = np.where(stuck, 1500 * GAUGE.resolution, np.minimum(gauge(), top))
+    found = faults(made(sensor, np.where(logged, values, np.nan)), "pressure")
+    assert not (found["stuck"] ^ (logged & stuck)).any()
+    # short runs at the limit, where the noise crosses it, may be chance
+    limited = logged & (values == top)
+    assert found["clipped"][~limited].sum() == 0
+    assert found["clipped"].sum() > 0.8 * limited.sum() > 30
+
+
+@pytest.mark.parametrize("logged", SLOWER.values(), ids=SLOWER)
+@pytest.mark.parametrize("amplitude", [11.0, 100.0])
+def test_an_undeclared_dead_zone_is_named(logged, amplitude):
+    """The zeros are not used, also if they are most of the samples; the remark names the key."""
+    rng = np.random.default_rng(3)
+    flow = amplitude * np.sin(0.5 * T) + rng.normal(0, 0.3, SIZE)
+    flow = np.where(logged, np.where(np.abs(flow) < 10, 0, np.round(flow, 2)), np.nan)
+    meter = made(Sensor(), flow, "flow")
+    np.testing.assert_array_equal(good(meter, "flow"), np.nan_to_num(flow) != 0)
+    assert "flow: reads 0 or at least 10" in remarks(meter)
+    assert "dead_zone" in remarks(meter)
+    assert "clipped" not in remarks(meter) + remarks(made(Sensor(low=0.0), np.abs(flow), "flow"))
+    smooth = made(Sensor(), np.where(logged, np.maximum(np.sin(T), 0), np.nan), "flow")
+    assert "dead_zone" not in remarks(smooth)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02, 20.0])
 def test_an_encoder_at_rest_is_used(noise):
     """An encoder at rest for most of the time is not stuck, whatever noise is stated."""

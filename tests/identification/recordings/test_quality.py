@@ -73,6 +73,16 @@ def test_clipping_at_the_end_of_the_range_and_below(clean):
     assert ["clipped" in text for text in remarks_on(made, "pressure")] == [True]
 
 
+def test_the_zero_of_a_range_from_zero_on_is_not_a_fault(clean):
+    """Half of the noise of a gauge without pressure is cut off; a broken cable reads zero all the time."""
+    cut = rounded(np.maximum(np.random.default_rng(6).normal(0, 0.1, SIZE), 0), GAUGE.resolution)
+    rest = plant(clean, "pressure", cut[:1500], slice(0, 1500))
+    assert faults(rest, "pressure")["clipped"].sum() > 700
+    assert remarks_on(rest, "pressure") == []
+    broken = plant(rest, "pressure", 0.0, slice(200, 270))
+    assert ["clipped" in text for text in remarks_on(broken, "pressure")] == [True]
+
+
 def test_noise_and_steps_other_than_stated(clean):
     """A sensor with three times the stated noise, one with fewer bits, one with more bits than stated."""
     rng = np.random.default_rng(4)
