@@ -68,6 +68,13 @@ def limit_text(row: ValidatedSignal) -> str:
     return f"{NAMES[row.tolerance.metric]} {sign} {judged_text(row, row.tolerance.limit)}"
 
 
+def limit_share(use: float) -> str:
+    """Use of a limit in percent, rounded up, so that only a kept limit is shown as at most 100 %."""
+    # infinite without a value of the metric
+    tenths = max(math.ceil(min(1000 * use, 1e6) - 1e-9), int(use > 0))
+    return "over 100 times" if tenths > 99_999 else f"{tenths / 10:g} %"
+
+
 def miss_text(row: ValidatedSignal) -> str:
     """How much a failed row exceeds its limit, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
     if row.tolerance is None or row.passed:
@@ -138,7 +145,7 @@ def _table(validation: Validation, width: int) -> Iterator[Text]:
             colour = _COLOUR[None] if row.passed is None else colour
             yield Text(_line(mark, names[row.signal], name_width, _cells(row)), colour)
     if others := [row.limit_use for row in validation.rows if not row.listed]:
-        yield Text(f"{len(others)} others: at most {percentage(max(others))} of their limits", "bold")
+        yield Text(f"{len(others)} others: at most {limit_share(max(others))} of their limits", "bold")
 
 
 def _section(row: ValidatedSignal) -> str:

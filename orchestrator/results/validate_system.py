@@ -157,7 +157,7 @@ def judge(
     report = reporting.Report(
         title=layout.title or f"Validation of {result.system.name}",
         validation=validation,
-        figures=layout.figures or ((FigureSpec("Signals", panels),) if panels else ()),
+        figures=layout.figures or ((FigureSpec("Signals over time", panels),) if panels else ()),
         trace=result.trace,
         facts=facts,
         components=[describe(c) for c in result.system.components.values()],

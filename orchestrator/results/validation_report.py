@@ -7,7 +7,6 @@ its own scale.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -180,18 +179,8 @@ def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
         "judged": len(judged),
         "worst": worst,
         "use": min(use, 1.0),
-        "share": _share(use),
+        "share": summary.limit_share(use),
     }
-
-
-def _share(use: float) -> str:
-    """Use of a limit in percent, rounded up, so that only a kept limit is shown as at most 100 %."""
-    tenths = math.ceil(min(1000 * use, 1e6) - 1e-9)  # infinite without a value of the metric
-    if tenths <= 1 and use > 0:
-        return "< 0.1 %"
-    if tenths > 99_999:
-        return "over 100 times"
-    return f"{tenths / 10:.1f} %" if tenths < 100 else f"{-(-tenths // 10)} %"
 
 
 def _value(value: Any) -> str:

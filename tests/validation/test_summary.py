@@ -14,7 +14,7 @@ from orchestrator.base.text import number
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.summary import Summary, miss_text, percent
+from orchestrator.results.summary import Summary, limit_share, miss_text, percent
 from orchestrator.results.validation import Validation, validate
 
 
@@ -145,3 +145,12 @@ def test_a_value_and_its_limit_near_hundred_percent_differ(value: float, text: s
     row = made(a__x=Tolerance("fit", 99.995)).rows[0]
     told = miss_text(replace(row, passed=False, metrics=replace(row.metrics, fit=value)))
     assert told.startswith(f"{text}, limit 99.995 %")
+
+
+@pytest.mark.parametrize(
+    ("use", "text"),
+    [(0.0, "0 %"), (1e-9, "0.1 %"), (0.1034, "10.4 %"), (1.0, "100 %"), (1.00001, "100.1 %"), (2e9, "over 100 times")],
+)
+def test_the_use_of_a_limit_is_rounded_up_to_a_tenth_of_a_percent(use: float, text: str) -> None:
+    """A use above a limit is never 100 %; the cards of the report and the terminal have the same text."""
+    assert limit_share(use) == text
