@@ -149,7 +149,14 @@ def test_a_value_and_its_limit_near_hundred_percent_differ(value: float, text: s
 
 @pytest.mark.parametrize(
     ("use", "text"),
-    [(0.0, "0 %"), (1e-9, "0.1 %"), (0.1034, "10.4 %"), (1.0, "100 %"), (1.00001, "100.1 %"), (2e9, "over 100 times")],
+    [
+        (0.0, "0 %"),
+        (1e-9, "0.1 %"),
+        (0.1034, "10.4 %"),
+        (1.0, "100 %"),
+        (1.00001, "100.1 %"),
+        (2e9, "over 100 times"),
+    ],
 )
 def test_the_use_of_a_limit_is_rounded_up_to_a_tenth_of_a_percent(use: float, text: str) -> None:
     """A use above a limit is never 100 %; the cards of the report and the terminal have the same text."""
