@@ -102,7 +102,8 @@ def _unpacked(folder: Path, fmi3: bool) -> Path:
     """The folder with the files of the archive; made in one step, so that it is complete if it exists."""
     if folder.is_dir():
         return folder
-    with doing("unpacking the FMUs in the package, which is done once"):
+    versions = "FMI 2.0 and 3.0" if fmi3 else "FMI 2.0"  # each is unpacked when a command first needs it
+    with doing(f"unpacking the FMUs of {versions} in the package"):
         temporary = Path(tempfile.mkdtemp(dir=folder.parent))
         try:
             for name, content in unpack(BUILT, fmi3):

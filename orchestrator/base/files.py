@@ -539,8 +539,11 @@ def require(given: str | Path, suffixes: tuple[str, ...], context: str = "") -> 
 
 
 def require_system(system: str | Path) -> Path:
-    """The path of a system file, which must exist."""
-    return require(system, SYSTEMS)
+    """The path of a system file or of its unpacked folder, which must exist."""
+    path = require(system, SYSTEMS)
+    if path.is_file() and path.suffix.lower() not in SYSTEMS:
+        raise Problem(f"{path}: expected a .ssp, .ssd or .fmu file")
+    return path
 
 
 def make_folder(path: Path) -> None:

@@ -48,6 +48,7 @@ OTHERS = {  # beginning of a file -> its format, and the way out
     rb";\$FILEVERSION": ("a PCAN trace", DECODE),
     rb"PK\x03\x04.*(\[Content_Types\]|xl/)|\xd0\xcf\x11\xe0": ("Excel", SHEET),
     rb"PK\x03\x04|\x1f\x8b|BZh\d1AY|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd": ("an archive", "unpack it"),
+    rb"\x89PNG|\xff\xd8\xff|GIF8[79]a|%PDF": ("a picture or a PDF", "export its values as CSV"),
     rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
     rb"\x89HDF|MATLAB 5": ("MATLAB or HDF5", "name it .mat, or export CSV"),
 }

@@ -190,7 +190,7 @@ def _notes(comparison: Comparison) -> Iterator[str]:
     rows = (comparison.worst(label, q) for label in comparison.against for q in comparison.quantities())
     if any(row and CONSTANT in row.notes for row in rows):
         yield f"{CONSTANT}: its NRMSE is over the range of both runs"
-    if any(note.startswith(HARDLY_MOVES) for row in _shown(comparison) for note in row.metrics.notes):
+    if any(FLOORED in _cells(row)[0] for row in _different(comparison)):
         yield f"{FLOORED.strip()} {HARDLY_MOVES}: NRMSE over {percentage(AT_REST)} of the nominal value"
     notes = {label: validation.notes for label, validation in comparison.against.items()}
     for note in dict.fromkeys(note for of_run in notes.values() for note in of_run):

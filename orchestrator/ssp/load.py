@@ -55,9 +55,7 @@ def _load(file: Location, exchange: bool) -> System:
         return _single_fmu(file, exchange)
     if suffix == ".ssp" or file.is_folder:
         return _load_ssd(file.member(DEFINITION), exchange)
-    if suffix == ".ssd":
-        return _load_ssd(file, exchange)
-    raise Problem(f"{file}: expected a .ssp, .ssd or .fmu file")
+    return _load_ssd(file, exchange)
 
 
 def _single_fmu(fmu: Location, exchange: bool = False) -> System:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -512,6 +513,8 @@ def coerce(
         return number if linear == IDENTITY else int(linear(float(number)))
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
+        if re.match(r"[-+]?\d+,\d", text):
+            choice = " with a decimal point"
         raise Problem(f"{context}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
 
 

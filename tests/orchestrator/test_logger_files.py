@@ -145,6 +145,7 @@ FOREIGN = {
     "log.dat": (b"MDF     3.30    TGT 15.0" + bytes(200), "MDF 3: save it as MDF 4, such as by asammdf"),
     "log.xlsx": (zipped("[Content_Types].xml"), "Excel: save the sheet as CSV"),
     "log.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90), "Excel: save the sheet as CSV"),
+    "plot.csv": (b"\x89PNG\r\n\x1a\n" + bytes(90), "a picture or a PDF: export its values as CSV"),
     "log.zip": (zipped("log.csv"), "an archive: unpack it"),
     "log.csv.gz": (gzip.compress(b"time,x\n0,1\n1,2\n"), "an archive: unpack it"),
     "log.csv": (b"PAR1\x15\x04" + bytes(90), "Parquet: name it .parquet"),

@@ -10,6 +10,7 @@ from kit.mistakes import problem, table
 from kit.ssp import UNITS, bound, connector, gain, inline, real, second, ssd, system, wire
 
 from orchestrator import Problem, Trace, load, run
+from orchestrator.base.files import require_system
 
 # each edition of SSP with one version of FMI: what reads the one does not read the other
 EDITIONS = [
@@ -284,6 +285,7 @@ def test_files_that_are_no_systems_are_told(tmp_path, zip_ssp):
     }
     for path, message in cases.items():
         problem(partial(load, path), message)
+    problem(partial(require_system, tmp_path / "x.zip"), r"expected a .ssp, .ssd or .fmu file")  # `page` asks
 
 
 @table(__file__, "kinds", "options, message")
