@@ -443,8 +443,7 @@ def _lines_above(text: str) -> int:
         line = LINE_BREAK.split(text[start : starts[number + 1] if number + 1 < len(starts) else None], 1)[0]
         for delimiter in DELIMITERS:
             names = _cells(line, delimiter if len(delimiter) == 1 else None)[0]
-            units = [is_unit(_unwrapped(name)) for name in names if name]
-            if number and (not _is_heading(names) or all(units)):
+            if number and (not _is_heading(names) or all(is_unit(_unwrapped(n)) for n in names if n)):
                 continue
             count = _count_values(text, start, delimiter)
             if count > best or (above and count == best):

@@ -42,7 +42,7 @@ from orchestrator.ssp.system import System
 
 RECORD_STEP = 5e-3  # [s], sampling interval of the paths
 SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal
-TURN = 1.0  # [s]; no crane turns once in this time
+TURN = 1.0  # [s]; no machine turns once in this time
 FAR = 0.1  # [m]: a larger error is reported with its cause; usual errors are ten times smaller
 MM = 1e3
 WITH, WITHOUT = "-", (0, (3, 1.5))

@@ -32,6 +32,7 @@ MAX_CHANCE = 0.5  # largest probability of equal samples that can be judged; a s
 OVERSTATED = 3.0  # stated noise over estimated noise, from which the stated noise is not used
 WHITE = 0.7  # least ratio of the noise estimates by the sixth and the fourth difference if the noise is white
 MIN_GOOD = 0.5  # least fraction of good samples for an average
+VISIBLE = 1e-6  # of the range: finer noise and steps are those of a computation, whose zeros are exact
 AT_ZERO = 6.0  # standard deviations, which noise exceeds once in 5e8 samples
 ROUNDING = 1e-9  # s, of time stamps, in a settling time
 EXACT = Sensor()  # without noise, steps, ends and dead zone
@@ -71,8 +72,12 @@ def zeros_of_dead_zone(values: Array, sensor: Sensor) -> float:
     others = values[np.isfinite(values) & (values != 0)]
     if not others.size or equal_by_chance(others, sensor) > MAX_CHANCE:  # a signal without noise may be zero
         return 0.0
-    least = float(np.abs(others).min())
-    return least if least > AT_ZERO * max(step_and_noise(others, sensor)) else 0.0
+    least, largest, error = (
+        float(np.abs(others).min()),
+        float(np.abs(others).max()),
+        max(step_and_noise(others, sensor)),
+    )
+    return least if VISIBLE * largest < error < least / AT_ZERO else 0.0
 
 
 def step(values: Array) -> float:

@@ -184,6 +184,15 @@ def test_an_undeclared_dead_zone_is_named(logged, amplitude):
     assert "dead_zone" not in remarks(smooth)
 
 
+@pytest.mark.parametrize(("noise", "named"), [(1e-7, False), (1e-5, True)])
+def test_the_exact_zeros_of_a_computation_are_no_dead_zone(noise, named):
+    """Its noise is below a millionth of the range; that of the finest converters is above."""
+    exact = np.where(
+        T < 5, 0.0, 1 + np.sin(T) ** 2 / 2 + noise * np.random.default_rng(4).standard_normal(SIZE)
+    )
+    assert ("dead_zone" in remarks(made(Sensor(noise=0.01), exact, "flow"))) == named
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02, 20.0])
 def test_an_encoder_at_rest_is_used(noise):
     """An encoder at rest for most of the time is not stuck, whatever noise is stated."""
