@@ -111,6 +111,9 @@ class Quantity:
         )
 
 
+_Declared: TypeAlias = "type[Group] | tuple[Any, ...]"  # a group within a group, see `Group`
+
+
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Quantity,))
 class Group:
     """Base class of a group of scalars, such as the states of a subsystem; each field is a `Quantity`.
@@ -132,7 +135,7 @@ class Group:
 
         def __getattr__(self, name: str) -> Any: ...
 
-    def __init_subclass__(cls, **parts: type[Group] | tuple[Any, ...]) -> None:
+    def __init_subclass__(cls, **parts: _Declared) -> None:
         declared: dict[str, Any] = {}
         for name, part in parts.items():
             of = part if isinstance(part, tuple) else (part, name)
@@ -181,7 +184,9 @@ def nested(group: type[G], values: Mapping[str, Scalar]) -> G:
     return group(**made)
 
 
-def make_group(name: str, members: Mapping[str, Quantity], *bases: type[Group], **parts: Any) -> type[Any]:
+def make_group(
+    name: str, members: Mapping[str, Quantity], *bases: type[Group], **parts: _Declared
+) -> type[Any]:
     """A group class with the members of its bases, followed by its groups and these."""
     return type(name, bases or (Group,), {"__module__": __name__, **members}, **parts)
 

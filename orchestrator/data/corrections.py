@@ -51,6 +51,7 @@ def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str
         values = values[~np.isin(values, codes)]
     angle = spec.unit in ("", "1") or parse_unit(spec.unit).exponents == parse_unit("rad").exponents
     turn = parse_unit("rev").factor / parse_unit(spec.unit).factor if spec.unit not in ("", "1") else 360.0
+    step *= len(raw) / max(np.isfinite(values).sum(), 1)  # between samples of a slower group
     values = values[np.isfinite(values)]
     jumps = np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1
     if angle and jumps.any():

@@ -85,6 +85,8 @@ def delay_note(run: Trace, reference: Recording) -> str:
         error = np.stack([(recorded[n] - later[n]) / size for n, size in sizes.items()])
         slope = np.stack([np.gradient(later[n] / size, run.time) for n, size in sizes.items()])
         errors.append(rms(error))
+        if not slope.any():  # a run in which nothing moves
+            return ""
         delay -= float(np.sum(error * slope) / np.sum(slope**2))
     if abs(delay) < LEAST_DELAY or errors[-1] > errors[0] / 2:
         return ""

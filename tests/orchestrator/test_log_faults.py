@@ -192,6 +192,8 @@ def test_a_reference_with_late_commands_names_the_delay(delay, error, told):
     assert told in line
     assert bool(line) == bool(told)
     assert f"`delay = {delay:.2g}`" in line or not told
+    standing = Trace(TIME, {"angle": np.zeros(ROW.size), "pressure": np.ones(ROW.size), "lever": LEVER})
+    assert delay_note(standing, reference) == ""
 
 
 def test_samples_far_outside_the_span_do_not_drive_a_simulation():
@@ -241,6 +243,9 @@ def test_both_sides_of_what_is_named(raw, named):
 
 
 @pytest.mark.parametrize(("hold", "named"), [(0.95, True), (1.05, False)])
-def test_what_is_held_for_a_second_is_a_step_of_the_experiment(hold, named):
-    """A bus sends more often; steps of a command last for seconds."""
-    assert len([*log_faults(held(LEVER, 10), SignalDescription("V"), hold / 10)]) == named
+@pytest.mark.parametrize("rows", [1, 2])
+def test_what_is_held_for_a_second_is_a_step_of_the_experiment(rows, hold, named):
+    """A bus sends more often; steps of a command last for seconds, also in a slower group of the logger."""
+    values = np.full((ROW.size, rows), np.nan)
+    values[:, 0] = held(LEVER, 10)
+    assert len([*log_faults(values.ravel(), SignalDescription("V"), hold / 10 / rows)]) == named

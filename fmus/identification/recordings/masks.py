@@ -32,7 +32,9 @@ MAX_CHANCE = 0.5  # largest probability of equal samples that can be judged; a s
 OVERSTATED = 3.0  # stated noise over estimated noise, from which the stated noise is not used
 WHITE = 0.7  # least ratio of the noise estimates by the sixth and the fourth difference if the noise is white
 MIN_GOOD = 0.5  # least fraction of good samples for an average
-VISIBLE = 1e-6  # of the range: finer noise and steps are those of a computation, whose zeros are exact
+VISIBLE = (
+    1e-6  # of the largest magnitude: finer noise and steps are those of a computation, whose zeros are exact
+)
 AT_ZERO = 6.0  # standard deviations, which noise exceeds once in 5e8 samples
 ROUNDING = 1e-9  # s, of time stamps, in a settling time
 EXACT = Sensor()  # without noise, steps, ends and dead zone

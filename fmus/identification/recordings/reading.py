@@ -77,6 +77,7 @@ USUAL: Mapping[str, tuple[float, float]] = {
 BOOM, STICK, LEVER = "manipulator.boom_angle", "manipulator.stick_angle", "boom_stick.stick_command"
 SPARSE = 20  # rows between samples of these, in which angles change by more than their noise
 AT_REST = 0.02  # of its largest value: a lever
+FOLLOWS = 0.5  # of the boom's motion: half way between an angle to the boom and one to the horizon
 LEAST_MOTION = 2e-3  # [rad] per `SPARSE` rows, ten times the noise of an encoder
 LONGEST = 1e4  # [s]; a longer recording is in milliseconds
 
@@ -94,7 +95,7 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
         told += [*doubts(rows), *r.log_faults()]
         if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
             told.append(f"{r.source}: {end:.6g} s; did you mean ms?")
-        if r.procedure in MACHINE_SIGNALS and abs(slope := _stick_over_boom(r)) > 0.5:
+        if r.procedure in MACHINE_SIGNALS and abs(slope := _stick_over_boom(r)) > FOLLOWS:
             of = f"{r.source}: {STICK} moves by {slope:.2g} of {BOOM} while the stick's lever is at rest"
             told.append(f"{of}: is it the pitch of an inertial sensor? Subtract that of the boom")
     return told
