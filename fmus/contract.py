@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from numbers import Real
 from pathlib import Path
-from types import MappingProxyType
+from types import FunctionType, MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, dataclass_transform, get_type_hints
 
 import casadi as ca
@@ -138,6 +138,8 @@ class Group:
     def __init_subclass__(cls, **parts: _Declared) -> None:
         declared: dict[str, Any] = {}
         for name, part in parts.items():
+            if isinstance(getattr(cls, name, None), property | FunctionType):
+                raise Problem(f"{cls.__name__}: {name} is a name in its base already, expected another one")
             of = part if isinstance(part, tuple) else (part, name)
             declared[name] = field(metadata={"part": _Part(*of, name=name)})
         for name, q in vars(cls).items():
@@ -167,21 +169,31 @@ class _Part:
 def flat(values: Any) -> dict[str, Scalar]:
     """The variables of a group by name."""
     found: dict[str, Scalar] = {}
-    for f in fields(values):
-        value, part = getattr(values, f.name), f.metadata.get("part")
-        found |= {part.named(n): v for n, v in flat(value).items()} if part else {f.name: value}
+    for name, part in _parts(type(values)).items():
+        value = getattr(values, name)
+        found |= {part.named(n): v for n, v in flat(value).items()} if part else {name: value}
     return found
 
 
 def nested(group: type[G], values: Mapping[str, Scalar]) -> G:
     """A group from its variables by name, the inverse of `flat`; `values` may contain others."""
     made: dict[str, Any] = {}
-    for f in fields(group):  # type: ignore[arg-type]
-        if part := f.metadata.get("part"):
-            made[f.name] = nested(part.group, {n: values[part.named(n)] for n in quantities(part.group)})
+    for name, part in _parts(group).items():
+        if part is None:
+            made[name] = values[name]
         else:
-            made[f.name] = values[f.name]
+            made[name] = nested(part.group, {n: values[part.named(n)] for n in quantities(part.group)})
     return group(**made)
+
+
+_PARTS: dict[type[Any], dict[str, _Part | None]] = {}  # `nested` is called in each step of a user's model
+
+
+def _parts(group: type[Any]) -> dict[str, _Part | None]:
+    """The fields of a group, each with the group that it is; None: a scalar."""
+    if group not in _PARTS:
+        _PARTS[group] = {f.name: f.metadata.get("part") for f in fields(group)}
+    return _PARTS[group]
 
 
 def make_group(
@@ -336,13 +348,11 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
     declared: dict[str, Quantity] = {}
     if issubclass(group, Group):
         for f in fields(group):
-            part: _Part | None = f.metadata.get("part")
-            inner = (
-                {part.named(n): q.of(part.owner, part.named) for n, q in quantities(part.group).items()}
-                if part
-                else {}
-            )
-            found = inner if part else {f.name: f.metadata["quantity"]}
+            if part := _parts(group)[f.name]:
+                inner = quantities(part.group).items()
+                found = {part.named(n): q.of(part.owner, part.named) for n, q in inner}
+            else:
+                found = {f.name: f.metadata["quantity"]}
             if double := declared.keys() & found.keys():
                 raise Problem(f"{group.__name__}: {min(double)} is declared twice, expected different names")
             declared |= found

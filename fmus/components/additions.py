@@ -11,14 +11,15 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from fmus.components import oil, orifice
+from fmus.components import oil, spool_valve
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp, s_curve
+from orchestrator.base.errors import Problem
 
-CLOSED = 1e-3  # share of its capacitance that an accumulator without oil keeps
+CLOSED = 1e-3  # share of its capacitance that an accumulator without oil keeps, so that its rate is finite
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,21 @@ class ChamberReliefs(PressureValve, Addition):
     """A relief valve at each chamber of a cylinder, to the return line."""
 
     pressure: Scalar = Quantity(
-        "Pa", "Pressure at which the relief valves of the {} open", 1e7, minimum=0.0, value=35e6
+        "Pa", "Pressure at which a relief valve of the {} cylinder opens", 1e7, minimum=0.0, value=35e6
     )
     gain: Scalar = Quantity(
-        "m3/(s.Pa)", "Flow of these valves per pressure above it", 1e-9, minimum=0.0, value=0.0
+        "m3/(s.Pa)",
+        "Flow of a relief valve of the {} cylinder per pressure above the opening pressure",
+        1e-9,
+        minimum=0.0,
+        value=0.0,
     )
     rounding: Scalar = Quantity(
-        "Pa", "Pressure range over which they begin to open", 1e5, minimum=1.0, value=1e5
+        "Pa",
+        "Pressure range over which a relief valve of the {} cylinder begins to open",
+        1e5,
+        minimum=1.0,
+        value=1e5,
     )
 
     def added(self, at: Place) -> Circuit:
@@ -97,7 +106,7 @@ class Cushion(Addition):
     )
     resistance: Scalar = Quantity(
         "Pa.s2/m6",
-        "Turbulent resistance of the cushion at the end of the stroke",
+        "Turbulent resistance of the cushion of the {} at the end of the stroke",
         1e12,
         minimum=0.0,
         value=0.0,
@@ -105,6 +114,10 @@ class Cushion(Addition):
 
     def added(self, at: Place) -> Circuit:
         """The oil columns of both lines with the drop of the cushion."""
+        if any(getattr(at.circuit.branches.get(n), "drop", None) is None for n in ("head_flow", "rod_flow")):
+            raise Problem(
+                f"{at.name}: expected lines with oil columns, as in lumped and detailed, got others"
+            )
         left = {"head_flow": at.u.position, "rod_flow": at.own.stroke - at.u.position}
         return Circuit({}, {n: self._throttled(at.circuit.branches[n], way) for n, way in left.items()})
 
@@ -120,7 +133,9 @@ class Regeneration(Addition):
     area: Scalar = Quantity(
         "m2", "Area of the regeneration edge of the {} at full command", 1e-5, minimum=0.0, value=0.0
     )
-    command: Scalar = Quantity("V", "Command at which it begins to open", minimum=0.0, value=1.0)
+    command: Scalar = Quantity(
+        "V", "Command at which the regeneration edge of the {} begins to open", minimum=0.0, value=1.0
+    )
 
     def added(self, at: Place) -> Circuit:
         """The edge."""
@@ -128,9 +143,11 @@ class Regeneration(Addition):
         rounding = valve.command_rounding
         opening = ramp(ca.fmin(at.u.command, valve.full_command) - self.command, rounding)
         area = self.area * opening / ramp(valve.full_command - self.command, rounding)
+        square = spool_valve.flow_gain(area, valve.discharge_coefficient, at.p.density) ** 2
 
         def flow(drop: Scalar) -> Scalar:
-            return orifice.one_way_flow(area, drop, at.p.density, valve.discharge_coefficient, 1e5)
+            y = square * ca.fmax(drop, 0)
+            return y * spool_valve.turbulent_factor(y, valve.transition_flow)
 
         return Circuit({}, {at.name: Branch("rod_pressure", "head_pressure", Kind.CHECK, flow)})
 
@@ -150,7 +167,9 @@ class Accumulator(Addition):
 
     volume: Scalar = Quantity("m3", "Gas volume of the {} at its precharge", 1e-2, minimum=1e-6, value=1e-2)
     precharge: Scalar = Quantity("Pa", "Precharge of the {}", 1e7, minimum=1e5, value=10e6)
-    exponent: Scalar = Quantity("1", "Polytropic exponent of its gas", minimum=1.01, maximum=1.7, value=1.4)
+    exponent: Scalar = Quantity(
+        "1", "Polytropic exponent of the gas of the {}", minimum=1.01, maximum=1.7, value=1.4
+    )
     conductance: Scalar = Quantity(
         "m3/(s.Pa)", "Conductance of the throttle at the {}; 0: shut off", 1e-9, minimum=0.0, value=0.0
     )

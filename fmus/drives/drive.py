@@ -19,6 +19,7 @@ from fmus.components.load_sensing import Sensed
 from fmus.components.oil import at_temperature
 from fmus.contract import Group, Quantity, Scalar, Subsystem, Terminal, make_group, nested, quantities
 from fmus.ports import LineInputs
+from orchestrator.base.errors import Problem
 
 Names = tuple[str, str]  # of the two sides of an actuator
 
@@ -204,7 +205,12 @@ class _Instant:
         circuit = drive.circuit
         for name, _ in self.axis.additions:
             own: Addition = getattr(self.own, name)
-            circuit |= own.added(Place(name, circuit, getattr(self.x, name, None), self.u, self.own, self.p))
+            added = own.added(Place(name, circuit, getattr(self.x, name, None), self.u, self.own, self.p))
+            circuit |= added
+            ends = {end for branch in added.branches.values() for end in (branch.start, branch.end)}
+            if missing := ends - circuit.nodes.keys():
+                where = f"{self.axis.name}: {name}: expected a node {min(missing)}"
+                raise Problem(f"{where}, got {', '.join(circuit.nodes)}")
         return replace(drive, circuit=circuit)
 
 

@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from kit.equations import SUPPLY, Part
 from scipy.integrate import quad
 
-from fmus import boom_stick
+from fmus import boom_stick, swing
 from fmus.components.additions import (
     CLOSED,
     Accumulator,
@@ -17,11 +18,13 @@ from fmus.components.additions import (
     PistonLeakage,
     Regeneration,
 )
-from fmus.contract import Subsystem, family, quantities
+from fmus.contract import Subsystem, family, nested, quantities, symbolic
 from fmus.drives.drive import part
 from fmus.drives.lumped import LUMPED
+from fmus.drives.quasistatic import QUASISTATIC
 from fmus.machine.parts import FAMILIES
 from fmus.supply import CONSUMERS, supply
+from orchestrator.base.errors import Problem
 
 # what they do if they act: values of parameters of the boom
 CYLINDERS = {
@@ -50,6 +53,58 @@ def point(of: Part, rng: np.random.Generator) -> tuple[np.ndarray, dict[str, flo
 
     x, u = ({n: draw(n, q.nominal) for n, q in quantities(g).items()} for g in (of.sub.states, of.sub.inputs))
     return np.array([*x.values()]), u
+
+
+def flows(of: Part, states: dict[str, float], **inputs: float) -> dict[str, float]:
+    """Flows of the boom's circuit [m3/s] at these states, the others at the start."""
+    sub, x = of.sub, dict(zip(of.states, of.start(), strict=True)) | states
+    groups = ((sub.states, x), (sub.inputs, of.u | inputs), (sub.parameters, of.p))
+    circuit = sub.circuits(*(nested(group, values) for group, values in groups))["boom"]
+    return {name: float(ca.DM(flow)) for name, flow in circuit.flows.items()}
+
+
+def test_flows_of_additions_are_those_of_their_laws():
+    """Leakage g dp, a relief valve's straight line, an edge by eq. (1); no flow the other way."""
+    added = {name: CYLINDERS[name][0] for name in ("leakage", "reliefs", "regeneration")}
+    given = {f"boom_{n}_{k}": v for n in added for k, v in CYLINDERS[n][1].items()}
+    of = Part(drives(**added), **given)
+    high, low = (
+        {"boom_head_pressure": 1.2e7, "boom_rod_pressure": 4e6},
+        {"boom_head_pressure": 4e6, "boom_rod_pressure": 1.2e7},
+    )
+    forward, back = flows(of, high, boom_command=10.0), flows(of, low, boom_command=10.0)
+    # at the temperature of the parameters the leakage is as stated; the valve is rounded over 1 bar
+    assert forward["leakage"] == pytest.approx(1e-12 * 8e6, rel=1e-12)
+    assert forward["reliefs_head"] == pytest.approx(
+        1e-9 * (1.2e7 - of.u["tank_pressure"] - 8e6 - 0.5e5), rel=1e-12
+    )
+    assert forward["reliefs_rod"] == forward["regeneration"] == 0
+    rho, discharge = of.p["density"], of.p["valve_discharge_coefficient"]
+    # the transition flow of 0.6 L/min at 80 L/min
+    assert back["regeneration"] == pytest.approx(discharge * 2e-5 * np.sqrt(2 * 8e6 / rho), rel=1e-3)
+    assert flows(of, low, boom_command=of.p["boom_regeneration_command"])["regeneration"] == 0
+    half = flows(of, low, boom_command=5.5)["regeneration"] / back["regeneration"]
+    assert half == pytest.approx(
+        (4.5 - 0.2) / (9 - 0.2), rel=1e-3
+    )  # a straight line, its foot rounded over 0.4 V
+
+
+def test_an_addition_that_does_not_fit_is_told():
+    """A cylinder's at a motor, a name that the axis has, and a cushion at lines without oil columns."""
+    (axis,), text = swing.AXES, {"text": "-", "validity": "-"}
+    leaking = part("swing", [replace(axis, additions=(("past_piston", PistonLeakage),))], LUMPED, **text)
+    with pytest.raises(
+        Problem, match=r"^swing: past_piston: expected a node head_pressure, got supply, tank, "
+    ):
+        symbolic(leaking)
+    named = replace(axis, additions=(("leakage", PistonLeakage),))  # a motor has one of its own
+    with pytest.raises(Problem, match=r"^Own: leakage is a name in its base already"):
+        part("swing", [named], LUMPED, **text)
+    boom = replace(boom_stick.AXES[0], additions=(("cushion", Cushion),))
+    with pytest.raises(
+        Problem, match=r"^cushion: expected lines with oil columns, as in lumped and detailed"
+    ):
+        symbolic(part("boom", [boom], QUASISTATIC, **text))
 
 
 @pytest.mark.parametrize("name", CYLINDERS)
