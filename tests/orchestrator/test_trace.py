@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, read_trace, write_trace
+from orchestrator.data.table import split_unit
 
 
 @pytest.fixture
@@ -35,8 +36,12 @@ NAME = st.text(
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
 @given(names=st.lists(NAME, min_size=1, max_size=5, unique=True), unit=NAME)
 def test_any_names_survive(tmp_path_factory, suffix, names, unit):
-    """Names with line breaks, commas, quotes and white space, and any unit, are read as they were written."""
+    """Names with line breaks, commas, quotes and white space, and any unit, are read as they were written.
+
+    In a text file alone, a name that ends in a unit in brackets is a name and its unit.
+    """
     names = [name if name != "time" else "a.time" for name in names]
+    assume(suffix != ".csv" or all(split_unit(name)[0] == name for name in names))
     time = np.arange(3.0)
     signals = {name: time + i for i, name in enumerate(names)}
     path = tmp_path_factory.getbasetemp() / f"names{suffix}"
