@@ -28,6 +28,11 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
     return Quantity("V", text, 10.0, rate=rate, warn_above=10.0)
 
 
+def oil_temperature(text: str, **more: bool) -> Quantity:
+    """Declaration of the temperature of the oil."""
+    return Quantity("K", text, 300.0, minimum=223.15, maximum=423.15, **more)
+
+
 class Commands(Group):
     """Commands to the valves."""
 
@@ -59,6 +64,7 @@ class LineInputs(Group):
         optional=NOT_SHARED,
     )
     load_sensing_pressure_rate: Scalar = rate_input("load_sensing_pressure", "Pa/s", 1e8)
+    oil_temperature: Scalar = oil_temperature("Temperature of the oil from the supply line", held=True)
 
 
 def shaft(axis: str, drives: bool) -> Terminal:
@@ -109,6 +115,8 @@ def _line(name: str, pressure: str, text: str, drive: str, direction: Literal["i
         Member("pressure_rate", f"{pressure}_pressure_rate"),
         Member("flow", f"{name}_flow{end}", direction),
     )
+    if name == "supply":
+        members = (*members, Member("temperature", "oil_temperature"))
     return Terminal(f"{name}_line{end}", "line", text, members)
 
 

@@ -77,7 +77,7 @@ def actuator_command(
         1 + p.feedback * ca.if_else(compensated, 0, factor - 1)
         for factor in valve.supply_margins(a, load, *lines)
     )
-    opening = valve.opening_for(a, commanded, (full[0], full[1]), p.foot_share, (up, down))
+    opening = valve.opening_for(a, commanded, (full[0], full[1]), (up, down))
     possible = valve.limited(opening)
     excess = (opening - possible) * (full[0] + full[1]) / 2
     slow = p.learning_share * getattr(p, f"{name}_speed_limit")

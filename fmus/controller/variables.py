@@ -4,7 +4,7 @@ The controller declares its gains (gains.py). Geometry and hydraulics are those 
 which give their values (`model.controller_tables`).
 """
 
-from fmus.components.chamber import BulkModulus, Density
+from fmus.components.chamber import BulkModulus, Density, Liquid
 from fmus.components.hose import ReferenceHose
 from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Quantity, Scalar, make_group, quantities
@@ -35,7 +35,7 @@ class ArmGeometry(Group):
 
 
 class OfMachine(
-    Density,
+    Liquid,
     BulkModulus,
     ReferenceHose,
     ArmGeometry,

@@ -128,20 +128,23 @@ OPENINGS = CYLINDER.names("counterbalance_opening")
 def cylinder_section(own: Any, p: Any) -> Section:
     """Parameters of the section of a cylinder."""
     areas = (own.head_return_area, own.rod_return_area)
-    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, p.neutral_area, p.density)
+    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, p.neutral_area, p)
 
 
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
-    section, line, air = cylinder_section(own, p), own.hose, Air.of(p)
+    section, line = cylinder_section(own, p), own.hose
     ports = compensator.section_ports(section, u.command, both(x, PORTS), u)
     edges, valve = (ports[0].edges, ports[1].edges), section.valve
-    around = Restriction(valve.discharge_coefficient, p.density, line.resistance, valve.transition_flow)
+    around = Restriction(valve, line.friction(p), p)
     head, rod = (
         partial(counterbalance_valve.flow, p.counterbalance, getattr(x, opening), around)
         for opening in OPENINGS
     )
     whole = cylinders.ends(x, u, own, p) | Circuit(
-        {n: line.node(getattr(x, n), air, of) for n, of in zip(PORTS, ("C_V1", "C_V2"), strict=True)},
+        {
+            n: line.node(getattr(x, n), p, u.oil_temperature, of)
+            for n, of in zip(PORTS, ("C_V1", "C_V2"), strict=True)
+        },
         {
             **spool_valve.branches(edges, PORTS),
             **cylinders.reliefs(p.port_relief, p.anti_cavitation, PORTS),
@@ -212,8 +215,8 @@ class MotorOutputs(motors.Signals, SectionOutputs, BrakeState):
 def motor_section(own: Any, p: Any) -> Section:
     """Parameters of the section of a motor."""
     areas = (own.return_area, own.return_area)
-    resistance = own.line.turbulent_resistance
-    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, 0.0, p.density, resistance)
+    line = own.line.friction(p)
+    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, 0.0, p, line)
 
 
 def _release(u: Any, own: Any, p: Any) -> Scalar:
@@ -226,7 +229,8 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     section, line, brake = motor_section(own, p), own.line, own.brake
     ports = compensator.section_ports(section, u.command, both(x, LINES), u)
     edges = (ports[0].edges, ports[1].edges)
-    oil = (line.capacitance, hose.area(line.bore) * line.length + own.motor_volume, Air.of(p))
+    volume = hose.area(line.bore) * line.length + own.motor_volume
+    oil = (own.capacitance(p, u.oil_temperature), volume, Air.of(p))
     whole = Circuit(
         {
             **circuit.lines(u),

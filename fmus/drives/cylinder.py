@@ -20,14 +20,13 @@ from fmus.components.chamber import Oil
 from fmus.components.circuit import GROUND, TANK, Branch, Circuit, Kind, Node
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose, ReferenceHose, VolumeHose
-from fmus.components.oil import OilTemperature
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar
 from fmus.drives.drive import Actuator, Names, Totals, both
 
 
-class Preload(OilTemperature):
-    """Initial pressure of the drives, and temperature of their oil."""
+class Preload(Group):
+    """Initial pressure of the drives."""
 
     initial_preload: Scalar = Quantity(
         "Pa", "Initial pressure of the unloaded side of a cylinder", 1e6, minimum=1e3, group="Start"
@@ -175,5 +174,5 @@ def require(u: Any, own: Cylinder, _: object) -> dict[str, Scalar]:
 
 def derive(own: Any, p: Any) -> dict[str, Scalar]:
     """Parameters of the hoses; walls are rigid in variants without a modulus for them."""
-    oil = (p.density, p.bulk_modulus, p.hose_reference_resistance, getattr(p, "hose_wall_modulus", math.inf))
-    return {f"hose_{name}": value for name, value in hose.derived_parameters(own.hose, *oil).items()}
+    of = (p.hose_reference_resistance, getattr(p, "hose_wall_modulus", math.inf))
+    return {f"hose_{name}": value for name, value in hose.derived_parameters(own.hose, p, *of).items()}

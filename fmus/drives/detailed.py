@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.components import chamber, circuit, hose, load_sensing, motor, opening_curve, spool_valve
-from fmus.components.chamber import Fluid
+from fmus.components.chamber import AeratedOil
 from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import HoseWall, HydraulicLine, LineStates
 from fmus.components.load_sensing import Sensed
@@ -40,7 +40,7 @@ from fmus.drives.motor import MOTOR
 from fmus.parameters import group_of
 
 
-class Common(Fluid, Reliefs, HoseWall, spool=Spool):
+class Common(AeratedOil, Reliefs, HoseWall, spool=Spool):
     """Parameters that all axes share."""
 
 
@@ -135,7 +135,7 @@ class Lines:
         valve, spool, ports = valve_of(own, p), p.spool, self.kind.names("valve_pressure")
         state = SpoolState(x.spool_position, x.spool_speed)
         flows = both(x, self.kind.names(self.kind.ends[0]))
-        found = spool_valve.spool_ports(valve, spool, state.position, flows, u, p.density)
+        found = spool_valve.spool_ports(valve, spool, state.position, flows, u, p)
         nodes = {
             n: Node(port.pressure, of) for n, port, of in zip(ports, found, spool_valve.PORTS, strict=True)
         }
@@ -148,7 +148,7 @@ class Lines:
         rates = spool_valve.spool_rates(spool, state, spool_valve.commanded_position(u.command, full))
         return whole, sensed, {"spool_position": rates.position, "spool_speed": rates.speed}
 
-    def shown(self, x: Any, p: Fluid) -> dict[str, Scalar]:
+    def shown(self, x: Any, p: AeratedOil) -> dict[str, Scalar]:
         """Spool, and the oil in the chambers."""
         moduli = (1 / p.compliance(getattr(x, end)) for end, _ in self.chambers)
         named = dict(zip(self.kind.names("bulk_modulus"), moduli, strict=True))

@@ -12,18 +12,19 @@ from typing import Any
 
 from fmus import ports
 from fmus.components import chamber, hose
+from fmus.components.chamber import Oil
 from fmus.components.circuit import TANK, Branch, Circuit, Kind
-from fmus.components.hose import HoseSize
-from fmus.components.oil import DENSITY, LAMINAR, TURBULENT, OilTemperature
-from fmus.components.orifice import Reliefs
+from fmus.components.hose import Friction, HoseSize
+from fmus.components.oil import DENSITY, LAMINAR, TURBULENT
+from fmus.components.orifice import Liquid, Reliefs
 from fmus.contract import Group, Quantity, Scalar
 from fmus.drives.drive import Actuator, Totals, both
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
 
-class Preload(OilTemperature):
-    """Initial pressure of the drive, and temperature of its oil."""
+class Preload(Group):
+    """Initial pressure of the drive."""
 
     initial_preload: Scalar = Quantity(
         "Pa", "Initial pressure of both lines of the motor", 1e6, minimum=1e3, group="Start"
@@ -34,8 +35,16 @@ class Line(HoseSize):
     """A line of the motor."""
 
     turbulent_resistance: Scalar = Quantity(
-        "Pa.s2/m6", "Turbulent resistance C_R of each {}; 0: laminar", 1e10, minimum=0.0, warmed=TURBULENT
+        "Pa.s2/m6",
+        "Turbulent resistance C_R of each {} at 170 L/min; 0: laminar at any flow",
+        1e10,
+        minimum=0.0,
+        warmed=TURBULENT,
     )
+
+    def friction(self, oil: Liquid) -> Friction:
+        """Friction of the line."""
+        return Friction.of(self, self.turbulent_resistance, oil)
 
 
 class VolumeLine(Line):
@@ -106,8 +115,13 @@ class Motor(MotorSize):
 class VolumeDrive(Motor, line=(VolumeLine, "{} line")):
     """Motor and lines without line dynamics."""
 
+    def capacitance(self, oil: Oil, temperature: Scalar) -> Scalar:
+        """C [m3/Pa] of each line with its motor side, with the oil at a temperature [K]."""
+        volume = hose.area(self.line.bore) * self.line.length + self.motor_volume
+        return self.line.capacitance + hose.warmed_compliance(volume, oil, temperature)
 
-class LumpedDrive(Motor, line=(LumpedLine, "{} line")):
+
+class LumpedDrive(VolumeDrive, line=(LumpedLine, "{} line")):
     """Motor and lines, each line one lump."""
 
 

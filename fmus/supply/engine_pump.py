@@ -117,7 +117,6 @@ class EnginePumpOutputs(_Pumps, ShaftOutputs):
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
     engine_load: Scalar = Quantity("N.m", "Torque of both pumps on the engine", 100.0)
-    oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
     cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
@@ -125,8 +124,8 @@ class EnginePumpOutputs(_Pumps, ShaftOutputs):
 def _supply(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> Supply:
     (first, second), line = p.pumps, (p.check_resistance, p.pump_line_capacitance)
     pumps = (
-        Outlet("pump_1", rail.viscous(first, x), *line, x.pump_1_pressure, x.pump_1_stroke),
-        Outlet("pump_2", rail.viscous(second, x), *line, x.pump_2_pressure, x.pump_2_stroke),
+        Outlet("pump_1", rail.viscous(first, x, p), *line, x.pump_1_pressure, x.pump_1_stroke),
+        Outlet("pump_2", rail.viscous(second, x, p), *line, x.pump_2_pressure, x.pump_2_stroke),
     )
     return Supply(pumps, u, x, p)
 

@@ -87,10 +87,7 @@ class TankParameters(CommonParameters):
         "Pa.s/m3", "Resistance of that check valve with filter and cooler", 1e7, minimum=1e3
     )
     return_capacitance: Scalar = Quantity("m3/Pa", "Capacitance of the return line", 1e-10, minimum=1e-13)
-    oil_temperature_start: Scalar = Quantity(
-        "K", "Initial temperature of the oil", 300.0, minimum=243.15, maximum=373.15, group="Heat"
-    )
-    ambient_temperature: Scalar = Quantity("K", "Temperature of the air", 300.0, minimum=223.15)
+    ambient_temperature: Scalar = Quantity("K", "Temperature of the air", 300.0, minimum=223.15, group="Heat")
     heat_capacity: Scalar = Quantity("J/K", "Heat capacity of oil, tank and lines", 1e5, minimum=1e3)
     tank_conductance: Scalar = Quantity(
         "W/K", "Heat to the air per kelvin, from tank, lines and cylinders", 100.0, minimum=0.0
@@ -110,13 +107,20 @@ class ShaftState(Group):
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_fuel_torque: Scalar = Quantity("N.m", "Torque of the injected fuel if all of it burns", 100.0)
     tank_pressure: Scalar = replace(quantities(SupplyOutputs)["tank_pressure"], absolute=1e6)
-    oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
+    oil_temperature: Scalar = quantities(SupplyOutputs)["oil_temperature"]
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
 class ShaftOutputs(SupplyOutputs):
-    """Outputs of every variant, and two that are zero while the engine is in its range."""
+    """Outputs of every variant, viscosity, and two that are zero while the engine is in its range."""
 
+    oil_viscosity: Scalar = Quantity(
+        "m2/s",
+        "Kinematic viscosity of the oil in the tank",
+        1e-5,
+        warn_above=1e-3,
+        meaning="pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only",
+    )
     engine_speed_below_idle: Scalar = Quantity(
         "rad/s", "Speed that the engine lacks to its idle speed, else zero", 100.0, warn_above=0.0
     )
@@ -164,9 +168,9 @@ class Outlet:
         )
 
 
-def viscous(pump: Pump, x: ShaftState) -> Pump:
+def viscous(pump: Pump, x: ShaftState, p: TankParameters) -> Pump:
     """A pump with the oil at its temperature."""
-    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature))
+    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature, p))
 
 
 @dataclass(frozen=True)
@@ -258,6 +262,7 @@ class Supply:
         return {
             **flat(x),
             **self.circuit.flows,
+            "oil_viscosity": oil.kinematic_viscosity(x.oil_temperature, p),
             "supply_pressure_rate": self.circuit.rates["supply_pressure"],
             "tank_pressure_rate": self.circuit.rates["tank_pressure"],
             "hydraulic_power": self.circuit.work(Kind.CONSUMER),
@@ -296,7 +301,7 @@ def return_pressure(p: Any) -> Scalar:
 
 def at_start(pump: Pump, p: TankParameters) -> Pump:
     """A pump at the initial temperature of the oil."""
-    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(p.oil_temperature_start))
+    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(p.oil_temperature_start, p))
 
 
 def engine_requirements(p: Any, idle_load: Scalar, pumps: str) -> dict[str, Scalar]:
