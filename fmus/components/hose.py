@@ -12,8 +12,9 @@
     w I dQ/dt  = P_in - P_out - w dp(Q)                         w = 1/2N or 1/N, dp of `Friction`
     C_k dP/dt  = Q_in - Q_out        C_k = V/N (kappa(P) + 1/E_wall)
 
-Inputs are the pressures at both ends, outputs the flows. Valid below the bandwidth in `lumps_needed`: the T-lumps have
-the exact wave numbers of the line, but their frequencies are too low by the factor sin(t)/t with t = k l/2N.
+Inputs are the pressures at both ends, outputs the flows. Valid below the bandwidth in `lumps_needed`: the
+T-lumps have the exact wave numbers of the line, but their frequencies are too low by the factor sin(t)/t with
+t = k l/2N.
 Friction is that of steady flow, which damps the modes of a hose less than the boundary layer does.
 
 Signs: flows are positive from inlet to outlet; pressures are gauge.
@@ -224,8 +225,8 @@ def scaled_resistance(
 ) -> Scalar:
     """C_R [Pa.s2/m6] of another hose at the same flow, eq. (10): C_R ~ l mu^(1/4) / D^4.75.
 
-    Blasius: turbulent flow in a smooth pipe, Re 3e3 to 1e5. The true drop grows as Q^1.75, so C_R is valid at one
-    flow and falls by 16 % per doubling of Q (E10).
+    Blasius: turbulent flow in a smooth pipe, Re 3e3 to 1e5. The true drop grows as Q^1.75, so C_R is valid at
+    one flow and falls by 16 % per doubling of Q (E10).
     """
     return resistance * length_ratio / diameter_ratio**4.75 * viscosity_ratio**0.25
 

@@ -10,8 +10,8 @@ degC; below, waxes make the oil thicker. Beyond -50 and 150 degC the temperature
 state of a solver gives finite rates.
 
 Parameters are given at T_ref = 60 degC with the default oil, whose 20.6 mm2/s is the paper's density with 20
-mPa.s. With another oil or at another temperature those with `Quantity.warmed` are multiplied, with m = mu/mu_ref,
-r = rho(T)/rho_ref, and b = beta(T)/beta_ref:
+mPa.s. With another oil or at another temperature those with `Quantity.warmed` are multiplied, with m =
+mu/mu_ref, r = rho(T)/rho_ref, and b = beta(T)/beta_ref:
 
     viscosity, laminar resistances    m             inertances, density                    r
     leakage conductances              1/m           turbulent resistances of hoses         r^0.75 m^0.25

@@ -10,10 +10,11 @@ the square root by the fraction (dp_t / dp)^2 / 4 at most: 1 % at 5 dp_t, 3e-8 a
 
     dp = C_R Q (|Q| + Q_t)        C_R = rho / (2 C_d^2 A^2)        Q_t = Re_t nu sqrt(pi A) / 2
 
-eq. (1), (2) of the paper for |Q| >> Q_t, with the other limit C_d = C_d0 sqrt(Re/Re_t). The asymptotes cross at
+eq. (1), (2) of the paper for |Q| >> Q_t, with the other limit C_d = C_d0 sqrt(Re/Re_t). Both cross at
 Re_t = (C_d/delta)^2 with Merritt's laminar coefficient delta (section 3.4): 0.2 for a round sharp-edged
-orifice and 0.157 for a slit give 9.6 and 16. Re = Q D/(A nu) with the diameter D = sqrt(4 A/pi) of a round opening
-of the same area. The sum of a viscous and an inertial drop is Idelchik's form (Handbook of Hydraulic Resistance).
+orifice and 0.157 for a slit give 9.6 and 15.6. Re = Q D/(A nu) with the diameter D = sqrt(4 A/pi) of a round
+opening of the same area. The sum of a viscous and an inertial drop is Idelchik's form (Handbook of Hydraulic
+Resistance).
 Q is odd and increasing in dp, with a continuous derivative.
 
 Relief and anti-cavitation valves have a smooth static characteristic:

@@ -2,8 +2,8 @@
 
     I dQ/dt = P_port - P - dp(Q)     for both lines, with the ports of `spool_valve`, dp of `hose.Friction`
 
-Motor: the lines are short, so their friction is laminar, R_line between line and motor port, and the turbulent
-C_R is zero unless it is measured. With the motor ports P_1, P_2 of `fmus.components.motor`
+Motor: the lines are short, so their friction is laminar, R_line between line and motor port, and the
+turbulent C_R is zero unless it is measured. With the motor ports P_1, P_2 of `fmus.components.motor`
 
     C dP_a/dt = Q_a - (P_a - P_1) / R_line              C dP_b/dt = Q_b - (P_b - P_2) / R_line
     torque    = D_m N (P_1 - P_2)                       eqs. (8), (9a), corrections E1, E2, E5

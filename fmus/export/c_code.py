@@ -281,7 +281,8 @@ def _row(inputs: Sequence[str], v: Variable) -> str:
     below = q.warn_below if v.watched and q.warn_below is not None else -math.inf
     literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale, above, below))
     meaning = string(f": {q.meaning}" if q.meaning else "")
-    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {int(q.held and is_input)}, {meaning}}}"
+    held = int(q.held and is_input)
+    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {held}, {meaning}}}"
 
 
 def string(text: str) -> str:

@@ -1,8 +1,8 @@
 """Models of test benches: one component of the machine between a supply and a throttle.
 
 All benches have a supply of constant pressure and a return line whose filter keeps the pressure `RETURN`
-[Pa], so that no pressure is close to zero. Throttles obey eq. (1) above some 0.1 L/min. Each bench is a small ODE, solved in the
-same way as the machine.
+[Pa], so that no pressure is close to zero. Throttles obey eq. (1) above some 0.1 L/min. Each bench is a small
+ODE, solved in the same way as the machine.
 
 Valve bench: one metering edge at a time; the other port is closed.
 

@@ -54,7 +54,7 @@ def test_rates_and_balances_of_a_small_circuit():
 def test_power_into_a_node_is_what_it_stores_and_what_its_oil_takes_along():
     """P (C + V kappa + C_c) dP/dt = dE/dt, cavity and air included; a piston takes e of the oil with it."""
     pressure = ca.SX.sym("P")
-    oil = AeratedOil(density=870.0, bulk_modulus=1.6e9, air_share=0.01, air_exponent=1.4)
+    oil = AeratedOil(density=870.0, viscosity=0.02, bulk_modulus=1.6e9, air_share=0.01, air_exponent=1.4)
     node = Node(pressure, "C", 2e-12, 4e-3, oil, cavity=0.5)
     circuit = Circuit(
         {"a": node, GROUND: Node(0)}, {"piston": Branch("a", GROUND, Kind.PISTON, ca.SX(-3e-4), "gy_1")}

@@ -6,7 +6,7 @@ import casadi as ca
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import VALVE, lines, number
+from kit.equations import OIL, VALVE, lines, number
 
 from fmus import smooth
 from fmus.components import chamber, hose, spool_valve
@@ -56,8 +56,8 @@ def test_positive_parts_differ_by_the_argument(z: float, width: float) -> None:
 @given(st.floats(0.0, 12.0), flows)
 def test_reversing_the_command_swaps_the_ports(command: float, flow: float) -> None:
     """The spool is symmetrical: command -V with exchanged line flows is command V with exchanged ports."""
-    a, b = spool_valve.ports_from_flow(VALVE, command, (flow, -flow), lines(), RHO)
-    d, c = spool_valve.ports_from_flow(VALVE, -command, (-flow, flow), lines(), RHO)
+    a, b = spool_valve.ports_from_flow(VALVE, command, (flow, -flow), lines(), OIL)
+    d, c = spool_valve.ports_from_flow(VALVE, -command, (-flow, flow), lines(), OIL)
     # the same operations in the same order
     assert number(a.pressure) == number(c.pressure)
     assert number(b.pressure) == number(d.pressure)

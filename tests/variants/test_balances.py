@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
+from equations import transcription
 from equations.circuits_transcription import air
 from kit.equations import Part, cavity, piston_areas
 
@@ -68,6 +69,8 @@ def random_point(part, rng):
     def draw(name, nominal):
         if "pressure" in name and not name.endswith("_rate"):
             return rng.choice([rng.uniform(-1.2e5, 1e5), rng.uniform(1e5, 3e7)])
+        if name == "oil_temperature":
+            return rng.uniform(240.0, 400.0)
         if name.endswith(("_opening", "_applied")):
             return rng.uniform(0, 1)
         if name.endswith("_position"):
@@ -119,7 +122,8 @@ def test_rates_are_exact_and_forces_depend_on_states_alone(name):
         if not moved.endswith("load_pressure"):
             followed = {n for n in u if ca.depends_on(y[moved], u[n])}
             resistive = part.sub.variant == "lumped" and moved.endswith("_torque")
-            assert followed <= ({moved.replace("torque", "speed"), "tank_pressure"} if resistive else set())
+            through_line = {moved.replace("torque", "speed"), "tank_pressure", "oil_temperature"}
+            assert followed <= (through_line if resistive else set())
         both = part.of(y[f"{moved}_rate"], part.along(y[moved]))
         for _ in range(20):
             x, given = random_point(part, rng)
@@ -134,9 +138,9 @@ def test_rates_are_exact_and_forces_depend_on_states_alone(name):
 def test_oil_is_neither_made_nor_lost(name):
     """What the supply gives and the tank does not get is compressed, in cavities, or swept by the piston."""
     part, rng = drive(name), np.random.default_rng(6)
-    p = part.p
     for _ in range(100):
         x, u = random_point(part, rng)
+        p = vars(transcription.warmed(SimpleNamespace(**part.p), u["oil_temperature"]))
         dx, y = part(x, **u)
         state, rate = (dict(zip(part.states, column, strict=True)) for column in (x, dx))
         capacitance, swept, aerated = {}, [], {}

@@ -39,7 +39,7 @@ SIMPLE = {
     "counterbalance_leakage": 0.0,
     "compensator_droop": 0.0,
     "valve_leakage": 1e-17,
-    "valve_transition_flow": 1e-8,
+    "viscosity": 1e-4,
 }
 
 

@@ -76,20 +76,18 @@ def limit(part: str, eps: float, length: float) -> tuple[dict[str, float], dict[
     lines = ("line",) if part == "swing" else ("boom_hose", "stick_hose")
     for name in lines:
         fine[f"{name}_length"] *= length
+        usual[f"{name}_length"] *= length
         area = math.pi / 4 * fine[f"{name}_bore"] ** 2
         volume = area * fine[f"{name}_length"]
         usual[f"{name}_inertance"] = fine["density"] * fine[f"{name}_length"] / area
         if part == "swing":  # laminar friction out of the way: it lies on either side of the capacitance
             fine |= {"viscosity": 1e-7, "motor_volume": 1.5e-3 - volume, "initial_preload": PRELOAD}
             usual |= {"line_resistance": 1.0, "line_capacitance": 1.5e-3 / fine["bulk_modulus"]}
-            usual["initial_preload"] = PRELOAD
+            usual |= {"initial_preload": PRELOAD, "viscosity": 1e-7}
         else:
             fine[f"{name}_resistance"] *= length
             usual[f"{name}_resistance"] = fine[f"{name}_resistance"]
             usual[f"{name}_capacitance"] = volume / fine["bulk_modulus"]
-            # the laminar branch of lumped: R = C_R Q_t
-            laminar = fine[f"{name}_resistance"] * fine["valve_transition_flow"]
-            fine["viscosity"] = laminar * math.pi * fine[f"{name}_bore"] ** 4 / (128 * fine[f"{name}_length"])
     return fine, usual
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from fmus.boom_stick import AXES, VALUES, VARIANTS, with_lumps
 from fmus.components import hose
-from fmus.components.chamber import Fluid
+from fmus.components.chamber import AeratedOil
 from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import HydraulicLine, lumps_needed
 from fmus.contract import Quantity, nested, quantities
@@ -31,8 +31,8 @@ WORK = 1e7  # Pa: far above the pressure at which the oil cavitates
 AREA = math.pi / 4 * BORE**2
 
 
-def oil(viscosity: float) -> Fluid:
-    return Fluid(density=RHO, viscosity=viscosity, bulk_modulus=BETA, air_share=0.0, air_exponent=1.4)
+def oil(viscosity: float) -> AeratedOil:
+    return AeratedOil(density=RHO, viscosity=viscosity, bulk_modulus=BETA, air_share=0.0, air_exponent=1.4)
 
 
 def pipe(
