@@ -64,7 +64,7 @@ def steady(p, command, position, load, mass):
     """State in steady motion down, and the Jacobian there: Newton's method from an estimate."""
     f, names = lowering()
     given = dict.fromkeys(names, 0.0) | {"supply_pressure": 1e9, "boom_command": -command}
-    given |= {"boom_position": position, "stick_position": 0.35}
+    given |= {"boom_position": position, "stick_position": 0.35, "oil_temperature": 333.15}
     others = [given[n] for n in names]
     flow = p["boom_section_flow"] * command / 10
     speed = flow / ROD
