@@ -186,7 +186,7 @@ def flow_in_series(edge: Edge, area: Scalar, drop: Scalar, oil: Liquid, line: Fr
     """Flow [m3/s] through an opening [m2] of a valve and a line, with the sign of the drop [Pa].
 
     With r and c of the line at a flow Q_k, dp = (C_R + c) Q_{k+1} |Q_{k+1}| + (C_R Q_t + r) Q_{k+1}. This
-    fixed-point iteration is exact where the line is laminar, and gains a digit per step where it is turbulent.
+    fixed-point iteration is exact where the line is laminar, and gains a digit per step elsewhere.
     """
     square, laminar = edge.square(area, oil), edge.transition_flow(area, oil)
     y = square * drop

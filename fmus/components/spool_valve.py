@@ -179,8 +179,8 @@ def edge_flows_from_flow(
 
         (P_s - P) G_s = Q + (P - P_t) G_t
 
-    so an open edge obeys the law of `orifice.Edge`, and the flow through a closed edge is exactly G_leak times
-    its pressure difference. At most one edge is open. The turbulent term uses the line flow instead of the
+    so an open edge obeys the law of `orifice.Edge`, and the flow through a closed edge is G_leak times its
+    pressure difference. At most one edge is open. The turbulent term uses the line flow instead of the
     edge flow and so neglects the leakage of the closed edge: an error below 0.1 % of the drop for flows above
     1000 times that leakage (20 L/min).
 

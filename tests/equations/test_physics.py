@@ -93,7 +93,7 @@ def test_every_formula_keeps_its_dimensions(name, monkeypatch):
     """In other units of mass, length, time and current rates, outputs and start values stay the same.
 
     A term of wrong dimension, a number that hides one or a wrongly declared unit shows. Numbers with a
-    dimension in the components: three of the cavity, above which pressures stay; two that are changed as well;
+    dimension in the components: three of the cavity, above which pressures stay; two that are changed, too;
     and those of Walther's law, whose viscosities stay as they are.
     """
     e, rng = equations(name), np.random.default_rng(11)
