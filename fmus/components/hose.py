@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -129,6 +129,11 @@ def column(
     """
     drop = turbulent_drop(flow, resistance, transition)
     return Branch(start, end, Kind.COLUMN, flow, symbol, inertance, drop)
+
+
+def in_series(branch: Branch, resistance: Scalar, transition: Scalar) -> Branch:
+    """A branch whose law contains that of a hose in series."""
+    return replace(branch, series={Kind.RESISTANCE: lambda q: turbulent_drop(q, resistance, transition)})
 
 
 def area(diameter: Scalar) -> Scalar:

@@ -18,6 +18,7 @@ from typing import Any
 from fmus.components import circuit, motor, spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.circuit import Circuit, Node
+from fmus.components.hose import in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.spool_valve import CurvedValve
 from fmus.contract import Scalar
@@ -37,7 +38,9 @@ def _supplied(
         valve_of(own, p), u.command, both(x, chambers), u, p.density, resistance
     )
     flows = dict(zip(kind.names("flow"), (port.line for port in found), strict=True))
-    return Circuit({}, spool_valve.branches(found, chambers)), flows
+    edges = spool_valve.branches(found, chambers)
+    lines = (resistance, valve_of(own, p).transition_flow)
+    return Circuit({}, {name: in_series(edge, *lines) for name, edge in edges.items()}), flows
 
 
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
