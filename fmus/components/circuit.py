@@ -51,22 +51,22 @@ class Kind(StrEnum):
 class Heats(Group):
     """Heat by cause. A part has the outputs of what its circuits have."""
 
-    meter_in_heat: Scalar = Quantity("W", "Heat of the meter-in edges of the {}", 1e3)
-    meter_out_heat: Scalar = Quantity("W", "Heat of the meter-out edges of the {}", 1e3)
+    engine_friction_heat: Scalar = Quantity("W", "Heat of the friction of the engine", 1e4)
+    pump_friction_heat: Scalar = Quantity("W", "Heat of the friction of the pumps", 1e4)
     compensator_heat: Scalar = Quantity(
         "W", "Heat of the pressure compensator of the {} with its check valve", 1e3
     )
+    meter_in_heat: Scalar = Quantity("W", "Heat of the meter-in edges of the {}", 1e3)
+    check_valve_heat: Scalar = Quantity("W", "Heat of the check valves of the {}", 1e3)
+    hose_heat: Scalar = Quantity("W", "Heat of the hoses and lines of the {}", 1e3)
     counterbalance_heat: Scalar = Quantity("W", "Heat of the counterbalance valves of the {}", 1e3)
+    meter_out_heat: Scalar = Quantity("W", "Heat of the meter-out edges of the {}", 1e3)
+    throttle_heat: Scalar = Quantity("W", "Heat of the throttles of the {}", 1e3)
+    leakage_heat: Scalar = Quantity("W", "Heat of the leakage of the {}, with the case drain", 1e3)
     relief_heat: Scalar = Quantity("W", "Heat of the relief valves of the {}", 1e3)
     make_up_heat: Scalar = Quantity("W", "Heat of the anti-cavitation valves of the {}", 1e3)
-    hose_heat: Scalar = Quantity("W", "Heat of the hoses and lines of the {}", 1e3)
-    leakage_heat: Scalar = Quantity("W", "Heat of the leakage of the {}, with the case drain", 1e3)
-    check_valve_heat: Scalar = Quantity("W", "Heat of the check valves of the {}", 1e3)
-    throttle_heat: Scalar = Quantity("W", "Heat of the throttles of the {}", 1e3)
     return_line_heat: Scalar = Quantity("W", "Heat of the return line", 1e3)
     brake_heat: Scalar = Quantity("W", "Heat of the {} brake", 1e3)
-    pump_friction_heat: Scalar = Quantity("W", "Heat of the friction of the pumps", 1e4)
-    engine_friction_heat: Scalar = Quantity("W", "Heat of the friction of the engine", 1e4)
 
 
 # what a branch of a kind heats; an edge of the supply line is meter-in
