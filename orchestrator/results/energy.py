@@ -168,7 +168,7 @@ def draw(energies: Mapping[str, Energy]) -> Figure:
     causes = [c for c in dict.fromkeys(named) if c not in LAST and c not in functions]
     light, dark = zip(*PALETTE.pairs, strict=True)
     colours = dict(zip(causes, cycle((*PALETTE.series[:5], *light, *dark)), strict=False))
-    colours |= {"load": PALETTE.good, "stored": PALETTE.faint}
+    colours |= {"load": PALETTE.ink, "stored": PALETTE.faint}
     for axes, of in bars.items():
         style_axes(axes, x="energy [kJ]")
         axes.grid(False, axis="y")
