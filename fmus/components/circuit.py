@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import Any, Protocol
 
 from fmus.components import chamber
-from fmus.contract import Group, Quantity, Scalar
+from fmus.contract import Quantity, Scalar
 
 SUPPLY, TANK, GROUND = "supply", "tank", "ground"  # lines of a drive, and the atmosphere
 
@@ -48,42 +48,25 @@ class Kind(StrEnum):
     GIVEN = "given pressure"
 
 
-class Heats(Group):
-    """Heat by cause. A part has the outputs of what its circuits have."""
-
-    engine_friction_heat: Scalar = Quantity("W", "Heat of the friction of the engine", 1e4)
-    pump_friction_heat: Scalar = Quantity("W", "Heat of the friction of the pumps", 1e4)
-    compensator_heat: Scalar = Quantity(
-        "W", "Heat of the pressure compensator of the {} with its check valve", 1e3
-    )
-    meter_in_heat: Scalar = Quantity("W", "Heat of the meter-in edges of the {}", 1e3)
-    check_valve_heat: Scalar = Quantity("W", "Heat of the check valves of the {}", 1e3)
-    hose_heat: Scalar = Quantity("W", "Heat of the hoses and lines of the {}", 1e3)
-    counterbalance_heat: Scalar = Quantity("W", "Heat of the counterbalance valves of the {}", 1e3)
-    meter_out_heat: Scalar = Quantity("W", "Heat of the meter-out edges of the {}", 1e3)
-    throttle_heat: Scalar = Quantity("W", "Heat of the throttles of the {}", 1e3)
-    leakage_heat: Scalar = Quantity("W", "Heat of the leakage of the {}, with the case drain", 1e3)
-    relief_heat: Scalar = Quantity("W", "Heat of the relief valves of the {}", 1e3)
-    make_up_heat: Scalar = Quantity("W", "Heat of the anti-cavitation valves of the {}", 1e3)
-    return_line_heat: Scalar = Quantity("W", "Heat of the return line", 1e3)
-    brake_heat: Scalar = Quantity("W", "Heat of the {} brake", 1e3)
-
-
-# what a branch of a kind heats; an edge of the supply line is meter-in
-CAUSES = {
-    Kind.EDGE: "meter_out_heat",
-    Kind.COMPENSATOR: "compensator_heat",
-    Kind.COUNTERBALANCE: "counterbalance_heat",
-    Kind.RELIEF: "relief_heat",
-    Kind.ANTI_CAVITATION: "make_up_heat",
-    Kind.COLUMN: "hose_heat",
-    Kind.RESISTANCE: "hose_heat",
-    Kind.LEAKAGE: "leakage_heat",
-    Kind.DRAIN: "leakage_heat",
-    Kind.CHECK: "check_valve_heat",
-    Kind.THROTTLE: "throttle_heat",
-    Kind.RETURN: "return_line_heat",
+# output of heat: what is heated, and by branches of which kinds; an edge at the supply line is meter-in
+_HEATED: dict[str, tuple[str, tuple[Kind, ...]]] = {
+    "engine_friction_heat": ("friction of the engine", ()),
+    "pump_friction_heat": ("friction of the pumps", ()),
+    "compensator_heat": ("pressure compensator of the {} with its check valve", (Kind.COMPENSATOR,)),
+    "meter_in_heat": ("meter-in edges of the {}", ()),
+    "check_valve_heat": ("check valves of the {}", (Kind.CHECK,)),
+    "hose_heat": ("hoses and lines of the {}", (Kind.COLUMN, Kind.RESISTANCE)),
+    "counterbalance_heat": ("counterbalance valves of the {}", (Kind.COUNTERBALANCE,)),
+    "meter_out_heat": ("meter-out edges of the {}", (Kind.EDGE,)),
+    "throttle_heat": ("throttles of the {}", (Kind.THROTTLE,)),
+    "leakage_heat": ("leakage of the {}, with the case drain", (Kind.LEAKAGE, Kind.DRAIN)),
+    "relief_heat": ("relief valves of the {}", (Kind.RELIEF,)),
+    "make_up_heat": ("anti-cavitation valves of the {}", (Kind.ANTI_CAVITATION,)),
+    "return_line_heat": ("return line", (Kind.RETURN,)),
+    "brake_heat": ("{} brake", ()),
 }
+HEATS = {name: Quantity("W", f"Heat of the {text}", 1e3) for name, (text, _) in _HEATED.items()}
+CAUSES = {kind: name for name, (_, kinds) in _HEATED.items() for kind in kinds}
 # branches whose power is work: the two-ports of the graph, and its ends
 WORK = frozenset({Kind.PISTON, Kind.MOTOR, Kind.PUMP, Kind.CONSUMER, Kind.SOURCE})
 
@@ -207,7 +190,7 @@ class Circuit:
 
     @property
     def heats(self) -> dict[str, Scalar]:
-        """Power [W] that is dissipated, by the names of `Heats`."""
+        """Power [W] that is dissipated, by the names of `HEATS`."""
         found: dict[str, Scalar] = {}
         for name, heat in self.heat().items():
             b, flow = self.branches[name], self.flows[name]

@@ -43,13 +43,7 @@ from fmus.components.hose import HoseWall, in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.motor import Brake
 from fmus.components.orifice import AntiCavitation, PressureValve, Reliefs
-from fmus.components.pressure_compensator import (
-    Compensator,
-    Section,
-    SectionOutputs,
-    SectionPort,
-    SectionValve,
-)
+from fmus.components.pressure_compensator import Compensator, Section, SectionOutputs, SectionValve
 from fmus.contract import Group, Quantity, Scalar
 from fmus.drives import cylinder as cylinders
 from fmus.drives import motor as motors
@@ -71,7 +65,7 @@ class SectionSize(Group):
 
 
 def _edges(
-    section: Section, ports: tuple[SectionPort, SectionPort], nodes: Names, supply: Scalar
+    section: Section, ports: tuple[compensator.SectionPort, ...], nodes: Names, supply: Scalar
 ) -> dict[str, Branch]:
     """The edges of a section, with compensator and check valve in series, and a line behind meter-out."""
     made = spool_valve.branches((ports[0].edges, ports[1].edges), nodes)

@@ -14,7 +14,7 @@ from typing import Any
 from fmus import ports
 from fmus.components import load_sensing
 from fmus.components.additions import Addition, Place
-from fmus.components.circuit import Circuit, Heats
+from fmus.components.circuit import HEATS, Circuit
 from fmus.components.load_sensing import Sensed
 from fmus.components.oil import at_temperature
 from fmus.contract import (
@@ -114,7 +114,7 @@ class Drive:
     effort    (circuit) -> force or torque, and its rate
     others    rates of the states that are not in the circuit
     shown     outputs that are not in the circuit
-    stored, heats   energy [J] and dissipated power [W], by the names of `Heats`, beside the circuit
+    stored, heats   energy [J] and dissipated power [W], by the names of `HEATS`, beside the circuit
     """
 
     circuit: Circuit
@@ -277,7 +277,7 @@ class _Part:
         """Powers of each axis with the heats that it has, from the groups of states, inputs, parameters."""
         drives = {a.axis: a.drive for a in self.at(*map(unknown, groups))}
         has = {axis: {*drive.circuit.heats, *drive.heats} for axis, drive in drives.items()}
-        of = {axis: {n: q for n, q in quantities(Heats).items() if n in has[axis]} for axis in has}
+        of = {axis: {n: q for n, q in HEATS.items() if n in has[axis]} for axis in has}
         return {axis: make_group("Powers", heats, Powers) for axis, heats in of.items()}
 
     def circuits(self, x: Any, u: Any, p: Any) -> dict[str, Circuit]:

@@ -26,20 +26,10 @@ import casadi as ca
 
 from fmus.components import engine_and_pump, oil
 from fmus.components.additions import Addition, Place
-from fmus.components.circuit import GROUND, Branch, Circuit, Heats, Kind, Node
+from fmus.components.circuit import GROUND, HEATS, Branch, Circuit, Kind, Node
 from fmus.components.engine_and_pump import Pump
 from fmus.components.orifice import PressureValve
-from fmus.contract import (
-    Group,
-    Quantity,
-    Scalar,
-    Subsystem,
-    flat,
-    make_group,
-    nested,
-    quantities,
-    unknown,
-)
+from fmus.contract import Group, Quantity, Scalar, Subsystem, flat, make_group, nested, quantities, unknown
 from fmus.smooth import unit_limited
 from fmus.supply.variables import CommonParameters, SupplyOutputs, consumers
 
@@ -293,7 +283,7 @@ class Supply:
 def with_heats(sub: Subsystem) -> Subsystem:
     """The subsystem with an output for each heat that it has; its `observe` gives all by name."""
     known = sub.observe(*map(unknown, (sub.states, sub.inputs, sub.parameters)))
-    heats = {n: q.of("supply", str) for n, q in quantities(Heats).items() if n in known}
+    heats = {n: q.of("supply", str) for n, q in HEATS.items() if n in known}
     outputs = make_group("Outputs", heats, sub.outputs)
     return replace(sub, outputs=outputs, observe=lambda x, u, p: nested(outputs, sub.observe(x, u, p)))
 
