@@ -1,4 +1,4 @@
-"""Fills the tables of docs/machine.md: `python docs/machine.py [--combinations FILE]`."""
+"""Fills tables of docs/machine.md, draws images/energy.png: `python docs/machine.py [--combinations FILE]`."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ from benchmarks.circuits import (
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import complete
+from orchestrator import load, run
+from orchestrator.pages.plotting import png
+from orchestrator.results.energy import draw, energy
 
 PAGE = Path(__file__).with_suffix(".md")
 # part, variant, parameter, unit for the page
@@ -64,6 +67,17 @@ def modes(folder: Path) -> Iterator[list[str]]:
         yield [drives, *(f"{frequency:.1f} Hz, {damping * 100:.1f} %" for frequency, damping in found)]
 
 
+def picture(folder: Path) -> None:
+    """Draw the energies of the machine as it is and of the load-sensing machine."""
+    today = dict.fromkeys(("swing", "boom_stick"), "compensated") | {"supply": "load_sensing"}
+    traces = {
+        name: run(load(folder / "harvester.ssp"), swap=swap).trace
+        for name, swap in (("lumped", {}), ("load_sensing", today))
+    }
+    figure = draw({name: energy(trace, name) for name, trace in traces.items()})
+    (PAGE.parent / "images" / "energy.png").write_bytes(png(figure))
+
+
 def main() -> None:
     """Run the circuits and fill the page."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -76,6 +90,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         build_machine(folder)
+        picture(folder)
         fill(PAGE, "circuits", table(CIRCUITS_HEAD, circuits(folder)))
         fill(PAGE, "slewing", table(SLEWING_HEAD, slewing(folder)))
         fill(PAGE, "modes", table(("drives", *FAMILIES["manipulator"]), modes(folder)))

@@ -377,6 +377,11 @@ def symbols(group: type[G]) -> G:
     return nested(group, {name: ca.SX.sym(name) for name in quantities(group)})
 
 
+def unknown(group: type[G]) -> G:
+    """A group of numbers that are not known, for what does not depend on them."""
+    return nested(group, dict.fromkeys(quantities(group), math.nan))
+
+
 def column(*values: Scalar) -> Any:
     """Scalars and columns stacked vertically, shape (n, 1), also none of them."""
     return ca.vertcat(*values) if values else ca.SX(0, 1)

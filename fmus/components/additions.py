@@ -124,7 +124,8 @@ class Cushion(Addition):
     def _throttled(self, branch: Branch, left: Scalar) -> Branch:
         flow: Any = branch.flow
         closed, outward = s_curve(1 - left / self.length), ca.fmin(flow, 0)
-        return replace(branch, drop=branch.drop - self.resistance * closed * outward**2)
+        taken = -self.resistance * closed * outward**2
+        return replace(branch, drop=branch.drop + taken, series={Kind.THROTTLE: taken})
 
 
 class Regeneration(Addition):

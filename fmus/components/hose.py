@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -200,6 +200,11 @@ def flow_in_series(edge: Edge, area: Scalar, drop: Scalar, oil: Liquid, line: Fr
 def column(start: str, end: str, flow: Scalar, symbol: str, inertance: Scalar, drop: Scalar) -> Branch:
     """The oil column of one lump: I dQ/dt = P_start - P_end - drop, eq. (9a) with correction E3."""
     return Branch(start, end, Kind.COLUMN, flow, symbol, inertance, drop)
+
+
+def in_series(branch: Branch, line: Friction) -> Branch:
+    """A branch whose law contains that of a line in series."""
+    return replace(branch, series={Kind.RESISTANCE: line.drop})
 
 
 def area(diameter: Scalar) -> Scalar:

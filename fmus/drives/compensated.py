@@ -30,6 +30,7 @@ A closed valve blocks the ports, which have no counterbalance valves. The brake 
 command leaves the dead band and the supply has pressure.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -38,7 +39,7 @@ from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil, Air
 from fmus.components.circuit import Branch, Circuit, Kind, Node
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
-from fmus.components.hose import HoseWall
+from fmus.components.hose import HoseWall, in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.motor import Brake
 from fmus.components.orifice import AntiCavitation, PressureValve, Reliefs
@@ -47,7 +48,7 @@ from fmus.contract import Group, Quantity, Scalar
 from fmus.drives import cylinder as cylinders
 from fmus.drives import motor as motors
 from fmus.drives.cylinder import CHAMBERS, CYLINDER, PORTS
-from fmus.drives.drive import Drive, Fidelity, Model, both, valve_of
+from fmus.drives.drive import Drive, Fidelity, Model, Names, both, valve_of
 from fmus.drives.motor import LINES, MOTOR
 
 
@@ -61,6 +62,19 @@ class SectionSize(Group):
     section_flow: Scalar = Quantity(
         "m3/s", "Flow of the {} section at full command", 1e-3, minimum=1e-6, group="{} section"
     )
+
+
+def _edges(
+    section: Section, ports: tuple[compensator.SectionPort, ...], nodes: Names, supply: Scalar
+) -> dict[str, Branch]:
+    """The edges of a section, with compensator and check valve in series, and a line behind meter-out."""
+    made = spool_valve.branches((ports[0].edges, ports[1].edges), nodes)
+    for name, port in zip(("P-A", "P-B"), ports, strict=True):
+        taken = supply - port.edges.pressure - port.metering_drop
+        made[name] = replace(made[name], series={Kind.COMPENSATOR: taken})
+    if section.line:
+        made |= {name: in_series(made[name], section.line) for name in ("A-T", "B-T")}
+    return made
 
 
 # ---- cylinder
@@ -135,7 +149,8 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
     section, line = cylinder_section(own, p), own.hose
     ports = compensator.section_ports(section, u.command, both(x, PORTS), u)
     edges, valve = (ports[0].edges, ports[1].edges), section.valve
-    around = Restriction(valve, line.friction(p), p)
+    friction = line.friction(p)
+    around = Restriction(valve, friction, p)
     head, rod = (
         partial(counterbalance_valve.flow, p.counterbalance, getattr(x, opening), around)
         for opening in OPENINGS
@@ -146,10 +161,12 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
             for n, of in zip(PORTS, ("C_V1", "C_V2"), strict=True)
         },
         {
-            **spool_valve.branches(edges, PORTS),
+            **_edges(section, ports, PORTS, u.supply_pressure),
             **cylinders.reliefs(p.port_relief, p.anti_cavitation, PORTS),
-            "head_flow": Branch("head_valve_pressure", "head_pressure", Kind.COUNTERBALANCE, head, "Q_C1"),
-            "rod_flow": Branch("rod_valve_pressure", "rod_pressure", Kind.COUNTERBALANCE, rod, "Q_C2"),
+            "head_flow": in_series(
+                Branch(PORTS[0], CHAMBERS[0], Kind.COUNTERBALANCE, head, "Q_C1"), friction
+            ),
+            "rod_flow": in_series(Branch(PORTS[1], CHAMBERS[1], Kind.COUNTERBALANCE, rod, "Q_C2"), friction),
         },
     )
     shown = {
@@ -238,7 +255,7 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
             "pressure_b": Node(x.pressure_b, "C_2", *oil),
         },
         {
-            **spool_valve.branches(edges, LINES),
+            **_edges(section, ports, LINES, u.supply_pressure),
             **motor.branches(LINES, own.displacement * u.speed, *own.leakage),
             **motors.reliefs(p),
         },
@@ -263,7 +280,9 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
         "flow_a": edges[0].line,
         "flow_b": edges[1].line,
     }
-    return Drive(whole, sensed(section.valve, u), LINES, effort, rates, shown, held.stored, held.heat)
+    return Drive(
+        whole, sensed(section.valve, u), LINES, effort, rates, shown, held.stored, {"brake_heat": held.heat}
+    )
 
 
 def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:

@@ -112,6 +112,7 @@ CYLINDER = Actuator(
     totals=CylinderTotals,
     common=(Preload, ReferenceHose),
     terminal=lambda axis: ports.rod(axis, drives=True),
+    power=("force", "velocity"),
 )
 PISTON = ("ẋ", "B")  # speed of a piston, and damping of its seals, which is in the mechanics
 CHAMBERS = CYLINDER.names("pressure")

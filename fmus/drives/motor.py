@@ -183,6 +183,7 @@ MOTOR = Actuator(
     totals=Totals,
     common=(Preload,),
     terminal=lambda axis: ports.shaft(axis, drives=True),
+    power=("torque", "speed"),
 )
 LINES = MOTOR.names("pressure")
 

@@ -18,7 +18,7 @@ from typing import Any
 from fmus.components import circuit, motor, spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.circuit import Circuit, Node
-from fmus.components.hose import Friction
+from fmus.components.hose import Friction, in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.spool_valve import CurvedValve
 from fmus.contract import Scalar
@@ -36,7 +36,8 @@ def _supplied(
     chambers = kind.names("pressure")
     found = spool_valve.ports_from_pressure(valve_of(own, p), u.command, both(x, chambers), u, p, line)
     flows = dict(zip(kind.names("flow"), (port.line for port in found), strict=True))
-    return Circuit({}, spool_valve.branches(found, chambers)), flows
+    edges = spool_valve.branches(found, chambers)
+    return Circuit({}, {name: in_series(edge, line) for name, edge in edges.items()}), flows
 
 
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:

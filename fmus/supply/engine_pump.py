@@ -24,7 +24,7 @@ import casadi as ca
 
 from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import DieselEngine, Pump
-from fmus.contract import Group, Quantity, Scalar, nested, quantities
+from fmus.contract import Group, Quantity, Scalar, nested
 from fmus.supply import rail
 from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, Supply, TankParameters
 from fmus.supply.variables import line_pressure, variant
@@ -141,12 +141,11 @@ def dynamics(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpS
     return nested(type(x), rates)
 
 
-def observe(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpOutputs:
-    """Outputs."""
+def observe(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
+    """States, outputs and heats by name."""
     known = _supply(x, u, p).outputs()
     load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
-    known |= {"load_sensing_pressure": load.value, "load_sensing_pressure_rate": load.rate}
-    return EnginePumpOutputs(**{name: known[name] for name in quantities(EnginePumpOutputs)})
+    return known | {"load_sensing_pressure": load.value, "load_sensing_pressure_rate": load.rate}
 
 
 def initial(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:

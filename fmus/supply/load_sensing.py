@@ -44,7 +44,7 @@ from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.circuit import Branch, Kind
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.load_sensing import LoadPressure
-from fmus.contract import Group, Quantity, Scalar, nested, quantities
+from fmus.contract import Group, Quantity, Scalar, nested
 from fmus.smooth import ramp_inverse
 from fmus.supply import rail
 from fmus.supply.rail import (
@@ -188,13 +188,12 @@ def dynamics(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensi
     return nested(type(x), rates)
 
 
-def observe(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensingOutputs:
-    """Outputs."""
-    known = _supply(x, u, p).outputs() | {
+def observe(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
+    """States, outputs and heats by name."""
+    return _supply(x, u, p).outputs() | {
         "load_sensing_pressure_rate": dynamics(x, u, p).load_sensing_pressure,
         "pressure_margin": x.supply_pressure - x.load_sensing_pressure,
     }
-    return LoadSensingOutputs(**{name: known[name] for name in quantities(LoadSensingOutputs)})
 
 
 def _standby_line(u: Any, p: LoadSensingParameters) -> Scalar:

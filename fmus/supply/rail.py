@@ -26,10 +26,10 @@ import casadi as ca
 
 from fmus.components import engine_and_pump, oil
 from fmus.components.additions import Addition, Place
-from fmus.components.circuit import GROUND, Branch, Circuit, Kind, Node
+from fmus.components.circuit import GROUND, HEATS, Branch, Circuit, Kind, Node
 from fmus.components.engine_and_pump import Pump
 from fmus.components.orifice import PressureValve
-from fmus.contract import Group, Quantity, Scalar, flat, quantities
+from fmus.contract import Group, Quantity, Scalar, Subsystem, flat, make_group, nested, quantities, unknown
 from fmus.smooth import unit_limited
 from fmus.supply.variables import CommonParameters, SupplyOutputs, consumers
 
@@ -197,7 +197,7 @@ class Supply:
             {
                 **consumers(self.u),
                 "relief_flow": Branch("supply_pressure", RESERVOIR, Kind.RELIEF, p.relief.flow, "Q_relief"),
-                "return_check": Branch("tank_pressure", RESERVOIR, Kind.CHECK, self._into_tank, "R_b"),
+                "return_check": Branch("tank_pressure", RESERVOIR, Kind.RETURN, self._into_tank, "R_b"),
                 **self.branches,
             },
         )
@@ -228,12 +228,18 @@ class Supply:
         burning = engine_and_pump.burning_share(self.p.engine, self.x.engine_speed)
         return burning * self.x.engine_fuel_torque
 
+    @cached_property
+    def heats(self) -> dict[str, Scalar]:
+        """Heat [W] by cause."""
+        w = self.x.engine_speed
+        pumps = sum(engine_and_pump.pump_friction(o.pump, w, self._rise(o)) * w for o in self.pumps)
+        engine = engine_and_pump.engine_friction(self.p.engine, w) * w
+        return {**self.circuit.heats, "pump_friction_heat": pumps, "engine_friction_heat": engine}
+
     @property
     def oil_heat(self) -> Scalar:
         """Heat [W] of all losses but those of the engine."""
-        w = self.x.engine_speed
-        friction = (engine_and_pump.pump_friction(o.pump, w, self._rise(o)) * w for o in self.pumps)
-        return sum(self.circuit.heat().values()) + sum(friction)
+        return sum(heat for cause, heat in self.heats.items() if not cause.startswith("engine"))
 
     @property
     def cooling_power(self) -> Scalar:
@@ -257,7 +263,6 @@ class Supply:
     def outputs(self) -> dict[str, Scalar]:
         """States and outputs by name."""
         x, p, w = self.x, self.p, self.x.engine_speed
-        engine_heat = engine_and_pump.engine_friction(p.engine, w) * w
         rotation = p.engine.inertia * w**2 / 2
         return {
             **flat(x),
@@ -274,9 +279,18 @@ class Supply:
             "stored_energy": self.circuit.stored_energy
             + rotation
             + p.reservoir_pressure * x.reservoir_volume,
-            "dissipated_power": self.oil_heat + engine_heat,
+            **self.heats,
+            "dissipated_power": sum(self.heats.values()),
             "cooling_power": self.cooling_power,
         }
+
+
+def with_heats(sub: Subsystem) -> Subsystem:
+    """The subsystem with an output for each heat that it has; its `observe` gives all by name."""
+    known = sub.observe(*map(unknown, (sub.states, sub.inputs, sub.parameters)))
+    heats = {n: q.of("supply", str) for n, q in HEATS.items() if n in known}
+    outputs = make_group("Outputs", heats, sub.outputs)
+    return replace(sub, outputs=outputs, observe=lambda x, u, p: nested(outputs, sub.observe(x, u, p)))
 
 
 def additions(p: Any) -> list[tuple[str, Addition]]:
