@@ -19,8 +19,8 @@ SYSTEM = Path(__file__).parents[1] / "build/harvester.ssp"
 FILE = Path(__file__).with_name("images") / "warm-up.png"
 SWAP = {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"}
 COLD = 263.15  # K
-CYCLES, STEP = 40, 1.0  # s between the samples
-SHOWN = (1, 2, 5, 10, 20, 40)  # cycles in the table
+CYCLES, STEP = 84, 1.0  # s between the samples
+SHOWN = (1, 2, 5, 10, 20, 40, 84)  # cycles in the table
 SIGNALS = (
     *("supply.oil_temperature", "supply.oil_viscosity", "supply.engine_power", "supply.hydraulic_power"),
     "supply.cooling_power",

@@ -274,7 +274,7 @@ def test_a_machine_that_fails_does_not_stop_the_others(system, lanes):
     result = batch(system, stiffness, **options)
     assert list(result.status) == ["ok", "failed", "ok"]
     told = "head chamber of the boom cylinder has a positive volume at boom_position"
-    assert f'requirement "{told}" is violated at t = 1.331 s' in result.reasons[1]
+    assert f'requirement "{told}" is violated at t = 1.333 s' in result.reasons[1]
     assert result.reasons[1].startswith("boom_stick: ")
     assert result.reasons[0] == ""
     angle = result["manipulator.boom_angle"]
