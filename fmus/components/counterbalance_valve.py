@@ -34,7 +34,7 @@ Experimental Study of Motion Control Using Pressure Feedback, SICFP 2013 (stabil
 from dataclasses import dataclass
 
 from fmus.components import oil as oils
-from fmus.components.hose import Friction, flow_in_series
+from fmus.components.hose import Law, flow_in_series
 from fmus.components.orifice import Edge, Liquid
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp, s_curve
@@ -89,7 +89,7 @@ class Restriction:
     """
 
     edge: Edge
-    hose: Friction
+    hose: Law
     oil: Liquid
 
 

@@ -26,7 +26,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 
@@ -36,13 +36,13 @@ from fmus.components.chamber import AeratedOil, Air, Oil
 from fmus.components.circuit import Branch, Circuit, Kind, Node
 from fmus.components.orifice import Edge, Liquid, root
 from fmus.contract import Group, Quantity, Scalar
-from fmus.smooth import s_curve
 
 REFERENCE_LENGTH, REFERENCE_BORE = 4.0, 0.01905  # [m], hose from which all resistances are scaled
 # Q_0 [m3/s] and mu_0 [Pa.s]: the paper states neither. Blasius gives its C_R at 170 L/min with 8 mPa.s
 REFERENCE_FLOW, REFERENCE_VISCOSITY = 170 / 60000, 8e-3
-CRITICAL, PASSAGE = 2300, 0.13  # Reynolds number, and half of the relative width of the passage around it
-ITERATIONS = 2  # of `flow_in_series`
+CRITICAL = 2300  # Reynolds number
+LEAST = 1e-9  # added to |Q|/Q_c, so that its root has a derivative at 0, where s is 0
+ITERATIONS = 1  # of `flow_in_series`
 BANDWIDTH = 75.0  # Hz: highest mode of a line that recordings at the paper's 200 Hz show
 FREQUENCY_ERROR = 0.05  # largest relative error of the frequencies of modes up to BANDWIDTH
 
@@ -143,15 +143,15 @@ def derived_parameters(
 
 @dataclass(frozen=True)
 class Friction:
-    """Steady friction of a line: dp = Q (R + s (T - R)), laminar below Re 2000, turbulent above 2600.
+    """Steady friction of a hose: dp = Q (R + s (T - R)), laminar below and turbulent above Re 2300.
 
-        R = 128 mu l/(pi D^4)        T = C_R (Q_0/|Q|)^(1/4) |Q|        s: step of |Q| between these two
+        R = 128 mu l/(pi D^4)        T = C_R (Q_0/|Q|)^(1/4) |Q|        s = 1 - 1/(1 + (Q/Q_c)^8)
 
-    Hagen-Poiseuille up to the critical Reynolds number 2300 and Blasius above, with a smooth passage.
+    Hagen-Poiseuille and Blasius, with a smooth passage: s is 5 % at Re 1600 and 95 % at 3300.
 
     laminar      R [Pa.s/m3]
-    turbulent    C_R at the flow Q_0 = `REFERENCE_FLOW` [Pa.s2/m6]; 0: laminar at any flow
-    critical     flow of Re 2300 [m3/s]
+    turbulent    C_R at the flow Q_0 = `REFERENCE_FLOW` [Pa.s2/m6]
+    critical     Q_c of Re 2300 [m3/s]
     """
 
     laminar: Scalar
@@ -160,40 +160,66 @@ class Friction:
 
     @classmethod
     def of(cls, size: HoseSize, turbulent: Scalar, oil: Liquid) -> Friction:
-        """That of a line with this C_R."""
+        """That of a hose with this C_R."""
         critical = math.pi / 4 * CRITICAL * size.bore * oil.kinematic_viscosity
         dynamic = oil.kinematic_viscosity * oil.density
         return cls(laminar_resistance(size.length, size.bore, dynamic), turbulent, critical)
 
-    def _turbulent(self, flow: Scalar) -> tuple[Scalar, Scalar]:
-        """s, and T/|Q| [Pa.s2/m6]."""
-        low, high = ((1 + sign * PASSAGE) * self.critical for sign in (-1, 1))
-        size = ca.fmax(ca.fabs(flow), low)
-        share = s_curve((size - low) / (high - low)) * (ca.SX(self.turbulent) > 0)
-        return share, self.turbulent * (REFERENCE_FLOW**0.25) / ca.sqrt(ca.sqrt(size))
+    def _shares(self, flow: Scalar) -> tuple[Scalar, Scalar]:
+        """s, and sqrt(|Q|/Q_c)."""
+        z = ca.fabs(flow) * (1 / self.critical)
+        power = ((z**2) ** 2) ** 2
+        return power / (1 + power), ca.sqrt(z + LEAST)
+
+    def coefficients(self, flow: Scalar = None) -> tuple[Scalar, Scalar]:
+        """b and a of dp = b Q + a Q |Q| at a flow [m3/s]; without one, R and C_R."""
+        if flow is None:
+            return self.laminar, self.turbulent
+        share, half = self._shares(flow)
+        at_critical = self.turbulent * (REFERENCE_FLOW / self.critical) ** 0.25
+        return (1 - share) * self.laminar, share * at_critical / ca.sqrt(half)
 
     def drop(self, flow: Scalar) -> Scalar:
         """Pressure drop [Pa] at a flow [m3/s], with its sign."""
-        return self.laminar * flow + self.turbulence(flow)
-
-    def turbulence(self, flow: Scalar) -> Scalar:
-        """Drop [Pa] beyond that of laminar flow."""
-        share, slope = self._turbulent(flow)
-        return flow * share * (slope * ca.fabs(flow) - self.laminar)
+        share, half = self._shares(flow)
+        scale = self.turbulent * (REFERENCE_FLOW / self.critical) ** 0.25 * self.critical
+        return flow * (self.laminar + share * (scale * half * ca.sqrt(half) - self.laminar))
 
 
-def flow_in_series(edge: Edge, area: Scalar, drop: Scalar, oil: Liquid, line: Friction) -> Scalar:
+@dataclass(frozen=True)
+class ShortLine:
+    """Steady friction of a short line: dp = R Q + C_R Q |Q|, laminar at any flow if C_R is 0."""
+
+    laminar: Scalar
+    turbulent: Scalar
+
+    def coefficients(self, _: Scalar = None) -> tuple[Scalar, Scalar]:
+        """R and C_R."""
+        return self.laminar, self.turbulent
+
+    def drop(self, flow: Scalar) -> Scalar:
+        """Pressure drop [Pa] at a flow [m3/s], with its sign."""
+        return flow * (self.laminar + self.turbulent * ca.fabs(flow))
+
+
+Law: TypeAlias = Friction | ShortLine
+
+
+def flow_in_series(edge: Edge, area: Scalar, drop: Scalar, oil: Liquid, line: Law) -> Scalar:
     """Flow [m3/s] through an opening [m2] of a valve and a line, with the sign of the drop [Pa].
 
-    With r and c of the line at a flow Q_k, dp = (C_R + c) Q_{k+1} |Q_{k+1}| + (C_R Q_t + r) Q_{k+1}. This
-    fixed-point iteration is exact where the line is laminar, and gains a digit per step elsewhere.
+    With b and a of the line at a flow Q_k, dp = (C_R + a) Q_{k+1} |Q_{k+1}| + (C_R Q_t + b) Q_{k+1}. This
+    fixed-point iteration is exact where b and a are constant, and gains a digit per step elsewhere.
     """
     square, laminar = edge.square(area, oil), edge.transition_flow(area, oil)
     y = square * drop
-    flow = root(y, laminar + square * line.laminar, 1 + square * line.turbulent)
-    for _ in range(ITERATIONS):
-        share, slope = line._turbulent(flow)
-        flow = root(y, laminar + square * (1 - share) * line.laminar, 1 + square * share * slope)
+
+    def solved(linear: Scalar, turbulent: Scalar) -> Scalar:
+        return root(y, laminar + square * linear, 1 + square * turbulent)
+
+    flow = solved(*line.coefficients())
+    for _ in range(ITERATIONS if isinstance(line, Friction) else 0):
+        flow = solved(*line.coefficients(flow))
     return flow
 
 
@@ -202,7 +228,7 @@ def column(start: str, end: str, flow: Scalar, symbol: str, inertance: Scalar, d
     return Branch(start, end, Kind.COLUMN, flow, symbol, inertance, drop)
 
 
-def in_series(branch: Branch, line: Friction) -> Branch:
+def in_series(branch: Branch, line: Law) -> Branch:
     """A branch whose law contains that of a line in series."""
     return replace(branch, series={Kind.RESISTANCE: line.drop})
 
@@ -251,18 +277,13 @@ def frequency_limit(length: Scalar, density: Scalar, bulk_modulus: Scalar) -> Sc
 
 @dataclass(frozen=True)
 class HydraulicLine:
-    """Parameters of a line: length, bore [m], turbulent C_R [Pa.s2/m6], wall modulus [Pa], oil."""
+    """Parameters of a line: length, bore [m], friction, wall modulus [Pa], oil."""
 
     length: Scalar
     bore: Scalar
-    resistance: Scalar
+    friction: Law
     wall_modulus: Scalar
     fluid: AeratedOil
-
-    @property
-    def friction(self) -> Friction:
-        """Friction of the line."""
-        return Friction.of(HoseSize(length=self.length, bore=self.bore), self.resistance, self.fluid)
 
     @property
     def volume(self) -> Scalar:
@@ -352,7 +373,9 @@ def lumps_needed(
     higher and its error smaller. Air is neglected, although it reduces the wave speed at low pressure.
     """
     modulus = 1 / (1 / fluid.bulk_modulus + 1 / wall_modulus)
-    line = HydraulicLine(length, bore, 0.0, wall_modulus, fluid)
+    line = HydraulicLine(
+        length, bore, ShortLine(laminar_resistance(length, bore, fluid.viscosity), 0.0), wall_modulus, fluid
+    )
     omega = 2 * math.pi * bandwidth
     viscous_factor = math.hypot(1.0, line.friction.laminar / (omega * line.inertance))
     phase = omega * length * math.sqrt(fluid.density / modulus * viscous_factor)

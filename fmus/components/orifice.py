@@ -67,9 +67,9 @@ class Edge(Group):
         """K^2 = 1 / C_R [m6/(s2.Pa)] of an opening [m2]."""
         return flow_gain(area, self.discharge_coefficient, oil.density) ** 2
 
-    def transition_flow(self, area: Scalar, oil: Liquid) -> Scalar:
+    def transition_flow(self, area: Scalar, oil: Liquid, closed: Scalar = CLOSED) -> Scalar:
         """Q_t [m3/s] of an opening [m2]."""
-        return self.transition_reynolds * oil.kinematic_viscosity * ca.sqrt(math.pi / 4 * (area + CLOSED))
+        return self.transition_reynolds * oil.kinematic_viscosity * ca.sqrt(math.pi / 4 * (area + closed))
 
     def flow(self, area: Scalar, drop: Scalar, oil: Liquid) -> Scalar:
         """Flow [m3/s] through an opening [m2], with the sign of the drop [Pa]; exactly 0 if it is closed."""

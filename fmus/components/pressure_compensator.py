@@ -37,7 +37,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fmus.components import opening_curve, spool_valve
-from fmus.components.hose import Friction, flow_in_series
+from fmus.components.hose import Law, flow_in_series
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import Liquid, root
 from fmus.components.spool_valve import DeadBand, EdgeFlows, EdgeShape, Lines, Pair
@@ -105,7 +105,7 @@ class Section:
     return_areas: Pair
     neutral_area: Scalar
     oil: Liquid
-    line: Friction | None = None
+    line: Law | None = None
 
     def openings(self, command: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         """Openings [1] (meter-in, meter-out) of the edges of port A and of port B."""

@@ -41,9 +41,9 @@ import casadi as ca
 from fmus.components import hose, opening_curve
 from fmus.components import oil as oils
 from fmus.components.circuit import SUPPLY, TANK, Branch, Kind
-from fmus.components.hose import Friction
+from fmus.components.hose import Law
 from fmus.components.opening_curve import EDGES, OpeningCurves, StraightOpening
-from fmus.components.orifice import Edge, Liquid
+from fmus.components.orifice import CLOSED, Edge, Liquid
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp
 
@@ -171,7 +171,7 @@ def _openings(
 
 
 def edge_flows_from_flow(
-    edges: EdgeShape, line_flow: Scalar, area_supply: Scalar, area_tank: Scalar, lines: Lines, oil: Liquid
+    edges: Edges, line_flow: Scalar, opening_supply: Scalar, opening_tank: Scalar, lines: Lines, oil: Liquid
 ) -> EdgeFlows:
     """Flows of the two edges of a port, supply (meter-in) and tank (meter-out), from the line flow Q.
 
@@ -183,12 +183,12 @@ def edge_flows_from_flow(
     pressure difference. At most one edge is open. The turbulent term uses the line flow instead of the
     edge flow and so neglects the leakage of the closed edge: an error below 0.1 % of the drop for flows above
     1000 times that leakage (20 L/min).
-
-    area_supply, area_tank   openings [m2]
     """
-    slowed = ca.fabs(line_flow) + edges.transition_flow(area_supply + area_tank, oil)
-    g_supply = edges.leakage + edges.square(area_supply, oil) / slowed
-    g_tank = edges.leakage + edges.square(area_tank, oil) / slowed
+    # of the full area, which is a number; the laminar limit at an opening grows with its root
+    square, laminar = edges.square(edges.area, oil), edges.transition_flow(edges.area, oil, 0)
+    slowed = ca.fabs(line_flow) + laminar * ca.sqrt(opening_supply + opening_tank + CLOSED / edges.area)
+    g_supply = edges.leakage + square * opening_supply**2 / slowed
+    g_tank = edges.leakage + square * opening_tank**2 / slowed
     p_s, p_t = lines.supply_pressure, lines.tank_pressure
     pressure = (g_supply * p_s + g_tank * p_t - line_flow) / (g_supply + g_tank)
     return EdgeFlows(pressure, g_supply * (p_s - pressure), g_tank * (pressure - p_t), line_flow)
@@ -205,10 +205,9 @@ def _ports(
     edges: Edges, share: Mapping[str, Scalar], flows: Pair, lines: Lines, oil: Liquid
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at the openings [1] of the edges."""
-    area = {edge: edges.area * opening for edge, opening in share.items()}
     return (
-        edge_flows_from_flow(edges, flows[0], area["pa"], area["at"], lines, oil),
-        edge_flows_from_flow(edges, flows[1], area["pb"], area["bt"], lines, oil),
+        edge_flows_from_flow(edges, flows[0], share["pa"], share["at"], lines, oil),
+        edge_flows_from_flow(edges, flows[1], share["pb"], share["bt"], lines, oil),
     )
 
 
@@ -220,7 +219,7 @@ def edge_flows_from_pressure(
     area: Scalar,
     lines: Lines,
     oil: Liquid,
-    line: Friction | None = None,
+    line: Law | None = None,
 ) -> EdgeFlows:
     """Flows of the two edges of a port that leads over a line directly into a chamber at the pressure P.
 
@@ -240,7 +239,7 @@ def edge_flows_from_pressure(
 
 
 def ports_from_pressure(
-    valve: CurvedValve, command: Scalar, pressures: Pair, lines: Lines, oil: Liquid, line: Friction | None
+    valve: CurvedValve, command: Scalar, pressures: Pair, lines: Lines, oil: Liquid, line: Law | None
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the chamber pressures [Pa]; lines without inertance."""
     share = edge_openings(valve, command)

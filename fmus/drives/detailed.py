@@ -158,13 +158,13 @@ class Lines:
 def hose_line(own: Any, p: Any) -> HydraulicLine:
     """Parameters of each of the two hoses of a cylinder."""
     h = own.hose
-    return HydraulicLine(h.length, h.bore, h.resistance, p.hose_wall_modulus, p)
+    return HydraulicLine(h.length, h.bore, h.friction(p), p.hose_wall_modulus, p)
 
 
 def motor_line(own: Any, p: Any) -> HydraulicLine:
     """Parameters of each of the two lines of a motor."""
     line = own.line
-    return HydraulicLine(line.length, line.bore, line.turbulent_resistance, p.hose_wall_modulus, p)
+    return HydraulicLine(line.length, line.bore, line.friction(p), p.hose_wall_modulus, p)
 
 
 def lumps_of(path: Path) -> Callable[[Axis], int]:

@@ -17,7 +17,7 @@ from typing import Any
 from fmus.components import circuit, motor, spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.circuit import Circuit, Node
-from fmus.components.hose import column, inertance, laminar_resistance
+from fmus.components.hose import ShortLine, column, inertance, laminar_resistance
 from fmus.components.load_sensing import sensed
 from fmus.components.spool_valve import CurvedValve
 from fmus.contract import Scalar
@@ -77,7 +77,8 @@ def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
 
 def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     line, ports = own.line, MOTOR.names("motor_pressure")
-    supplied = _supplied(MOTOR, x, u, own, p, line.inertance, line.friction(p).turbulence, ("I_1", "I_2"))
+    turbulent = ShortLine(0, line.turbulent_resistance)
+    supplied = _supplied(MOTOR, x, u, own, p, line.inertance, turbulent.drop, ("I_1", "I_2"))
     capacitance = own.capacitance(p, u.oil_temperature)
     nodes = {
         **circuit.lines(u),

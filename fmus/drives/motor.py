@@ -14,7 +14,7 @@ from fmus import ports
 from fmus.components import chamber, hose
 from fmus.components.chamber import Oil
 from fmus.components.circuit import TANK, Branch, Circuit, Kind
-from fmus.components.hose import Friction, HoseSize
+from fmus.components.hose import HoseSize, ShortLine
 from fmus.components.oil import DENSITY, LAMINAR, TURBULENT
 from fmus.components.orifice import Liquid, Reliefs
 from fmus.contract import Group, Quantity, Scalar
@@ -36,15 +36,16 @@ class Line(HoseSize):
 
     turbulent_resistance: Scalar = Quantity(
         "Pa.s2/m6",
-        "Turbulent resistance C_R of each {} at 170 L/min; 0: laminar at any flow",
+        "Turbulent resistance C_R of each {}, beside the laminar one; 0: laminar",
         1e10,
         minimum=0.0,
         warmed=TURBULENT,
     )
 
-    def friction(self, oil: Liquid) -> Friction:
+    def friction(self, oil: Liquid) -> ShortLine:
         """Friction of the line."""
-        return Friction.of(self, self.turbulent_resistance, oil)
+        dynamic = oil.kinematic_viscosity * oil.density
+        return ShortLine(hose.laminar_resistance(self.length, self.bore, dynamic), self.turbulent_resistance)
 
 
 class VolumeLine(Line):

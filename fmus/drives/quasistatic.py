@@ -18,7 +18,7 @@ from typing import Any
 from fmus.components import circuit, motor, spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.circuit import Circuit, Node
-from fmus.components.hose import Friction, in_series
+from fmus.components.hose import Law, in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.spool_valve import CurvedValve
 from fmus.contract import Scalar
@@ -30,7 +30,7 @@ from fmus.drives.motor import MOTOR
 
 
 def _supplied(
-    kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: Friction
+    kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: Law
 ) -> tuple[Circuit, dict[str, Scalar]]:
     """Edges of the valve at the chambers, and the flows."""
     chambers = kind.names("pressure")

@@ -51,17 +51,19 @@ def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]
     # directions v of states, inputs, parameters; time derivatives du of inputs
     like = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u}
     arguments = {name: ca.SX.sym(name, v.numel()) for name, v in like.items()}
+    is_held = [v.quantity.held for v in interface.inputs]
+    held = column(*(u for u, h in zip(ca.vertsplit(sym.u), is_held, strict=True) if h))
+    moving = column(*(0 if h else d for d, h in zip(ca.vertsplit(arguments["du"]), is_held, strict=True)))
     values = {
         "x0": sym.start,
         "dx": sym.dx,
         "jac": system.entries,
-        "ft": ca.jtimes(sym.dx, sym.u, arguments["du"]),
+        "ft": ca.jtimes(sym.dx, sym.u, moving),
         "y": interface.y,
         "require": sym.require,
         "delay": sym.next_event,
         **directional(sym, interface.y, arguments),
     }
-    held = column(*(u for u, v in zip(ca.vertsplit(sym.u), interface.inputs, strict=True) if v.quantity.held))
     values, c, prepared = hoist(
         {name: ca.densify(value) for name, value in values.items()}, ca.vertcat(sym.p, held)
     )

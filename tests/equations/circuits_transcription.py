@@ -49,12 +49,10 @@ def through(p: Group, area: float, drop: float, of: str = "") -> float:
     edge = laminar(p, area)
     if not of:
         return root(square * drop, edge)
-    resistance, _, _ = friction(p, of, 0.0)
-    turbulent = getattr(p, "line_turbulent_resistance" if of == "line" else f"{of}_resistance")
-    flow = root(square * drop, edge + square * resistance, 1 + square * turbulent)
+    b, a = friction(p, of, 0.0)[0], getattr(p, f"{of}{'_turbulent' * (of == 'line')}_resistance")
     for _ in range(2):
-        r, s, t = friction(p, of, flow)
-        flow = root(square * drop, edge + square * (1 - s) * r, 1 + square * s * t)
+        flow = root(square * drop, edge + square * b, 1 + square * a)
+        b, a = friction(p, of, flow)
     return flow
 
 

@@ -59,7 +59,7 @@ class Arm:
 def oil(name: str, piston: float, p: Group) -> Group:
     """Areas, capacitances, hose and valve of one actuator."""
     prefix = "swing_" if name == "swing" else ""
-    valve = {n: getattr(p, f"{prefix}valve_{n}") for n in ("dead_band", "full_command", "transition_flow")}
+    valve = {n: getattr(p, f"{prefix}valve_{n}") for n in ("dead_band", "full_command")}
     valve["rounding"] = getattr(p, f"{prefix}valve_command_rounding")
     rho = getattr(p, f"{prefix}density")
     discharge, area = (getattr(p, f"{prefix}valve_{n}") for n in ("discharge_coefficient", "area"))
@@ -161,7 +161,7 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     forces = o.a[0] * p.nominal_supply_pressure - fixed, o.a[1] * p.nominal_supply_pressure + fixed
     plain = [o.k_valve * np.sqrt(m(z, w * o.a[0]) / (o.a**3).sum()) for z in forces]
     full = [n + p.feedback * (known - n) for n, known in zip(plain, (up, down), strict=True)]
-    mean, area = sum(full) / 2, o.a.mean()
+    mean = sum(full) / 2
     size = v**2 / np.sqrt(v**2 + 1e-8)
     spare = o.a[0] * s - o.a[1] * t - load, o.a[1] * s - o.a[0] * t + load
     gates = [1 + p.feedback * (rise(f / (a * 5e5)) - 1) for f, a in zip(spare, o.a, strict=True)]
@@ -169,9 +169,8 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
         full, gates = o.q / o.a, [1.0, 1.0]
         mean = full.mean()
     y = gates[0] * (v + size) / 2 / full[0] + gates[1] * (v - size) / 2 / full[1]
-    flow, hose = (o.q * y, 0.0) if o.q > 0 else (area * v, o.hose)
-    laminar = (1 + o.transition_flow**2 / (flow**2 + (p.foot_share * area * mean) ** 2)) ** 0.25
-    wide = y * laminar / np.sqrt(1 - hose * o.k_valve**2 * min(y**2, 1))
+    hose = 0.0 if o.q > 0 else o.hose
+    wide = y / np.sqrt(1 - hose * o.k_valve**2 * min(y**2, 1))
     had = wide - r(wide - 0.95, 0.1)
     had += r(-had - 0.95, 0.1)
     lever = clip(getattr(u, f"{name}_lever"), -o.full_command, o.full_command)

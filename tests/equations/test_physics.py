@@ -99,7 +99,8 @@ def test_every_formula_keeps_its_dimensions(name, monkeypatch):
     e, rng = equations(name), np.random.default_rng(11)
     scale = dict.fromkeys(BASES, 1.0) | {"kg": 1.9, "m": 0.7, "s": 1.3, "A": 0.6}
     monkeypatch.setattr(hose, "REFERENCE_FLOW", hose.REFERENCE_FLOW * scale["m"] ** 3 / scale["s"])
-    monkeypatch.setattr(orifice, "CLOSED", orifice.CLOSED * scale["m"] ** 2)
+    for module in (orifice, spool_valve):
+        monkeypatch.setattr(module, "CLOSED", module.CLOSED * scale["m"] ** 2)
     in_others = Equations(name)
 
     def in_other_units(values, group, per_second=0):

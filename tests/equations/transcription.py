@@ -111,21 +111,22 @@ def warmed(p: Group, temperature: float) -> Group:
     return warm
 
 
-def friction(p: Group, of: str, flow: float) -> tuple[float, float, float]:
-    """R, s and T of section 3 for a hose or the line of a motor."""
+def friction(p: Group, of: str, flow: float) -> tuple[float, float]:
+    """b and a of section 3 for a hose, of dp = b Q + a Q |Q|; R and C_R of the line of a motor."""
     length, bore = getattr(p, f"{of}_length"), getattr(p, f"{of}_bore")
-    turbulent = p.line_turbulent_resistance if of == "line" else getattr(p, f"{of}_resistance")
+    laminar = 128 * p.viscosity * length / (pi * bore**4)
+    if of == "line":
+        return laminar, p.line_turbulent_resistance
     critical = 2300 * pi / 4 * p.viscosity / p.density * bore
-    z = min(max((abs(flow) - 0.87 * critical) / (0.26 * critical), 0.0), 1.0)
-    s = z**3 * (10 - 15 * z + 6 * z**2) if turbulent else 0.0
-    t = turbulent * (170 / 60e3 / max(abs(flow), 0.87 * critical)) ** 0.25
-    return 128 * p.viscosity * length / (pi * bore**4), s, t
+    z = (flow / critical) ** 8
+    blasius = (170 / 60e3 / critical) ** 0.25 / (abs(flow / critical) + 1e-9) ** 0.25
+    return laminar / (1 + z), getattr(p, f"{of}_resistance") * blasius * z / (1 + z)
 
 
 def drop(p: Group, of: str, flow: float) -> float:
     """H of section 3."""
-    r, s, t = friction(p, of, flow)
-    return flow * (r + s * (t * abs(flow) - r))
+    b, a = friction(p, of, flow)
+    return flow * (b + a * abs(flow))
 
 
 class Machine:
@@ -229,7 +230,7 @@ def motor(p: Group, p_a: float, p_b: float, tank: float, speed: float) -> tuple[
 def slewing(p: Group, x: Floats, p_1: float, p_2: float, a: Port, b: Port) -> list[float]:
     """Rates of (P_a, P_b, Q_a, Q_b), section 4."""
     p_a, p_b, q_a, q_b = x
-    turbulence = [q * s * (t * abs(q) - r) for q in (q_a, q_b) for r, s, t in [friction(p, "line", q)]]
+    turbulence = [p.line_turbulent_resistance * q * abs(q) for q in (q_a, q_b)]
     return [
         (q_a - (p_a - p_1) / p.line_resistance) / (p.line_capacitance + void(p_a)),
         (q_b - (p_b - p_2) / p.line_resistance) / (p.line_capacitance + void(p_b)),

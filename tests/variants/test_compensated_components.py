@@ -16,7 +16,7 @@ from kit.equations import OIL, lines
 from fmus.components import counterbalance_valve
 from fmus.components import pressure_compensator as compensator
 from fmus.components.counterbalance_valve import Restriction
-from fmus.components.hose import Friction
+from fmus.components.hose import ShortLine
 from fmus.components.orifice import Edge
 from fmus.drives.compensated import motor_section
 from fmus.machine.parts import FAMILIES
@@ -27,7 +27,7 @@ SECTION = motor_section(SWING.swing, SWING)
 COMPENSATOR = SECTION.compensator
 VALVE = parameters(FAMILIES["boom_stick"]["compensated"]).counterbalance
 EDGE = Edge(discharge_coefficient=0.62, transition_reynolds=10.0)
-ALONE = Restriction(EDGE, Friction(0.0, 0.0, 1.0), OIL)  # without hose
+ALONE = Restriction(EDGE, ShortLine(0.0, 0.0), OIL)  # without hose
 PRESSURE = st.floats(0, 4e7)
 COMMAND = st.floats(-10, 10)
 

@@ -39,7 +39,8 @@ def pipe(
     viscosity: float = 1e-12, wall: float = STIFF, length: float = LENGTH, bore: float = BORE
 ) -> HydraulicLine:
     """A line without air and without turbulent friction."""
-    return HydraulicLine(length, bore, 0.0, wall, oil(viscosity))
+    laminar = 128 * viscosity * length / (math.pi * bore**4)
+    return HydraulicLine(length, bore, hose.ShortLine(laminar, 0.0), wall, oil(viscosity))
 
 
 def in_between(one: HydraulicLine, lumps: int, pressure: float) -> tuple[dict[str, ca.SX], Circuit]:

@@ -202,7 +202,7 @@ ODD = {
     # not 0, which stands for the capacitance that follows from length and bore
     "no hoses": {f"boom_stick.{j}_hose_capacitance": 1e-18 for j in PISTONS},
     "no line resistance": {"swing.line_resistance": 1.0},
-    "sharp edges": {f"{c}.valve_transition_flow": 1e-8 for c in ("swing", "boom_stick")},
+    "sharp edges": {f"{c}.valve_transition_reynolds": 0.1 for c in ("swing", "boom_stick")},
     "no friction": {
         f"manipulator.{n}": 0.0 for n in MANIPULATOR if n.endswith("_damping") and "stop" not in n
     },
