@@ -149,7 +149,7 @@ MAX_TIME = 1e9  # [s], length of the transient
 RAMP_TIME = 0.5  # [s] until the joints have their speeds
 # [s], inputs change by nominal / lag at full acceleration of their joints. At rest lags are tried in turn,
 # each with a number of steps; the long ones are for oil behind check valves, which leaks away in hours.
-MOVING_LAG, RESTING_LAGS = 0.005, {0.005: 600, 1e3: 1200, 1e4: 1200}
+MOVING_LAG, RESTING_LAGS = 0.005, {0.005: 3000, 1e3: 1200, 1e4: 1200}
 JERK_TIME = 0.005  # [s], T of the control law of the inputs
 # relative to nominal, [s], number of steps: step of an input to find its sign
 TEST_INPUT, TEST_TIME, TEST_STEPS = 0.3, 0.5, 600
