@@ -29,8 +29,8 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
 
 
 def oil_temperature(text: str, **more: bool) -> Quantity:
-    """Declaration of the temperature of the oil."""
-    return Quantity("K", text, 300.0, minimum=223.15, maximum=423.15, **more)
+    """Declaration of the temperature of the oil, without bounds: FMPy sets connected inputs to 0 at first."""
+    return Quantity("K", text, 300.0, **more)
 
 
 class Commands(Group):

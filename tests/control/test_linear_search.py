@@ -133,11 +133,11 @@ def test_steps_grow_on_straight_paths_and_are_repeated_on_bent_ones(ratio, facto
     np.testing.assert_allclose([first - start, second], [3e-4, 3e-4 * factor], rtol=1e-9)  # of 1 + 3e-4
 
 
-def test_a_search_ends_after_600_steps_with_the_short_lag_and_1200_with_each_long_one():
+def test_a_search_ends_after_3000_steps_with_the_short_lag_and_1200_with_each_long_one():
     """A plant that cannot be evaluated: its matrices are asked for once in each step."""
     plant = Plant(lambda x, u: [1], [[0]], x=[1], refused=10**6)
     assert not Search(plant, (), ()).run({})
-    assert plant.asked == 600 + 2 * 1200
+    assert plant.asked == 3000 + 2 * 1200
 
 
 def test_joints_reach_their_speeds_in_half_a_second():
