@@ -190,8 +190,9 @@ def edge_flows_from_flow(
     g_supply = edges.leakage + square * opening_supply**2 / slowed
     g_tank = edges.leakage + square * opening_tank**2 / slowed
     p_s, p_t = lines.supply_pressure, lines.tank_pressure
-    pressure = (g_supply * p_s + g_tank * p_t - line_flow) / (g_supply + g_tank)
-    return EdgeFlows(pressure, g_supply * (p_s - pressure), g_tank * (pressure - p_t), line_flow)
+    drop = (line_flow + g_tank * (p_s - p_t)) / (g_supply + g_tank)  # P_s - P without their difference
+    from_supply = g_supply * drop
+    return EdgeFlows(p_s - drop, from_supply, from_supply - line_flow, line_flow)
 
 
 def ports_from_flow(
