@@ -2,9 +2,9 @@
 
 Each step gives the effective area of the edge from its flow and pressure drop,
 
-    a = sqrt((Q - L) sqrt(Q^2 + Q_t^2) / dp) / (C_d sqrt(2/rho))        L = G dp - G (dp_s - dp)
+    a = sqrt((Q - L) (|Q| + Q_t) / dp) / (C_d sqrt(2/rho))        L = G dp - G (dp_s - dp)
 
-L is the leakage (coefficient G) of the open edge minus that of the closed edge at the same port, which has
+Q_t is that of `orifice.Edge` at the area a, some 0.1 L/min. L is the leakage (coefficient G) of the open edge minus that of the closed edge at the same port, which has
 the rest of the pressure drop dp_s from supply to tank. Means over steps with one command are the nodes of
 the opening. With the zeros z of the pressure drop and z_q of the flow meter, and the noise e,
 
@@ -38,6 +38,7 @@ from scipy import optimize, stats
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
+from fmus.components.orifice import CLOSED
 from fmus.identification.balance import UNLIKELY, Regression
 from fmus.identification.procedures.experiment_data import StepMeans, parameter, parameter_value
 from fmus.identification.results import CONFIDENCE, Estimate
@@ -46,6 +47,7 @@ from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
 
 SAME = 2e-3  # of the full command: steps that are closer have one command
+PASSES = 3  # of the area and its Q_t, which is an eighth of the flow at most where a flow is seen
 DRAWS = 2000  # curves: the 2.5 % quantile of one has an error of a tenth of a standard deviation
 POINTS, GRID = 10, 96  # of a table; commands at which curves are drawn, besides the measured ones
 FOOT = (0.8, 3.5)  # exponents of a curve below its lowest node: a notch begins with 1 to 2, a rounding with 3
@@ -75,8 +77,9 @@ class Known:
     discharge_coefficient: float
     full_command: float
     leakage: float
-    transition_flow: float
+    transition_reynolds: float
     density: float
+    viscosity: float
     rounding: Number
     zero: float = 0.0
     flow_zero: float = 0.0
@@ -85,10 +88,11 @@ class Known:
     @classmethod
     def of(cls, parameters: Mapping[str, Number]) -> Known:
         """From the parameters of the machine, whose three valves are identical (section 4(a))."""
-        names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
+        names = ("discharge_coefficient", "full_command", "leakage", "transition_reynolds")
         valve = {name: parameter_value(parameters, f"boom_stick.valve_{name}") for name in names}
         rounding = parameter(parameters, "boom_stick.valve_command_rounding")
-        return cls(**valve, density=parameter_value(parameters, "boom_stick.density"), rounding=rounding)
+        oil = {name: parameter_value(parameters, f"boom_stick.{name}") for name in ("density", "viscosity")}
+        return cls(**valve, **oil, rounding=rounding)
 
     @property
     def zero_sd(self) -> float:
@@ -143,9 +147,16 @@ class ValveSteps(StepMeans):
         drop, flow = self.drop - zero, self.flow - flow_zero
         net = np.maximum(flow - c.leakage * (2 * drop - self.supply_drop), 1e-3 * np.abs(flow) + 1e-15)
         gain = c.discharge_coefficient * np.sqrt(2 / self.density)
-        area = np.sqrt(net * np.hypot(flow, c.transition_flow) / drop) / gain
-        by_flow = area / 2 * (1 / net + flow / (flow**2 + c.transition_flow**2))
-        return area, -area / 2 * (1 / drop + 2 * c.leakage / net), by_flow
+        per_root = c.transition_reynolds * c.viscosity / self.density * math.sqrt(math.pi / 4)
+        area = transition = np.zeros_like(flow)
+        for _ in range(PASSES):
+            transition = per_root * np.sqrt(area + CLOSED)
+            area = np.sqrt(net * (np.abs(flow) + transition) / drop) / gain
+        slowed = np.abs(flow) + transition
+        # d(ln area) of a^2 dp = net (|Q| + Q_t(a)) / gain^2
+        share = area / (2 - transition / (2 * slowed) * area / (area + CLOSED))
+        by_flow = share * (1 / net + np.sign(flow) / slowed)
+        return area, -share * (1 / drop + 2 * c.leakage / net), by_flow
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,7 @@ def blasius(q, length=bench.LENGTH, bore=bench.BORE, viscosity=0.02):
 @pytest.fixture(scope="module")
 def results():
     """The procedure over noise seeds, on a hose that obeys eq. (1)."""
-    return [
-        hose_resistance.identify(bench.steady_hose(s, bench.turbulent), bench.KNOWN) for s in range(SEEDS)
-    ]
+    return [hose_resistance.identify(bench.steady_hose(s, bench.friction), bench.KNOWN) for s in range(SEEDS)]
 
 
 def test_resistance_comes_back_and_is_scaled(results):
@@ -80,4 +78,4 @@ def test_laminar_part_is_estimated():
 def test_too_few_steps_are_refused():
     """Three flows are not enough to compare the laws: one line says so."""
     with pytest.raises(Problem, match=r"^hose_resistance: expected at least 4 steady steps, got 3[^\n]*$"):
-        hose_resistance.identify(bench.steady_hose(0, bench.turbulent, (50.0, 100.0, 200.0)), bench.KNOWN)
+        hose_resistance.identify(bench.steady_hose(0, bench.friction, (50.0, 100.0, 200.0)), bench.KNOWN)

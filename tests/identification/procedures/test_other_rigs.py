@@ -23,7 +23,7 @@ TRUTH = {
 }
 BENCHES = {
     "valve": (valve, lambda: [bench.edge("P-A", [5, 0]), bench.edge("P-B", [5, 2])]),
-    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, bench.turbulent)),
+    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, bench.friction)),
     "hose_dynamics": (hose_dynamics, lambda: bench.moving_hose(5)),
 }
 
@@ -127,7 +127,7 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
 
 def test_residuals_far_above_the_noise_are_a_warning():
     """A hose whose drop is laminar at first, which eq. (1) cannot be."""
-    recordings = bench.steady_hose(5, lambda q: bench.turbulent(q) + 3e8 * q)
+    recordings = bench.steady_hose(5, lambda q: bench.friction(q) + 3e8 * q)
     found = results.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
     assert {f.fault for f in found} == {"model"}
     assert any("times the noise of the sensors" in f.sentence for f in found)
