@@ -14,7 +14,9 @@ drop: the zeros of the transducers and of the meter are estimated with each law.
 Validity: steady flow above the dead zone of the meter; a smooth pipe, up to Re 1e5.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 
 import casadi as ca
@@ -52,6 +54,7 @@ LABELS = {  # of the laws in the panels
     "viscosity": ("viscosity fitted", "compared"),
 }
 TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
+RATIOS = tuple(2.0 ** (k / 4) for k in range(-8, 13))  # of viscosities with which a search begins
 MIN_STEPS = 4  # fewer steps cannot distinguish between the laws
 LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
 ONE_WAY = 0.9  # rank correlation of flow and time from which on a change in time cannot be told
@@ -60,14 +63,15 @@ Fits = Mapping[str, Solution]  # by each law; "viscosity" only if the others are
 
 @lru_cache(maxsize=1)
 def laws() -> Mapping[str, balance.Law]:
-    """The drop as the machine simulates it, by eq. (1), and the former with an unknown viscosity.
+    """The drop as the machine simulates it, by eq. (1), and the former with another viscosity.
 
-    Known are length and bore of the hose, density and viscosity of the oil. C_R is that at this viscosity.
+    Known are length and bore of the hose, density and viscosity of the oil; C_R is that at this viscosity.
+    The logarithm of the viscosity over it is unknown in the third law.
     """
     z, known = ca.SX.sym("z", 3), ca.SX.sym("known", 4)
     length, bore, density, nominal = ca.vertsplit(known)
     size = hose.HoseSize(length=length, bore=bore)
-    u = {name: ca.SX.sym(name) for name in ("resistance", "viscosity")}
+    u = {name: ca.SX.sym(name) for name in ("resistance", "thicker")}
 
     def machine(viscosity: ca.SX) -> ca.SX:
         own = hose.scaled_resistance(u["resistance"], 1, 1, viscosity / nominal)
@@ -76,7 +80,7 @@ def laws() -> Mapping[str, balance.Law]:
     forms = {
         "machine": (("resistance",), machine(nominal)),
         "square": (("resistance",), u["resistance"] * z[2] * ca.fabs(z[2])),
-        "viscosity": (("resistance", "viscosity"), machine(u["viscosity"])),
+        "viscosity": (("resistance", "thicker"), machine(nominal * ca.exp(u["thicker"]))),
     }
     return {
         name: balance.law(z, {n: u[n] for n in unknowns}, known, z[0] - z[1] - drop)
@@ -167,18 +171,22 @@ def fit_laws(steps: StepMeans, known: tuple[float, float, float, float], limits:
     # only the difference of the pressures counts, so that at the outlet is taken as zero
     means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
 
-    def fitted(name: str, **initial: float) -> Solution:
-        samples = balance.samples_of(laws()[name], SIGNALS, means, errors, known)
+    def fitted(name: str, ratio: float = 1.0, **initial: float) -> Solution:
+        constants = (*known[:3], ratio * known[3])
+        samples = balance.samples_of(laws()[name], SIGNALS, means, errors, constants)
         return balance.solve([samples], initial, "hose_resistance", limits)
 
     fits = {name: fitted(name, resistance=start) for name in ("machine", "square")}
     if all(solution.fit.misfit for solution in fits.values()):
-        try:
-            other = fitted("viscosity", resistance=fits["machine"].fit["resistance"], viscosity=known[-1])
-        except Problem:  # data that contradict this law may have no optimum
-            return fits
-        if other.fit.determined("viscosity") and _aic(other) < min(map(_aic, fits.values())):
-            fits["viscosity"] = other
+        near = dict[float, Solution]()
+        with suppress(Problem):  # data that contradict this law may have no optimum
+            for x in RATIOS:
+                near[x] = fitted("machine", x, resistance=start)
+        with suppress(Problem):
+            x = min(near, key=lambda x: near[x].fit.chi_square)
+            other = fitted("viscosity", resistance=near[x].fit["resistance"] / x**0.25, thicker=math.log(x))
+            if other.fit.sd("thicker") < balance.DETERMINED and _aic(other) < min(map(_aic, fits.values())):
+                fits["viscosity"] = other
     return fits
 
 
@@ -187,6 +195,12 @@ def zero_of(fits: Fits) -> Estimate:
     best = min(fits.values(), key=_aic)
     zero, sd = best.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
     return Estimate.normal("pressures without flow", zero, "Pa", sd, "pressure_in - pressure_out")
+
+
+def viscosity_of(solution: Solution) -> Estimate:
+    """Viscosity of the tested oil, of the law in which it is unknown."""
+    known, note = solution.samples[0].known[3], "of the tested oil, by the small flows"
+    return solution.fit.derived("viscosity", "Pa.s", note, "thicker", lambda x: float(known * math.exp(x)))
 
 
 def _aic(solution: Solution) -> float:
@@ -254,7 +268,7 @@ def _others(fits: Fits, zero: Estimate, steps: StepMeans) -> Iterator[Estimate]:
     note = f"the tested hose; {flow:.0f} L/min is the weighted rms of the flows"
     yield square.fit.estimate("C_R by eq. (1)", UNIT, note, "resistance")
     if "viscosity" in fits:
-        yield found.estimate("viscosity", "Pa.s", "of the tested oil, by the laminar flows")
+        yield viscosity_of(fits["viscosity"])
 
 
 def _remarks(steps: StepMeans, fits: Fits, zero: Estimate) -> Iterator[str]:
@@ -273,10 +287,10 @@ def _remarks(steps: StepMeans, fits: Fits, zero: Estimate) -> Iterator[str]:
     yield f"C_R is valid for {REFERENCE}. It falls by 16 % for each doubling of the flow."
     yield from data.pressure_offset_remark(zero)
     if "viscosity" in fits:
-        other = fits["viscosity"].fit
+        other = fits["viscosity"]
         yield (
-            f"The small flows are those of an oil of {1e3 * other['viscosity']:.3g} mPa.s: with this viscosity "
-            f"chi-square is {other.chi_square:.4g}. C_R is converted to the machine's oil by eq. (10)."
+            f"The small flows are those of an oil of {1e3 * viscosity_of(other).value:.3g} mPa.s: with it "
+            f"chi-square is {other.fit.chi_square:.4g}. C_R is converted to the machine's oil by eq. (10)."
         )
     yield from balance.misfit_remark(fits.get("viscosity", fits["machine"]).fit, "The hose's law")
     if "flow" not in fits["square"].limits:

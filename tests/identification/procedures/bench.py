@@ -101,9 +101,11 @@ def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
     drop = supply_drop - 4e5 * (volts - volts[0])
     leak = LEAKAGE * drop - LEAKAGE * (supply_drop - drop)  # of the open edge minus that of the closed one
 
+    # flow of that Reynolds number through a round hole of the same area
+    laminar = TRANSITION * VISCOSITY / DENSITY * np.sqrt(np.pi * area * opening(volts)) / 2
+
     def surplus(q, i):
-        reynolds = q * np.sqrt(4 / (np.pi * area * opening(volts[i]) + 1e-30)) * DENSITY / VISCOSITY
-        return (q - leak[i]) * q * (1 + TRANSITION / reynolds) - gain[i] ** 2 * drop[i]
+        return (q - leak[i]) * (abs(q) + laminar[i]) - gain[i] ** 2 * drop[i]
 
     q = np.array([brentq(surplus, 0.0, 1e-2, args=(i,), xtol=1e-15) for i in range(volts.size)])
     hold = round(1.5 * RATE)

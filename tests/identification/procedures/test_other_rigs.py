@@ -126,8 +126,8 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
 
 
 def test_residuals_far_above_the_noise_are_a_warning():
-    """A hose whose drop is laminar at first, which eq. (1) cannot be."""
-    recordings = bench.steady_hose(5, lambda q: bench.friction(q) + 3e8 * q)
+    """A hose with a check valve of 5 bar, which the law does not have."""
+    recordings = bench.steady_hose(5, lambda q: bench.friction(q) + 5 * bench.BAR * np.sign(q))
     found = results.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
     assert {f.fault for f in found} == {"model"}
     assert any("times the noise of the sensors" in f.sentence for f in found)
