@@ -2,13 +2,13 @@
 
 Two methods. First, the equations of a lumped hose as laws of `balance`:
 
-    I dQ/dt = P_in - P_out - R Q - dp(Q)        Q = Q_in + s (Q_out - Q_in)
+    I dQ/dt = P_in - P_out - R Q - dp(Q)           Q = Q_in + s (Q_out - Q_in)
     C dP/dt = Q_in - Q_out                               P = P_out + s (P_in - P_out)
 
-In the machine (`fmus.boom_stick.drive`) s = 0: the inertance sees the flow of the inlet, and the capacitance
-is at the outlet; dp is the friction of the hose, with C_R (`hose.Friction`). If both are distributed along the hose, s = 1/2: the mean of its ends. The position s, the
-friction, and the zeros of the instruments are estimated together with I and C, so that they do not bias them.
-The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
+dp is the friction with C_R (`hose.Friction`). In the machine s = 0: the inertance sees the flow of the inlet,
+and the capacitance is at the outlet. If both are distributed along the hose, s = 1/2: the mean of its ends.
+The position s, R, C_R, and the zeros of the instruments are estimated together with I and C, so that they do
+not bias them. The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
 
 Second, the definitions, which the paper uses, for comparison: sample by sample, then the mean of each group
 of recordings, then the mean of these means.
@@ -44,7 +44,6 @@ from fmus.components.chamber import Liquid
 from fmus.identification import balance
 from fmus.identification.balance import Law, Regression, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.recordings.clock import filter_for, period, uniform_rate
 from fmus.identification.recordings.masks import good, good_all
 from fmus.identification.results import (
@@ -155,7 +154,7 @@ def equations(parameters: Mapping[str, Number], length: float, bore: float) -> t
     of = hose.Friction.of(size, u["C_R"], Liquid(density=density, viscosity=viscosity))
     inertance = {
         "I": float(hose.inertance(length, bore, density)),
-        "C_R": scaled(resistance, stick_length, stick_bore, length, bore),  # by that of the stick's hose
+        "C_R": float(hose.scaled_resistance(resistance, length / stick_length, bore / stick_bore)),
         "R": 0.0,
         "s": 0.0,
     }

@@ -2,11 +2,10 @@
 
     P_in - P_out = dp(Q) of `hose.Friction`        P_in - P_out = C_R Q|Q|, eq. (1)
 
-The first is the law that the machine simulates: laminar up to the critical flow, by the known viscosity of the
-oil, and Blasius' law above, whose C_R is stated at 170 L/min (correction E10 in docs/equations.md). Eq. (1) is
-for comparison. Both are fitted to the means over the steps (`balance`), with the errors of drop and flow;
-chi-square and AIC show which law the data support. If both are misfits, the viscosity of the tested oil is
-estimated too: it gives the laminar drop and the critical flow.
+The first is the law of the machine: laminar flow by the known viscosity of the oil, above the critical flow
+Blasius' law, whose C_R is stated at 170 L/min (correction E10 in docs/equations.md). Eq. (1) is compared with
+it. Both are fitted to the means over the steps (`balance`), with the errors of drop and flow; AIC shows which
+law the data support. If both are misfits, the viscosity of the tested oil is estimated from the small flows.
 
 The readings of two transducers differ slightly without flow, and a tenth of a bar is a hundredth of a hose's
 drop: the zeros of the transducers and of the meter are estimated with each law.
@@ -48,7 +47,7 @@ SIGNALS: Mapping[str, str] = {"pressure_in": "Pa", "pressure_out": "Pa", "flow":
 FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by Blasius' law is reported
 UNIT = "Pa.s2/m6"
 REFERENCE = f"{hose.REFERENCE_FLOW / LITRES_PER_MINUTE[1]:.0f} L/min"
-LABELS = {  # of the laws in the panels
+LABELS: Mapping[str, tuple[str, CurveKind]] = {  # of the laws in the panels
     "machine": ("laminar to turbulent", "fit"),
     "square": ("C_R Q|Q|, eq. (1)", "compared"),
     "viscosity": ("viscosity fitted", "compared"),
@@ -94,14 +93,6 @@ def drop_by(fits: Fits, name: str, flow: Array) -> Array:
     return np.asarray(-laws()[name].terms(readings, fits[name].fit.values, known)[0].full()[0])
 
 
-def scaled(resistance: float, length: float, diameter: float, to_length: float, to_diameter: float) -> float:
-    """C_R of a hose of another length and diameter [m], from that of `length` and `diameter`, eq. (10).
-
-    R ~ l/D^4.75, at the same flow and with the same oil.
-    """
-    return float(hose.scaled_resistance(resistance, to_length / length, to_diameter / diameter))
-
-
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """C_R of the stick's and the boom's hoses from that of the tested hose."""
     tests = data.training_recordings(recordings, "hose_resistance", SIGNALS)
@@ -124,7 +115,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     estimates = []
     for axis in ("stick", "boom"):
         size = tuple(parameter_value(parameters, f"boom_stick.{axis}_hose_{n}") for n in ("length", "bore"))
-        factor = to_density**0.75 * scaled(1.0, length, bore, *size)
+        factor = float(hose.scaled_resistance(to_density**0.75, size[0] / length, size[1] / bore))
         note = f"Blasius, section 4(b), at {REFERENCE}"
         if abs(factor - 1) > 1e-9:
             note += f", eq. (10) from {length:g} m to {size[0]:g} m, {size[1] * 1e3:.4g} mm"
@@ -140,7 +131,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *_remarks(steps, fits, zero),
             data.constants_remark(tests, parameters, "density", "viscosity"),
         ),
-        others=tuple(_others(fits, zero, steps)),
+        others=tuple(_others(fits, zero)),
         findings=(
             *_findings(found, steps[steps.good].flow, (along[steps.good], word)),
             *data.signal_findings(tests, SIGNALS, "hose_resistance"),
@@ -178,11 +169,11 @@ def fit_laws(steps: StepMeans, known: tuple[float, float, float, float], limits:
 
     fits = {name: fitted(name, resistance=start) for name in ("machine", "square")}
     if all(solution.fit.misfit for solution in fits.values()):
-        near = dict[float, Solution]()
-        with suppress(Problem):  # data that contradict this law may have no optimum
+        near = {1.0: fits["machine"]}
+        with suppress(Problem):  # all flows are laminar
             for x in RATIOS:
                 near[x] = fitted("machine", x, resistance=start)
-        with suppress(Problem):
+        with suppress(Problem):  # data that contradict this law may have no optimum
             x = min(near, key=lambda x: near[x].fit.chi_square)
             other = fitted("viscosity", resistance=near[x].fit["resistance"] / x**0.25, thicker=math.log(x))
             if other.fit.sd("thicker") < balance.DETERMINED and _aic(other) < min(map(_aic, fits.values())):
@@ -195,12 +186,6 @@ def zero_of(fits: Fits) -> Estimate:
     best = min(fits.values(), key=_aic)
     zero, sd = best.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
     return Estimate.normal("pressures without flow", zero, "Pa", sd, "pressure_in - pressure_out")
-
-
-def viscosity_of(solution: Solution) -> Estimate:
-    """Viscosity of the tested oil, of the law in which it is unknown."""
-    known, note = solution.samples[0].known[3], "of the tested oil, by the small flows"
-    return solution.fit.derived("viscosity", "Pa.s", note, "thicker", lambda x: float(known * math.exp(x)))
 
 
 def _aic(solution: Solution) -> float:
@@ -244,9 +229,8 @@ def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
         drop.append(Curve(label, flows, drop_by(fits, name, flows), kind, line=True))
         left = good.drop - drop_by(fits, name, good.flow)
         residual.append(Curve(label, good.flow, left, kind, error=error))
-        resistance.append(
-            Curve(label, in_range, drop_by(fits, name, in_range) / in_range**2, kind, line=True)
-        )
+        ratio = drop_by(fits, name, in_range) / in_range**2
+        resistance.append(Curve(label, in_range, ratio, kind, line=True))
     litres = LITRES_PER_MINUTE
     return (
         Panel("flow", "pressure drop", tuple(drop), "Drop along the hose", litres, BAR),
@@ -255,20 +239,18 @@ def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
     )
 
 
-def _others(fits: Fits, zero: Estimate, steps: StepMeans) -> Iterator[Estimate]:
-    found, square = fits.get("viscosity", fits["machine"]).fit, fits["square"]
+def _others(fits: Fits, zero: Estimate) -> Iterator[Estimate]:
+    found = fits.get("viscosity", fits["machine"]).fit
     yield found.estimate("C_R", UNIT, f"the tested hose at {REFERENCE}", "resistance")
     yield zero
     for litres in FLOWS:
         factor = (hose.REFERENCE_FLOW / (litres * LITRES_PER_MINUTE[1])) ** 0.25
         note = "Blasius, where the flow is turbulent"
         yield found.estimate(f"C_R({litres:g} L/min)", UNIT, note, "resistance", factor)
-    weights = square.column("resistance") ** 2
-    flow = float(np.sqrt(weights @ steps[steps.good].flow ** 2 / weights.sum())) / LITRES_PER_MINUTE[1]
-    note = f"the tested hose; {flow:.0f} L/min is the weighted rms of the flows"
-    yield square.fit.estimate("C_R by eq. (1)", UNIT, note, "resistance")
+    yield fits["square"].fit.estimate("C_R by eq. (1)", UNIT, "the tested hose, all flows", "resistance")
     if "viscosity" in fits:
-        yield viscosity_of(fits["viscosity"])
+        note = "of the tested oil over that of the machine's, by the small flows"
+        yield found.derived("viscosity ratio", "1", note, "thicker", math.exp)
 
 
 def _remarks(steps: StepMeans, fits: Fits, zero: Estimate) -> Iterator[str]:
@@ -277,20 +259,18 @@ def _remarks(steps: StepMeans, fits: Fits, zero: Estimate) -> Iterator[str]:
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
         yield f"Left out of {steps.flow.size} steps: {omissions}{flat}."
     machine, square = fits["machine"].fit, fits["square"].fit
-    better, worse = "Laminar to turbulent flow", "eq. (1)"
-    if _aic(fits["square"]) < _aic(fits["machine"]):
-        better, worse = "Eq. (1)", "laminar to turbulent flow"
+    better = "Eq. (1)" if _aic(fits["square"]) < _aic(fits["machine"]) else "The machine's law"
     yield (
-        f"{better} fits better than {worse}: chi-square is {square.chi_square:.4g} by eq. (1), "
-        f"{machine.chi_square:.4g} by the machine's law, with {square.freedom} degrees of freedom."
+        f"{better} fits better: chi-square is {square.chi_square:.4g} by eq. (1), {machine.chi_square:.4g} "
+        f"by the machine's law, with {square.freedom} degrees of freedom."
     )
     yield f"C_R is valid for {REFERENCE}. It falls by 16 % for each doubling of the flow."
     yield from data.pressure_offset_remark(zero)
     if "viscosity" in fits:
-        other = fits["viscosity"]
+        other = fits["viscosity"].fit
         yield (
-            f"The small flows are those of an oil of {1e3 * viscosity_of(other).value:.3g} mPa.s: with it "
-            f"chi-square is {other.fit.chi_square:.4g}. C_R is converted to the machine's oil by eq. (10)."
+            f"The small flows are those of {math.exp(other['thicker']):.3g} times the viscosity: with it "
+            f"chi-square is {other.chi_square:.4g}. C_R is converted to the machine's oil by eq. (10)."
         )
     yield from balance.misfit_remark(fits.get("viscosity", fits["machine"]).fit, "The hose's law")
     if "flow" not in fits["square"].limits:

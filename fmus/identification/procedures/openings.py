@@ -4,9 +4,10 @@ Each step gives the effective area of the edge from its flow and pressure drop,
 
     a = sqrt((Q - L) (|Q| + Q_t) / dp) / (C_d sqrt(2/rho))        L = G dp - G (dp_s - dp)
 
-Q_t is that of `orifice.Edge` at the area a, some 0.1 L/min. L is the leakage (coefficient G) of the open edge minus that of the closed edge at the same port, which has
-the rest of the pressure drop dp_s from supply to tank. Means over steps with one command are the nodes of
-the opening. With the zeros z of the pressure drop and z_q of the flow meter, and the noise e,
+Q_t is that of `orifice.Edge` at a, below 0.1 L/min. L is the leakage (coefficient G) of the open edge minus
+that of the closed edge at the same port, which has the rest of the pressure drop dp_s from supply to tank.
+Means over steps with one command are the nodes of the opening. With the zeros z of the pressure drop and
+z_q of the flow meter, and the noise e,
 
     a_i = A(V_i) + (da/ddp) z + (da/dQ) z_q + e_i
 
@@ -47,7 +48,6 @@ from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
 
 SAME = 2e-3  # of the full command: steps that are closer have one command
-PASSES = 3  # of the area and its Q_t, which is an eighth of the flow at most where a flow is seen
 DRAWS = 2000  # curves: the 2.5 % quantile of one has an error of a tenth of a standard deviation
 POINTS, GRID = 10, 96  # of a table; commands at which curves are drawn, besides the measured ones
 FOOT = (0.8, 3.5)  # exponents of a curve below its lowest node: a notch begins with 1 to 2, a rounding with 3
@@ -147,14 +147,12 @@ class ValveSteps(StepMeans):
         drop, flow = self.drop - zero, self.flow - flow_zero
         net = np.maximum(flow - c.leakage * (2 * drop - self.supply_drop), 1e-3 * np.abs(flow) + 1e-15)
         gain = c.discharge_coefficient * np.sqrt(2 / self.density)
-        per_root = c.transition_reynolds * c.viscosity / self.density * math.sqrt(math.pi / 4)
-        area = transition = np.zeros_like(flow)
-        for _ in range(PASSES):
-            transition = per_root * np.sqrt(area + CLOSED)
-            area = np.sqrt(net * (np.abs(flow) + transition) / drop) / gain
-        slowed = np.abs(flow) + transition
-        # d(ln area) of a^2 dp = net (|Q| + Q_t(a)) / gain^2
-        share = area / (2 - transition / (2 * slowed) * area / (area + CLOSED))
+        laminar = c.transition_reynolds * c.viscosity / self.density * math.sqrt(math.pi / 4)
+        area = slowed = np.zeros_like(flow)
+        for _ in range(3):  # an error of (Q_t/2Q)^3
+            slowed = np.abs(flow) + laminar * np.sqrt(area + CLOSED)
+            area = np.sqrt(net * slowed / drop) / gain
+        share = area / (2 - (slowed - np.abs(flow)) / (2 * slowed) * area / (area + CLOSED))
         by_flow = share * (1 / net + np.sign(flow) / slowed)
         return area, -share * (1 / drop + 2 * c.leakage / net), by_flow
 

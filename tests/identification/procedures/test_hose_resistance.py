@@ -2,13 +2,12 @@
 
 import math
 
-import numpy as np
 import pytest
 from identification.procedures import bench
 
+from fmus.components import hose
 from fmus.identification import results
 from fmus.identification.procedures import hose_resistance
-from fmus.identification.procedures.hose_resistance import scaled
 from orchestrator.base.errors import Problem
 
 SEEDS = 30
@@ -44,7 +43,7 @@ def test_resistance_comes_back_and_is_scaled(every):
 
 def test_law_of_the_data_fits_better(every):
     """That of the machine, whose C_R falls with the flow; data of eq. (1) are a misfit of it."""
-    assert any(r.startswith("Laminar to turbulent flow fits better") for r in every[0].remarks)
+    assert any(r.startswith("The machine's law fits better") for r in every[0].remarks)
     found = bench.named(every[0])
     # C_R(Q) is the drop over Q^2 at that flow, within its interval of well below 1 %
     for litres in (60.0, 100.0, 200.0, 300.0):
@@ -62,7 +61,7 @@ def test_law_of_the_data_fits_better(every):
 def test_scaling_is_that_of_a_smooth_pipe():
     """Eq. (10) scales like the formulas of Darcy and Blasius."""
     q = 100 * bench.LITRES
-    other = scaled(blasius(q), bench.LENGTH, bench.BORE, 2.5, 0.0127)
+    other = float(hose.scaled_resistance(blasius(q), 2.5 / bench.LENGTH, 0.0127 / bench.BORE))
     assert other == pytest.approx(blasius(q, 2.5, 0.0127), rel=1e-12)  # exact identity
 
 
@@ -72,10 +71,10 @@ def test_another_viscosity_is_estimated(thicker):
     recordings = bench.steady_hose(0, lambda q: bench.friction(q, thicker * bench.VISCOSITY))
     result = hose_resistance.identify(recordings, bench.KNOWN)
     found = bench.named(result)
-    for name, truth in (("viscosity", thicker * bench.VISCOSITY), ("C_R", bench.RESISTANCE)):
+    for name, truth in (("viscosity ratio", thicker), ("C_R", bench.RESISTANCE)):
         assert abs(found[name].value - truth) < 4 * found[name].sd
         assert found[name].sd < 0.02 * truth
-    assert any("are those of an oil" in remark for remark in result.remarks)
+    assert any("small flows are those of" in remark for remark in result.remarks)
     assert results.named(result.findings) == []
 
 
