@@ -294,7 +294,8 @@ def hose_drop(flow: float, resistance: float) -> float:
     reynolds = 4 * size * DENSITY / (math.pi * 0.01905 * VISCOSITY)
     s = min(max((reynolds / 2300 - 0.87) / 0.26, 0.0), 1.0)
     s = s**3 * (10 - 15 * s + 6 * s**2)
-    return flow * ((1 - s) * LINE * STICK + s * resistance * (170 * LITRES) ** 0.25 * size**0.75)
+    turbulent: float = resistance * (170 * LITRES) ** 0.25 * size**0.75
+    return flow * ((1 - s) * LINE * STICK + s * turbulent)
 
 
 def hose_resistance(m: Machine, folder: Path) -> None:

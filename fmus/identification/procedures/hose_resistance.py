@@ -24,6 +24,7 @@ from scipy import stats
 
 from fmus.components import hose
 from fmus.components.chamber import Liquid
+from fmus.contract import Scalar
 from fmus.identification import balance
 from fmus.identification.balance import Solution
 from fmus.identification.procedures import experiment_data as data
@@ -72,7 +73,7 @@ def laws() -> Mapping[str, balance.Law]:
     size = hose.HoseSize(length=length, bore=bore)
     u = {name: ca.SX.sym(name) for name in ("resistance", "thicker")}
 
-    def machine(viscosity: ca.SX) -> ca.SX:
+    def machine(viscosity: ca.SX) -> Scalar:
         own = hose.scaled_resistance(u["resistance"], 1, 1, viscosity / nominal)
         return hose.Friction.of(size, own, Liquid(density=density, viscosity=viscosity)).drop(z[2])
 
