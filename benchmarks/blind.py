@@ -18,7 +18,7 @@ Hose bench, by RK4:
 
     I dQ/dt = p_1 - p_2 - dp(Q)         C dp_2/dt = Q - sqrt((p_2 - p_r)/S)
 
-with the friction of Hagen and Poiseuille up to Re 2000, and of Blasius from 2600 on.
+with the friction of Hagen and Poiseuille below Re 2300, and of Blasius above.
 
 Leakage bench, steady: Q_a = (p_a - p_b)/R_in + p_a/R_ex, drain (p_a + p_b)/R_ex.
 
@@ -292,8 +292,7 @@ def hose_drop(flow: float, resistance: float) -> float:
     """Pressure drop [Pa] of the stick's hose, whose C_R [Pa.s2/m6] is that at 170 L/min."""
     size = abs(flow)
     reynolds = 4 * size * DENSITY / (math.pi * 0.01905 * VISCOSITY)
-    s = min(max((reynolds / 2300 - 0.87) / 0.26, 0.0), 1.0)
-    s = s**3 * (10 - 15 * s + 6 * s**2)
+    s = reynolds**8 / (2300.0**8 + reynolds**8)
     turbulent: float = resistance * (170 * LITRES) ** 0.25 * size**0.75
     return flow * ((1 - s) * LINE * STICK + s * turbulent)
 

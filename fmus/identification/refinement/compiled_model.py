@@ -250,9 +250,7 @@ def _interface(model: ReducedModel) -> Interface:
     )
     for kind, names, prefix in kinds:
         declared = [(prefix + name, model.quantities[name]) for name in names]
-        groups.append(
-            [Variable(n, kind, Quantity(q.unit, q.text, q.nominal, held=q.held), None) for n, q in declared]
-        )
+        groups.append([Variable(n, kind, Quantity(q.unit, q.text, q.nominal), None) for n, q in declared])
     groups.append([])  # outputs are in sens.c only
     equations = replace(model.equations, y=ca.SX(0, 1))
     # declared stiff by default, so that only the implicit method is used; only that one has sensitivities

@@ -152,12 +152,11 @@ def sensitivity_code(
         "y_x": column(*y_x.values()),
         "y_q": column(*y_q.values()),
     }
-    held = (u[i] for i, name in enumerate(model.inputs) if model.quantities[name].held)
-    values, d, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, column(p, *held))
+    values, d, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, p)
     arguments = {"x": x, "u": u, "p": p, "d": d}
     stage = {"jac": values["jac"], "product": column(*product_x.values()), "f_q": values["f_q"]}
     routines = [
-        Routine("sens_prepare", {"u": u, "p": p}, {"d": prepared}),
+        Routine("sens_prepare", {"p": p}, {"d": prepared}),
         Routine("sens_hessian", arguments, {"hessian": values["hessian"]}),
         Routine("sens_stage", arguments | {"hessian": hessian_symbols, "k": k, "h_du": h_du}, stage),
         Routine("sens_outputs", arguments, {"y": values["y"]}),

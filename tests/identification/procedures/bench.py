@@ -126,10 +126,9 @@ FLOWS = tuple(np.linspace(5.0, 280.0, 24))  # L/min
 
 
 def friction(q, viscosity=VISCOSITY):
-    """Pressure drop [Pa] at a flow [m3/s]: Hagen-Poiseuille to Re 2000, Blasius from 2600, smooth between."""
+    """Pressure drop [Pa] at a flow [m3/s]: Hagen-Poiseuille below Re 2300, Blasius above, smooth between."""
     reynolds = 4 * q * DENSITY / (np.pi * BORE * viscosity)
-    s = np.clip((reynolds / 2300 - 0.87) / 0.26, 0.0, 1.0)
-    s = 6 * s**5 - 15 * s**4 + 10 * s**3
+    s = reynolds**8 / (2300.0**8 + reynolds**8)
     turbulent = RESISTANCE * (viscosity / VISCOSITY * 170 * LITRES * q**7) ** 0.25
     return (1 - s) * 128 * viscosity * LENGTH / (np.pi * BORE**4) * q + s * turbulent
 

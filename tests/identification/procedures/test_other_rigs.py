@@ -163,13 +163,16 @@ def test_two_hoses_are_refused(name):
         procedure.identify([*own, other], bench.KNOWN)
 
 
-@pytest.mark.parametrize(("name", "power"), [("hose_resistance", 0.75), ("hose_dynamics", 1.0)])
-def test_another_oil_is_converted(name, power):
+# exact: the same fit, another factor; with another density the critical flow differs, too
+@pytest.mark.parametrize(
+    ("name", "power", "error"), [("hose_resistance", 0.75, 1e-3), ("hose_dynamics", 1.0, 1e-12)]
+)
+def test_another_oil_is_converted(name, power, error):
     """I goes with the density, C_R with its power of 0.75, eq. (10): from the test's oil to the machine's."""
     light = result_of(name, lambda r: replace(r, conditions={**r.conditions, "density": bench.DENSITY / 1.1}))
     plain = result_of(name)
     ratio = light.estimates[0].value / plain.estimates[0].value
-    assert ratio == pytest.approx(1.1**power, rel=1e-12)  # exact: the same fit, another factor
+    assert ratio == pytest.approx(1.1**power, rel=error)
 
 
 def test_commands_that_close_the_edge_are_left_out():
