@@ -73,6 +73,8 @@ def laws() -> Mapping[str, balance.Law]:
     size = hose.HoseSize(length=length, bore=bore)
     u = {name: ca.SX.sym(name) for name in ("resistance", "thicker")}
 
+    thicker = ca.fmax(-3, ca.fmin(u["thicker"], 3))  # finite in a search that diverges
+
     def machine(viscosity: ca.SX) -> Scalar:
         own = hose.scaled_resistance(u["resistance"], 1, 1, viscosity / nominal)
         return hose.Friction.of(size, own, Liquid(density=density, viscosity=viscosity)).drop(z[2])
@@ -80,7 +82,7 @@ def laws() -> Mapping[str, balance.Law]:
     forms = {
         "machine": (("resistance",), machine(nominal)),
         "square": (("resistance",), u["resistance"] * z[2] * ca.fabs(z[2])),
-        "viscosity": (("resistance", "thicker"), machine(nominal * ca.exp(u["thicker"]))),
+        "viscosity": (("resistance", "thicker"), machine(nominal * ca.exp(thicker))),
     }
     return {
         name: balance.law(z, {n: u[n] for n in unknowns}, known, z[0] - z[1] - drop)
