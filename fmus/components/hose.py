@@ -123,6 +123,15 @@ class HoseWall(Group):
     )
 
 
+OIL_VELOCITY = 6.0  # m/s: by the usual rule for the size of hoses under pressure
+
+
+def oil_velocity(text: str) -> Quantity:
+    """Declaration of the velocity of the oil in hoses."""
+    meaning = "hoses of the next size waste less pressure and heat"
+    return Quantity("m/s", text, 1.0, warn_above=OIL_VELOCITY, meaning=meaning)
+
+
 def warmed_compliance(volume: Scalar, oil: Oil, temperature: Scalar) -> Scalar:
     """V/beta [m3/Pa] of a volume [m3] of oil at a temperature [K], minus that at `oils.REFERENCE`."""
     return volume * (1 - oils.bulk_modulus_ratio(temperature)) / oil.bulk_modulus

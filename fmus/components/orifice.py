@@ -17,13 +17,16 @@ opening of the same area. The sum of a viscous and an inertial drop is Idelchik'
 Resistance).
 Q is odd and increasing in dp, with a continuous derivative.
 
-Relief and anti-cavitation valves have a smooth static characteristic:
+Relief valves have a smooth static characteristic:
 
     Q = g r(dP - P_set, w)        r the ramp of `fmus.smooth`: exactly 0 for dP <= P_set
 
-Above P_set + w this is a straight line of slope g from P_set + w/2. dP of a relief valve is the pressure of
-its line minus that of the return line; an anti-cavitation valve has the opposite sign. Poppet dynamics
-(faster than 5 ms) and hysteresis are neglected.
+Above P_set + w this is a straight line of slope g from P_set + w/2. dP is the pressure of the line minus that
+of the return line; it has the opposite sign for an anti-cavitation valve, which is an edge of the area
+
+    A(dP) = A_seat s((dP - P_set)/w)        s the `s_curve` of `fmus.smooth`
+
+Poppet dynamics (faster than 5 ms) and hysteresis are neglected.
 """
 
 import math
@@ -32,7 +35,7 @@ from typing import Protocol
 import casadi as ca
 
 from fmus.contract import Group, Quantity, Scalar
-from fmus.smooth import ramp
+from fmus.smooth import ramp, s_curve
 
 CLOSED = 1e-9  # m2, in Q_t beside the area: keeps Q_t of a closed edge above zero
 
@@ -129,8 +132,8 @@ class PressureValve(Group):
         return self.flow(drop) - self.flow(-drop)
 
 
-class AntiCavitation(PressureValve):
-    """An anti-cavitation valve of an actuator, from the return line."""
+class AntiCavitation(Group):
+    """An anti-cavitation valve of an actuator, from the return line: a seat that opens by pressure."""
 
     pressure: Scalar = Quantity(
         "Pa",
@@ -139,15 +142,14 @@ class AntiCavitation(PressureValve):
         minimum=0.0,
         group="Relief valves",
     )
-    gain: Scalar = Quantity(
-        "m3/(s.Pa)",
-        "Flow of an anti-cavitation valve per pressure below the opening pressure",
-        1e-7,
-        minimum=0.0,
-    )
+    area: Scalar = Quantity("m2", "Area of the open seat of an anti-cavitation valve", 1e-4, minimum=0.0)
     rounding: Scalar = Quantity(
-        "Pa", "Pressure range over which an anti-cavitation valve begins to open", 1e3, minimum=1.0
+        "Pa", "Pressure range over which an anti-cavitation valve opens", 1e3, minimum=1.0
     )
+
+    def flow(self, edge: Edge, oil: Liquid, drop: Scalar) -> Scalar:
+        """Flow [m3/s] at a pressure difference [Pa]; never negative."""
+        return edge.flow(self.area * s_curve((drop - self.pressure) / self.rounding), drop, oil)
 
 
 class Reliefs(Group, relief=PressureValve, anti_cavitation=AntiCavitation):

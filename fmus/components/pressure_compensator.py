@@ -92,7 +92,7 @@ def requirements(valve: SectionValve, c: Compensator) -> dict[str, Scalar]:
 class Section:
     """Parameters of one section.
 
-    flow           q_0 [m3/s]
+    flows          q_0 of ports A and B [m3/s]
     return_areas   of the meter-out edges of ports A and B at full command [m2]
     neutral_area   that connects each port to the tank in neutral [m2]
     oil            density and viscosity
@@ -101,7 +101,7 @@ class Section:
 
     valve: SectionValve
     compensator: Compensator
-    flow: Scalar
+    flows: Pair
     return_areas: Pair
     neutral_area: Scalar
     oil: Liquid
@@ -153,14 +153,12 @@ def section_ports(
 ) -> tuple[SectionPort, SectionPort]:
     """Ports A and B at a command [V] and their pressures [Pa]; lines with load_sensing_pressure, too."""
     v, c, tank, oil = section.valve, section.compensator, lines.tank_pressure, section.oil
-    full_area = section.flow / ca.sqrt(v.square(1.0, oil) * c.setting)
     ports = []
-    sides = zip(section.openings(command), section.return_areas, pressures, strict=True)
-    for (inward, outward), return_area, p in sides:
+    sides = zip(section.openings(command), section.flows, section.return_areas, pressures, strict=True)
+    for (inward, outward), full, return_area, p in sides:
+        full_area = full / ca.sqrt(v.square(1.0, oil) * c.setting)
         drop, both = metering_drop(c, inward, lines.supply_pressure, lines.load_sensing_pressure, p)
-        to_port = root(
-            (section.flow * inward) ** 2 * drop / c.setting, v.transition_flow(full_area * inward, oil)
-        )
+        to_port = root((full * inward) ** 2 * drop / c.setting, v.transition_flow(full_area * inward, oil))
         area = return_area * outward + section.neutral_area * section.neutral(command)
         through = (v, area, p - tank, oil)
         to_tank = flow_in_series(*through, section.line) if section.line else v.flow(*through[1:])

@@ -68,7 +68,7 @@ def actuator_command(
     commanded = speed + p.feedback * correction
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
     actual = valve.full_speeds(a, *valve.pressures_at_load(a, *pressures, load), *lines)
-    compensated, sections = a.section_flow > 0, valve.section_speeds(a)
+    compensated, sections = a.section_flows[0] > 0, valve.section_speeds(a)
     full = tuple(
         ca.if_else(compensated, w, n + p.feedback * (k - n))
         for w, n, k in zip(sections, nominal, actual, strict=True)

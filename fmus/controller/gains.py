@@ -2,9 +2,13 @@
 
 from fmus.contract import Group, Quantity, Scalar
 
+HEAD, ROD, ALIKE = " to the head side", " to the rod side", "as to the head side"
 
-def _section_flow(axis: str, group: str = "") -> Quantity:
-    text = f"Flow of the pressure-compensated {axis} section at full command; 0: its valve has no compensator"
+
+def _section_flow(
+    axis: str, group: str = "", side: str = "", zero: str = "its valve has no compensator"
+) -> Quantity:
+    text = f"Flow of the pressure-compensated {axis} section{side} at full command; 0: {zero}"
     return Quantity("m3/s", text, 1e-3, minimum=0.0, group=group)
 
 
@@ -112,5 +116,7 @@ class Gains(Group):
         "1/s", "Rate at which the reference returns to the machine beyond that error", minimum=0.0
     )
     swing_section_flow: Scalar = _section_flow("swing", group="Compensated sections")
-    boom_section_flow: Scalar = _section_flow("boom")
-    stick_section_flow: Scalar = _section_flow("stick")
+    boom_section_flow: Scalar = _section_flow("boom", side=HEAD)
+    boom_rod_section_flow: Scalar = _section_flow("boom", side=ROD, zero=ALIKE)
+    stick_section_flow: Scalar = _section_flow("stick", side=HEAD)
+    stick_rod_section_flow: Scalar = _section_flow("stick", side=ROD, zero=ALIKE)

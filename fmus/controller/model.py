@@ -49,24 +49,25 @@ LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
 
 
 def derive(p: Any) -> dict[str, Scalar]:
-    """Derived parameters of hoses and lines, by the equations of the drives."""
+    """Hoses and lines by the equations of the drives; sections with equal flows to both sides."""
     boom, stick = (
         {f"{n}_{k}": v for k, v in cylinder.derive(own, p).items()}
         for n, own in (("boom", p.boom), ("stick", p.stick))
     )
-    return boom | stick | motor.derive(p.swing, p)
+    rods = {f"{n}_rod_section_flow": getattr(p, f"{n}_section_flow") for n in ("boom", "stick")}
+    return boom | stick | motor.derive(p.swing, p) | rods
 
 
 def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
     """Swing, boom and stick with the pistons at these positions [m]."""
     d, line = p.swing.displacement, p.swing.line
     c, flow, density = line.capacitance, p.swing_section_flow, p.swing_oil.density
-    result = {"swing": Actuator(d, d, c, c, line.turbulent_resistance, p.swing_valve, density, flow)}
-    sections = ((p.boom, p.boom_section_flow), (p.stick, p.stick_section_flow))
-    for name, position, (own, section) in zip(("boom", "stick"), positions, sections, strict=True):
+    result = {"swing": Actuator(d, d, c, c, line.turbulent_resistance, p.swing_valve, density, (flow, flow))}
+    for name, position, own in zip(("boom", "stick"), positions, (p.boom, p.stick), strict=True):
+        sections = getattr(p, f"{name}_section_flow"), getattr(p, f"{name}_rod_section_flow")
         c_head, c_rod = (own.hose.capacitance + v / p.bulk_modulus for v in own.volumes(position))
         (head, rod), resistance = own.areas, own.hose.resistance
-        result[name] = Actuator(head, rod, c_head, c_rod, resistance, p.valve, p.density, section)
+        result[name] = Actuator(head, rod, c_head, c_rod, resistance, p.valve, p.density, sections)
     return result
 
 

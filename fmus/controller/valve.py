@@ -13,9 +13,10 @@ used, with the force F of the load and P_t = 0:
     W^2 (A_h^3 + A_r^3) = K^2 (A_h P_s - F)        extending
     W^2 (A_h^3 + A_r^3) = K^2 (A_r P_s + F)        retracting
 
-A pressure-compensated section holds its flow q_0 y at any load that the supply carries, so its W is
+A pressure-compensated section holds its flow q_0 y at any load that the supply carries. With q_0h to the head
+and q_0r to the rod side
 
-    W = q_0/A_h        extending            W = q_0/A_r        retracting
+    W = q_0h/A_h        extending            W = q_0r/A_r        retracting
 
 Its check valve and the counterbalance valves hold the load, so it opens at any supply pressure: the pump of a
 load-sensing machine waits for an open valve.
@@ -51,7 +52,8 @@ class Actuator:
     hose_resistance                     C_R, turbulent resistance of each hose [Pa.s2/m6]
     valve                               metering edges and command of the valve
     density                             density of the oil [kg/m3]
-    section_flow                        q_0 of a pressure-compensated section [m3/s], 0 of another valve
+    section_flows                       q_0 of a pressure-compensated section to head and rod side [m3/s],
+                                        0 of another valve
     """
 
     head_area: Scalar
@@ -61,7 +63,7 @@ class Actuator:
     hose_resistance: Scalar
     valve: Valve
     density: Scalar
-    section_flow: Scalar
+    section_flows: tuple[Scalar, Scalar]
 
     @property
     def stiffness(self) -> Scalar:
@@ -118,7 +120,8 @@ def nominal_full_speeds(a: Actuator, load: Scalar, supply: Scalar) -> tuple[Scal
 
 def section_speeds(a: Actuator) -> tuple[Scalar, Scalar]:
     """W [m/s, rad/s] of a pressure-compensated section, extending and retracting."""
-    return a.section_flow / a.head_area, a.section_flow / a.rod_area
+    head, rod = a.section_flows
+    return head / a.head_area, rod / a.rod_area
 
 
 def needed_pressures(a: Actuator, load: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
@@ -149,7 +152,7 @@ def opening_for(
     """
     size = speed * direction(speed, SLOW)
     plain = (speed + size) / 2 / full[0] * factors[0] + (speed - size) / 2 / full[1] * factors[1]
-    hose = ca.if_else(a.section_flow > 0, 0, a.hose_resistance * a.gain**2)
+    hose = ca.if_else(a.section_flows[0] > 0, 0, a.hose_resistance * a.gain**2)
     return plain / ca.sqrt(1 - hose * ca.fmin(plain**2, 1))
 
 

@@ -56,12 +56,9 @@ class Common(AeratedOil, HoseWall, compensator=Compensator):
     """Parameters that all axes share."""
 
 
-class SectionSize(Group):
-    """Size of a section."""
-
-    section_flow: Scalar = Quantity(
-        "m3/s", "Flow of the {} section at full command", 1e-3, minimum=1e-6, group="{} section"
-    )
+def _section_flow(side: str = "") -> Quantity:
+    text = f"Flow of the {{}} section{side} at full command"
+    return Quantity("m3/s", text, 1e-3, minimum=1e-6, group="{} section")
 
 
 def _edges(
@@ -93,9 +90,11 @@ class CylinderCommon(
     )
 
 
-class CylinderDrive(SectionSize, cylinders.VolumeDrive):
+class CylinderDrive(cylinders.VolumeDrive):
     """Cylinder, hoses and section."""
 
+    section_flow: Scalar = _section_flow(" to the head side")
+    rod_section_flow: Scalar = _section_flow(" to the rod side")
     head_return_area: Scalar = Quantity(
         "m2", "Area of the meter-out edge from the head side of the {} at full command", 1e-4, minimum=1e-9
     )
@@ -141,8 +140,9 @@ OPENINGS = CYLINDER.names("counterbalance_opening")
 
 def cylinder_section(own: Any, p: Any) -> Section:
     """Parameters of the section of a cylinder."""
+    flows = (own.section_flow, own.rod_section_flow)
     areas = (own.head_return_area, own.rod_return_area)
-    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, p.neutral_area, p)
+    return Section(valve_of(own, p), p.compensator, flows, areas, p.neutral_area, p)
 
 
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
@@ -162,7 +162,7 @@ def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
         },
         {
             **_edges(section, ports, PORTS, u.supply_pressure),
-            **cylinders.reliefs(p.port_relief, p.anti_cavitation, PORTS),
+            **cylinders.reliefs(p.port_relief, own, p, PORTS),
             "head_flow": in_series(
                 Branch(PORTS[0], CHAMBERS[0], Kind.COUNTERBALANCE, head, "Q_C1"), friction
             ),
@@ -202,15 +202,15 @@ def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
 # ---- motor
 
 
-class MotorDrive(SectionSize, motors.VolumeDrive, brake=(Brake, "{}")):
+class MotorDrive(motors.VolumeDrive, brake=(Brake, "{}")):
     """Motor, lines, section and brake."""
 
+    section_flow: Scalar = _section_flow()
     return_area: Scalar = Quantity(
         "m2",
         "Area of each meter-out edge of the {} at full command",
         1e-4,
         minimum=1e-9,
-        group="{} section",
     )
 
 
@@ -231,9 +231,8 @@ class MotorOutputs(motors.Signals, SectionOutputs, BrakeState):
 
 def motor_section(own: Any, p: Any) -> Section:
     """Parameters of the section of a motor."""
-    areas = (own.return_area, own.return_area)
-    line = own.line.friction(p)
-    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, 0.0, p, line)
+    flows, areas = (own.section_flow, own.section_flow), (own.return_area, own.return_area)
+    return Section(valve_of(own, p), p.compensator, flows, areas, 0.0, p, own.line.friction(p))
 
 
 def _release(u: Any, own: Any, p: Any) -> Scalar:
@@ -257,7 +256,7 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
         {
             **_edges(section, ports, LINES, u.supply_pressure),
             **motor.branches(LINES, own.displacement * u.speed, *own.leakage),
-            **motors.reliefs(p),
+            **motors.reliefs(own, p),
         },
     )
     held = brake.hold(x.brake_torque, x.brake_applied, u.speed)

@@ -182,7 +182,7 @@ def lumps_of(path: Path) -> Callable[[Axis], int]:
 def _cylinder(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
     supplied, load, rates = lines.supplied(x, u, own, p, hose_line(own, p))
     whole = cylinders.ends(x, u, own, p) | supplied
-    whole |= Circuit({}, cylinders.reliefs(p.relief, p.anti_cavitation, cylinders.CHAMBERS))
+    whole |= Circuit({}, cylinders.reliefs(p.relief, own, p, cylinders.CHAMBERS))
     return Drive(whole, load, cylinders.CHAMBERS, cylinders.force(own), rates, lines.shown(x, p))
 
 
@@ -194,7 +194,7 @@ def _motor(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
             "pressure_a": Node(x.pressure_a, "C_1", 0, own.motor_volume, p),
             "pressure_b": Node(x.pressure_b, "C_2", 0, own.motor_volume, p),
         },
-        {**motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage), **motors.reliefs(p)},
+        {**motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage), **motors.reliefs(own, p)},
     )
     return Drive(whole, load, motors.LINES, motors.torque(own), rates, lines.shown(x, p))
 

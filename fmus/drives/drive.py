@@ -11,10 +11,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
+
 from fmus import ports
-from fmus.components import load_sensing
+from fmus.components import hose, load_sensing
 from fmus.components.additions import Addition, Place
 from fmus.components.circuit import HEATS, Circuit
+from fmus.components.hose import HoseSize
 from fmus.components.load_sensing import Sensed
 from fmus.components.oil import at_temperature
 from fmus.contract import (
@@ -45,6 +48,7 @@ class Actuator:
     pressures, flows, outputs   variables of an axis in every variant
     totals     outputs of all axes together
     common     parameters that all axes of this kind share
+    hose       one of both hoses or lines, by the parameters of an axis
     terminal   power port, by the name of the axis
     power      the variables of an axis whose product is its mechanical power
     """
@@ -58,6 +62,7 @@ class Actuator:
     outputs: type[Group]
     totals: type[Group]
     common: tuple[type[Group], ...]
+    hose: Callable[[Any], HoseSize]
     terminal: Callable[[str], Terminal]
     power: Names
 
@@ -264,8 +269,11 @@ class _Part:
         found = [(a, a.drive) for a in self.at(x, u, p)]
         shown = {a.axis: drive.observe() for a, drive in found}
         for a, _ in found:
-            effort, motion = a.axis.actuator.power
-            shown[a.axis]["mechanical_power"] = shown[a.axis][effort] * getattr(a.u, motion)
+            kind, own = a.axis.actuator, shown[a.axis]
+            effort, motion = kind.power
+            own["mechanical_power"] = own[effort] * getattr(a.u, motion)
+            fastest = ca.fmax(*map(ca.fabs, both(own, kind.names("flow"))))
+            own["oil_velocity"] = fastest / hose.area(kind.hose(a.own).bore)
         load = reduce(load_sensing.highest, (drive.load_pressure(a.u) for a, drive in found))
         known = {f"{self.name}_load_pressure": load.value, f"{self.name}_load_pressure_rate": load.rate}
         known |= {n: sum(own[n] for own in shown.values()) for n in SUMMED}

@@ -8,6 +8,7 @@ above, and so does a positive command.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from fmus import ports
@@ -16,9 +17,9 @@ from fmus.components.chamber import Oil
 from fmus.components.circuit import TANK, Branch, Circuit, Kind
 from fmus.components.hose import HoseSize, ShortLine
 from fmus.components.oil import DENSITY, LAMINAR, TURBULENT
-from fmus.components.orifice import Liquid, Reliefs
+from fmus.components.orifice import Liquid
 from fmus.contract import Group, Quantity, Scalar
-from fmus.drives.drive import Actuator, Totals, both
+from fmus.drives.drive import Actuator, Totals, both, valve_of
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
@@ -162,6 +163,7 @@ class Outputs(Group):
     motor_pressure_b: Scalar = chamber.port_pressure("Pressure P_2 at motor port B")
     drain_flow: Scalar = Quantity("m3/s", "Case drain flow of the motor: external leakage", 1e-5)
     void_volume: Scalar = chamber.cavity("the {} lines")
+    oil_velocity: Scalar = hose.oil_velocity("Velocity of the oil in the lines of the {}, the higher one")
 
 
 class Signals(Group):
@@ -183,18 +185,20 @@ MOTOR = Actuator(
     outputs=Outputs,
     totals=Totals,
     common=(Preload,),
+    hose=lambda own: own.line,
     terminal=lambda axis: ports.shaft(axis, drives=True),
     power=("torque", "speed"),
 )
 LINES = MOTOR.names("pressure")
 
 
-def reliefs(p: Reliefs) -> dict[str, Branch]:
+def reliefs(own: Any, p: Any) -> dict[str, Branch]:
     """Crossover relief valves at the motor, and make-up from the return line."""
+    back = partial(p.anti_cavitation.flow, valve_of(own, p), p)
     return {
         "crossover_relief": Branch(*LINES, Kind.RELIEF, p.relief.cross_flow, "Q_cross"),
-        "anti_cavitation_a": Branch(TANK, LINES[0], Kind.ANTI_CAVITATION, p.anti_cavitation.flow, "Q_anti,a"),
-        "anti_cavitation_b": Branch(TANK, LINES[1], Kind.ANTI_CAVITATION, p.anti_cavitation.flow, "Q_anti,b"),
+        "anti_cavitation_a": Branch(TANK, LINES[0], Kind.ANTI_CAVITATION, back, "Q_anti,a"),
+        "anti_cavitation_b": Branch(TANK, LINES[1], Kind.ANTI_CAVITATION, back, "Q_anti,b"),
     }
 
 

@@ -116,11 +116,11 @@ def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
     p = parameters(FAMILIES[part]["compensated"])
     p = replace(p, compensator=replace(p.compensator, droop=0.0))
     section = (motor_section if name == "swing" else cylinder_section)(getattr(p, name), p)
-    a = replace(drives()[name], section_flow=section.flow)
+    a = replace(drives()[name], section_flows=section.flows)
     fed, area = (0, a.head_area) if share > 0 else (1, a.rod_area)
     full = valve.section_speeds(a)
     speed = share * full[fed]
-    assert abs(speed) == pytest.approx(abs(share) * section.flow / area, rel=1e-12)  # rounding
+    assert abs(speed) == pytest.approx(abs(share) * section.flows[fed] / area, rel=1e-12)  # rounding
     command = number(valve.command(a.valve, valve.opening_for(a, speed, full), FOOT))
     for load in (1e6, 15e6):
         ports = pressure_compensator.section_ports(section, command, (load, load), lines(SUPPLY, TANK, load))

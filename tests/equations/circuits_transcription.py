@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from math import pi, sqrt
 from types import SimpleNamespace as Group
 
-from equations.transcription import friction, laminar, oil, opening, ramp, void, warmed
+from equations.transcription import friction, laminar, oil, opening, ramp, velocity, void, warmed
 
 Numbers = Mapping[str, float]
 Rates = dict[str, float]
@@ -96,7 +96,7 @@ def higher(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float
 
 def section(
     p: Group,
-    full: float,
+    full: tuple,
     areas: tuple,
     neutral: float,
     series: str,
@@ -106,10 +106,10 @@ def section(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Flows (in, out) of the ports A and B, section 4.6; `series`: the line at meter-out, if any."""
     supply, sensing, tank = u["supply_pressure"], u["load_sensing_pressure"], u["tank_pressure"]
-    full_area = full / (p.valve_discharge_coefficient * sqrt(2 * p.compensator_setting / p.density))
     closed = 1 - sum(connected(p, command))
     found = []
-    for sign, edges, area, pressure in zip((1, -1), ("pa at", "pb bt"), areas, ports, strict=True):
+    sides = zip((1, -1), ("pa at", "pb bt"), full, areas, ports, strict=True)
+    for sign, edges, most, area, pressure in sides:
         enter, leave = edges.split()
         y = opening(p, enter, sign * command)
         both = ramp(supply - pressure, 1e4)
@@ -118,7 +118,8 @@ def section(
         d_c *= 1 + p.compensator_droop * (both - 1e7)
         left = both / (1 + y**2 * p.compensator_open_drop / p.compensator_setting)
         drop = least(left, d_c, (left + d_c) / 20)
-        q_in = root((full * y) ** 2 * drop / p.compensator_setting, laminar(p, full_area * y))
+        passing = most * y / (p.valve_discharge_coefficient * sqrt(2 * p.compensator_setting / p.density))
+        q_in = root((most * y) ** 2 * drop / p.compensator_setting, laminar(p, passing))
         leaving = area * opening(p, leave, -sign * command) + neutral * closed
         q_out = through(p, leaving, pressure - tank, series)
         found.append((q_in + p.valve_leakage * both, q_out + p.valve_leakage * (pressure - tank)))
@@ -138,9 +139,15 @@ def air(p: Group, pressure: float) -> float:
 
 
 def relief(p: Group, name: str, drop: float) -> float:
-    """Flow of a relief or anti-cavitation valve, section 4.4."""
+    """Flow of a relief valve, section 4.4."""
     v = part(vars(p), f"{name}_")
     return v.gain * ramp(drop - v.pressure, v.rounding)
+
+
+def make_up(p: Group, drop: float) -> float:
+    """Flow of an anti-cavitation valve, section 4.4."""
+    v = part(vars(p), "anti_cavitation_")
+    return through(p, v.area * step((drop - v.pressure) / v.rounding), drop)
 
 
 # ---- swing
@@ -153,12 +160,12 @@ def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     a, b, torque, q = (x[f"swing_{n}"] for n in ("pressure_a", "pressure_b", "brake_torque", "brake_applied"))
     areas = (p.swing_return_area, p.swing_return_area)
     (in_a, out_a), (in_b, out_b) = section(
-        p, p.swing_section_flow, areas, 0.0, "line", u, u["swing_command"], (a, b)
+        p, (p.swing_section_flow,) * 2, areas, 0.0, "line", u, u["swing_command"], (a, b)
     )
     d, w = p.motor_displacement * p.gear_ratio, u["swing_speed"]
     inner, outer = p.internal_leakage_resistance, p.external_leakage_resistance
     cross = relief(p, "relief", a - b) - relief(p, "relief", b - a)
-    fill = relief(p, "anti_cavitation", tank - a), relief(p, "anti_cavitation", tank - b)
+    fill = make_up(p, tank - a), make_up(p, tank - b)
     net_a = in_a - out_a - d * w - (a - b) / inner - (a - tank) / outer - cross + fill[0]
     net_b = in_b - out_b + d * w + (a - b) / inner - (b - tank) / outer + cross + fill[1]
     volume = pi / 4 * p.line_bore**2 * p.line_length + p.motor_volume
@@ -182,6 +189,7 @@ def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         "return_flow": out_a + out_b + (a + b - 2 * tank) / outer - sum(fill),
         "swing_load_pressure": value,
         "swing_load_pressure_rate": rate,
+        "swing_oil_velocity": velocity((in_a - out_a, in_b - out_b), p.line_bore),
         "swing_relief_flow": cross,
         "swing_anti_cavitation_flow": sum(fill),
     }
@@ -221,14 +229,15 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         openings = at.head_counterbalance_opening, at.rod_counterbalance_opening
         command, command_rate = u[f"{axis}_command"], u[f"{axis}_command_rate"]
         returns = own.head_return_area, own.rod_return_area
-        ports = section(p, own.section_flow, returns, p.neutral_area, "", u, command, lines)
+        full = own.section_flow, own.rod_section_flow
+        ports = section(p, full, returns, p.neutral_area, "", u, command, lines)
         volumes = own.dead_volume + head * s, own.dead_volume + rod * (own.stroke - s)
         inside = pi / 4 * own.hose_bore**2 * own.hose_length
         slopes = []
         for i, side in enumerate(("head", "rod")):
             line, chamber, (q_in, q_out) = lines[i], chambers[i], ports[i]
             q = counterbalance(p, f"{axis}_hose", openings[i], line, chamber)
-            out, back = relief(p, "port_relief", line - tank), relief(p, "anti_cavitation", tank - line)
+            out, back = relief(p, "port_relief", line - tank), make_up(p, tank - line)
             swept = (-head * v, rod * v)[i]
             soft = own.hose_capacitance + inside * air(p, line) + void(line)
             slopes.append((q_in - q_out - q - out + back) / soft)
@@ -240,6 +249,8 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
             y[f"{axis}_{side}_flow"] = q
             y["supply_flow"] += q_in
             y["return_flow"] += q_out + out - back
+        flows = y[f"{axis}_head_flow"], y[f"{axis}_rod_flow"]
+        y[f"{axis}_oil_velocity"] = velocity(flows, own.hose_bore)
         loads.append(load(p, command, command_rate, lines, tuple(slopes), sump))
         y[f"{axis}_force"] = head * at.head_pressure - rod * at.rod_pressure
         y[f"{axis}_force_rate"] = head * rates[f"{axis}_head_pressure"] - rod * rates[f"{axis}_rod_pressure"]

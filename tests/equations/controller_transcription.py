@@ -64,7 +64,8 @@ def oil(name: str, piston: float, p: Group) -> Group:
     rho = getattr(p, f"{prefix}density")
     discharge, area = (getattr(p, f"{prefix}valve_{n}") for n in ("discharge_coefficient", "area"))
     valve["k_valve"] = discharge * area * np.sqrt(2 / rho)
-    valve["q"] = getattr(p, f"{name}_section_flow")
+    head = getattr(p, f"{name}_section_flow")
+    valve["q"] = np.array([head, getattr(p, f"{name}_rod_section_flow", 0.0) or head])
     if name == "swing":
         d, c = p.motor_displacement * p.gear_ratio, p.line_capacitance
         return Group(a=np.array([d, d]), c=np.array([c, c]), hose=p.line_turbulent_resistance, **valve)

@@ -343,6 +343,11 @@ def evaluate(m: Machine, x: Floats, u: Floats) -> tuple[list[float], Group]:
     return [*rates, w, w2, w3, turn, lift, fold, flow, grip], z
 
 
+def velocity(flows: Floats, bore: float) -> float:
+    """Velocity of the oil in the faster of both hoses, section 3."""
+    return max(map(abs, flows)) / (pi / 4 * bore**2)
+
+
 def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
     """Observables by `component.variable`, sections 2 to 6."""
     dx, z = evaluate(m, x, u)
@@ -359,6 +364,7 @@ def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
         "swing.supply_flow": supply_a + supply_b,
         "swing.return_flow": tank_a + tank_b + drain,
         "swing.swing_void_volume": 5e3 * (void(x[0]) + void(x[1])),
+        "swing.swing_oil_velocity": velocity(x[2:4], m.swing.line_bore),
         "boom_stick.supply_flow": sum(node[1] for pair in z.ports[1:] for node in pair),
         "boom_stick.return_flow": sum(node[2] for pair in z.ports[1:] for node in pair),
         "manipulator.swing_acceleration": dx[15],
@@ -372,6 +378,7 @@ def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
             f"boom_stick.{name}_force": z.forces[i],
             f"boom_stick.{name}_force_rate": a_h * dx[h] - a_r * dx[r],
             f"boom_stick.{name}_void_volume": 5e3 * (void(x[h]) + void(x[r])),
+            f"boom_stick.{name}_oil_velocity": velocity(x[h + 2 : h + 4], m.hydraulic[i].hose_bore),
             f"manipulator.{name}_position": s,
             f"manipulator.{name}_velocity": lever * speed,
             f"manipulator.{name}_acceleration": lever * dx[16 + i] + bend * speed**2,

@@ -66,7 +66,7 @@ def steady(p, command, position, load, mass):
     given = dict.fromkeys(names, 0.0) | {"supply_pressure": 1e9, "boom_command": -command}
     given |= {"boom_position": position, "stick_position": 0.35, "oil_temperature": 333.15}
     others = [given[n] for n in names]
-    flow = p["boom_section_flow"] * command / 10
+    flow = p["boom_rod_section_flow"] * command / 10
     speed = flow / ROD
     gain = p["valve_discharge_coefficient"] * p["counterbalance_area"] * math.sqrt(2 / p["density"])
     rod = 3e6

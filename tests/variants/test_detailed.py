@@ -71,7 +71,7 @@ def limit(part: str, eps: float, length: float) -> tuple[dict[str, float], dict[
         "spool_frequency": fine["spool_frequency"] / eps,
         "spool_speed": fine["spool_speed"] / eps,
         "relief_gain": 0.0,
-        "anti_cavitation_gain": 0.0,
+        "anti_cavitation_area": 0.0,
     }
     lines = ("line",) if part == "swing" else ("boom_hose", "stick_hose")
     for name in lines:
