@@ -61,6 +61,8 @@ class Gains(Group):
         "s", "Time constant of the filter for the rate of the reference speed", 0.1, minimum=1e-3
     )
     amplifier_time: Scalar = Quantity("s", "Time constant of the valve amplifier", 0.01, minimum=1e-3)
+    hysteresis: Scalar = Quantity("1", "Hysteresis of the valves that the commands step over", 0.01, minimum=0.0)
+    reversal: Scalar = Quantity("V", "Change of the command after which a reversal is stepped over", 0.1, minimum=1e-3)
     foot_share: Scalar = Quantity(
         "1", "Valve opening below which the step over the dead band is rounded", 1e-3, minimum=1e-5
     )

@@ -21,6 +21,7 @@ import casadi as ca
 
 from fmus import ports
 from fmus.boom_stick import BOOM_STICK
+from fmus.components.play import play_rate
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller import geometry
 from fmus.controller.actuator import ActuatorCommand, actuator_command
@@ -37,6 +38,7 @@ from fmus.controller.variables import (
 from fmus.drives import cylinder, motor
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number, Tables, numbers, read, values
+from fmus.smooth import capped
 from fmus.swing import SWING
 
 GAINS = tuple(quantities(Gains))
@@ -108,9 +110,23 @@ def _command_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorComman
         full = (p.swing_valve if name == "swing" else p.valve).full_command
         lever = ca.fmin(ca.fmax(getattr(u, f"{name}_lever"), -full), full)  # range of the amplifier
         target = lever + x.coordination * (commands[name].command - lever)
-        return (target - getattr(x, f"{name}_command")) / p.amplifier_time
+        return (target - getattr(x, f"{name}_opening")) / p.amplifier_time
 
     return {name: rate(name) for name in AXES}
+
+
+def _compensated(x, p, rates):
+    out = {}
+    for name in AXES:
+        full = (p.swing_valve if name == "swing" else p.valve).full_command
+        w, t = getattr(x, f"{name}_opening"), getattr(x, f"{name}_turn")
+        t_rate = play_rate(w, t, p.reversal, 200, p.reversal / 5)
+        out[f"{name}_turn"] = t_rate
+        taper = full * p.hysteresis / 2 * (1 - w**2 / full**2) * x.coordination
+        side = capped(-capped(-(w - t) / p.reversal, .01), .01)
+        out[f"{name}_command"] = w + taper * side
+        out[f"{name}_command_rate"] = 0 if rates is None else rates[name] + taper * (rates[name] - t_rate) / p.reversal  # approx
+    return out
 
 
 def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
@@ -118,11 +134,12 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
     on, ref = engaged(u), reference(x, u, p)
     commands = _actuator_commands(x, u, p, ref)
     measured = geometry.tip_velocity(u, p)
-    rates = {f"{n}_command": rate for n, rate in _command_rates(x, u, p, commands).items()}
+    rates = {f"{n}_opening": rate for n, rate in _command_rates(x, u, p, commands).items()}
     for name, speed, rate in zip(AXES, ref.speeds, ref.rates, strict=True):
         command, gain = commands[name], getattr(x, f"{name}_gain")
         rates[f"reference_{name}"] = rate
         rates[f"{name}_late_speed"] = (speed - getattr(x, f"{name}_late_speed")) / p.lead_filter_time
+        rates[f"{name}_turn"] = _compensated(x, p, None)[f"{name}_turn"]
         rates[f"{name}_load"] = command.load_rate
         rates[f"{name}_gain"] = on * p.feedback * command.gain_rate - (1 - on) * gain / p.tracking_time
     velocities = (
@@ -137,13 +154,12 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
 
 
 def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
-    """Outputs; commands depend on the state alone."""
+    """Outputs; x."""
     ref = reference(x, u, p)
     rates = _command_rates(x, u, p, _actuator_commands(x, u, p, ref))
     tip = geometry.tip_position(u, p)
     return ControllerOutputs(
-        **{f"{n}_command": getattr(x, f"{n}_command") for n in AXES},
-        **{f"{n}_command_rate": rate for n, rate in rates.items()},
+        **{n: v for n, v in _compensated(x, p, rates).items() if "command" in n},
         reference_radius=ref.tip.radius,
         reference_height=ref.tip.height,
         reference_angle=ref.tip.angle,

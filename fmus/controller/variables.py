@@ -90,12 +90,13 @@ ControllerState = make_group(
         **_per_axis(
             "{}_late_speed", ("rad/s", "rad/s"), "Reference speed of the {axis} joint, filtered", 0.1
         ),
+        **_per_axis("{}_opening", ("V", "V"), "Command of the {axis} valve behind the amplifier, without compensation of its play", 10.0),
+        **_per_axis("{}_turn", ("V", "V"), "That command behind a play", 10.0),
         "radial_lever": Quantity("m/s", "Commanded radial velocity of the tip, filtered"),
         "vertical_lever": Quantity("m/s", "Commanded vertical velocity of the tip, filtered"),
         "turning_lever": Quantity("rad/s", "Commanded swing speed, filtered"),
         "coordination": Quantity("1", "Weight of coordinated control in the valve commands, 0 to 1"),
     },
-    Commands,  # as states: behind the first-order lag of the amplifier
 )
 
 
