@@ -32,11 +32,12 @@ LARGEST_RATE = 2.0  # 1/s: bound of h', far above any rate that a wrong paramete
 
 @dataclass(frozen=True)
 class ActuatorCommand:
-    """Valve command [V], h' [1/s] and F_load' [N/s, N.m/s]."""
+    """Command of the spool [V], h' [1/s], F_load' [N/s, N.m/s], and position error as a voltage [V.s]."""
 
     command: Scalar
     gain_rate: Scalar
     load_rate: Scalar
+    error: Scalar
 
 
 def actuator_command(
@@ -89,4 +90,5 @@ def actuator_command(
         command=valve.command(a.valve, possible, p.foot_share),
         gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,
         load_rate=oscillation / load_time,
+        error=error * weight * speed * 2 * (a.valve.full_command - a.valve.dead_band) / (full[0] + full[1]),
     )

@@ -1,8 +1,9 @@
 """Coordinated control of the tip: from a commanded tip velocity or path to three valve commands.
 
     reference (reference.py) -> speed of each actuator (actuator.py) -> command (valve.py) -> amplifier
+    -> compensation of the play (play.py)
 
-    command' = (target - command)/T        target = lever + m (control - lever),  m' = (engaged - m)/T_blend
+    spool' = (target - spool)/T        target = lever + m (control - lever),  m' = (engaged - m)/T_blend
 
 m is the weight of coordinated control, control the command of the actuator's control law, T `amplifier_time`
 and T_blend `blend_time`.
@@ -21,11 +22,11 @@ import casadi as ca
 
 from fmus import ports
 from fmus.boom_stick import BOOM_STICK
-from fmus.components.play import play_rate
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller import geometry
 from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.gains import Gains
+from fmus.controller.play import Compensation, bounded
 from fmus.controller.reference import Reference, engaged, errors, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
@@ -38,7 +39,6 @@ from fmus.controller.variables import (
 from fmus.drives import cylinder, motor
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import Number, Tables, numbers, read, values
-from fmus.smooth import capped
 from fmus.swing import SWING
 
 GAINS = tuple(quantities(Gains))
@@ -105,28 +105,29 @@ def _pressure_use(x: Any, u: Any, p: Any, ref: Reference) -> Scalar:
     return most / ca.fmax(u.supply_pressure, LEAST_SUPPLY)
 
 
-def _command_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]) -> dict[str, Scalar]:
-    def rate(name: str) -> Scalar:
-        full = (p.swing_valve if name == "swing" else p.valve).full_command
+def _full_command(name: str, p: Any) -> Scalar:
+    return (p.swing_valve if name == "swing" else p.valve).full_command
+
+
+def _compensation(name: str, x: Any, p: Any) -> Compensation:
+    spool, trailing, half_width = (getattr(x, f"{name}_{n}") for n in ("spool", "trailing", "half_width"))
+    full = _full_command(name, p)
+    return Compensation(spool, trailing, half_width, x.coordination, full, p.reversal)
+
+
+def _valve_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]) -> dict[str, Scalar]:
+    """Rates of the states of the valves, and of the weight of coordinated control."""
+    rates: dict[str, Scalar] = {"coordination": (engaged(u) - x.coordination) / p.blend_time}
+    for name, command in commands.items():
+        full, play = _full_command(name, p), _compensation(name, x, p)
         lever = ca.fmin(ca.fmax(getattr(u, f"{name}_lever"), -full), full)  # range of the amplifier
-        target = lever + x.coordination * (commands[name].command - lever)
-        return (target - getattr(x, f"{name}_opening")) / p.amplifier_time
-
-    return {name: rate(name) for name in AXES}
-
-
-def _compensated(x, p, rates):
-    out = {}
-    for name in AXES:
-        full = (p.swing_valve if name == "swing" else p.valve).full_command
-        w, t = getattr(x, f"{name}_opening"), getattr(x, f"{name}_turn")
-        t_rate = play_rate(w, t, p.reversal, 200, p.reversal / 5)
-        out[f"{name}_turn"] = t_rate
-        taper = full * p.hysteresis / 2 * (1 - w**2 / full**2) * x.coordination
-        side = capped(-capped(-(w - t) / p.reversal, .01), .01)
-        out[f"{name}_command"] = w + taper * side
-        out[f"{name}_command_rate"] = 0 if rates is None else rates[name] + taper * (rates[name] - t_rate) / p.reversal  # approx
-    return out
+        target = lever + x.coordination * (command.command - lever)
+        learned = engaged(u) * p.feedback * p.hysteresis_gain * command.error * play.side
+        beyond = bounded(play.half_width, full * p.hysteresis_limit / 2)
+        rates[f"{name}_spool"] = (target - play.spool) / p.amplifier_time
+        rates[f"{name}_trailing"] = play.trailing_rate
+        rates[f"{name}_half_width"] = learned - beyond / p.unwinding_time
+    return rates
 
 
 def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
@@ -134,12 +135,11 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
     on, ref = engaged(u), reference(x, u, p)
     commands = _actuator_commands(x, u, p, ref)
     measured = geometry.tip_velocity(u, p)
-    rates = {f"{n}_opening": rate for n, rate in _command_rates(x, u, p, commands).items()}
+    rates = _valve_rates(x, u, p, commands)
     for name, speed, rate in zip(AXES, ref.speeds, ref.rates, strict=True):
         command, gain = commands[name], getattr(x, f"{name}_gain")
         rates[f"reference_{name}"] = rate
         rates[f"{name}_late_speed"] = (speed - getattr(x, f"{name}_late_speed")) / p.lead_filter_time
-        rates[f"{name}_turn"] = _compensated(x, p, None)[f"{name}_turn"]
         rates[f"{name}_load"] = command.load_rate
         rates[f"{name}_gain"] = on * p.feedback * command.gain_rate - (1 - on) * gain / p.tracking_time
     velocities = (
@@ -150,16 +150,21 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
     for name, commanded, actual in velocities:
         value = getattr(x, name)
         rates[name] = on * (commanded - value) / p.lever_time + (1 - on) * (actual - value) / p.tracking_time
-    return ControllerState(coordination=(on - x.coordination) / p.blend_time, **rates)
+    return ControllerState(**rates)
 
 
 def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
-    """Outputs; x."""
+    """Outputs; commands depend on the state alone."""
     ref = reference(x, u, p)
-    rates = _command_rates(x, u, p, _actuator_commands(x, u, p, ref))
+    rates = _valve_rates(x, u, p, _actuator_commands(x, u, p, ref))
+    plays, weight_rate = {n: _compensation(n, x, p) for n in AXES}, rates["coordination"]
     tip = geometry.tip_position(u, p)
     return ControllerOutputs(
-        **{n: v for n, v in _compensated(x, p, rates).items() if "command" in n},
+        **{f"{n}_command": play.command for n, play in plays.items()},
+        **{
+            f"{n}_command_rate": play.command_rate(rates[f"{n}_spool"], rates[f"{n}_half_width"], weight_rate)
+            for n, play in plays.items()
+        },
         reference_radius=ref.tip.radius,
         reference_height=ref.tip.height,
         reference_angle=ref.tip.angle,
@@ -176,12 +181,13 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
 
 
 def initial(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
-    """Reference angles and loads equal to the measured ones; weight of coordinated control as `engaged`."""
+    """Reference angles and loads as measured; weight of coordinated control as `engaged`; assumed play."""
     pressures = _measured(u)
     (boom, _), (stick, _) = geometry.strokes_and_moment_arms(u, p)
     loads = {f"{n}_load": a.force(*pressures[n]) for n, a in actuators((boom, stick), p).items()}
     angles = {f"reference_{n}": getattr(u, f"{n}_angle") for n in AXES}
-    return angles | loads | {"coordination": engaged(u)}
+    half_widths = {f"{n}_half_width": p.hysteresis * _full_command(n, p) / 2 for n in AXES}
+    return angles | loads | half_widths | {"coordination": engaged(u)}
 
 
 def require(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:

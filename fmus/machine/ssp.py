@@ -2,8 +2,8 @@
 
 harvester.ssp            machine, supply and operator; parameter sets: poses, programs
 harvester_actuation.ssp  the same with the electrical actuation of the valves
-harvester_control.ssp    machine, supply, actuation and controller; parameter sets: poses, starts of paths, and
-                         `compensated`, the section flows that the controller needs with compensated drives
+harvester_control.ssp    machine, supply, actuation and controller; parameter sets: poses, starts of paths,
+                         `compensated`: section flows that the controller needs with compensated drives
 """
 
 from collections.abc import Iterator, Mapping
@@ -57,8 +57,8 @@ def write_systems(
     step                      communication step [s]
     manipulator, boom_stick   for which poses and start values are calculated
 
-    Those with the operator have no inputs: Ecos and libcosim reject them, and FMPy delays them by one step. The
-    machine with the controller is at rest without inputs.
+    Those with the operator have no inputs: Ecos and libcosim reject them, and FMPy delays them by one step.
+    The machine with the controller is at rest without inputs.
     """
     poses = controlled_poses(manipulator).items()
     controlled = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}

@@ -2,12 +2,12 @@
 
     command u -> dead-band compensation -> + dither -> play, lag and ramp of the spool -> valve command z
 
-    v = u + c (1 - |u|/U) u/sqrt(u^2 + f^2)                   dead-band compensation c; |u| limited to U
-    dz/dt = R sat(k (r(e - h) - r(-e - h))/R)                 e = v + a sin(2 pi n t) - z
+    v = u + c (1 - |u|/U) u/sqrt(u^2 + f^2)              c: `dead_band_compensation`; u limited to -U ... U
+    dz/dt = R sat(k (r(e - h + w/2) - r(-e - h + w/2))/R)    e = v + a sin(2 pi n t) - z
 
-r, h and k are those of `fmus.components.play`: h is half of `hysteresis` times full command U. R is the largest
-rate, sat the `saturation` of a spool, a and n amplitude and frequency of the dither. z is a state, so no output
-but the rates depends on an input directly.
+r, h and k are those of `fmus.components.play`: h is half of `hysteresis` times full command U, 1/k the lag. R
+is the largest rate, sat the `saturation` of a spool, a and n are amplitude and frequency of the dither. z is a
+state, so no output but the rates depends on an input directly.
 
 A delay, such as that of a bus, is no part of this: it needs samples, and these equations have no events.
 
@@ -48,7 +48,9 @@ class Parameters(Group):
     )
     full_command: Scalar = Quantity("V", "Command for the full stroke of the spool", 10.0, minimum=0.1)
     lag: Scalar = Quantity("s", "Time constant with which the spool follows", 0.01, minimum=1e-4)
-    rounding: Scalar = Quantity("V", "Range of the command over which the play begins to drag the spool", 0.1, minimum=1e-4)
+    rounding: Scalar = Quantity(
+        "V", "Range of the command over which the spool begins to move", 0.1, minimum=1e-4
+    )
     largest_rate: Scalar = Quantity("V/s", "Ramp: largest rate of the valve command", 100.0, minimum=1e-2)
     dead_band_compensation: Scalar = Quantity(
         "V", "Dead band that the driver steps over as soon as there is a command", minimum=0.0, group="Driver"
