@@ -6,8 +6,8 @@
     dz/dt = R sat(k (r(e - h + w/2) - r(-e - h + w/2))/R)    e = v + a sin(2 pi n t) - z
 
 r, h and k are those of `fmus.components.play`: h is half of `hysteresis` times full command U, 1/k the lag. R
-is the largest rate, sat the `saturation` of a spool, a and n are amplitude and frequency of the dither. z is a
-state, so no output but the rates depends on an input directly.
+is the largest rate, sat the `saturation` of a spool, a and n are amplitude and frequency of the dither. z is
+a state, so no output but the rates depends on an input directly.
 
 A delay, such as that of a bus, is no part of this: it needs samples, and these equations have no events.
 
