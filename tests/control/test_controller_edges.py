@@ -50,11 +50,11 @@ def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_val
     x = PART.start(u)
     for sign in (-1, 1):
         for axis in AXES:
-            x[STATES.index(f"{axis}_command")] = sign * FULL * (1 + 1e-6)
+            x[STATES.index(f"{axis}_spool")] = sign * FULL * (1 + 1e-6)
         dx = rates(x, u)
         assert np.isfinite(dx).all()
         for axis in AXES:
-            assert sign * dx[STATES.index(f"{axis}_command")] <= 0, axis
+            assert sign * dx[STATES.index(f"{axis}_spool")] <= 0, axis
 
 
 # ---- reach and paths
