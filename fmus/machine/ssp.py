@@ -106,12 +106,12 @@ def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, 
 
 
 def wired_ports() -> Iterator[tuple[str, str, str, str, str]]:
-    """FMU, port, other FMU, its port, the rate port in both; without ports that are only rates."""
+    """FMU, port, other FMU, its port, the rate port in both; without rates of the same name in both."""
     for start, end in WIRES:
         (source, output), (target, name) = start.split("."), end.split(".")
         rate = FERIC.rate_of.get(name, "")
         wired = (f"{source}.{rate}", f"{target}.{rate}") in WIRES
-        if name in FERIC.rate_of or name not in FERIC.rate_of.values():
+        if name in FERIC.rate_of or name not in FERIC.rate_of.values() or name != output:
             yield source, output, target, name, rate if wired else ""
 
 
