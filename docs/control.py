@@ -23,15 +23,14 @@ COMPENSATED = {"swing": "compensated", "boom_stick": "compensated", "supply": "l
 KINDS = {**MACHINES, "compensated": COMPENSATED}
 
 
-def hysteresis(valve: float, assumed: float, **more: float) -> dict[str, float]:
+def hysteresis(valve: float, assumed: float) -> dict[str, float]:
     """Start values: hysteresis of the valves, and that which the controller assumes at the start."""
-    given = {"valve_actuation.hysteresis": valve, "controller.hysteresis": assumed}
-    return given | {f"controller.{name}": value for name, value in more.items()}
+    return {"valve_actuation.hysteresis": valve, "controller.hysteresis": assumed}
 
 
 ROWS: Mapping[str, dict[str, float]] = {
     "none": hysteresis(0, 0),
-    **{f"{100 * h:g} %, not compensated": hysteresis(h, 0, hysteresis_gain=0) for h in (0.02, 0.04, 0.08)},
+    **{f"{100 * h:g} %, not compensated": hysteresis(h, 0) for h in (0.02, 0.04, 0.08)},
     **{f"{100 * h:g} %, known": hysteresis(h, h) for h in (0.02, 0.04, 0.08)},
     **{f"{100 * h:g} %, 4 % assumed": hysteresis(h, 0.04) for h in (0.0, 0.02, 0.08)},
 }

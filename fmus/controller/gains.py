@@ -63,7 +63,7 @@ class Gains(Group):
     amplifier_time: Scalar = Quantity("s", "Time constant of the valve amplifier", 0.01, minimum=1e-3)
     hysteresis: Scalar = Quantity(
         "1",
-        "Hysteresis of the valves at the start, as a fraction of full command; then it is learned",
+        "Hysteresis of the valves at the start, over full command; then it is learned; 0: there is none",
         0.01,
         minimum=0.0,
         maximum=0.5,

@@ -122,7 +122,8 @@ def _valve_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]
         full, play = _full_command(name, p), _compensation(name, x, p)
         lever = ca.fmin(ca.fmax(getattr(u, f"{name}_lever"), -full), full)  # range of the amplifier
         target = lever + x.coordination * (command.command - lever)
-        learned = engaged(u) * p.feedback * p.hysteresis_gain * command.error * play.side
+        learning = ca.if_else(p.hysteresis > 0, p.hysteresis_gain, 0)
+        learned = engaged(u) * p.feedback * learning * command.error * play.side
         beyond = bounded(play.half_width, full * p.hysteresis_limit / 2)
         rates[f"{name}_spool"] = (target - play.spool) / p.amplifier_time
         rates[f"{name}_trailing"] = play.trailing_rate

@@ -190,7 +190,7 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
         f"{name}_trailing": trailing_rate(spool, trailing, p.reversal),
         f"{name}_half_width": ref.e
         * p.feedback
-        * p.hysteresis_gain
+        * (p.hysteresis_gain if p.hysteresis > 0 else 0)
         * volt
         * moved_last(spool, trailing, p.reversal)
         - beyond,
