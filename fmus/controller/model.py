@@ -26,7 +26,7 @@ from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller import geometry
 from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.gains import Gains
-from fmus.controller.play import Compensation, bounded
+from fmus.controller.play import Compensation, beyond_limits, learned_rate
 from fmus.controller.reference import Reference, engaged, errors, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
@@ -90,8 +90,10 @@ def _actuator_commands(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Actu
         AXES, ref.speeds, (1, boom_arm, stick_arm), errors(x, u, p), strict=True
     ):
         filtered = getattr(x, f"{name}_late_speed")
-        leading = speed + p.lead_time * (speed - filtered) / p.lead_filter_time
-        result[name] = actuator_command(name, driven[name], measured[name], arm * leading, error, x, u, p)
+        change = (speed - filtered) / p.lead_filter_time
+        leading = speed + p.lead_time * change
+        motion = (arm * leading, arm * change)
+        result[name] = actuator_command(name, driven[name], measured[name], motion, error, x, u, p)
     return result
 
 
@@ -123,11 +125,11 @@ def _valve_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]
         lever = ca.fmin(ca.fmax(getattr(u, f"{name}_lever"), -full), full)  # range of the amplifier
         target = lever + x.coordination * (command.command - lever)
         learning = ca.if_else(p.hysteresis > 0, p.hysteresis_gain, 0)
-        learned = engaged(u) * p.feedback * learning * command.error * play.side
-        beyond = bounded(play.half_width, full * p.hysteresis_limit / 2)
+        learned = learned_rate(learning * command.missing)
+        beyond = beyond_limits(play.half_width, full * p.hysteresis_limit / 2)
         rates[f"{name}_spool"] = (target - play.spool) / p.amplifier_time
         rates[f"{name}_trailing"] = play.trailing_rate
-        rates[f"{name}_half_width"] = learned - beyond / p.unwinding_time
+        rates[f"{name}_half_width"] = engaged(u) * p.feedback * learned - beyond / p.unwinding_time
     return rates
 
 

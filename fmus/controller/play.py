@@ -1,7 +1,7 @@
 """Compensation of the play between command and spool (`fmus.components.play`), whose width is learned.
 
     u = w + m b (1 - w^2/U^2) s        s = d/sqrt(d^2 + (n/3)^2),  d = w - t,  t' = play of w, half width n
-    b' = g e (U - D)/W v^2/(v^2 + v_0^2) s        b >= 0 and bounded
+    b' = f/(1 + (f/f_0)^2)    f = g e (U - D)/W v^2/(v^2 + v_0^2) a/sqrt(a^2 + a_0^2)    b >= 0 and bounded
 
 w is the command that the spool is to follow, u the command, m the weight of coordinated control, U full
 command and D the dead band. s tells from which side w was moved last: a reversal by more than n, `reversal`,
@@ -9,9 +9,11 @@ moves u by 2 b, which carries the pilot head through the play. w is behind the a
 see the same reversals; before it s would also follow oscillations that the amplifier suppresses, and would no
 longer tell where the spool is.
 
-b is the half width, at the start that of `hysteresis`. It integrates the position error e as a voltage: what
-is short of the play leaves the spool behind in the direction s of its motion. An error of the feedforward has
-the sign of the speed v instead, so it raises b while the speed rises and lowers it while the speed falls.
+b is the half width, at the start that of `hysteresis`. It integrates the position error e as a voltage, while
+the reference has an acceleration a: what is short of the play leaves the spool behind in the direction of a.
+An error of the feedforward has the sign of the speed v instead, so it raises b while the speed rises and
+lowers it while the speed falls. The direction of w itself would not do: it follows oscillations, whose lag
+looks like a play, and what is learned from them sustains them. Errors beyond what a play causes teach little.
 """
 
 from dataclasses import dataclass
@@ -23,6 +25,8 @@ from fmus.contract import Scalar
 from fmus.smooth import ramp
 
 TRAILING_RATE = 200.0  # 1/s: far faster than the amplifier, so that t is a play of w without lag
+
+LARGEST_LESSON = 0.3  # V/s: a usual half width in a second; faster errors come from lag, jumps and stops
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,11 @@ class Compensation:
         return spool_rate + moved + size * self._room * side_rate
 
 
-def bounded(half_width: Scalar, limit: Scalar) -> Scalar:
+def learned_rate(f: Scalar) -> Scalar:
+    """b' [V/s] within its bounds."""
+    return f / (1 + (f / LARGEST_LESSON) ** 2)
+
+
+def beyond_limits(half_width: Scalar, limit: Scalar) -> Scalar:
     """How far [V] a half width is beyond 0 ... limit."""
     return ramp(half_width - limit, limit / 10) - ramp(-half_width, limit / 10)

@@ -182,18 +182,18 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     over = (r(h - most, most / 10) - r(-h - most, most / 10)) / p.unwinding_time
     taught = ref.e * p.feedback * (learn / np.sqrt(1 + (learn / 2) ** 2) - over)
     half, limit = getattr(x, f"{name}_half_width"), o.full_command / 2 * p.hysteresis_limit
-    volt = error * speed**2 / (speed**2 + slow**2) * (o.full_command - o.dead_band) / mean
+    alpha, steady = (
+        ref.arm.arms[i] * (b - late) / p.lead_filter_time,
+        0.05 * getattr(p, f"{name}_speed_limit"),
+    )
+    f = p.hysteresis_gain * (p.hysteresis > 0) * error * speed**2 / (speed**2 + slow**2)
+    f *= (o.full_command - o.dead_band) / mean * alpha / np.hypot(alpha, steady)
     beyond = (r(half - limit, limit / 10) - r(-half, limit / 10)) / p.unwinding_time
     spool, trailing = getattr(x, f"{name}_spool"), getattr(x, f"{name}_trailing")
     return {
         f"{name}_spool": (target - spool) / p.amplifier_time,
         f"{name}_trailing": trailing_rate(spool, trailing, p.reversal),
-        f"{name}_half_width": ref.e
-        * p.feedback
-        * (p.hysteresis_gain if p.hysteresis > 0 else 0)
-        * volt
-        * moved_last(spool, trailing, p.reversal)
-        - beyond,
+        f"{name}_half_width": ref.e * p.feedback * f / (1 + (f / 0.3) ** 2) - beyond,
         f"reference_{name}": ref.rates[i],
         f"{name}_gain": taught - (1 - ref.e) * h / p.tracking_time,
         f"{name}_load": swinging / slowly,
@@ -204,10 +204,6 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
 def trailing_rate(spool, trailing, n):
     """Section play: the rate of t."""
     return 200 * (r(spool - trailing - 5 / 6 * n, n / 3) - r(trailing - spool - 5 / 6 * n, n / 3))
-
-
-def moved_last(spool, trailing, n):
-    return (spool - trailing) / np.hypot(spool - trailing, n / 3)
 
 
 def command(name: str, x: dict, p: Group) -> float:
