@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from kit import mistakes
 from kit.any_fmu.edit import edited
+from kit.steering import IDEAL
 
 from orchestrator import Problem, linearize
 
@@ -37,8 +38,8 @@ def test_a_steady_state_holds_the_joints_whatever_the_inputs_are(fmu_dir):
 def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
     """A swing at rest is in its dead band, which opens its loop; with all joints moving all are closed."""
     system = fmu_dir / "harvester_control.ssp"
-    rest = linearize(system, parameters=["reach"], set={"engaged": 1.0}, time=3.0)
-    moving = {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
+    rest = linearize(system, parameters=["reach"], set={"engaged": 1.0} | IDEAL, time=3.0)
+    moving = IDEAL | {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
     moves = linearize(system, parameters=["reach"], set=moving, time=2.0)
     told = "at this operating point loops are open at controller.swing_command"
     assert any(told in note for note in rest.notes)
