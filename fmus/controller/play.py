@@ -74,7 +74,7 @@ class Compensation:
 
 
 def learned_rate(f: Scalar) -> Scalar:
-    """b' [V/s] within its bounds."""
+    """b' [V/s], without the bounds of b."""
     return f / (1 + (f / LARGEST_LESSON) ** 2)
 
 

@@ -90,13 +90,10 @@ ControllerState = make_group(
         **_per_axis(
             "{}_late_speed", ("rad/s", "rad/s"), "Reference speed of the {axis} joint, filtered", 0.1
         ),
+        **_per_axis("{}_spool", ("V", "V"), "Command that the {axis} spool is to follow", 10.0),
         **_per_axis(
-            "{}_spool",
-            ("V", "V"),
-            "Command that the {axis} spool is to follow, behind the amplifier",
-            10.0,
+            "{}_trailing", ("V", "V"), "That command of the {axis} behind a play of `reversal`", 10.0
         ),
-        **_per_axis("{}_trailing", ("V", "V"), "The same behind a play of `reversal`", 10.0),
         **_per_axis("{}_half_width", ("V", "V"), "Learned half width of the play of the {axis} valve", 0.1),
         "radial_lever": Quantity("m/s", "Commanded radial velocity of the tip, filtered"),
         "vertical_lever": Quantity("m/s", "Commanded vertical velocity of the tip, filtered"),

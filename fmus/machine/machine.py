@@ -145,11 +145,8 @@ class Machine:
             return wires
         valves = self._added(self.actuation)
         fed = {target for _, target in valves}
-        return (
-            *(wire for wire in wires if wire[1] not in fed),
-            *plugged((driver, self.actuation)),
-            *valves,
-        )
+        others = (wire for wire in wires if wire[1] not in fed)
+        return (*others, *plugged((driver, self.actuation)), *valves)
 
     @cached_property
     def controller_wires(self) -> Connections:

@@ -41,7 +41,7 @@ def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
     rest = linearize(system, parameters=["reach"], set={"engaged": 1.0} | IDEAL, time=3.0)
     moving = IDEAL | {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
     moves = linearize(system, parameters=["reach"], set=moving, time=2.0)
-    told = "at this operating point loops are open at controller.swing_command"
+    told = "at this operating point loops are open at valve_actuation.swing_valve_command"
     assert any(told in note for note in rest.notes)
     assert not any("loops are open" in note for note in moves.notes)
 
