@@ -85,10 +85,11 @@ def _power_port(axis: str, kind: str, text: str, drives: bool, effort: str, *oth
     return Terminal(f"{axis}_{kind}", kind, text, (flow, *(Member(n, f"{axis}_{n}") for n in others)))
 
 
-def lever(axis: str) -> Terminal:
-    """Command to a valve and its rate."""
-    members = (Member("command", f"{axis}_command"), Member("command_rate", f"{axis}_command_rate"))
-    return Terminal(f"{axis}_lever", "lever", f"Command to the {axis} valve", members)
+def lever(axis: str, part: str = "") -> Terminal:
+    """Command to a valve and its rate; part: at the actuation of the valve, that of this part."""
+    name, end = (f"{axis}_valve_command", f"_{part}") if part else (f"{axis}_command", "")
+    members = (Member("command", name), Member("command_rate", f"{name}_rate"))
+    return Terminal(f"{axis}_lever{end}", "lever", f"Command to the {axis} valve", members)
 
 
 def grip() -> Terminal:

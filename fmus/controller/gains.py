@@ -65,6 +65,20 @@ class Gains(Group):
         "s", "Time constant of the filter for the rate of the reference speed", 0.1, minimum=1e-3
     )
     amplifier_time: Scalar = Quantity("s", "Time constant of the valve amplifier", 0.01, minimum=1e-3)
+    hysteresis: Scalar = Quantity(
+        "1",
+        "Hysteresis of the valves at the start, over full command; then it is learned; 0: there is none",
+        0.01,
+        minimum=0.0,
+        maximum=0.5,
+    )
+    hysteresis_limit: Scalar = Quantity(
+        "1", "Largest hysteresis that is learned", 0.1, minimum=1e-3, maximum=0.5
+    )
+    hysteresis_gain: Scalar = _gain("1/s2", "Rate at which the hysteresis is learned, per error", 10.0)
+    reversal: Scalar = Quantity(
+        "V", "Change of a command that counts as a reversal of its valve", 0.1, minimum=1e-3
+    )
     foot_share: Scalar = Quantity(
         "1", "Valve opening below which the step over the dead band is rounded", 1e-3, minimum=1e-5
     )

@@ -38,7 +38,7 @@ NAME = st.text(
 def test_any_names_survive(tmp_path_factory, suffix, names, unit):
     """Names with line breaks, commas, quotes and white space, and any unit, are read as they were written.
 
-    In a text file alone, a name that ends in a unit in brackets is a name and its unit.
+    In a text file without metadata, a name that ends in a unit in brackets is a name and its unit.
     """
     names = [name if name != "time" else "a.time" for name in names]
     assume(suffix != ".csv" or all(split_unit(name)[0] == name for name in names))
