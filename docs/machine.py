@@ -1,4 +1,4 @@
-"""Fills tables of docs/machine.md, draws images/energy.png: `python docs/machine.py [--combinations FILE]`."""
+"""Fills tables of docs/machine.md, draws images/energy.png: `python docs/machine.py [--combinations F]`."""
 
 from __future__ import annotations
 
