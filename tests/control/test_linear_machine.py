@@ -161,7 +161,7 @@ def test_a_load_sensing_supply_does_not_hunt(fmu_dir, speeds):
     linear = linearize(system, steady=True, speeds=speeds, swap=MACHINES["load_sensing"])
     swinging = [m for m in linear.modes if m.oscillates]
     assert min(m.damping for m in swinging) > 0.004  # of the boom on closed valves, with any supply
-    (pump,) = (m for m in swinging if m.frequency > 30)  # measured: 92 to 97 Hz, 0.18 to 0.22
+    (pump,) = (m for m in swinging if "pump" in m.name)  # measured: 92 to 97 Hz, 0.18 to 0.22
     assert pump.damping > 0.15
 
 

@@ -104,7 +104,9 @@ def test_every_formula_keeps_its_dimensions(name, monkeypatch):
     in_others = Equations(name)
 
     def in_other_units(values, group, per_second=0):
-        exponents = {n: parse_unit(group[n].unit if "oil_v" not in n else "1").exponents for n in values}
+        exponents = {
+            n: parse_unit(group[n].unit if "oil_viscosity_" not in n else "1").exponents for n in values
+        }
         unit = {
             n: np.prod([scale[b] ** k for b, k in zip(BASES, ex, strict=True)]) for n, ex in exponents.items()
         }

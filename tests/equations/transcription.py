@@ -179,7 +179,8 @@ def laminar(p: Group, area: float) -> float:
 def port(p: Group, supply: float, tank: float, flow: float, ps: float, pt: float) -> Port:
     """A port node whose edges are open by `supply` and `tank` [1], section 2."""
     k2 = (p.valve_discharge_coefficient * p.valve_area) ** 2 * 2 / p.density
-    k2 /= abs(flow) + laminar(p, p.valve_area * (supply + tank))
+    edge = p.valve_leakage * (ps - pt) + (flow if supply else -flow)
+    k2 /= abs(edge) + laminar(p, p.valve_area * (supply + tank))
     g_s, g_t = p.valve_leakage + k2 * supply**2, p.valve_leakage + k2 * tank**2
     node = (g_s * ps + g_t * pt - flow) / (g_s + g_t)
     return node, g_s * (ps - node), g_t * (node - pt)

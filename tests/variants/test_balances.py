@@ -190,7 +190,8 @@ def test_rates_are_exact_and_forces_depend_on_states_alone(name):
             shown, exact = (v.item() for v in both(x, **given))
             # exact identity, rounding of flows over capacitances; of a load pressure also that of the foot
             # of its step
-            room = {"rel": 1e-12} if part.sub.variant == "detailed" else {"rel": 1e-10, "abs": 1e-3}
+            stiff = part.sub.variant != "detailed" or moved.endswith("load_pressure")
+            room = {"rel": 1e-10, "abs": 1e-3} if stiff else {"rel": 1e-12}
             assert shown == pytest.approx(exact, **room), moved
 
 

@@ -146,7 +146,8 @@ def test_the_floor_falls_with_the_square_of_the_hose_length(part):
         apart(pressures(part, "detailed", SMALL, k), pressures(part, "lumped", 1.0, k))
         for k in (1.0, 0.5, 0.25)
     ]
-    ratios = np.array(floors[:-1]) / floors[1:]
+    changes = -np.diff(floors)  # free of what does not depend on l: 17 Pa of the spool at the swing
+    ratios = changes[:-1] / changes[1:]
     # the terms in l^3 are a tenth of those in l^2 at full length
     assert ratios == pytest.approx(4.0, rel=0.15)
 
