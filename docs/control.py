@@ -28,11 +28,17 @@ def hysteresis(valve: float, assumed: float) -> dict[str, float]:
     return {"valve_actuation.hysteresis": valve, "controller.hysteresis": assumed}
 
 
+def oil(celsius: float) -> dict[str, float]:
+    """Start values: oil at this temperature, and valves of 4 %, which the controller knows."""
+    return hysteresis(0.04, 0.04) | {"supply.oil_temperature_start": celsius + 273.15}
+
+
 ROWS: Mapping[str, dict[str, float]] = {
     "none": hysteresis(0, 0),
     **{f"{100 * h:g} %, not compensated": hysteresis(h, 0) for h in (0.02, 0.04, 0.08)},
     **{f"{100 * h:g} %, known": hysteresis(h, h) for h in (0.02, 0.04, 0.08)},
     **{f"{100 * h:g} %, 4 % assumed": hysteresis(h, 0.04) for h in (0.0, 0.02, 0.08)},
+    **{f"4 %, known, {celsius:g} °C": oil(celsius) for celsius in (-10, 20)},
 }
 
 

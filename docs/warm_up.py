@@ -2,13 +2,17 @@
 
     python docs/warm_up.py
 
-draws images/warm-up.png and prints the rows of the table in docs/machine.md. Oil and air have -10 degC at the
+draws images/warm-up.png and fills in the table of docs/machine.md. Oil and air have -10 degC at the
 start; the thermostat of the cooler opens at 50 degC.
 """
 
+import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parent))
+
 import numpy as np
+from convergence import fill
 from matplotlib.figure import Figure
 
 from fmus.machine.work_cycle import COMMANDS, DEFAULT, PROGRAMS, WORK_CYCLE_STOP, sample
@@ -16,7 +20,12 @@ from orchestrator import Trace, run
 from orchestrator.pages.plotting import png
 
 SYSTEM = Path(__file__).parents[1] / "build/harvester.ssp"
+PAGE = Path(__file__).with_name("machine.md")
 FILE = Path(__file__).with_name("images") / "warm-up.png"
+HEAD = (
+    "|cycle|time [min]|oil [°C]|viscosity [mm2/s]"
+    "|from the engine [kW]|into the drives [kW]|cooler and tank [kW]|"
+)
 SWAP = {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"}
 COLD = 263.15  # K
 CYCLES, STEP = 84, 1.0  # s between the samples
@@ -67,8 +76,15 @@ def picture(trace: Trace) -> Figure:
     return figure
 
 
+def table(trace: Trace) -> str:
+    """Rows of the cycles `SHOWN`."""
+    found = rows(trace)
+    shown = (f"|{cycle}|" + "|".join(f"{value:.3g}" for value in found[cycle - 1]) + "|" for cycle in SHOWN)
+    return "\n".join((HEAD, "|---" * 7 + "|", *shown))
+
+
 if __name__ == "__main__":
     run_trace = warmed_up()
     FILE.write_bytes(png(picture(run_trace)))
-    for cycle in SHOWN:
-        print("|".join(["", str(cycle), *(f"{value:.3g}" for value in rows(run_trace)[cycle - 1]), ""]))
+    print(table(run_trace))
+    fill(PAGE, "warm-up", table(run_trace))

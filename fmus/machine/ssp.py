@@ -1,9 +1,10 @@
 """Systems of the machine as SSP files, and which ports of its FMUs belong together.
 
-harvester.ssp            machine, supply and operator; parameter sets: poses, programs
+harvester.ssp            machine, supply and operator; parameter sets: poses, programs, `winter_oil`
 harvester_actuation.ssp  the same with the electrical actuation of the valves
 harvester_control.ssp    machine, supply, actuation and controller; parameter sets: poses, starts of paths,
-                         `compensated`: section flows that the controller needs with compensated drives
+                         `compensated`: section flows that the controller needs with compensated drives,
+                         `winter_oil`
 """
 
 from collections.abc import Iterator, Mapping
@@ -44,6 +45,7 @@ NAME, ACTUATED_NAME, CONTROL = "harvester", "harvester_actuation", "harvester_co
 VIEW = Path(__file__).parent / NAME / "view.toml"  # displays and controls of `harvester view`
 COMPENSATED = "compensated"  # variant of the drives, parameter set of the controller
 CONTROL_STOP = 20.0  # s
+WINTER, WINTER_GRADE = "winter_oil", {"oil_viscosity_40": 46e-6, "oil_viscosity_100": 8.2e-6}  # HVLP 46, m2/s
 # some tools initialise in the order of the file, so sources of holding forces and supply pressure are first
 ORDER = ("manipulator", "supply", "boom_stick", "swing")
 
@@ -62,7 +64,7 @@ def write_systems(
     """
     poses = controlled_poses(manipulator).items()
     controlled = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
-    operated, own = parameter_sets(manipulator), controlled | {COMPENSATED: section_flows()}
+    operated, own = parameter_sets(manipulator), controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
     lever, head = (OPERATOR.name,), ACTUATION.name
     systems = (
         (NAME, lever, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
@@ -97,12 +99,17 @@ def section_flows() -> dict[str, float]:
     return {f"{CONTROLLER.name}.{n}": v for n, v in flows.items()}
 
 
+def winter_oil() -> dict[str, float]:
+    """Viscosities of a hydraulic oil of index 150, for all parts that contain oil."""
+    return {f"{part}.{n}": v for part in (*DRIVES, SUPPLY.name) for n, v in WINTER_GRADE.items()}
+
+
 def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, float]]:
-    """Parameter sets by name, values by "component.variable": poses, and programs of the operator."""
+    """Parameter sets by name, values by "component.variable": poses, programs of the operator, oil."""
     sets = {name: pose_set(pose, manipulator) for name, pose in POSES.items()}
     for name, moves in PROGRAMS.items():
         sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}
-    return sets
+    return sets | {WINTER: winter_oil()}
 
 
 def wired_ports() -> Iterator[tuple[str, str, str, str, str]]:

@@ -166,11 +166,11 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     size = v**2 / np.sqrt(v**2 + 1e-8)
     spare = o.a[0] * s - o.a[1] * t - load, o.a[1] * s - o.a[0] * t + load
     gates = [1 + p.feedback * (rise(f / (a * 5e5)) - 1) for f, a in zip(spare, o.a, strict=True)]
-    if o.q > 0:  # a compensated section
+    if o.q[0] > 0:  # a compensated section
         full, gates = o.q / o.a, [1.0, 1.0]
         mean = full.mean()
     y = gates[0] * (v + size) / 2 / full[0] + gates[1] * (v - size) / 2 / full[1]
-    hose = 0.0 if o.q > 0 else o.hose
+    hose = 0.0 if o.q[0] > 0 else o.hose
     wide = y / np.sqrt(1 - hose * o.k_valve**2 * min(y**2, 1))
     had = wide - r(wide - 0.95, 0.1)
     had += r(-had - 0.95, 0.1)
