@@ -166,7 +166,7 @@ def test_validate_passes_and_writes_its_files(capsys):
     assert "pass: 146 of 146 signals within their limits" in printed
     assert "compared at the 101 samples of the reference, 0 to 2 s" in printed
     assert "interpolated" not in printed
-    assert "build/run.csv: 135 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
+    assert "build/run.csv: 157 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
     assert all(Path("build", name).is_file() for name in ("report.html", "report.json"))
     time = read_trace("build/run.csv").time
     # point n is n times the step: rounding only

@@ -143,7 +143,7 @@ def test_engaging_at_full_swing_brings_the_arm_to_rest(machine):
     """1.1 rad/s and the boom rising, then engaged with the joystick at rest: it stops and stays.
 
     The arm swings out on its oil, and what is left dies away slowly, as the valve crosses its dead band late:
-    17 mm of the tip in the sixth second, 4 mm in the tenth.
+    3 mm of the tip in the sixth second.
     """
     levers = {"boom_lever": [0, 0, 4, 4, 4, 4], "swing_lever": [0, 0, 5, 5, 5, 5]}
     resting(driven(machine, [0, 0.5, 1, 2, 2.001, 13], engaged=[0, 0, 0, 0, 1, 1], **levers))
