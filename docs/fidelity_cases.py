@@ -81,7 +81,7 @@ IDEAL: Mapping[str, Mapping[str, float]] = {
     "valves": {"relief_pressure": 1e9, "anti_cavitation_area": 0.0},
 }
 WORDS = {
-    "spool": "a spool of 30 Hz",
+    "spool": "a spool of 8 Hz",
     "wall": "hose walls that give",
     "air": "0.5 % of air",
     "valves": "relief and anti-cavitation valves",
