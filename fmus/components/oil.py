@@ -7,7 +7,7 @@
 A and B follow from the viscosities at 40 and 100 degC of a data sheet. The default, 46 and 6.8 mm2/s, is the
 middle of the grade ISO VG 46 (ISO 3448) with a viscosity index of 100 by ISO 2909. Valid from -20 to 100
 degC; below, waxes make the oil thicker. Beyond -50 and 150 degC the temperature is limited, so that a trial
-state of a solver gives finite rates.
+state of a solver gives finite rates; 0 K, an open input, counts as 60 degC.
 
 Parameters are given at T_ref = 60 degC with the default oil, whose 20.6 mm2/s is the paper's density with 20
 mPa.s. With another oil or at another temperature those with `Quantity.warmed` are multiplied, with m =
@@ -74,7 +74,9 @@ def is_oil(grade: Grade) -> dict[str, Scalar]:
 
 
 def _limited(temperature: Scalar) -> Scalar:
-    return ca.fmin(ca.fmax(temperature, _LIMITS[0]), _LIMITS[1])
+    # many tools set an open input to 0, FMPy also a connected one in its first step
+    known = ca.if_else(temperature > 0, temperature, REFERENCE)
+    return ca.fmin(ca.fmax(known, _LIMITS[0]), _LIMITS[1])
 
 
 def _walther(viscosity: Scalar) -> Scalar:

@@ -190,6 +190,8 @@ def test_an_fmu_follows_the_temperature_that_is_set(fmu_dir, part, kind):
             assert seen[-1] == pytest.approx([*y.values()], rel=1e-8, abs=1e-12)
         assert (seen[0] == seen[2]).all()
         assert (seen[0] != seen[1]).any()
+        fmu.set(oil_temperature=0.0)  # as many tools do with an open input: 60 degC
+        assert (fmu.get(*model.outputs) == seen[0]).all()
 
 
 def test_a_saved_state_has_its_temperature(fmu_dir):
