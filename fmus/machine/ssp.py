@@ -32,7 +32,7 @@ UNPOWERED = (
 )
 HELD = (
     "What held inputs cost, as the error of the worst joint speed over 42 s in Ecos, a Jacobi master: with "
-    "rate ports 0.0086 % at a step of 1 ms; without them 0.072 % at 0.1 ms, and at 1 ms the run diverges. "
+    "rate ports 0.0082 % at a step of 1 ms; without them 0.071 % at 0.1 ms, and at 1 ms the run diverges. "
     "Measured by “python docs/rate_ports.py” in the repository of harvester-cosim."
 )
 HELD_COMMAND = (
