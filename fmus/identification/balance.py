@@ -15,9 +15,11 @@ The zeros are columns of the regression; the limit of a data sheet is two standa
 e and its derivatives are taken at the estimated true signals y - z_0 - sd^2 G' S^-1 e, so noise in regressors
 does not bias theta (H. I. Britt and R. H. Luecke, The estimation of parameters in nonlinear, implicit models,
 Technometrics 15, 1973, 233-247). A window has far more samples than balances, so most of the noise stays in
-them: the mean of e by its squares, such as a centrifugal torque at rest, is subtracted. If residuals are k > 1 times the
-noise, only the share 1/k^2 of them is noise. The covariance then is the larger one of k^2 times that by the
-noise and that by the residuals (Newey and West 1987), so that it covers errors of the model.
+them: the mean of e by its squares, such as a centrifugal torque at rest, is subtracted.
+
+If residuals are k > 1 times the noise, only the share 1/k^2 of them is noise. The covariance then is the
+larger one of k^2 times that by the noise and that by the residuals (Newey and West 1987), so that it covers
+errors of the model.
 """
 
 from __future__ import annotations
@@ -71,7 +73,7 @@ class Law:
     rows       number of equations
     terms      (z, theta, known) -> (f, h), their derivatives by z, and by theta, column by column
     by_known   (z, theta, known) -> derivatives of (f, h) by `known`, column by column
-    by_squares (z, theta, known, sd of z) -> sum over z of (f, h) at z + sd and z - sd, their mean less that at z
+    by_squares (z, theta, known, sd of z) -> mean of (f, h) at z + sd and z - sd less that at z, sum over z
     """
 
     unknowns: tuple[str, ...]

@@ -70,7 +70,7 @@ def test_a_held_hose_obeys_its_law(machine):
     laminar = 64 / reynolds * LENGTH / BORE * DENSITY * speed**2 / 2
     turbulent = HOSE_RESISTANCE * flow**2 * (170 / LITRES / flow) ** 0.25
     share = 1 / (1 + (2300 / reynolds) ** 8)
-    # the law itself; a column that is 1e-6 from its steady flow, and a bulk modulus that moves with the pressure
+    # lumped 1e-8; the detailed hose has not settled at the smallest flow, 2e-4 after 1.9 s
     assert drop == pytest.approx((1 - share) * laminar + share * turbulent, rel=1e-3)
     assert reynolds.min() < 1000
     assert reynolds.max() > 10000
