@@ -5,7 +5,8 @@
 The first is the law of the machine: laminar flow by the known viscosity of the oil, above the critical flow
 Blasius' law, whose C_R is stated at 170 L/min (correction E10 in docs/equations.md). Eq. (1) is compared with
 it. Both are fitted to the means over the steps (`balance`), with the errors of drop and flow; AIC shows which
-law the data support. If both are misfits, the viscosity of the tested oil is estimated from the small flows.
+law the data support. If both are misfits and the small flows are clearly those of another viscosity, it is
+estimated, too.
 
 The readings of two transducers differ slightly without flow, and a tenth of a bar is a hundredth of a hose's
 drop: the zeros of the transducers and of the meter are estimated with each law.
@@ -179,7 +180,10 @@ def fit_laws(steps: StepMeans, known: tuple[float, float, float, float], limits:
         with suppress(Problem):  # data that contradict this law may have no optimum
             x = min(near, key=lambda x: near[x].fit.chi_square)
             other = fitted("viscosity", resistance=near[x].fit["resistance"] / x**0.25, thicker=math.log(x))
-            if other.fit.sd("thicker") < balance.DETERMINED and _aic(other) < min(map(_aic, fits.values())):
+            sd, better = other.fit.sd("thicker"), _aic(other) < min(map(_aic, fits.values()))
+            # else a misfit of another cause, such as a drift, would be taken for a viscosity
+            significant = abs(other.fit["thicker"]) > balance.SIGNIFICANT * sd
+            if better and significant and sd < balance.DETERMINED:
                 fits["viscosity"] = other
     return fits
 
