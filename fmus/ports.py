@@ -28,9 +28,9 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
     return Quantity("V", text, 10.0, rate=rate, warn_above=10.0)
 
 
-def oil_temperature(text: str, **more: bool) -> Quantity:
+def oil_temperature(text: str, held: bool = False) -> Quantity:
     """Declaration of the temperature of the oil, without bounds: FMPy sets connected inputs to 0 at first."""
-    return Quantity("K", text, 300.0, **more)
+    return Quantity("K", text, 300.0, held=held)
 
 
 class Commands(Group):
@@ -116,9 +116,8 @@ def _line(name: str, pressure: str, text: str, drive: str, direction: Literal["i
         Member("pressure_rate", f"{pressure}_pressure_rate"),
         Member("flow", f"{name}_flow{end}", direction),
     )
-    if name == "supply":
-        members = (*members, Member("temperature", "oil_temperature"))
-    return Terminal(f"{name}_line{end}", "line", text, members)
+    oil = (Member("temperature", "oil_temperature"),) if name == "supply" else ()
+    return Terminal(f"{name}_line{end}", "line", text, (*members, *oil))
 
 
 def load_sensing_line(drive: str, supply: bool = False) -> Terminal:

@@ -64,7 +64,7 @@ class Grade(Group):
     )
 
 
-VG_46 = Grade()
+VG_46 = Grade(oil_viscosity_40=46e-6, oil_viscosity_100=6.8e-6)
 
 
 def is_oil(grade: Grade) -> dict[str, Scalar]:
@@ -127,6 +127,6 @@ def at_temperature(sub: Subsystem) -> Subsystem:
         dynamics=lambda x, u, p: sub.dynamics(x, u, _warmed(p, u.oil_temperature)),
         observe=lambda x, u, p: sub.observe(x, u, _warmed(p, u.oil_temperature)),
         initial=lambda x, u, p: sub.initial(x, u, _warmed(p, u.oil_temperature)),
-        require=lambda x, u, p: sub.require(x, u, _warmed(p, u.oil_temperature)) | is_oil(p),
+        require=lambda x, u, p: {**sub.require(x, u, _warmed(p, u.oil_temperature)), **is_oil(p)},
         circuits=lambda x, u, p: sub.circuits(x, u, _warmed(p, u.oil_temperature)),
     )

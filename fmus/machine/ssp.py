@@ -64,7 +64,8 @@ def write_systems(
     """
     poses = controlled_poses(manipulator).items()
     controlled = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
-    operated, own = parameter_sets(manipulator), controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
+    own = controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
+    operated = parameter_sets(manipulator)
     lever, head = (OPERATOR.name,), ACTUATION.name
     systems = (
         (NAME, lever, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),

@@ -154,7 +154,8 @@ def test_joints_reach_their_speeds_in_half_a_second():
 def test_an_input_acts_against_acceleration_and_jerk(side, speed):
     """u' = -k (a + T a') with p' = g u, a = p - load, by one implicit Euler step: two equations, by hand.
 
-    A joint at rest gets a short lag and two long ones, a joint in motion the short one and one ten times as long.
+    A joint at rest gets a short lag and two long ones, a joint in motion the short one and
+    one ten times as long.
     """
     gain, load, p, u, nominal, size = side * 3.0, 1.5, 0.5, 0.25, 2.0, 4.0
     a = np.zeros((4, 4))
