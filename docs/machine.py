@@ -103,11 +103,11 @@ SIZES = (
         "spools",
         {"boom_stick.spool_frequency": 30.0},
         spool_delay,
-        "`detailed`: half of the boom's speed after",
+        "`detailed`: half of the speed after",
     ),
     ("volume at each side of the motor", {"swing.motor_volume": 1.215e-3}, swing_mode, "mode of the swing"),
     ("flow to the boom's rod side, return edge", OLD_RODS, lowering, "lowering the empty boom"),
-    ("pilot ratio of 3 : 1, not 1.5 : 1 (now: default)", STEEP, lowering, "lowering the empty boom"),
+    ("pilot ratio at the boom's head side", STEEP, lowering, "lowering the empty boom"),
 )
 
 
