@@ -14,6 +14,7 @@ from fmus.components import chamber, oil
 from fmus.components.chamber import ATMOSPHERE, FLOOR, AeratedOil
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
+from orchestrator import load
 
 BETA = 1.6e9
 pressures = st.floats(-1.5e5, 4e7)
@@ -192,6 +193,16 @@ def test_an_fmu_follows_the_temperature_that_is_set(fmu_dir, part, kind):
         assert (seen[0] != seen[1]).any()
         fmu.set(oil_temperature=0.0)  # as many tools do with an open input: 60 degC
         assert (fmu.get(*model.outputs) == seen[0]).all()
+
+
+def test_a_temperature_that_is_set_replaces_that_of_the_supply(fmu_dir):
+    """Cold oil in the boom alone; each other connected input is refused, see test_system.toml."""
+    system = load(fmu_dir / "harvester.ssp")
+    cold = system.with_start({"boom_stick.oil_temperature": "0degC"})
+    assert cold.components["boom_stick"].value("oil_temperature") == pytest.approx(273.15)
+    (left,) = set(system.connections) - set(cold.connections)
+    assert str(left) == "supply.oil_temperature -> boom_stick.oil_temperature"
+    assert "boom_stick.oil_temperature is set, which replaces its connection" in cold.notes[-1]
 
 
 def test_a_saved_state_has_its_temperature(fmu_dir):
