@@ -380,7 +380,7 @@ class System:
         """The system with other start values; names are those that `targets` accepts.
 
         A text may contain a unit: "180bar". Otherwise a value is in the unit of the variable. Connected inputs
-        cannot be set, but a value of one that its FMU declares as held replaces the connection, with a note.
+        cannot be set; but a value of one that its FMU declares as held replaces the connection, with a note.
 
         origin   where the values come from, for `Component.origins`
         """
