@@ -379,8 +379,8 @@ class System:
     def with_start(self, values: Mapping[str, Value | str], origin: str = "--set") -> System:
         """The system with other start values; names are those that `targets` accepts.
 
-        A text may contain a unit: "180bar". Otherwise a value is in the unit of the variable. Connected inputs
-        cannot be set; but a value of one that its FMU declares as held replaces the connection, with a note.
+        A text may contain a unit: "180bar". Otherwise a value is in the unit of the variable. A connected
+        input cannot be set; but a value of one that its FMU declares as held replaces the connection.
 
         origin   where the values come from, for `Component.origins`
         """
