@@ -10,11 +10,15 @@ judged. `SEED` is the judge's: no method is tuned on it.
 
 Valve bench, one metering edge and a throttle S, solved by bisection; the spool lags its command:
 
-    (Q - L) sqrt(Q^2 + Q_t^2) = (C_d A a)^2 2/rho dp    dp = p_s - p_r - S Q^2    L = G (2 dp - (p_s - p_r))
+    (Q - L) (Q + Q_t) = (C_d A a)^2 2/rho dp        dp = p_s - p_r - S Q^2        L = G (2 dp - (p_s - p_r))
+
+with the flow Q_t of Re 10 through a round opening of the same area.
 
 Hose bench, by RK4:
 
-    I dQ/dt = p_1 - p_2 - R Q sqrt(Q^2 + Q_t^2)         C dp_2/dt = Q - sqrt((p_2 - p_r)/S)
+    I dQ/dt = p_1 - p_2 - dp(Q)         C dp_2/dt = Q - sqrt((p_2 - p_r)/S)
+
+with the friction of Hagen and Poiseuille below Re 2300, and of Blasius above.
 
 Leakage bench, steady: Q_a = (p_a - p_b)/R_in + p_a/R_ex, drain (p_a + p_b)/R_ex.
 
@@ -66,7 +70,7 @@ FAULTS: Mapping[str, str] = ROWS["printed"]
 UNITS = {"bar": 1e5, "L/min": 1e-3 / 60, "V": 1.0, "deg": math.pi / 180}
 BAR, LITRES = UNITS["bar"], UNITS["L/min"]  # Pa, m3/s
 # known to the identification: parameters.toml of fmus/boom_stick and fmus/swing
-C_D, DENSITY, LEAK, TRANSITION = 0.62, 970.0, 1.6e-14, 1e-5  # 1, kg/m3, m3/(s.Pa), m3/s
+C_D, DENSITY, LEAK, VISCOSITY = 0.62, 970.0, 1.6e-14, 0.02  # 1, kg/m3, m3/(s.Pa), Pa.s
 DISPLACEMENT, LINE = 2.5e-5 * 60, 128 * 0.02 * 1.0 / (math.pi * 0.01905**4)  # m3/rad; Pa.s/m3, laminar
 INNER, OUTER = 2e12, 1.1e12  # Pa.s/m3, leakage of the motor
 RESISTANCE, INERTANCE, CAPACITANCE, STICK, BOOM = 3.2e10, 1.361e7, 7.126e-13, 4.0, 3.0  # SI; m, hoses
@@ -233,10 +237,12 @@ def edge_flow(square: Array, supply: float, throttle: float) -> tuple[Array, Arr
     square   (C_d A a)^2 2/rho, shape (n,)
     """
     low, high = np.zeros_like(square), np.full_like(square, math.sqrt(supply / throttle))
+    diameter = np.sqrt(np.sqrt(square * DENSITY / 2) / C_D * 4 / math.pi)
+    transition = 10 * VISCOSITY / DENSITY * math.pi / 4 * diameter
     for _ in range(60):
         q = (low + high) / 2
         drop = supply - throttle * q**2
-        below = (q - LEAK * (2 * drop - supply)) * np.hypot(q, TRANSITION) < square * drop
+        below = (q - LEAK * (2 * drop - supply)) * (q + transition) < square * drop
         low, high = np.where(below, q, low), np.where(below, high, q)
     return low, supply - throttle * low**2
 
@@ -282,12 +288,21 @@ def valve(m: Machine, folder: Path, fixed: Mapping[str, Any]) -> None:
     m.truth |= {"valve_area": max(float(c(10.0)) for c in m.curves.values()), "valve_dead_band": o["start"]}
 
 
+def hose_drop(flow: float, resistance: float) -> float:
+    """Pressure drop [Pa] of the stick's hose, whose C_R [Pa.s2/m6] is that at 170 L/min."""
+    size = abs(flow)
+    reynolds = 4 * size * DENSITY / (math.pi * 0.01905 * VISCOSITY)
+    s = reynolds**8 / (2300.0**8 + reynolds**8)
+    turbulent: float = resistance * (170 * LITRES) ** 0.25 * size**0.75
+    return flow * ((1 - s) * LINE * STICK + s * turbulent)
+
+
 def hose_resistance(m: Machine, folder: Path) -> None:
     """The hose at stepped flows."""
     resistance = RESISTANCE * m.draw(0.75, 1.3)
     q = levels([0.0, *np.linspace(25, 240, 16)], 1.2, 100.0, 0.03) * LITRES
     outlet = 5 * BAR + 1.2e11 * q**2
-    inlet = outlet + resistance * q * np.hypot(q, TRANSITION)
+    inlet = outlet + np.vectorize(hose_drop)(q, resistance)
     signals = {"pressure_in": inlet, "pressure_out": outlet, "flow": q}
     m.write(folder / "hose_resistance", 100.0, signals, "hose_resistance", *HOSE_ROWS)
     for name, length in (("stick", STICK), ("boom", BOOM)):  # R ~ l
@@ -314,7 +329,7 @@ def hose_line(inlet: Array, step: float, r: float, i: float, c: float, throttle:
 
     def rates(q: float, p: float, p_1: float) -> tuple[float, float]:
         out = math.sqrt(max(p - back, 0.0) / throttle)
-        return (p_1 - p - r * q * math.hypot(q, TRANSITION)) / i, (q - out) / c
+        return (p_1 - p - hose_drop(q, r)) / i, (q - out) / c
 
     steady = math.sqrt((inlet[0] - back) / (throttle + r))
     return integrate(rates, steady, back + throttle * steady**2, inlet, step)

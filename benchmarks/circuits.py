@@ -28,7 +28,7 @@ from orchestrator.base.files import VARIANTS
 STEP = 1e-3  # s
 SETTLED = 0.6  # s after the last stroke
 PAUSE = 9.9  # s, 1.7 s after the last stroke
-BOOM = ("boom_speed", "boom_angle")  # leading states of the mode of the boom on its oil
+BOOM = frozenset({"boom_speed", "boom_angle"})  # main states of the mode of the boom on its oil
 CIRCUITS: tuple[Mapping[str, str], ...] = (
     {},
     {"supply": "engine_pump"},
@@ -113,7 +113,7 @@ def boom_mode(folder: Path, chosen: Mapping[str, str]) -> tuple[float, float]:
 
     def at(time: float) -> tuple[float, float]:
         model = linearize(folder / "harvester.ssp", swap=swaps(folder, chosen), time=time, step=STEP)
-        modes = [m for m in model.modes if 1 < m.frequency < 10 and m.main_states[0] in BOOM]
+        modes = [m for m in model.modes if 1 < m.frequency < 7 and not BOOM.isdisjoint(m.main_states)]
         least = min(modes, key=lambda m: m.damping)
         return float(least.frequency), float(least.damping)
 

@@ -43,7 +43,8 @@ KNOWN = {
         ("valve_full_command", FULL, "V"),
         ("valve_command_rounding", 0.4, "V"),
         ("valve_leakage", 1e-17, "m3/(s.Pa)"),
-        ("valve_transition_flow", 1e-9, "m3/s"),
+        ("valve_transition_reynolds", 1e-3, "1"),
+        ("viscosity", 0.02, "Pa.s"),
         ("density", DENSITY, "kg/m3"),
     )
 }

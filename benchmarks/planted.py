@@ -51,6 +51,7 @@ GROUPS = {
     "J": "energy",
     "W": "power",
     "kg": "payload",
+    "K": "temperature",
     "kg/s": "payload",
 }  # of a signal without label, by unit; others are rates
 

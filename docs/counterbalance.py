@@ -22,7 +22,7 @@ from orchestrator.pages.plotting import png
 SWAP = {"boom_stick": "compensated", "swing": "compensated", "supply": "load_sensing"}
 CASES = tuple((s, p) for s in ("load_sensing", "ideal") for p in ("folded", "raised", "reach"))
 RATIOS = (1.5, 3.0, 4.5)
-WIDE, NARROW = 1.2e-4, 3.8e-5  # m2
+WIDE, NARROW = 6.6e-5, 2.1e-5  # m2
 PAGE = Path(__file__).with_name("equations.md")
 FILE = Path(__file__).with_name("images") / "counterbalance.png"
 SIGNALS = {
@@ -70,7 +70,7 @@ def ripple(trace: Trace, start: float, stop: float) -> float:
 
 def row(ratio: float, area: float, slow: Trace) -> str:
     """Row of the table; slow: the boom lowered with 2.5 V."""
-    supply, pilot, watts = power(lowered(ratio, area, 10.0, 1.9))
+    supply, pilot, watts = power(lowered(ratio, area, 10.0, 2.2))
     early, late = ripple(slow, 1.0, 2.0), ripple(slow, 3.5, 4.5)
     pressures = f"{supply / 1e5:.0f} bar|{pilot / 1e5:.0f} bar|{watts / 1e3:.0f} kW"
     return f"|{area * 1e6:.0f} mm2|{ratio:g}|{pressures}|{early:.1%}|{late:.1%}|"

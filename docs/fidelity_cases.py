@@ -78,10 +78,10 @@ IDEAL: Mapping[str, Mapping[str, float]] = {
     "spool": {"spool_frequency": 300.0, "spool_damping": 1.0, "spool_speed": 1000.0},
     "wall": {"hose_wall_modulus": 1e13},
     "air": {"air_share": 0.0},
-    "valves": {"relief_pressure": 1e9, "anti_cavitation_gain": 0.0},
+    "valves": {"relief_pressure": 1e9, "anti_cavitation_area": 0.0},
 }
 WORDS = {
-    "spool": "a spool of 30 Hz",
+    "spool": "a spool of 8 Hz",
     "wall": "hose walls that give",
     "air": "0.5 % of air",
     "valves": "relief and anti-cavitation valves",

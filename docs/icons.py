@@ -135,6 +135,15 @@ def operator_input(axes: Axes) -> None:
         area(axes, [(50 + 28 * side, 61), (50 + 28 * side, 77), (50 + 40 * side, 69)])
 
 
+def valve_actuation(axes: Axes) -> None:
+    """The loop of a spool over its command."""
+    line(axes, [(14, 16), (14, 84)], DARK, 5)
+    line(axes, [(14, 16), (86, 16)], DARK, 5)
+    line(axes, [(24, 26), (44, 26), (84, 78), (64, 78), (24, 26)], ORANGE, 6.5)
+    area(axes, [(73, 50), (57, 54), (68, 63)], ORANGE)
+    area(axes, [(35, 54), (51, 50), (40, 41)], ORANGE)
+
+
 def controller(axes: Axes) -> None:
     """The stick end on its path."""
     line(axes, [(14, 12), (14, 40), (38, 74), (70, 46)], DARK, 6.5)
@@ -160,7 +169,8 @@ def harvester(axes: Axes) -> None:
 
 
 ICONS: Mapping[str, Callable[[Axes], None]] = {
-    f.__name__: f for f in (swing, boom_stick, manipulator, supply, operator_input, controller, harvester)
+    f.__name__: f
+    for f in (swing, boom_stick, manipulator, supply, operator_input, valve_actuation, controller, harvester)
 }
 
 

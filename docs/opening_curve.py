@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from fmus.components import spool_valve
+from fmus.components import orifice, spool_valve
 from fmus.components.opening_curve import CURVE, POINTS, OpeningTable, pieces
 from fmus.parameters import values
 from fmus.swing import SWING
@@ -51,7 +51,7 @@ def straight(volts: Array) -> Array:
 
 def resistance(share: Array) -> Array:
     """C_R [Pa.s2/m6], eq. (2)."""
-    gain = float(spool_valve.flow_gain(P["valve_area"], P["valve_discharge_coefficient"], P["density"]))
+    gain = float(orifice.flow_gain(P["valve_area"], P["valve_discharge_coefficient"], P["density"]))
     return 1 / (gain * share) ** 2
 
 

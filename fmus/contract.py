@@ -49,8 +49,10 @@ class Quantity:
     warn_below   inputs and outputs: value below which it logs a warning likewise
     meaning      inputs and outputs: what a value beyond its limit means, as the end of the warning
     group        parameters only: heading in documentation; default: heading of the previous parameter
-    warmed       parameters only: exponents of the ratios of viscosity and density in the factor by which a
-                 temperature of the oil changes the value (`components.oil`)
+    held         inputs only: constant within a communication step. What depends on held inputs and parameters
+                 alone is computed when one of them changes
+    warmed       parameters only: exponents of the ratios of viscosity, density and bulk modulus in the factor
+                 by which a temperature of the oil changes the value (`components.oil`)
     value        parameter or start value, for a subsystem without parameters.toml
     listed       parameters only, with a name such as point_3: description of the list points in
                  parameters.toml, of which this is an entry
@@ -71,7 +73,8 @@ class Quantity:
     listed: str = ""
     optional: str = ""
     meaning: str = ""
-    warmed: tuple[float, float] | None = None
+    held: bool = False
+    warmed: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("unit", "text", "group", "listed", "optional", "meaning"):
@@ -372,6 +375,11 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
 def symbols(group: type[G]) -> G:
     """A group of new scalar symbols, named like its fields."""
     return nested(group, {name: ca.SX.sym(name) for name in quantities(group)})
+
+
+def unknown(group: type[G]) -> G:
+    """A group of numbers that are not known, for what does not depend on them."""
+    return nested(group, dict.fromkeys(quantities(group), math.nan))
 
 
 def column(*values: Scalar) -> Any:

@@ -28,6 +28,11 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
     return Quantity("V", text, 10.0, rate=rate, warn_above=10.0)
 
 
+def oil_temperature(text: str, held: bool = False) -> Quantity:
+    """Declaration of the temperature of the oil, without bounds: FMPy sets connected inputs to 0 at first."""
+    return Quantity("K", text, 300.0, held=held)
+
+
 class Commands(Group):
     """Commands to the valves."""
 
@@ -59,6 +64,7 @@ class LineInputs(Group):
         optional=NOT_SHARED,
     )
     load_sensing_pressure_rate: Scalar = rate_input("load_sensing_pressure", "Pa/s", 1e8)
+    oil_temperature: Scalar = oil_temperature("Temperature of the oil from the supply line", held=True)
 
 
 def shaft(axis: str, drives: bool) -> Terminal:
@@ -79,10 +85,11 @@ def _power_port(axis: str, kind: str, text: str, drives: bool, effort: str, *oth
     return Terminal(f"{axis}_{kind}", kind, text, (flow, *(Member(n, f"{axis}_{n}") for n in others)))
 
 
-def lever(axis: str) -> Terminal:
-    """Command to a valve and its rate."""
-    members = (Member("command", f"{axis}_command"), Member("command_rate", f"{axis}_command_rate"))
-    return Terminal(f"{axis}_lever", "lever", f"Command to the {axis} valve", members)
+def lever(axis: str, part: str = "") -> Terminal:
+    """Command to a valve and its rate; part: at the actuation of the valve, that of this part."""
+    name, end = (f"{axis}_valve_command", f"_{part}") if part else (f"{axis}_command", "")
+    members = (Member("command", name), Member("command_rate", f"{name}_rate"))
+    return Terminal(f"{axis}_lever{end}", "lever", f"Command to the {axis} valve", members)
 
 
 def grip() -> Terminal:
@@ -109,7 +116,8 @@ def _line(name: str, pressure: str, text: str, drive: str, direction: Literal["i
         Member("pressure_rate", f"{pressure}_pressure_rate"),
         Member("flow", f"{name}_flow{end}", direction),
     )
-    return Terminal(f"{name}_line{end}", "line", text, members)
+    oil = (Member("temperature", "oil_temperature"),) if name == "supply" else ()
+    return Terminal(f"{name}_line{end}", "line", text, (*members, *oil))
 
 
 def load_sensing_line(drive: str, supply: bool = False) -> Terminal:

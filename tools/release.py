@@ -45,6 +45,7 @@ documentation/   a page for each FMU: equations, ports, parameters with sources;
 
 Each FMU runs on Linux (x86-64, ARM), Windows (x86-64) and macOS (x86-64, ARM) without other software.
 harvester.fmu is the whole machine; harvester.ssp connects its parts; harvester_control.ssp has a controller.
+harvester_actuation.ssp and harvester_control.ssp have the hysteresis of the valves (valve_actuation.fmu).
 
 To connect the parts yourself, connect equal names, and the names that differ as listed. A rate port is
 connected to the port of its name. The commands come from operator_input, controller, or your own signals.

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
-from fmus.components.chamber import pressure_rate
+from fmus.components.chamber import Liquid, pressure_rate
 from fmus.components.spool_valve import CurvedValve, ports_from_pressure
 from fmus.contract import nested, quantities
 from fmus.smooth import direction
 
 STEP, SAMPLES, SEED = 0.04, 1024, 7  # s, 1, 1
-SUPPLY, TANK, DENSITY, BULK = 16e6, 0.2e6, 870.0, 4e8  # Pa, Pa, kg/m3, Pa with the hoses
+SUPPLY, TANK, BULK = 16e6, 0.2e6, 4e8  # Pa, Pa, Pa with the hoses
 HEAD, ROD, LENGTH = 5e-3, 2.5e-3, 2.6  # areas of the piston [m2], both chambers together [m]
 PISTON, VISCOUS, DRY = 1.5e3, 9e4, 1.5e3  # moved with the piston [kg], friction [N.s/m] and [N]
 ARM, BENDING, INNER = 1.6e4, 1.1e6, 3e3  # mass of the arm [kg], its stiffness [N/m] and damping [N.s/m]
@@ -31,9 +31,10 @@ NUMBERS = {
     "full_command": 4.5,
     "command_rounding": 0.4,
     "leakage": 2e-13,
-    "transition_flow": 1e-6,
+    "transition_reynolds": 10.0,
 }
 VALVE = nested(CurvedValve, dict.fromkeys(quantities(CurvedValve), 0.0) | NUMBERS)  # no tables
+OIL = Liquid(density=870.0, viscosity=0.02)
 LINES = SimpleNamespace(supply_pressure=SUPPLY, tank_pressure=TANK)
 FULL, SPAN = 10.0, 4.5e6  # V and Pa that the logger writes as 1
 NOISE, CODE = 0.004, 2 / 4096  # of the pressure, of what the logger writes
@@ -59,7 +60,7 @@ def machine():
     """(state, command [V]) -> rate of the state, in SI units."""
     x, volts = ca.SX.sym("x", 8), ca.SX.sym("volts")
     p_a, p_b, stroke, speed, bend, arm, spool, slide = ca.vertsplit(x)
-    a, b = ports_from_pressure(VALVE, spool, (p_a, p_b), LINES, DENSITY, 0.0)
+    a, b = ports_from_pressure(VALVE, spool, (p_a, p_b), LINES, OIL, None)
     force = BENDING * bend + INNER * (speed - arm)
     friction = VISCOUS * speed + DRY * direction(speed, 0.005)
     rate = ca.vertcat(

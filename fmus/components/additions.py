@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from fmus.components import oil, spool_valve
+from fmus.components import oil
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
 from fmus.components.orifice import PressureValve
@@ -124,7 +124,8 @@ class Cushion(Addition):
     def _throttled(self, branch: Branch, left: Scalar) -> Branch:
         flow: Any = branch.flow
         closed, outward = s_curve(1 - left / self.length), ca.fmin(flow, 0)
-        return replace(branch, drop=branch.drop - self.resistance * closed * outward**2)
+        taken = -self.resistance * closed * outward**2
+        return replace(branch, drop=branch.drop + taken, series={Kind.THROTTLE: taken})
 
 
 class Regeneration(Addition):
@@ -143,11 +144,9 @@ class Regeneration(Addition):
         rounding = valve.command_rounding
         opening = ramp(ca.fmin(at.u.command, valve.full_command) - self.command, rounding)
         area = self.area * opening / ramp(valve.full_command - self.command, rounding)
-        square = spool_valve.flow_gain(area, valve.discharge_coefficient, at.p.density) ** 2
 
         def flow(drop: Scalar) -> Scalar:
-            y = square * ca.fmax(drop, 0)
-            return y * spool_valve.turbulent_factor(y, valve.transition_flow)
+            return valve.flow(area, ca.fmax(drop, 0), at.p)
 
         return Circuit({}, {at.name: Branch("rod_pressure", "head_pressure", Kind.CHECK, flow)})
 

@@ -105,10 +105,30 @@ class Density(Group):
 class BulkModulus(Group):
     """Bulk modulus of the oil."""
 
-    bulk_modulus: Scalar = Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7, group="Oil")
+    bulk_modulus: Scalar = Quantity(
+        "Pa", "Bulk modulus of the oil", 1e9, minimum=1e7, group="Oil", warmed=oil.BULK
+    )
 
 
-class Oil(BulkModulus, Density):
+class Liquid(Density):
+    """Density and viscosity of the oil."""
+
+    viscosity: Scalar = Quantity(
+        "Pa.s",
+        "Dynamic viscosity at 60 degC of an oil ISO VG 46, with which all parameters are given",
+        1e-2,
+        minimum=1e-7,
+        group="Oil",
+        warmed=oil.LAMINAR,
+    )
+
+    @property
+    def kinematic_viscosity(self) -> Scalar:
+        """nu [m2/s]."""
+        return self.viscosity / self.density
+
+
+class Oil(oil.Grade, BulkModulus, Liquid):
     """Parameters of the oil."""
 
     def compliance(self, _pressure: Scalar) -> Scalar:
@@ -147,18 +167,6 @@ class Air(AeratedOil):
     def energy_density(self, pressure: Scalar) -> Scalar:
         """e - P^2/(2 beta) [J/m3] at a gauge pressure."""
         return air_energy_density(self, pressure)
-
-
-class Viscosity(Group):
-    """Viscosity of the oil."""
-
-    viscosity: Scalar = Quantity(
-        "Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil", warmed=oil.LAMINAR
-    )
-
-
-class Fluid(Viscosity, AeratedOil):
-    """Parameters of the oil with entrained air and its viscosity."""
 
 
 def _floored(pressure: Scalar) -> tuple[Scalar, Scalar]:

@@ -13,13 +13,13 @@ Signs: a flow is positive from start to end.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from typing import Any, Protocol
 
 from fmus.components import chamber
-from fmus.contract import Scalar
+from fmus.contract import Quantity, Scalar
 
 SUPPLY, TANK, GROUND = "supply", "tank", "ground"  # lines of a drive, and the atmosphere
 
@@ -28,6 +28,7 @@ class Kind(StrEnum):
     """What a branch is, in the words of a legend."""
 
     EDGE = "metering edge"
+    COMPENSATOR = "pressure compensator"
     COLUMN = "oil column with friction"
     RESISTANCE = "resistance"
     LEAKAGE = "leakage"
@@ -35,6 +36,7 @@ class Kind(StrEnum):
     RELIEF = "relief valve"
     ANTI_CAVITATION = "anti-cavitation valve"
     CHECK = "check valve"
+    RETURN = "return line"
     THROTTLE = "throttle"
     COUNTERBALANCE = "counterbalance valve"
     PISTON = "piston"
@@ -46,6 +48,25 @@ class Kind(StrEnum):
     GIVEN = "given pressure"
 
 
+# output of heat: what is heated, and by branches of which kinds; an edge at the supply line is meter-in
+_HEATED: dict[str, tuple[str, tuple[Kind, ...]]] = {
+    "engine_friction_heat": ("friction of the engine", ()),
+    "pump_friction_heat": ("friction of the pumps", ()),
+    "compensator_heat": ("pressure compensator of the {} with its check valve", (Kind.COMPENSATOR,)),
+    "meter_in_heat": ("meter-in edges of the {}", ()),
+    "check_valve_heat": ("check valves of the {}", (Kind.CHECK,)),
+    "hose_heat": ("hoses and lines of the {}", (Kind.COLUMN, Kind.RESISTANCE)),
+    "counterbalance_heat": ("counterbalance valves of the {}", (Kind.COUNTERBALANCE,)),
+    "meter_out_heat": ("meter-out edges of the {}", (Kind.EDGE,)),
+    "throttle_heat": ("throttles of the {}", (Kind.THROTTLE,)),
+    "leakage_heat": ("leakage of the {}, with the case drain", (Kind.LEAKAGE, Kind.DRAIN)),
+    "relief_heat": ("relief valves of the {}", (Kind.RELIEF,)),
+    "make_up_heat": ("anti-cavitation valves of the {}", (Kind.ANTI_CAVITATION,)),
+    "return_line_heat": ("return line", (Kind.RETURN,)),
+    "brake_heat": ("{} brake", ()),
+}
+HEATS = {name: Quantity("W", f"Heat of the {text}", 1e3) for name, (text, _) in _HEATED.items()}
+CAUSES = {kind: name for name, (_, kinds) in _HEATED.items() for kind in kinds}
 # branches whose power is work: the two-ports of the graph, and its ends
 WORK = frozenset({Kind.PISTON, Kind.MOTOR, Kind.PUMP, Kind.CONSUMER, Kind.SOURCE})
 
@@ -103,6 +124,8 @@ class Branch:
     inertance   I [kg/m4] of an oil column, whose flow is a state
     drop        pressure [Pa] that friction takes; default: all between the nodes
     mechanics   of a two-port: symbols of the speed at its mechanical side, and of the damping there
+    series      parts of other kinds in series within the branch: pressure [Pa] that each takes, or a law, the
+                pressure over the flow
     """
 
     start: str
@@ -113,6 +136,7 @@ class Branch:
     inertance: Scalar = None
     drop: Scalar = None
     mechanics: tuple[str, ...] = ()
+    series: Mapping[Kind, Scalar | Callable[[Scalar], Scalar]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -164,6 +188,20 @@ class Circuit:
             for name, b in lossy.items()
         }
 
+    @property
+    def heats(self) -> dict[str, Scalar]:
+        """Power [W] that is dissipated, by the names of `HEATS`."""
+        found: dict[str, Scalar] = {}
+        for name, heat in self.heat().items():
+            b, flow = self.branches[name], self.flows[name]
+            drops = {kind: drop(flow) if callable(drop) else drop for kind, drop in b.series.items()}
+            parts = [(CAUSES[kind], flow * drop) for kind, drop in drops.items()]
+            meter_in = b.kind is Kind.EDGE and SUPPLY in (b.start, b.end)
+            own = "meter_in_heat" if meter_in else CAUSES[b.kind]
+            for cause, power in (*parts, (own, heat - sum(power for _, power in parts))):
+                found[cause] = found.get(cause, 0) + power
+        return found
+
     def work(self, kind: Kind) -> Scalar:
         """Power [W] that all branches of a kind take from the circuit."""
         chosen = {name: b for name, b in self.branches.items() if b.kind is kind}
@@ -193,14 +231,19 @@ class Circuit:
         return sum(node.cavity * chamber.cavity_volume(node.pressure) for node in oil)
 
     def outputs(self) -> dict[str, Scalar]:
-        """Pressures, flows and balances by name."""
+        """Pressures, flows, balances and heats by name."""
+        supplied, returned = -self.into(SUPPLY), self.into(TANK)
+        power = self.nodes[SUPPLY].pressure * supplied - self.nodes[TANK].pressure * returned
+        heats = self.heats
         return {
             **self.pressures,
             **self.flows,
-            "supply_flow": -self.into(SUPPLY),
-            "return_flow": self.into(TANK),
+            **heats,
+            "supply_flow": supplied,
+            "return_flow": returned,
+            "hydraulic_power": power,
             "stored_energy": self.stored_energy,
-            "dissipated_power": sum(self.heat().values()),
+            "dissipated_power": sum(heats.values()),
             "convected_power": self.convected_power,
             "void_volume": self.void_volume,
             "relief_flow": self.through(Kind.RELIEF),

@@ -18,10 +18,11 @@ close it. v = 1 is the usual one of three ports, whose setting rises by 1 + R ti
 valve is the relief valve of a locked chamber as well. Free flow and poppet are in parallel, in series with
 the hose that leads to the valve:
 
-    Q |Q| = K^2 (P_V - P_C)        1/K^2 = 1/(K_y y + K_c h)^2 + C_R        h = step((P_V - P_C - p_c)/p_r)
+    Q |Q| = K^2 (P_V - P_C)        K = K_y y + K_c h        h = step((P_V - P_C - p_c)/p_r)
 
-positive into the cylinder, rounded below the transition flow as in `spool_valve.turbulent_factor`; h opens
-the check valve from its cracking pressure p_c over the range p_r. A laminar leakage is in parallel.
+positive into the cylinder, laminar at small flows as in `orifice.Edge`, in series with the hose as in
+`hose.flow_in_series`; h opens the check valve from its cracking pressure p_c over the range p_r. A laminar
+leakage is in parallel.
 
 T is the lag of the poppet behind its balance, set by the orifice in the pilot line; the poppet's inertia
 (above 100 Hz) and friction (hysteresis, 5 to 15 %) are neglected.
@@ -32,7 +33,9 @@ Experimental Study of Motion Control Using Pressure Feedback, SICFP 2013 (stabil
 
 from dataclasses import dataclass
 
-from fmus.components import oil, spool_valve
+from fmus.components import oil as oils
+from fmus.components.hose import Law, flow_in_series
+from fmus.components.orifice import Edge, Liquid
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp, s_curve
 
@@ -72,7 +75,7 @@ class Counterbalance(Group):
         minimum=100.0,
     )
     leakage: Scalar = Quantity(
-        "m3/(s.Pa)", "Leakage of a closed counterbalance valve", 1e-15, minimum=0.0, warmed=oil.LEAKAGE
+        "m3/(s.Pa)", "Leakage of a closed counterbalance valve", 1e-15, minimum=0.0, warmed=oils.LEAKAGE
     )
 
 
@@ -80,16 +83,14 @@ class Counterbalance(Group):
 class Restriction:
     """What a flow through the valve meets besides the valve itself.
 
-    discharge_coefficient   of poppet and check valve
-    density                 of the oil [kg/m3]
-    resistance              C_R of the hose [Pa.s2/m6]
-    transition_flow         below which the flow is laminar [m3/s]
+    edge   of poppet and check valve
+    hose   friction of the hose
+    oil    density and viscosity
     """
 
-    discharge_coefficient: Scalar
-    density: Scalar
-    resistance: Scalar
-    transition_flow: Scalar
+    edge: Edge
+    hose: Law
+    oil: Liquid
 
 
 def balance(
@@ -105,8 +106,5 @@ def balance(
 def flow(c: Counterbalance, opening: Scalar, around: Restriction, drop: Scalar) -> Scalar:
     """Flow [m3/s] from the line into the chamber at a pressure difference [Pa]."""
     check = s_curve((drop - c.check_pressure) / c.check_range)
-    gain = spool_valve.flow_gain(
-        c.area * opening + c.check_area * check, around.discharge_coefficient, around.density
-    )
-    y = gain**2 * drop / (1 + around.resistance * gain**2)
-    return y * spool_valve.turbulent_factor(y, around.transition_flow) + c.leakage * drop
+    area = c.area * opening + c.check_area * check
+    return flow_in_series(around.edge, area, drop, around.oil, around.hose) + c.leakage * drop

@@ -1,6 +1,7 @@
 """Hoses: parameters derived from length and bore, one lump, and a line of many lumps with friction.
 
-    I = rho l/A     C = A l (1/beta + 1/E_wall)     C_R = C_R0 (l/l_0) (D_0/D)^4.75     R = 128 mu l/(pi D^4)
+    I = rho l/A     C = A l (1/beta + 1/E_wall)     R = 128 mu l/(pi D^4)
+    C_R = C_R0 (l/l_0) (D_0/D)^4.75 (mu/mu_0)^(1/4)                              at the flow Q_0, eq. (10)
 
 **One lump** is valid below the frequency of eq. (3), C0/(2 pi l): 51 Hz for the longest hose.
 
@@ -8,12 +9,12 @@
 
     inlet  I/2N  C/N  I/N  C/N ... I/2N  outlet        sections of I/2 - C - I/2
 
-    w I dQ/dt  = P_in - P_out - w Q sqrt(R^2 + (C_R Q)^2)       w = 1/2N or 1/N
+    w I dQ/dt  = P_in - P_out - w dp(Q)                         w = 1/2N or 1/N, dp of `Friction`
     C_k dP/dt  = Q_in - Q_out        C_k = V/N (kappa(P) + 1/E_wall)
 
-The friction changes from laminar to turbulent at Q = R/C_R, which is Re 2500 for the longest hose. Inputs are
-the pressures at both ends, outputs the flows. Valid below the bandwidth in `lumps_needed`: the T-lumps have
-the exact wave numbers of the line, but their frequencies are too low by the factor sin(t)/t with t = k l/2N.
+Inputs are the pressures at both ends, outputs the flows. Valid below the bandwidth in `lumps_needed`: the
+T-lumps have the exact wave numbers of the line, but their frequencies are too low by the factor sin(t)/t with
+t = k l/2N.
 Friction is that of steady flow, which damps the modes of a hose less than the boundary layer does.
 
 Signs: flows are positive from inlet to outlet; pressures are gauge.
@@ -23,19 +24,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 
-from fmus.components import chamber, oil
-from fmus.components.chamber import Air, Fluid
+from fmus.components import chamber
+from fmus.components import oil as oils
+from fmus.components.chamber import AeratedOil, Air, Oil
 from fmus.components.circuit import Branch, Circuit, Kind, Node
-from fmus.components.spool_valve import turbulent_drop
+from fmus.components.orifice import Edge, Liquid, root
 from fmus.contract import Group, Quantity, Scalar
 
 REFERENCE_LENGTH, REFERENCE_BORE = 4.0, 0.01905  # [m], hose from which all resistances are scaled
+# Q_0 [m3/s] and mu_0 [Pa.s]: the paper states neither. Blasius gives its C_R at 170 L/min with 8 mPa.s
+REFERENCE_FLOW, REFERENCE_VISCOSITY = 170 / 60000, 8e-3
+CRITICAL = 2300  # Reynolds number
+LEAST = 1e-9  # added to |Q|/Q_c, so that its root has a derivative at 0, where s is 0
+ITERATIONS = 1  # of `flow_in_series`
 BANDWIDTH = 75.0  # Hz: highest mode of a line that recordings at the paper's 200 Hz show
 FREQUENCY_ERROR = 0.05  # largest relative error of the frequencies of modes up to BANDWIDTH
 
@@ -52,11 +59,15 @@ class Hose(HoseSize):
 
     resistance: Scalar = Quantity(
         "Pa.s2/m6",
-        "Turbulent resistance C_R of each {}; 0: derived from length and bore, eq. (10)",
+        "Turbulent resistance C_R of each {} at 170 L/min; 0: derived from length and bore, eq. (10)",
         1e10,
         minimum=0.0,
-        warmed=oil.TURBULENT,
+        warmed=oils.TURBULENT,
     )
+
+    def friction(self, oil: Liquid) -> Friction:
+        """Friction of the hose."""
+        return Friction.of(self, self.resistance, oil)
 
 
 class VolumeHose(Hose):
@@ -66,9 +77,14 @@ class VolumeHose(Hose):
         "m3/Pa", "Capacitance of each {}; 0: derived from length, bore and bulk modulus", 1e-12, minimum=0.0
     )
 
-    def node(self, pressure: Scalar, air: Air, symbol: str) -> Node:
+    def at_temperature(self, oil: Oil, temperature: Scalar) -> Scalar:
+        """C [m3/Pa] with the oil at a temperature [K]."""
+        return self.capacitance + warmed_compliance(area(self.bore) * self.length, oil, temperature)
+
+    def node(self, pressure: Scalar, oil: AeratedOil, temperature: Scalar, symbol: str) -> Node:
         """The hose as a volume with air in its oil."""
-        return Node(pressure, symbol, self.capacitance, area(self.bore) * self.length, air)
+        volume, capacitance = area(self.bore) * self.length, self.at_temperature(oil, temperature)
+        return Node(pressure, symbol, capacitance, volume, Air.of(oil))
 
 
 class LumpedHose(VolumeHose):
@@ -79,7 +95,7 @@ class LumpedHose(VolumeHose):
         "Inertance of each {}; 0: derived from length, bore and density",
         1e7,
         minimum=0.0,
-        warmed=oil.DENSITY,
+        warmed=oils.DENSITY,
     )
 
 
@@ -88,7 +104,7 @@ class ReferenceHose(Group):
 
     hose_reference_resistance: Scalar = Quantity(
         "Pa.s2/m6",
-        "C_R of a 3/4 in hose (19.05 mm) of 4 m, from which eq. (10) derives that of the other hoses",
+        "C_R of a 3/4 in hose (19.05 mm) of 4 m at 170 L/min with 8 mPa.s, for eq. (10)",
         1e10,
         minimum=0.0,
         group="Hoses",
@@ -107,28 +123,123 @@ class HoseWall(Group):
     )
 
 
+OIL_VELOCITY = 6.0  # m/s: by the usual rule for the size of hoses under pressure
+
+
+def oil_velocity(text: str) -> Quantity:
+    """Declaration of the velocity of the oil in hoses."""
+    meaning = "hoses of the next size waste less pressure and heat"
+    return Quantity("m/s", text, 1.0, warn_above=OIL_VELOCITY, meaning=meaning)
+
+
+def warmed_compliance(volume: Scalar, oil: Oil, temperature: Scalar) -> Scalar:
+    """V/beta [m3/Pa] of a volume [m3] of oil at a temperature [K], minus that at `oils.REFERENCE`."""
+    return volume * (1 - oils.bulk_modulus_ratio(temperature)) / oil.bulk_modulus
+
+
 def derived_parameters(
-    h: Hose, density: Scalar, bulk_modulus: Scalar, reference_resistance: Scalar, wall_modulus: Scalar
+    h: Hose, oil: Oil, reference_resistance: Scalar, wall_modulus: Scalar
 ) -> dict[str, Scalar]:
     """Parameters of a hose that are derived from its length and bore."""
-    ratios = (h.length / REFERENCE_LENGTH, h.bore / REFERENCE_BORE)
+    ratios = (h.length / REFERENCE_LENGTH, h.bore / REFERENCE_BORE, oil.viscosity / REFERENCE_VISCOSITY)
     parameters = {
         "resistance": scaled_resistance(reference_resistance, *ratios),
-        "capacitance": capacitance(h.length, h.bore, bulk_modulus, wall_modulus),
-        "inertance": inertance(h.length, h.bore, density),
+        "capacitance": capacitance(h.length, h.bore, oil.bulk_modulus, wall_modulus),
+        "inertance": inertance(h.length, h.bore, oil.density),
     }
     return {name: value for name, value in parameters.items() if hasattr(h, name)}
 
 
-def column(
-    start: str, end: str, flow: Scalar, symbol: str, inertance: Scalar, resistance: Scalar, transition: Scalar
-) -> Branch:
-    """The oil column of one lump: I dQ/dt = P_start - P_end - C_R Q |Q|, eq. (9a) with correction E3.
+@dataclass(frozen=True)
+class Friction:
+    """Steady friction of a hose: dp = Q (R + s (T - R)), laminar below and turbulent above Re 2300.
 
-    transition   flow below which it is laminar [m3/s]
+        R = 128 mu l/(pi D^4)        T = C_R (Q_0/|Q|)^(1/4) |Q|        s = 1 - 1/(1 + (Q/Q_c)^8)
+
+    Hagen-Poiseuille and Blasius, with a smooth passage: s is 5 % at Re 1600 and 95 % at 3300.
+
+    laminar      R [Pa.s/m3]
+    turbulent    C_R at the flow Q_0 = `REFERENCE_FLOW` [Pa.s2/m6]
+    critical     Q_c of Re 2300 [m3/s]
     """
-    drop = turbulent_drop(flow, resistance, transition)
+
+    laminar: Scalar
+    turbulent: Scalar
+    critical: Scalar
+
+    @classmethod
+    def of(cls, size: HoseSize, turbulent: Scalar, oil: Liquid) -> Friction:
+        """That of a hose with this C_R."""
+        critical = math.pi / 4 * CRITICAL * size.bore * oil.kinematic_viscosity
+        dynamic = oil.kinematic_viscosity * oil.density
+        return cls(laminar_resistance(size.length, size.bore, dynamic), turbulent, critical)
+
+    def _shares(self, flow: Scalar) -> tuple[Scalar, Scalar]:
+        """s, and sqrt(|Q|/Q_c)."""
+        z = ca.fabs(flow) * (1 / self.critical)
+        power = ((z**2) ** 2) ** 2
+        return power / (1 + power), ca.sqrt(z + LEAST)
+
+    def coefficients(self, flow: Scalar = None) -> tuple[Scalar, Scalar]:
+        """b and a of dp = b Q + a Q |Q| at a flow [m3/s]; without one, R and C_R."""
+        if flow is None:
+            return self.laminar, self.turbulent
+        share, half = self._shares(flow)
+        at_critical = self.turbulent * (REFERENCE_FLOW / self.critical) ** 0.25
+        return (1 - share) * self.laminar, share * at_critical / ca.sqrt(half)
+
+    def drop(self, flow: Scalar) -> Scalar:
+        """Pressure drop [Pa] at a flow [m3/s], with its sign."""
+        share, half = self._shares(flow)
+        scale = self.turbulent * (REFERENCE_FLOW / self.critical) ** 0.25 * self.critical
+        return flow * (self.laminar + share * (scale * half * ca.sqrt(half) - self.laminar))
+
+
+@dataclass(frozen=True)
+class ShortLine:
+    """Steady friction of a short line: dp = R Q + C_R Q |Q|, laminar at any flow if C_R is 0."""
+
+    laminar: Scalar
+    turbulent: Scalar
+
+    def coefficients(self, _: Scalar = None) -> tuple[Scalar, Scalar]:
+        """R and C_R."""
+        return self.laminar, self.turbulent
+
+    def drop(self, flow: Scalar) -> Scalar:
+        """Pressure drop [Pa] at a flow [m3/s], with its sign."""
+        return flow * (self.laminar + self.turbulent * ca.fabs(flow))
+
+
+Law: TypeAlias = Friction | ShortLine
+
+
+def flow_in_series(edge: Edge, area: Scalar, drop: Scalar, oil: Liquid, line: Law) -> Scalar:
+    """Flow [m3/s] through an opening [m2] of a valve and a line, with the sign of the drop [Pa].
+
+    With b and a of the line at a flow Q_k, dp = (C_R + a) Q_{k+1} |Q_{k+1}| + (C_R Q_t + b) Q_{k+1}. This
+    fixed-point iteration is exact where b and a are constant, and gains a digit per step elsewhere.
+    """
+    square, laminar = edge.square(area, oil), edge.transition_flow(area, oil)
+    y = square * drop
+
+    def solved(linear: Scalar, turbulent: Scalar) -> Scalar:
+        return root(y, laminar + square * linear, 1 + square * turbulent)
+
+    flow = solved(*line.coefficients())
+    for _ in range(ITERATIONS if isinstance(line, Friction) else 0):
+        flow = solved(*line.coefficients(flow))
+    return flow
+
+
+def column(start: str, end: str, flow: Scalar, symbol: str, inertance: Scalar, drop: Scalar) -> Branch:
+    """The oil column of one lump: I dQ/dt = P_start - P_end - drop, eq. (9a) with correction E3."""
     return Branch(start, end, Kind.COLUMN, flow, symbol, inertance, drop)
+
+
+def in_series(branch: Branch, line: Law) -> Branch:
+    """A branch whose law contains that of a line in series."""
+    return replace(branch, series={Kind.RESISTANCE: line.drop})
 
 
 def area(diameter: Scalar) -> Scalar:
@@ -149,13 +260,15 @@ def capacitance(
     return volume / bulk_modulus + volume / wall_modulus
 
 
-def scaled_resistance(resistance: Scalar, length_ratio: Scalar, diameter_ratio: Scalar) -> Scalar:
-    """C_R [Pa.s2/m6] of another hose at the same flow, eq. (10): C_R ~ l / D^4.75.
+def scaled_resistance(
+    resistance: Scalar, length_ratio: Scalar, diameter_ratio: Scalar, viscosity_ratio: Scalar = 1
+) -> Scalar:
+    """C_R [Pa.s2/m6] of another hose at the same flow, eq. (10): C_R ~ l mu^(1/4) / D^4.75.
 
-    Blasius: turbulent flow in a smooth pipe, Re 3e3 to 1e5. C_R is valid at one reference flow: the true drop
-    grows as Q^1.75, so C_R falls by 16 % per doubling of Q (E10).
+    Blasius: turbulent flow in a smooth pipe, Re 3e3 to 1e5. The true drop grows as Q^1.75, so C_R is valid at
+    one flow and falls by 16 % per doubling of Q (E10).
     """
-    return resistance * length_ratio / diameter_ratio**4.75
+    return resistance * length_ratio / diameter_ratio**4.75 * viscosity_ratio**0.25
 
 
 def laminar_resistance(length: Scalar, diameter: Scalar, viscosity: Scalar) -> Scalar:
@@ -173,13 +286,13 @@ def frequency_limit(length: Scalar, density: Scalar, bulk_modulus: Scalar) -> Sc
 
 @dataclass(frozen=True)
 class HydraulicLine:
-    """Parameters of a line: length, bore [m], turbulent C_R [Pa.s2/m6], wall modulus [Pa], oil."""
+    """Parameters of a line: length, bore [m], friction, wall modulus [Pa], oil."""
 
     length: Scalar
     bore: Scalar
-    resistance: Scalar
+    friction: Law
     wall_modulus: Scalar
-    fluid: Fluid
+    fluid: AeratedOil
 
     @property
     def volume(self) -> Scalar:
@@ -190,11 +303,6 @@ class HydraulicLine:
     def inertance(self) -> Scalar:
         """I [kg/m4]."""
         return inertance(self.length, self.bore, self.fluid.density)
-
-    @property
-    def laminar_resistance(self) -> Scalar:
-        """R [Pa.s/m3]."""
-        return laminar_resistance(self.length, self.bore, self.fluid.viscosity)
 
 
 @dataclass(frozen=True)
@@ -231,8 +339,7 @@ def ladder(line: HydraulicLine, states: LineStates, x: Any, inlet: str, outlet: 
     parts = zip(states.flows, length_fractions(n), ends, strict=True)
     for k, (name, w, (start, end)) in enumerate(parts, 1):
         q = getattr(x, name)
-        steady = w * q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2)
-        branches[name] = Branch(start, end, Kind.COLUMN, q, f"I_{of}{k}", w * line.inertance, steady)
+        branches[name] = column(start, end, q, f"I_{of}{k}", w * line.inertance, w * line.friction.drop(q))
     return Circuit(nodes, branches)
 
 
@@ -256,7 +363,12 @@ def line_states(ends: Mapping[str, Quantity], inner: str, side: str, line: str, 
 
 
 def lumps_needed(
-    length: float, bore: float, bandwidth: float, error: float, fluid: Fluid, wall_modulus: float = math.inf
+    length: float,
+    bore: float,
+    bandwidth: float,
+    error: float,
+    fluid: AeratedOil,
+    wall_modulus: float = math.inf,
 ) -> int:
     """Number of T-lumps that give every mode up to `bandwidth` [Hz] a relative frequency error <= `error`.
 
@@ -270,9 +382,11 @@ def lumps_needed(
     higher and its error smaller. Air is neglected, although it reduces the wave speed at low pressure.
     """
     modulus = 1 / (1 / fluid.bulk_modulus + 1 / wall_modulus)
-    line = HydraulicLine(length, bore, 0.0, wall_modulus, fluid)
+    line = HydraulicLine(
+        length, bore, ShortLine(laminar_resistance(length, bore, fluid.viscosity), 0.0), wall_modulus, fluid
+    )
     omega = 2 * math.pi * bandwidth
-    viscous_factor = math.hypot(1.0, line.laminar_resistance / (omega * line.inertance))
+    viscous_factor = math.hypot(1.0, line.friction.laminar / (omega * line.inertance))
     phase = omega * length * math.sqrt(fluid.density / modulus * viscous_factor)
     return max(1, math.ceil(phase / (2 * _angle(error)) * (1 - 1e-12)))
 

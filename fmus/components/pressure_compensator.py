@@ -19,9 +19,9 @@ compensator closes: the flow falls when the load rises, by the fraction k/2 per 
 little. D_0 = 100 bar is where q_0 is stated; k D_0 < 1.
 
 No flow comes back: Q >= 0, the check valve opens over `CHECK_ROUNDING`. min is `smooth.lower`, max is the
-`ramp`, sqrt is rounded below the transition flow as in `spool_valve.turbulent_factor`; P_s - P_LS below zero
-counts as zero, rounded over `MARGIN_ROUNDING`. So Q has a continuous derivative everywhere, increases with
-P_s and falls with P. Exact for D above 1 bar, drops that differ by 10 %, and Q above 10 Q_t (0.3 %).
+`ramp`, sqrt is laminar at small flows as in `orifice.Edge`, with the area that passes q_0 at d_0; P_s - P_LS
+below zero counts as zero, rounded over `MARGIN_ROUNDING`. So Q has a continuous derivative everywhere,
+increases with P_s and falls with P. Exact for D above 1 bar and drops that differ by 10 %.
 
 The meter-out edge is an orifice of its own size. In neutral both ports are connected to the tank by a small
 orifice, so that no leakage builds up pressure at the pilots of counterbalance valves; it closes between half
@@ -37,7 +37,9 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fmus.components import opening_curve, spool_valve
+from fmus.components.hose import Law, flow_in_series
 from fmus.components.opening_curve import OpeningCurves
+from fmus.components.orifice import Liquid, root
 from fmus.components.spool_valve import DeadBand, EdgeFlows, EdgeShape, Lines, Pair
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import lower, positive, ramp, s_curve
@@ -90,20 +92,20 @@ def requirements(valve: SectionValve, c: Compensator) -> dict[str, Scalar]:
 class Section:
     """Parameters of one section.
 
-    flow           q_0 [m3/s]
+    flows          q_0 of ports A and B [m3/s]
     return_areas   of the meter-out edges of ports A and B at full command [m2]
     neutral_area   that connects each port to the tank in neutral [m2]
-    density        of the oil [kg/m3]
-    resistance     C_R of a line in series with the meter-out edges [Pa.s2/m6]
+    oil            density and viscosity
+    line           in series with the meter-out edges
     """
 
     valve: SectionValve
     compensator: Compensator
-    flow: Scalar
+    flows: Pair
     return_areas: Pair
     neutral_area: Scalar
-    density: Scalar
-    resistance: Scalar = 0.0
+    oil: Liquid
+    line: Law | None = None
 
     def openings(self, command: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         """Openings [1] (meter-in, meter-out) of the edges of port A and of port B."""
@@ -146,24 +148,20 @@ def metering_drop(
     return ca.fmax(lower(left, regulated), 0), both
 
 
-def _turbulent(square_flow: Scalar, transition_flow: Scalar) -> Scalar:
-    return square_flow * spool_valve.turbulent_factor(square_flow, transition_flow)
-
-
 def section_ports(
     section: Section, command: Scalar, pressures: Pair, lines: Lines
 ) -> tuple[SectionPort, SectionPort]:
     """Ports A and B at a command [V] and their pressures [Pa]; lines with load_sensing_pressure, too."""
-    v, c, tank = section.valve, section.compensator, lines.tank_pressure
-    full_gain = spool_valve.flow_gain(1.0, v.discharge_coefficient, section.density)
+    v, c, tank, oil = section.valve, section.compensator, lines.tank_pressure, section.oil
     ports = []
-    sides = zip(section.openings(command), section.return_areas, pressures, strict=True)
-    for (inward, outward), full_area, p in sides:
+    sides = zip(section.openings(command), section.flows, section.return_areas, pressures, strict=True)
+    for (inward, outward), full, return_area, p in sides:
+        full_area = full / ca.sqrt(v.square(1.0, oil) * c.setting)
         drop, both = metering_drop(c, inward, lines.supply_pressure, lines.load_sensing_pressure, p)
-        to_port = _turbulent((section.flow * inward) ** 2 * drop / c.setting, v.transition_flow)
-        area = full_area * outward + section.neutral_area * section.neutral(command)
-        square = (full_gain * area) ** 2
-        to_tank = _turbulent(square * (p - tank) / (1 + section.resistance * square), v.transition_flow)
+        to_port = root((full * inward) ** 2 * drop / c.setting, v.transition_flow(full_area * inward, oil))
+        area = return_area * outward + section.neutral_area * section.neutral(command)
+        through = (v, area, p - tank, oil)
+        to_tank = flow_in_series(*through, section.line) if section.line else v.flow(*through[1:])
         entering = to_port + v.leakage * both
         leaving = to_tank + v.leakage * (p - tank)
         edges = EdgeFlows(p, entering, leaving, entering - leaving)

@@ -9,6 +9,8 @@ edge B-T is `EdgeFlows.tank` of port B. Two ways to compute them:
     edge_flows_from_flow        from the line flow, a state: lines with inertance
     edge_flows_from_pressure    from the chamber pressure: lines without inertance
 
+Laminar and turbulent flow through an edge: `orifice.Edge`.
+
 The opening of each edge is a straight line over the command behind the dead band (`opening`), or a table of
 its own (`fmus.components.opening_curve`).
 
@@ -36,9 +38,12 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 
-from fmus.components import oil, opening_curve
+from fmus.components import hose, opening_curve
+from fmus.components import oil as oils
 from fmus.components.circuit import SUPPLY, TANK, Branch, Kind
+from fmus.components.hose import Law
 from fmus.components.opening_curve import EDGES, OpeningCurves, StraightOpening
+from fmus.components.orifice import CLOSED, Edge, Liquid
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp
 
@@ -47,25 +52,15 @@ Pair: TypeAlias = tuple[Scalar, Scalar]  # of ports A and B
 Lines: TypeAlias = Any  # with supply_pressure and tank_pressure [Pa], as the inputs of a drive
 
 
-class EdgeShape(Group):
+class EdgeShape(Edge):
     """Parameters of the metering edges of a valve without their areas."""
 
-    discharge_coefficient: Scalar = Quantity(
-        "1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0, group="Valve"
-    )
     full_command: Scalar = Quantity("V", "Command at which the valve is fully open", minimum=0.1)
     command_rounding: Scalar = Quantity(
         "V", "Command range over which the valve begins to open", minimum=1e-3
     )
     leakage: Scalar = Quantity(
-        "m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17, warmed=oil.LEAKAGE
-    )
-    transition_flow: Scalar = Quantity(
-        "m3/s",
-        "Flow below which edges, hoses and lines are laminar",
-        1e-5,
-        minimum=1e-8,
-        warmed=oil.TRANSITION,
+        "m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17, warmed=oils.LEAKAGE
     )
 
 
@@ -175,122 +170,88 @@ def _openings(
     }
 
 
-def flow_gain(area: Scalar, discharge_coefficient: Scalar, density: Scalar) -> Scalar:
-    """C_R^(-1/2) [m3/s/Pa^(1/2)], paper eq. (2): C_R = rho / (2 C_d^2 A^2)."""
-    return discharge_coefficient * area * ca.sqrt(2 / density)
-
-
-def turbulent_drop(flow: Scalar, resistance: Scalar, transition_flow: Scalar) -> Scalar:
-    """Pressure drop [Pa] over C_R [Pa.s2/m6], paper eq. (1): dp = C_R Q |Q|.
-
-    |Q| is rounded to sqrt(Q^2 + Q_t^2), so that the derivative at Q = 0 is C_R Q_t instead of zero: laminar
-    flow. The drop exceeds eq. (1) by less than 0.5 % for |Q| > 10 Q_t.
-    """
-    return resistance * flow * ca.sqrt(flow**2 + transition_flow**2)
-
-
-def turbulent_factor(drop: Scalar, transition_flow: Scalar) -> Scalar:
-    """Q / y [s/m3] of the inverse of `turbulent_drop`, for y = dp / C_R = K^2 dp [m6/s2].
-
-    y = Q sqrt(Q^2 + Q_t^2) is solved by
-
-        Q = y sqrt(c / (1 + sqrt(1 + (c y)^2)))        c = 2 / Q_t^2
-
-    Q is odd and increasing in y. dQ/dy at y = 0 is 1 / Q_t, so dQ/dp of an edge is K^2 / Q_t. No difference
-    of nearly equal values occurs, and the flow through a closed edge (K = 0) is exactly zero.
-    """
-    c = 2 / transition_flow**2
-    return ca.sqrt(c / (1 + ca.sqrt(1 + (c * drop) ** 2)))
-
-
 def edge_flows_from_flow(
-    edges: Edges, line_flow: Scalar, gain_supply: Scalar, gain_tank: Scalar, lines: Lines
+    edges: Edges, line_flow: Scalar, opening_supply: Scalar, opening_tank: Scalar, lines: Lines, oil: Liquid
 ) -> EdgeFlows:
     """Flows of the two edges of a port, supply (meter-in) and tank (meter-out), from the line flow Q.
 
-    Each edge has the conductance G = G_leak + K / sqrt(C_R (Q^2 + Q_t^2)) with K^2 = 1 / C_R,
+    Each edge has the conductance G = G_leak + 1 / (C_R (|Q_e| + Q_t)),
 
-        (P_s - P) G_s = Q + (P - P_t) G_t
+        (P_s - P) G_s = Q + (P - P_t) G_t        Q_e = G_leak (P_s - P_t) + Q, or - Q behind the tank edge
 
-    so an open edge obeys eq. (1), rounded as in `turbulent_drop`, and the flow through a closed edge is
-    exactly G_leak times its pressure difference. At most one edge is open. The turbulent term uses the line
-    flow instead of the edge flow and so neglects the leakage of the closed edge: an error below 0.1 % of the
-    drop for flows above 1000 times that leakage (20 L/min).
+    so an open edge obeys the law of `orifice.Edge`, and the flow through a closed edge is G_leak times its
+    pressure difference. At most one edge is open. Q_e is the flow of the open edge without a drop of its own:
+    more than its flow by twice the leakage of that drop. With |Q| in its place P would rise with Q where the
+    leakage of the closed edge exceeds Q, and the port would have no stable flow.
     """
-    leakage, rounded_flow = edges.leakage, ca.sqrt(line_flow**2 + edges.transition_flow**2)
-    g_supply = leakage + gain_supply**2 / rounded_flow
-    g_tank = leakage + gain_tank**2 / rounded_flow
+    # of the full area, which is a number; the laminar limit at an opening grows with its root
+    square, laminar = edges.square(edges.area, oil), edges.transition_flow(edges.area, oil, 0)
     p_s, p_t = lines.supply_pressure, lines.tank_pressure
-    pressure = (g_supply * p_s + g_tank * p_t - line_flow) / (g_supply + g_tank)
-    return EdgeFlows(pressure, g_supply * (p_s - pressure), g_tank * (pressure - p_t), line_flow)
+    through = edges.leakage * (p_s - p_t) + ca.if_else(opening_tank > 0, -line_flow, line_flow)
+    slowed = ca.fabs(through) + laminar * ca.sqrt(opening_supply + opening_tank + CLOSED / edges.area)
+    g_supply = edges.leakage + square * opening_supply**2 / slowed
+    g_tank = edges.leakage + square * opening_tank**2 / slowed
+    drop = (line_flow + g_tank * (p_s - p_t)) / (g_supply + g_tank)  # P_s - P without their difference
+    from_supply = g_supply * drop
+    return EdgeFlows(p_s - drop, from_supply, from_supply - line_flow, line_flow)
 
 
 def ports_from_flow(
-    valve: CurvedValve, command: Scalar, flows: Pair, lines: Lines, density: Scalar
+    valve: CurvedValve, command: Scalar, flows: Pair, lines: Lines, oil: Liquid
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the line flows [m3/s] out of A and B."""
-    return _ports(valve, edge_openings(valve, command), flows, lines, density)
+    return _ports(valve, edge_openings(valve, command), flows, lines, oil)
 
 
 def _ports(
-    edges: Edges, share: Mapping[str, Scalar], flows: Pair, lines: Lines, density: Scalar
+    edges: Edges, share: Mapping[str, Scalar], flows: Pair, lines: Lines, oil: Liquid
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at the openings [1] of the edges."""
-    full = flow_gain(edges.area, edges.discharge_coefficient, density)
-    gain = {edge: full * opening for edge, opening in share.items()}
     return (
-        edge_flows_from_flow(edges, flows[0], gain["pa"], gain["at"], lines),
-        edge_flows_from_flow(edges, flows[1], gain["pb"], gain["bt"], lines),
+        edge_flows_from_flow(edges, flows[0], share["pa"], share["at"], lines, oil),
+        edge_flows_from_flow(edges, flows[1], share["pb"], share["bt"], lines, oil),
     )
 
 
 def edge_flows_from_pressure(
-    edges: Edges, pressure: Scalar, source: Scalar, from_supply: Scalar, square: Scalar, lines: Lines
+    edges: EdgeShape,
+    pressure: Scalar,
+    source: Scalar,
+    from_supply: Scalar,
+    area: Scalar,
+    lines: Lines,
+    oil: Liquid,
+    line: Law | None = None,
 ) -> EdgeFlows:
-    """Flows of the two edges of a port that leads directly into a chamber at the pressure P.
+    """Flows of the two edges of a port that leads over a line directly into a chamber at the pressure P.
 
     Each edge has the leakage G_leak dp. The open edge, to the supply if `from_supply` and else to the tank,
-    also has the flow Q(K^2 dp) of `turbulent_factor`. At most one edge is open.
+    also has the flow through its opening [m2] and the line in series. At most one edge is open.
 
     source   pressure behind the open edge
-    square   K^2 of the open edge, including the resistance of the line
     """
-    y, leakage, p_s, p_t = (
-        square * (source - pressure),
-        edges.leakage,
-        lines.supply_pressure,
-        lines.tank_pressure,
-    )
-    turbulent = y * turbulent_factor(y, edges.transition_flow)
+    drop, leakage, p_s, p_t = source - pressure, edges.leakage, lines.supply_pressure, lines.tank_pressure
+    through = hose.flow_in_series(edges, area, drop, oil, line) if line else edges.flow(area, drop, oil)
     return EdgeFlows(
         pressure,
-        leakage * (p_s - pressure) + ca.if_else(from_supply, turbulent, 0),
-        leakage * (pressure - p_t) - ca.if_else(from_supply, 0, turbulent),
-        leakage * (p_s + p_t - 2 * pressure) + turbulent,
+        leakage * (p_s - pressure) + ca.if_else(from_supply, through, 0),
+        leakage * (pressure - p_t) - ca.if_else(from_supply, 0, through),
+        leakage * (p_s + p_t - 2 * pressure) + through,
     )
 
 
 def ports_from_pressure(
-    valve: CurvedValve,
-    command: Scalar,
-    pressures: Pair,
-    lines: Lines,
-    density: Scalar,
-    line_resistance: Scalar,
+    valve: CurvedValve, command: Scalar, pressures: Pair, lines: Lines, oil: Liquid, line: Law | None
 ) -> tuple[EdgeFlows, EdgeFlows]:
-    """Both ports at a command [V], from the chamber pressures [Pa]; lines without inertance.
-
-    The line's C_R [Pa.s2/m6] is in series with the open edge: 1 / K_both^2 = 1 / K^2 + C_R.
-    """
-    share, full = edge_openings(valve, command), flow_gain(valve.area, valve.discharge_coefficient, density)
-    squares = ((full * (share["pa"] + share["at"])) ** 2, (full * (share["pb"] + share["bt"])) ** 2)
-    square_a, square_b = (square / (1 + line_resistance * square) for square in squares)
+    """Both ports at a command [V], from the chamber pressures [Pa]; lines without inertance."""
+    share = edge_openings(valve, command)
+    area_a, area_b = (valve.area * (share[x] + share[y]) for x, y in (("pa", "at"), ("pb", "bt")))
     forward, p_s, p_t = command > 0, lines.supply_pressure, lines.tank_pressure
     behind_a = ca.if_else(forward, p_s, p_t)
     behind_b = p_s + p_t - behind_a  # the other of the two
     return (
-        edge_flows_from_pressure(valve, pressures[0], behind_a, forward, square_a, lines),
-        edge_flows_from_pressure(valve, pressures[1], behind_b, 1 - forward, square_b, lines),
+        edge_flows_from_pressure(valve, pressures[0], behind_a, forward, area_a, lines, oil, line),
+        edge_flows_from_pressure(valve, pressures[1], behind_b, 1 - forward, area_b, lines, oil, line),
     )
 
 
@@ -340,7 +301,7 @@ def spool_rates(spool: Spool, x: SpoolState, commanded: Scalar) -> SpoolState:
 
 
 def spool_ports(
-    edges: CurvedEdges, spool: Spool, position: Scalar, flows: Pair, lines: Lines, density: Scalar
+    edges: CurvedEdges, spool: Spool, position: Scalar, flows: Pair, lines: Lines, oil: Liquid
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a spool position [1], from the line flows [m3/s] out of A and B.
 
@@ -351,4 +312,4 @@ def spool_ports(
         edge: StraightOpening(overlap * edges.full_command, *full) for edge, overlap in spool.overlaps.items()
     }
     share = _openings(straight, edges, position * edges.full_command)
-    return _ports(edges, share, flows, lines, density)
+    return _ports(edges, share, flows, lines, oil)

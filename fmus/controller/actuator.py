@@ -25,25 +25,30 @@ import casadi as ca
 from fmus.contract import Scalar
 from fmus.controller import valve
 from fmus.controller.valve import Actuator
-from fmus.smooth import ramp
+from fmus.smooth import direction, ramp
 
+BEND = 0.05  # 1/s: acceleration over speed limit below which a motion counts as steady
 LARGEST_RATE = 2.0  # 1/s: bound of h', far above any rate that a wrong parameter value causes
 
 
 @dataclass(frozen=True)
 class ActuatorCommand:
-    """Valve command [V], h' [1/s] and F_load' [N/s, N.m/s]."""
+    """Command of the spool [V], h' [1/s], F_load' [N/s, N.m/s], and what the spool lacks [V.s].
+
+    missing   position error as a voltage, in motion: positive if the spool lags behind its changes
+    """
 
     command: Scalar
     gain_rate: Scalar
     load_rate: Scalar
+    missing: Scalar
 
 
 def actuator_command(
     name: str,
     a: Actuator,
     pressures: tuple[Scalar, Scalar],
-    speed: Scalar,
+    motion: tuple[Scalar, Scalar],
     error: Scalar,
     x: Any,
     u: Any,
@@ -52,9 +57,10 @@ def actuator_command(
     """The equations above for swing, boom or stick.
 
     pressures   measured, head side (A) and rod side (B) [Pa]
-    speed       v_ref [m/s, rad/s], with its lead
+    motion      v_ref [m/s, rad/s], with its lead, and the rate of the reference speed
     error       e [m, rad]
     """
+    speed, change = motion
     gain, load = getattr(x, f"{name}_gain"), getattr(x, f"{name}_load")  # h, F_load
     loop = "swing" if name == "swing" else "piston"
     position_gain, integral_gain, damping_rate, load_time = (
@@ -68,7 +74,7 @@ def actuator_command(
     commanded = speed + p.feedback * correction
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
     actual = valve.full_speeds(a, *valve.pressures_at_load(a, *pressures, load), *lines)
-    compensated, sections = a.section_flow > 0, valve.section_speeds(a)
+    compensated, sections = a.section_flows[0] > 0, valve.section_speeds(a)
     full = tuple(
         ca.if_else(compensated, w, n + p.feedback * (k - n))
         for w, n, k in zip(sections, nominal, actual, strict=True)
@@ -77,16 +83,18 @@ def actuator_command(
         1 + p.feedback * ca.if_else(compensated, 0, factor - 1)
         for factor in valve.supply_margins(a, load, *lines)
     )
-    opening = valve.opening_for(a, commanded, (full[0], full[1]), p.foot_share, (up, down))
+    opening = valve.opening_for(a, commanded, (full[0], full[1]), (up, down))
     possible = valve.limited(opening)
     excess = (opening - possible) * (full[0] + full[1]) / 2
     slow = p.learning_share * getattr(p, f"{name}_speed_limit")
     weight = speed / (speed**2 + slow**2)
     limit = p.gain_limit
+    volt = (full[0] + full[1]) / 2 / (a.valve.full_command - a.valve.dead_band)  # speed per volt
     rate = (integral_gain * error - excess / p.unwinding_time) * weight
     beyond_limit = ramp(gain - limit, limit / 10) - ramp(-gain - limit, limit / 10)
     return ActuatorCommand(
         command=valve.command(a.valve, possible, p.foot_share),
         gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,
         load_rate=oscillation / load_time,
+        missing=error * weight * speed / volt * direction(change, BEND * getattr(p, f"{name}_speed_limit")),
     )

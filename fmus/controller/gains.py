@@ -2,9 +2,13 @@
 
 from fmus.contract import Group, Quantity, Scalar
 
+HEAD, ROD, ALIKE = " to the head side", " to the rod side", "as to the head side"
 
-def _section_flow(axis: str, group: str = "") -> Quantity:
-    text = f"Flow of the pressure-compensated {axis} section at full command; 0: its valve has no compensator"
+
+def _section_flow(
+    axis: str, group: str = "", side: str = "", zero: str = "its valve has no compensator"
+) -> Quantity:
+    text = f"Flow of the pressure-compensated {axis} section{side} at full command; 0: {zero}"
     return Quantity("m3/s", text, 1e-3, minimum=0.0, group=group)
 
 
@@ -61,6 +65,20 @@ class Gains(Group):
         "s", "Time constant of the filter for the rate of the reference speed", 0.1, minimum=1e-3
     )
     amplifier_time: Scalar = Quantity("s", "Time constant of the valve amplifier", 0.01, minimum=1e-3)
+    hysteresis: Scalar = Quantity(
+        "1",
+        "Hysteresis of the valves at the start, over full command; then it is learned; 0: there is none",
+        0.01,
+        minimum=0.0,
+        maximum=0.5,
+    )
+    hysteresis_limit: Scalar = Quantity(
+        "1", "Largest hysteresis that is learned", 0.1, minimum=1e-3, maximum=0.5
+    )
+    hysteresis_gain: Scalar = _gain("1/s2", "Rate at which the hysteresis is learned, per error", 10.0)
+    reversal: Scalar = Quantity(
+        "V", "Change of a command that counts as a reversal of its valve", 0.1, minimum=1e-3
+    )
     foot_share: Scalar = Quantity(
         "1", "Valve opening below which the step over the dead band is rounded", 1e-3, minimum=1e-5
     )
@@ -112,5 +130,7 @@ class Gains(Group):
         "1/s", "Rate at which the reference returns to the machine beyond that error", minimum=0.0
     )
     swing_section_flow: Scalar = _section_flow("swing", group="Compensated sections")
-    boom_section_flow: Scalar = _section_flow("boom")
-    stick_section_flow: Scalar = _section_flow("stick")
+    boom_section_flow: Scalar = _section_flow("boom", side=HEAD)
+    boom_rod_section_flow: Scalar = _section_flow("boom", side=ROD, zero=ALIKE)
+    stick_section_flow: Scalar = _section_flow("stick", side=HEAD)
+    stick_rod_section_flow: Scalar = _section_flow("stick", side=ROD, zero=ALIKE)

@@ -1,8 +1,9 @@
 """Coordinated control of the tip: from a commanded tip velocity or path to three valve commands.
 
     reference (reference.py) -> speed of each actuator (actuator.py) -> command (valve.py) -> amplifier
+    -> compensation of the play (play.py)
 
-    command' = (target - command)/T        target = lever + m (control - lever),  m' = (engaged - m)/T_blend
+    spool' = (target - spool)/T        target = lever + m (control - lever),  m' = (engaged - m)/T_blend
 
 m is the weight of coordinated control, control the command of the actuator's control law, T `amplifier_time`
 and T_blend `blend_time`.
@@ -25,6 +26,7 @@ from fmus.contract import Scalar, Subsystem, quantities, symbolic
 from fmus.controller import geometry
 from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.gains import Gains
+from fmus.controller.play import Compensation, beyond_limits, learned_rate
 from fmus.controller.reference import Reference, engaged, errors, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
@@ -49,24 +51,25 @@ LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
 
 
 def derive(p: Any) -> dict[str, Scalar]:
-    """Derived parameters of hoses and lines, by the equations of the drives."""
+    """Hoses and lines by the equations of the drives; sections with equal flows to both sides."""
     boom, stick = (
         {f"{n}_{k}": v for k, v in cylinder.derive(own, p).items()}
         for n, own in (("boom", p.boom), ("stick", p.stick))
     )
-    return boom | stick | motor.derive(p.swing, p)
+    rods = {f"{n}_rod_section_flow": getattr(p, f"{n}_section_flow") for n in ("boom", "stick")}
+    return boom | stick | motor.derive(p.swing, p) | rods
 
 
 def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
     """Swing, boom and stick with the pistons at these positions [m]."""
     d, line = p.swing.displacement, p.swing.line
     c, flow, density = line.capacitance, p.swing_section_flow, p.swing_oil.density
-    result = {"swing": Actuator(d, d, c, c, line.turbulent_resistance, p.swing_valve, density, flow)}
-    sections = ((p.boom, p.boom_section_flow), (p.stick, p.stick_section_flow))
-    for name, position, (own, section) in zip(("boom", "stick"), positions, sections, strict=True):
+    result = {"swing": Actuator(d, d, c, c, line.turbulent_resistance, p.swing_valve, density, (flow, flow))}
+    for name, position, own in zip(("boom", "stick"), positions, (p.boom, p.stick), strict=True):
+        sections = getattr(p, f"{name}_section_flow"), getattr(p, f"{name}_rod_section_flow")
         c_head, c_rod = (own.hose.capacitance + v / p.bulk_modulus for v in own.volumes(position))
         (head, rod), resistance = own.areas, own.hose.resistance
-        result[name] = Actuator(head, rod, c_head, c_rod, resistance, p.valve, p.density, section)
+        result[name] = Actuator(head, rod, c_head, c_rod, resistance, p.valve, p.density, sections)
     return result
 
 
@@ -88,8 +91,10 @@ def _actuator_commands(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Actu
         AXES, ref.speeds, (1, boom_arm, stick_arm), errors(x, u, p), strict=True
     ):
         filtered = getattr(x, f"{name}_late_speed")
-        leading = speed + p.lead_time * (speed - filtered) / p.lead_filter_time
-        result[name] = actuator_command(name, driven[name], measured[name], arm * leading, error, x, u, p)
+        change = (speed - filtered) / p.lead_filter_time
+        leading = speed + p.lead_time * change
+        motion = (arm * leading, arm * change)
+        result[name] = actuator_command(name, driven[name], measured[name], motion, error, x, u, p)
     return result
 
 
@@ -103,14 +108,30 @@ def _pressure_use(x: Any, u: Any, p: Any, ref: Reference) -> Scalar:
     return most / ca.fmax(u.supply_pressure, LEAST_SUPPLY)
 
 
-def _command_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]) -> dict[str, Scalar]:
-    def rate(name: str) -> Scalar:
-        full = (p.swing_valve if name == "swing" else p.valve).full_command
-        lever = ca.fmin(ca.fmax(getattr(u, f"{name}_lever"), -full), full)  # range of the amplifier
-        target = lever + x.coordination * (commands[name].command - lever)
-        return (target - getattr(x, f"{name}_command")) / p.amplifier_time
+def _full_command(name: str, p: Any) -> Scalar:
+    return (p.swing_valve if name == "swing" else p.valve).full_command
 
-    return {name: rate(name) for name in AXES}
+
+def _compensation(name: str, x: Any, p: Any) -> Compensation:
+    spool, trailing, half_width = (getattr(x, f"{name}_{n}") for n in ("spool", "trailing", "half_width"))
+    full = _full_command(name, p)
+    return Compensation(spool, trailing, half_width, x.coordination, full, p.reversal)
+
+
+def _valve_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]) -> dict[str, Scalar]:
+    """Rates of the states of the valves, and of the weight of coordinated control."""
+    rates: dict[str, Scalar] = {"coordination": (engaged(u) - x.coordination) / p.blend_time}
+    for name, command in commands.items():
+        full, play = _full_command(name, p), _compensation(name, x, p)
+        lever = ca.fmin(ca.fmax(getattr(u, f"{name}_lever"), -full), full)  # range of the amplifier
+        target = lever + x.coordination * (command.command - lever)
+        learning = ca.if_else(p.hysteresis > 0, p.hysteresis_gain, 0)
+        learned = learned_rate(learning * command.missing)
+        beyond = beyond_limits(play.half_width, full * p.hysteresis_limit / 2)
+        rates[f"{name}_spool"] = (target - play.spool) / p.amplifier_time
+        rates[f"{name}_trailing"] = play.trailing_rate
+        rates[f"{name}_half_width"] = engaged(u) * p.feedback * learned - beyond / p.unwinding_time
+    return rates
 
 
 def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
@@ -118,7 +139,7 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
     on, ref = engaged(u), reference(x, u, p)
     commands = _actuator_commands(x, u, p, ref)
     measured = geometry.tip_velocity(u, p)
-    rates = {f"{n}_command": rate for n, rate in _command_rates(x, u, p, commands).items()}
+    rates = _valve_rates(x, u, p, commands)
     for name, speed, rate in zip(AXES, ref.speeds, ref.rates, strict=True):
         command, gain = commands[name], getattr(x, f"{name}_gain")
         rates[f"reference_{name}"] = rate
@@ -133,17 +154,21 @@ def dynamics(x: Any, u: ControllerInputs, p: Any) -> Any:
     for name, commanded, actual in velocities:
         value = getattr(x, name)
         rates[name] = on * (commanded - value) / p.lever_time + (1 - on) * (actual - value) / p.tracking_time
-    return ControllerState(coordination=(on - x.coordination) / p.blend_time, **rates)
+    return ControllerState(**rates)
 
 
 def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
     """Outputs; commands depend on the state alone."""
     ref = reference(x, u, p)
-    rates = _command_rates(x, u, p, _actuator_commands(x, u, p, ref))
+    rates = _valve_rates(x, u, p, _actuator_commands(x, u, p, ref))
+    plays, weight_rate = {n: _compensation(n, x, p) for n in AXES}, rates["coordination"]
     tip = geometry.tip_position(u, p)
     return ControllerOutputs(
-        **{f"{n}_command": getattr(x, f"{n}_command") for n in AXES},
-        **{f"{n}_command_rate": rate for n, rate in rates.items()},
+        **{f"{n}_command": play.command for n, play in plays.items()},
+        **{
+            f"{n}_command_rate": play.command_rate(rates[f"{n}_spool"], rates[f"{n}_half_width"], weight_rate)
+            for n, play in plays.items()
+        },
         reference_radius=ref.tip.radius,
         reference_height=ref.tip.height,
         reference_angle=ref.tip.angle,
@@ -160,12 +185,13 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
 
 
 def initial(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
-    """Reference angles and loads equal to the measured ones; weight of coordinated control as `engaged`."""
+    """Reference angles and loads as measured; weight of coordinated control as `engaged`; assumed play."""
     pressures = _measured(u)
     (boom, _), (stick, _) = geometry.strokes_and_moment_arms(u, p)
     loads = {f"{n}_load": a.force(*pressures[n]) for n, a in actuators((boom, stick), p).items()}
     angles = {f"reference_{n}": getattr(u, f"{n}_angle") for n in AXES}
-    return angles | loads | {"coordination": engaged(u)}
+    half_widths = {f"{n}_half_width": p.hysteresis * _full_command(n, p) / 2 for n in AXES}
+    return angles | loads | half_widths | {"coordination": engaged(u)}
 
 
 def require(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:

@@ -4,14 +4,14 @@ The controller declares its gains (gains.py). Geometry and hydraulics are those 
 which give their values (`model.controller_tables`).
 """
 
-from fmus.components.chamber import BulkModulus, Density
+from fmus.components.chamber import BulkModulus, Density, Liquid
 from fmus.components.hose import ReferenceHose
 from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 from fmus.controller.gains import Gains
 from fmus.drives import cylinder, motor
 from fmus.manipulator.variables import CylinderMount, ManipulatorParameters, OnColumn
-from fmus.ports import CommandOutputs, Commands
+from fmus.ports import CommandOutputs
 
 AXES = ("swing", "boom", "stick")
 
@@ -35,7 +35,7 @@ class ArmGeometry(Group):
 
 
 class OfMachine(
-    Density,
+    Liquid,
     BulkModulus,
     ReferenceHose,
     ArmGeometry,
@@ -90,12 +90,16 @@ ControllerState = make_group(
         **_per_axis(
             "{}_late_speed", ("rad/s", "rad/s"), "Reference speed of the {axis} joint, filtered", 0.1
         ),
+        **_per_axis("{}_spool", ("V", "V"), "Command that the {axis} spool is to follow", 10.0),
+        **_per_axis(
+            "{}_trailing", ("V", "V"), "That command of the {axis} behind a play of `reversal`", 10.0
+        ),
+        **_per_axis("{}_half_width", ("V", "V"), "Learned half width of the play of the {axis} valve", 0.1),
         "radial_lever": Quantity("m/s", "Commanded radial velocity of the tip, filtered"),
         "vertical_lever": Quantity("m/s", "Commanded vertical velocity of the tip, filtered"),
         "turning_lever": Quantity("rad/s", "Commanded swing speed, filtered"),
         "coordination": Quantity("1", "Weight of coordinated control in the valve commands, 0 to 1"),
     },
-    Commands,  # as states: behind the first-order lag of the amplifier
 )
 
 

@@ -30,6 +30,7 @@ A closed valve blocks the ports, which have no counterbalance valves. The brake 
 command leaves the dead band and the supply has pressure.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -38,7 +39,7 @@ from fmus.components import pressure_compensator as compensator
 from fmus.components.chamber import AeratedOil, Air
 from fmus.components.circuit import Branch, Circuit, Kind, Node
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
-from fmus.components.hose import HoseWall
+from fmus.components.hose import HoseWall, in_series
 from fmus.components.load_sensing import sensed
 from fmus.components.motor import Brake
 from fmus.components.orifice import AntiCavitation, PressureValve, Reliefs
@@ -47,7 +48,7 @@ from fmus.contract import Group, Quantity, Scalar
 from fmus.drives import cylinder as cylinders
 from fmus.drives import motor as motors
 from fmus.drives.cylinder import CHAMBERS, CYLINDER, PORTS
-from fmus.drives.drive import Drive, Fidelity, Model, both, valve_of
+from fmus.drives.drive import Drive, Fidelity, Model, Names, both, valve_of
 from fmus.drives.motor import LINES, MOTOR
 
 
@@ -55,12 +56,22 @@ class Common(AeratedOil, HoseWall, compensator=Compensator):
     """Parameters that all axes share."""
 
 
-class SectionSize(Group):
-    """Size of a section."""
+def _section_flow(side: str = "") -> Quantity:
+    text = f"Flow of the {{}} section{side} at full command"
+    return Quantity("m3/s", text, 1e-3, minimum=1e-6, group="{} section")
 
-    section_flow: Scalar = Quantity(
-        "m3/s", "Flow of the {} section at full command", 1e-3, minimum=1e-6, group="{} section"
-    )
+
+def _edges(
+    section: Section, ports: tuple[compensator.SectionPort, ...], nodes: Names, supply: Scalar
+) -> dict[str, Branch]:
+    """The edges of a section, with compensator and check valve in series, and a line behind meter-out."""
+    made = spool_valve.branches((ports[0].edges, ports[1].edges), nodes)
+    for name, port in zip(("P-A", "P-B"), ports, strict=True):
+        taken = supply - port.edges.pressure - port.metering_drop
+        made[name] = replace(made[name], series={Kind.COMPENSATOR: taken})
+    if section.line:
+        made |= {name: in_series(made[name], section.line) for name in ("A-T", "B-T")}
+    return made
 
 
 # ---- cylinder
@@ -79,9 +90,11 @@ class CylinderCommon(
     )
 
 
-class CylinderDrive(SectionSize, cylinders.VolumeDrive):
+class CylinderDrive(cylinders.VolumeDrive):
     """Cylinder, hoses and section."""
 
+    section_flow: Scalar = _section_flow(" to the head side")
+    rod_section_flow: Scalar = _section_flow(" to the rod side")
     head_return_area: Scalar = Quantity(
         "m2", "Area of the meter-out edge from the head side of the {} at full command", 1e-4, minimum=1e-9
     )
@@ -127,26 +140,33 @@ OPENINGS = CYLINDER.names("counterbalance_opening")
 
 def cylinder_section(own: Any, p: Any) -> Section:
     """Parameters of the section of a cylinder."""
+    flows = (own.section_flow, own.rod_section_flow)
     areas = (own.head_return_area, own.rod_return_area)
-    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, p.neutral_area, p.density)
+    return Section(valve_of(own, p), p.compensator, flows, areas, p.neutral_area, p)
 
 
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
-    section, line, air = cylinder_section(own, p), own.hose, Air.of(p)
+    section, line = cylinder_section(own, p), own.hose
     ports = compensator.section_ports(section, u.command, both(x, PORTS), u)
     edges, valve = (ports[0].edges, ports[1].edges), section.valve
-    around = Restriction(valve.discharge_coefficient, p.density, line.resistance, valve.transition_flow)
+    friction = line.friction(p)
+    around = Restriction(valve, friction, p)
     head, rod = (
         partial(counterbalance_valve.flow, p.counterbalance, getattr(x, opening), around)
         for opening in OPENINGS
     )
     whole = cylinders.ends(x, u, own, p) | Circuit(
-        {n: line.node(getattr(x, n), air, of) for n, of in zip(PORTS, ("C_V1", "C_V2"), strict=True)},
         {
-            **spool_valve.branches(edges, PORTS),
-            **cylinders.reliefs(p.port_relief, p.anti_cavitation, PORTS),
-            "head_flow": Branch("head_valve_pressure", "head_pressure", Kind.COUNTERBALANCE, head, "Q_C1"),
-            "rod_flow": Branch("rod_valve_pressure", "rod_pressure", Kind.COUNTERBALANCE, rod, "Q_C2"),
+            n: line.node(getattr(x, n), p, u.oil_temperature, of)
+            for n, of in zip(PORTS, ("C_V1", "C_V2"), strict=True)
+        },
+        {
+            **_edges(section, ports, PORTS, u.supply_pressure),
+            **cylinders.reliefs(p.port_relief, own, p, PORTS),
+            "head_flow": in_series(
+                Branch(PORTS[0], CHAMBERS[0], Kind.COUNTERBALANCE, head, "Q_C1"), friction
+            ),
+            "rod_flow": in_series(Branch(PORTS[1], CHAMBERS[1], Kind.COUNTERBALANCE, rod, "Q_C2"), friction),
         },
     )
     shown = {
@@ -182,15 +202,15 @@ def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
 # ---- motor
 
 
-class MotorDrive(SectionSize, motors.VolumeDrive, brake=(Brake, "{}")):
+class MotorDrive(motors.VolumeDrive, brake=(Brake, "{}")):
     """Motor, lines, section and brake."""
 
+    section_flow: Scalar = _section_flow()
     return_area: Scalar = Quantity(
         "m2",
         "Area of each meter-out edge of the {} at full command",
         1e-4,
         minimum=1e-9,
-        group="{} section",
     )
 
 
@@ -211,9 +231,8 @@ class MotorOutputs(motors.Signals, SectionOutputs, BrakeState):
 
 def motor_section(own: Any, p: Any) -> Section:
     """Parameters of the section of a motor."""
-    areas = (own.return_area, own.return_area)
-    resistance = own.line.turbulent_resistance
-    return Section(valve_of(own, p), p.compensator, own.section_flow, areas, 0.0, p.density, resistance)
+    flows, areas = (own.section_flow, own.section_flow), (own.return_area, own.return_area)
+    return Section(valve_of(own, p), p.compensator, flows, areas, 0.0, p, own.line.friction(p))
 
 
 def _release(u: Any, own: Any, p: Any) -> Scalar:
@@ -226,7 +245,8 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     section, line, brake = motor_section(own, p), own.line, own.brake
     ports = compensator.section_ports(section, u.command, both(x, LINES), u)
     edges = (ports[0].edges, ports[1].edges)
-    oil = (line.capacitance, hose.area(line.bore) * line.length + own.motor_volume, Air.of(p))
+    volume = hose.area(line.bore) * line.length + own.motor_volume
+    oil = (own.capacitance(p, u.oil_temperature), volume, Air.of(p))
     whole = Circuit(
         {
             **circuit.lines(u),
@@ -234,9 +254,9 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
             "pressure_b": Node(x.pressure_b, "C_2", *oil),
         },
         {
-            **spool_valve.branches(edges, LINES),
+            **_edges(section, ports, LINES, u.supply_pressure),
             **motor.branches(LINES, own.displacement * u.speed, *own.leakage),
-            **motors.reliefs(p),
+            **motors.reliefs(own, p),
         },
     )
     held = brake.hold(x.brake_torque, x.brake_applied, u.speed)
@@ -259,7 +279,9 @@ def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
         "flow_a": edges[0].line,
         "flow_b": edges[1].line,
     }
-    return Drive(whole, sensed(section.valve, u), LINES, effort, rates, shown, held.stored, held.heat)
+    return Drive(
+        whole, sensed(section.valve, u), LINES, effort, rates, shown, held.stored, {"brake_heat": held.heat}
+    )
 
 
 def _motor_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:

@@ -12,6 +12,7 @@ extend the rod; a positive command extends the rod.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from fmus import ports
@@ -20,14 +21,13 @@ from fmus.components.chamber import Oil
 from fmus.components.circuit import GROUND, TANK, Branch, Circuit, Kind, Node
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose, ReferenceHose, VolumeHose
-from fmus.components.oil import OilTemperature
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar
-from fmus.drives.drive import Actuator, Names, Totals, both
+from fmus.drives.drive import Actuator, Names, Totals, both, valve_of
 
 
-class Preload(OilTemperature):
-    """Initial pressure of the drives, and temperature of their oil."""
+class Preload(Group):
+    """Initial pressure of the drives."""
 
     initial_preload: Scalar = Quantity(
         "Pa", "Initial pressure of the unloaded side of a cylinder", 1e6, minimum=1e3, group="Start"
@@ -69,6 +69,7 @@ class Outputs(Group):
     force: Scalar = Quantity("N", "Hydraulic force of the {} cylinder", 1e5)
     force_rate: Scalar = ports.rate_output("{}_force", "N/s", 1e6)
     void_volume: Scalar = chamber.cavity("the {} cylinder")
+    oil_velocity: Scalar = hose.oil_velocity("Velocity of the oil in the hoses of the {}, the higher one")
 
 
 class CylinderTotals(Totals):
@@ -112,7 +113,9 @@ CYLINDER = Actuator(
     outputs=Outputs,
     totals=CylinderTotals,
     common=(Preload, ReferenceHose),
+    hose=lambda own: own.hose,
     terminal=lambda axis: ports.rod(axis, drives=True),
+    power=("force", "velocity"),
 )
 PISTON = ("ẋ", "B")  # speed of a piston, and damping of its seals, which is in the mechanics
 CHAMBERS = CYLINDER.names("pressure")
@@ -139,13 +142,14 @@ def ends(x: Any, u: Any, own: Cylinder, oil: Oil, capacitance: Scalar = 0) -> Ci
     )
 
 
-def reliefs(relief: PressureValve, back: PressureValve, at: Names) -> dict[str, Branch]:
+def reliefs(relief: PressureValve, own: Any, p: Any, at: Names) -> dict[str, Branch]:
     """Relief and anti-cavitation valves at two nodes."""
+    back = partial(p.anti_cavitation.flow, valve_of(own, p), p)
     return {
         "head_relief": Branch(at[0], TANK, Kind.RELIEF, relief.flow, "Q_relief,h"),
         "rod_relief": Branch(at[1], TANK, Kind.RELIEF, relief.flow, "Q_relief,r"),
-        "head_anti_cavitation": Branch(TANK, at[0], Kind.ANTI_CAVITATION, back.flow, "Q_anti,h"),
-        "rod_anti_cavitation": Branch(TANK, at[1], Kind.ANTI_CAVITATION, back.flow, "Q_anti,r"),
+        "head_anti_cavitation": Branch(TANK, at[0], Kind.ANTI_CAVITATION, back, "Q_anti,h"),
+        "rod_anti_cavitation": Branch(TANK, at[1], Kind.ANTI_CAVITATION, back, "Q_anti,r"),
     }
 
 
@@ -175,5 +179,5 @@ def require(u: Any, own: Cylinder, _: object) -> dict[str, Scalar]:
 
 def derive(own: Any, p: Any) -> dict[str, Scalar]:
     """Parameters of the hoses; walls are rigid in variants without a modulus for them."""
-    oil = (p.density, p.bulk_modulus, p.hose_reference_resistance, getattr(p, "hose_wall_modulus", math.inf))
-    return {f"hose_{name}": value for name, value in hose.derived_parameters(own.hose, *oil).items()}
+    of = (p.hose_reference_resistance, getattr(p, "hose_wall_modulus", math.inf))
+    return {f"hose_{name}": value for name, value in hose.derived_parameters(own.hose, p, *of).items()}

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.components import chamber, circuit, hose, load_sensing, motor, opening_curve, spool_valve
-from fmus.components.chamber import Fluid
+from fmus.components.chamber import AeratedOil
 from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import HoseWall, HydraulicLine, LineStates
 from fmus.components.load_sensing import Sensed
@@ -40,7 +40,7 @@ from fmus.drives.motor import MOTOR
 from fmus.parameters import group_of
 
 
-class Common(Fluid, Reliefs, HoseWall, spool=Spool):
+class Common(AeratedOil, Reliefs, HoseWall, spool=Spool):
     """Parameters that all axes share."""
 
 
@@ -135,7 +135,7 @@ class Lines:
         valve, spool, ports = valve_of(own, p), p.spool, self.kind.names("valve_pressure")
         state = SpoolState(x.spool_position, x.spool_speed)
         flows = both(x, self.kind.names(self.kind.ends[0]))
-        found = spool_valve.spool_ports(valve, spool, state.position, flows, u, p.density)
+        found = spool_valve.spool_ports(valve, spool, state.position, flows, u, p)
         nodes = {
             n: Node(port.pressure, of) for n, port, of in zip(ports, found, spool_valve.PORTS, strict=True)
         }
@@ -148,7 +148,7 @@ class Lines:
         rates = spool_valve.spool_rates(spool, state, spool_valve.commanded_position(u.command, full))
         return whole, sensed, {"spool_position": rates.position, "spool_speed": rates.speed}
 
-    def shown(self, x: Any, p: Fluid) -> dict[str, Scalar]:
+    def shown(self, x: Any, p: AeratedOil) -> dict[str, Scalar]:
         """Spool, and the oil in the chambers."""
         moduli = (1 / p.compliance(getattr(x, end)) for end, _ in self.chambers)
         named = dict(zip(self.kind.names("bulk_modulus"), moduli, strict=True))
@@ -158,13 +158,13 @@ class Lines:
 def hose_line(own: Any, p: Any) -> HydraulicLine:
     """Parameters of each of the two hoses of a cylinder."""
     h = own.hose
-    return HydraulicLine(h.length, h.bore, h.resistance, p.hose_wall_modulus, p)
+    return HydraulicLine(h.length, h.bore, h.friction(p), p.hose_wall_modulus, p)
 
 
 def motor_line(own: Any, p: Any) -> HydraulicLine:
     """Parameters of each of the two lines of a motor."""
     line = own.line
-    return HydraulicLine(line.length, line.bore, line.turbulent_resistance, p.hose_wall_modulus, p)
+    return HydraulicLine(line.length, line.bore, line.friction(p), p.hose_wall_modulus, p)
 
 
 def lumps_of(path: Path) -> Callable[[Axis], int]:
@@ -182,7 +182,7 @@ def lumps_of(path: Path) -> Callable[[Axis], int]:
 def _cylinder(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
     supplied, load, rates = lines.supplied(x, u, own, p, hose_line(own, p))
     whole = cylinders.ends(x, u, own, p) | supplied
-    whole |= Circuit({}, cylinders.reliefs(p.relief, p.anti_cavitation, cylinders.CHAMBERS))
+    whole |= Circuit({}, cylinders.reliefs(p.relief, own, p, cylinders.CHAMBERS))
     return Drive(whole, load, cylinders.CHAMBERS, cylinders.force(own), rates, lines.shown(x, p))
 
 
@@ -194,7 +194,7 @@ def _motor(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
             "pressure_a": Node(x.pressure_a, "C_1", 0, own.motor_volume, p),
             "pressure_b": Node(x.pressure_b, "C_2", 0, own.motor_volume, p),
         },
-        {**motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage), **motors.reliefs(p)},
+        {**motor.branches(motors.LINES, own.displacement * u.speed, *own.leakage), **motors.reliefs(own, p)},
     )
     return Drive(whole, load, motors.LINES, motors.torque(own), rates, lines.shown(x, p))
 

@@ -11,13 +11,26 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
+
 from fmus import ports
-from fmus.components import load_sensing
+from fmus.components import hose, load_sensing
 from fmus.components.additions import Addition, Place
-from fmus.components.circuit import Circuit
+from fmus.components.circuit import HEATS, Circuit
+from fmus.components.hose import HoseSize
 from fmus.components.load_sensing import Sensed
 from fmus.components.oil import at_temperature
-from fmus.contract import Group, Quantity, Scalar, Subsystem, Terminal, make_group, nested, quantities
+from fmus.contract import (
+    Group,
+    Quantity,
+    Scalar,
+    Subsystem,
+    Terminal,
+    make_group,
+    nested,
+    quantities,
+    unknown,
+)
 from fmus.ports import LineInputs
 from orchestrator.base.errors import Problem
 
@@ -35,7 +48,9 @@ class Actuator:
     pressures, flows, outputs   variables of an axis in every variant
     totals     outputs of all axes together
     common     parameters that all axes of this kind share
+    hose       one of both hoses or lines, by the parameters of an axis
     terminal   power port, by the name of the axis
+    power      the variables of an axis whose product is its mechanical power
     """
 
     sides: Names
@@ -47,7 +62,9 @@ class Actuator:
     outputs: type[Group]
     totals: type[Group]
     common: tuple[type[Group], ...]
+    hose: Callable[[Any], HoseSize]
     terminal: Callable[[str], Terminal]
+    power: Names
 
     def names(self, of: str) -> Names:
         """Names of a variable of both sides, without that of the axis."""
@@ -102,7 +119,7 @@ class Drive:
     effort    (circuit) -> force or torque, and its rate
     others    rates of the states that are not in the circuit
     shown     outputs that are not in the circuit
-    stored, heat   energy [J] and dissipated power [W] beside the circuit
+    stored, heats   energy [J] and dissipated power [W], by the names of `HEATS`, beside the circuit
     """
 
     circuit: Circuit
@@ -112,7 +129,7 @@ class Drive:
     others: Mapping[str, Scalar] = field(default_factory=dict)
     shown: Mapping[str, Scalar] = field(default_factory=dict)
     stored: Scalar = 0
-    heat: Scalar = 0
+    heats: Mapping[str, Scalar] = field(default_factory=dict)
 
     def rates(self) -> dict[str, Scalar]:
         """Time derivative of the state, by name."""
@@ -120,9 +137,9 @@ class Drive:
 
     def observe(self) -> dict[str, Scalar]:
         """Outputs by name."""
-        known = {**self.circuit.outputs(), **self.effort(self.circuit), **self.shown}
+        known = {**self.circuit.outputs(), **self.effort(self.circuit), **self.shown, **self.heats}
         known["stored_energy"] += self.stored
-        known["dissipated_power"] += self.heat
+        known["dissipated_power"] += sum(self.heats.values())
         return known
 
     def load_pressure(self, u: Any) -> load_sensing.LoadPressure:
@@ -184,6 +201,15 @@ class Totals(Group):
     dissipated_power: Scalar = Quantity("W", "Power dissipated by metering edges, lines and leakage", 1e4)
 
 
+class Powers(Group):
+    """What an axis takes and gives."""
+
+    hydraulic_power: Scalar = Quantity(
+        "W", "Hydraulic power into the {}: pressure times flow, supply minus return", 1e4
+    )
+    mechanical_power: Scalar = Quantity("W", "Mechanical power of the {} on its load", 1e4)
+
+
 SUMMED = ("supply_flow", "return_flow", "stored_energy", "dissipated_power", "convected_power")
 
 
@@ -242,12 +268,25 @@ class _Part:
         """Outputs; forces and torques depend on the state, their rates and the flows also on the inputs."""
         found = [(a, a.drive) for a in self.at(x, u, p)]
         shown = {a.axis: drive.observe() for a, drive in found}
+        for a, _ in found:
+            kind, own = a.axis.actuator, shown[a.axis]
+            effort, motion = kind.power
+            own["mechanical_power"] = own[effort] * getattr(a.u, motion)
+            fastest = ca.fmax(*map(ca.fabs, both(own, kind.names("flow"))))
+            own["oil_velocity"] = fastest / hose.area(kind.hose(a.own).bore)
         load = reduce(load_sensing.highest, (drive.load_pressure(a.u) for a, drive in found))
         known = {f"{self.name}_load_pressure": load.value, f"{self.name}_load_pressure_rate": load.rate}
         known |= {n: sum(own[n] for own in shown.values()) for n in SUMMED}
         for axis, own in shown.items():
             known |= axis.of(own)
         return nested(self.outputs, known)
+
+    def powers(self, *groups: type[Any]) -> dict[Axis, type[Group]]:
+        """Powers of each axis with the heats that it has, from the groups of states, inputs, parameters."""
+        drives = {a.axis: a.drive for a in self.at(*map(unknown, groups))}
+        has = {axis: {*drive.circuit.heats, *drive.heats} for axis, drive in drives.items()}
+        of = {axis: {n: q for n, q in HEATS.items() if n in has[axis]} for axis in has}
+        return {axis: make_group("Powers", heats, Powers) for axis, heats in of.items()}
 
     def circuits(self, x: Any, u: Any, p: Any) -> dict[str, Circuit]:
         """Circuits by axis."""
@@ -294,13 +333,17 @@ def part(
     """The subsystem of a list of axes; the other arguments are those of `Subsystem`."""
     models = {axis: fidelity.model(axis) for axis in axes}
     states = make_group("States", {}, **{axis.name: _states(axis, m) for axis, m in models.items()})
-    of = _Part(name, models, fidelity, states, make_group("Outputs", _outputs(name, models)))
+    inputs = make_group("Inputs", {}, LineInputs, **{axis.name: axis.inputs for axis in axes})
+    parameters = _parameters(models, fidelity)
+    of = _Part(name, models, fidelity, states, Totals)
+    powers = of.powers(states, inputs, parameters)
+    of = replace(of, outputs=make_group("Outputs", _outputs(name, models, powers)))
     return at_temperature(
         Subsystem(
             name=name,
-            parameters=_parameters(models, fidelity),
+            parameters=parameters,
             states=states,
-            inputs=make_group("Inputs", {}, LineInputs, **{axis.name: axis.inputs for axis in axes}),
+            inputs=inputs,
             outputs=of.outputs,
             dynamics=of.dynamics,
             observe=of.observe,
@@ -342,14 +385,16 @@ def _parameters(models: Mapping[Axis, Model], fidelity: Fidelity) -> type[Any]:
     return make_group("Parameters", {}, *dict.fromkeys((*fidelity.common, *kinds)), **parts)
 
 
-def _outputs(name: str, models: Mapping[Axis, Model]) -> dict[str, Quantity]:
-    """Pressures and flows of each axis, then its other outputs, totals, and what this variant adds."""
+def _outputs(
+    name: str, models: Mapping[Axis, Model], powers: Mapping[Axis, type[Group]]
+) -> dict[str, Quantity]:
+    """Pressures and flows of each axis, then its other outputs, totals, what a variant adds, powers."""
     kinds = {axis: axis.actuator for axis in models}
     of_axes = [
         *((axis, group) for axis, kind in kinds.items() for group in (kind.pressures, kind.flows)),
         *((axis, kind.outputs) for axis, kind in kinds.items()),
     ]
-    added = [(axis, m.outputs) for axis, m in models.items() if m.outputs]
+    added = [*((axis, m.outputs) for axis, m in models.items() if m.outputs), *powers.items()]
     totals = {n: q for kind in kinds.values() for n, q in quantities(kind.totals).items()}
 
     def declared(groups: Sequence[tuple[Axis, type[Group]]]) -> dict[str, Quantity]:

@@ -1,9 +1,9 @@
 """Drives at the paper's fidelity: a spool valve, and two lines of one lump each.
 
-    I dQ/dt = P_port - P - C_R Q|Q|           for both lines, with the ports of `spool_valve`
+    I dQ/dt = P_port - P - dp(Q)     for both lines, with the ports of `spool_valve`, dp of `hose.Friction`
 
-Motor: the lines are short, so their friction is laminar, R_line between line and motor port, and C_R is zero
-unless it is identified from measurements. With the motor ports P_1, P_2 of `fmus.components.motor`
+Motor: the lines are short, so their friction is laminar, R_line between line and motor port, and the
+turbulent C_R is zero unless it is measured. With the motor ports P_1, P_2 of `fmus.components.motor`
 
     C dP_a/dt = Q_a - (P_a - P_1) / R_line              C dP_b/dt = Q_b - (P_b - P_2) / R_line
     torque    = D_m N (P_1 - P_2)                       eqs. (8), (9a), corrections E1, E2, E5
@@ -11,12 +11,13 @@ unless it is identified from measurements. With the motor ports P_1, P_2 of `fmu
 The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is required for conservation of power.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 from fmus.components import circuit, motor, spool_valve
-from fmus.components.chamber import Oil, Viscosity
+from fmus.components.chamber import Oil
 from fmus.components.circuit import Circuit, Node
-from fmus.components.hose import column, inertance, laminar_resistance
+from fmus.components.hose import ShortLine, column, inertance, laminar_resistance
 from fmus.components.load_sensing import sensed
 from fmus.components.spool_valve import CurvedValve
 from fmus.contract import Scalar
@@ -36,19 +37,26 @@ class MotorState(motors.Flows, motors.Pressures):
 
 
 def _supplied(
-    kind: Actuator, x: Any, u: Any, own: Any, p: Any, line: tuple[Scalar, Scalar], symbols: Names
+    kind: Actuator,
+    x: Any,
+    u: Any,
+    own: Any,
+    p: Any,
+    inertance: Scalar,
+    drop: Callable[[Scalar], Scalar],
+    symbols: Names,
 ) -> Circuit:
-    """Edges of the valve, and the oil columns to the chambers; line: inertance and C_R."""
+    """Edges of the valve, and the oil columns to the chambers; drop: of a column by its friction."""
     flows, ports, chambers = (kind.names(n) for n in ("flow", "valve_pressure", "pressure"))
     valve, q = valve_of(own, p), both(x, flows)
-    found = spool_valve.ports_from_flow(valve, u.command, q, u, p.density)
+    found = spool_valve.ports_from_flow(valve, u.command, q, u, p)
     columns = zip(flows, ports, chambers, q, symbols, strict=True)
     return Circuit(
         {n: Node(port.pressure, of) for n, port, of in zip(ports, found, spool_valve.PORTS, strict=True)},
         {
             **spool_valve.branches(found, ports),
             **{
-                n: column(start, end, flow, sign, *line, valve.transition_flow)
+                n: column(start, end, flow, sign, inertance, drop(flow))
                 for n, start, end, flow, sign in columns
             },
         },
@@ -56,9 +64,9 @@ def _supplied(
 
 
 def _cylinder(x: Any, u: Any, own: Any, p: Any) -> Drive:
-    line = (own.hose.inertance, own.hose.resistance)
-    supplied = _supplied(CYLINDER, x, u, own, p, line, ("I_1, R_1", "I_2, R_2"))
-    whole = cylinders.ends(x, u, own, p, own.hose.capacitance) | supplied
+    line = (own.hose.inertance, own.hose.friction(p).drop)
+    supplied = _supplied(CYLINDER, x, u, own, p, *line, ("I_1, R_1", "I_2, R_2"))
+    whole = cylinders.ends(x, u, own, p, own.hose.at_temperature(p, u.oil_temperature)) | supplied
     return Drive(whole, sensed(valve_of(own, p), u), cylinders.CHAMBERS, cylinders.force(own))
 
 
@@ -69,11 +77,13 @@ def _cylinder_start(u: Any, own: Any, p: Any) -> dict[str, Scalar]:
 
 def _motor(x: Any, u: Any, own: Any, p: Any) -> Drive:
     line, ports = own.line, MOTOR.names("motor_pressure")
-    supplied = _supplied(MOTOR, x, u, own, p, (line.inertance, line.turbulent_resistance), ("I_1", "I_2"))
+    turbulent = ShortLine(0, line.turbulent_resistance)
+    supplied = _supplied(MOTOR, x, u, own, p, line.inertance, turbulent.drop, ("I_1", "I_2"))
+    capacitance = own.capacitance(p, u.oil_temperature)
     nodes = {
         **circuit.lines(u),
-        "pressure_a": Node(x.pressure_a, "C_1", line.capacitance),
-        "pressure_b": Node(x.pressure_b, "C_2", line.capacitance),
+        "pressure_a": Node(x.pressure_a, "C_1", capacitance),
+        "pressure_b": Node(x.pressure_b, "C_2", capacitance),
     }
     whole = Circuit(nodes, {}) | supplied
     whole |= motor.behind_lines(
@@ -119,7 +129,6 @@ MODELS = {
         drive=_motor,
         initial=_motor_start,
         derive=_motor_lines,
-        common=(Viscosity,),
     ),
 }
 LUMPED = Fidelity(

@@ -8,22 +8,24 @@ above, and so does a positive command.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from fmus import ports
 from fmus.components import chamber, hose
+from fmus.components.chamber import Oil
 from fmus.components.circuit import TANK, Branch, Circuit, Kind
-from fmus.components.hose import HoseSize
-from fmus.components.oil import DENSITY, LAMINAR, TURBULENT, OilTemperature
-from fmus.components.orifice import Reliefs
+from fmus.components.hose import HoseSize, ShortLine
+from fmus.components.oil import DENSITY, LAMINAR, TURBULENT
+from fmus.components.orifice import Liquid
 from fmus.contract import Group, Quantity, Scalar
-from fmus.drives.drive import Actuator, Totals, both
+from fmus.drives.drive import Actuator, Totals, both, valve_of
 
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
 
-class Preload(OilTemperature):
-    """Initial pressure of the drive, and temperature of its oil."""
+class Preload(Group):
+    """Initial pressure of the drive."""
 
     initial_preload: Scalar = Quantity(
         "Pa", "Initial pressure of both lines of the motor", 1e6, minimum=1e3, group="Start"
@@ -34,8 +36,17 @@ class Line(HoseSize):
     """A line of the motor."""
 
     turbulent_resistance: Scalar = Quantity(
-        "Pa.s2/m6", "Turbulent resistance C_R of each {}; 0: laminar", 1e10, minimum=0.0, warmed=TURBULENT
+        "Pa.s2/m6",
+        "Turbulent resistance C_R of each {}, beside the laminar one; 0: laminar",
+        1e10,
+        minimum=0.0,
+        warmed=TURBULENT,
     )
+
+    def friction(self, oil: Liquid) -> ShortLine:
+        """Friction of the line."""
+        dynamic = oil.kinematic_viscosity * oil.density
+        return ShortLine(hose.laminar_resistance(self.length, self.bore, dynamic), self.turbulent_resistance)
 
 
 class VolumeLine(Line):
@@ -106,8 +117,13 @@ class Motor(MotorSize):
 class VolumeDrive(Motor, line=(VolumeLine, "{} line")):
     """Motor and lines without line dynamics."""
 
+    def capacitance(self, oil: Oil, temperature: Scalar) -> Scalar:
+        """C [m3/Pa] of each line with its motor side, with the oil at a temperature [K]."""
+        volume = hose.area(self.line.bore) * self.line.length + self.motor_volume
+        return self.line.capacitance + hose.warmed_compliance(volume, oil, temperature)
 
-class LumpedDrive(Motor, line=(LumpedLine, "{} line")):
+
+class LumpedDrive(VolumeDrive, line=(LumpedLine, "{} line")):
     """Motor and lines, each line one lump."""
 
 
@@ -147,6 +163,7 @@ class Outputs(Group):
     motor_pressure_b: Scalar = chamber.port_pressure("Pressure P_2 at motor port B")
     drain_flow: Scalar = Quantity("m3/s", "Case drain flow of the motor: external leakage", 1e-5)
     void_volume: Scalar = chamber.cavity("the {} lines")
+    oil_velocity: Scalar = hose.oil_velocity("Velocity of the oil in the lines of the {}, the higher one")
 
 
 class Signals(Group):
@@ -168,17 +185,20 @@ MOTOR = Actuator(
     outputs=Outputs,
     totals=Totals,
     common=(Preload,),
+    hose=lambda own: own.line,
     terminal=lambda axis: ports.shaft(axis, drives=True),
+    power=("torque", "speed"),
 )
 LINES = MOTOR.names("pressure")
 
 
-def reliefs(p: Reliefs) -> dict[str, Branch]:
+def reliefs(own: Any, p: Any) -> dict[str, Branch]:
     """Crossover relief valves at the motor, and make-up from the return line."""
+    back = partial(p.anti_cavitation.flow, valve_of(own, p), p)
     return {
         "crossover_relief": Branch(*LINES, Kind.RELIEF, p.relief.cross_flow, "Q_cross"),
-        "anti_cavitation_a": Branch(TANK, LINES[0], Kind.ANTI_CAVITATION, p.anti_cavitation.flow, "Q_anti,a"),
-        "anti_cavitation_b": Branch(TANK, LINES[1], Kind.ANTI_CAVITATION, p.anti_cavitation.flow, "Q_anti,b"),
+        "anti_cavitation_a": Branch(TANK, LINES[0], Kind.ANTI_CAVITATION, back, "Q_anti,a"),
+        "anti_cavitation_b": Branch(TANK, LINES[1], Kind.ANTI_CAVITATION, back, "Q_anti,b"),
     }
 
 

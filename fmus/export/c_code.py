@@ -51,17 +51,22 @@ def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]
     # directions v of states, inputs, parameters; time derivatives du of inputs
     like = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u}
     arguments = {name: ca.SX.sym(name, v.numel()) for name, v in like.items()}
+    is_held = [v.quantity.held for v in interface.inputs]
+    held = column(*(u for u, h in zip(ca.vertsplit(sym.u), is_held, strict=True) if h))
+    moving = column(*(0 if h else d for d, h in zip(ca.vertsplit(arguments["du"]), is_held, strict=True)))
     values = {
         "x0": sym.start,
         "dx": sym.dx,
         "jac": system.entries,
-        "ft": ca.jtimes(sym.dx, sym.u, arguments["du"]),
+        "ft": ca.jtimes(sym.dx, sym.u, moving),
         "y": interface.y,
         "require": sym.require,
         "delay": sym.next_event,
         **directional(sym, interface.y, arguments),
     }
-    values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
+    values, c, prepared = hoist(
+        {name: ca.densify(value) for name, value in values.items()}, ca.vertcat(sym.p, held)
+    )
     model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
     values, arguments["z"], observed = _split_by_inputs(values, model)
     main = [
@@ -75,7 +80,7 @@ def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]
     matrix = {"diagonal": system.diagonal, "jac": system.jac}
     states = {"x": sym.x, "p": sym.p, "c": c}
     others = [
-        Routine("model_prepare", {"p": sym.p}, {"c": prepared}),
+        Routine("model_prepare", {"u": sym.u, "p": sym.p}, {"c": prepared}),
         Routine("model_observe_states", states, {"y": values["y_states"], "z": observed}),
         Routine("model_factorise", matrix, {"lu": system.factors, "accurate": system.accurate}),
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
@@ -270,14 +275,16 @@ def _watched(interface: Interface) -> list[Variable]:
 def _row(inputs: Sequence[str], v: Variable) -> str:
     """The description of a variable in C; limits that it does not have are infinite."""
     q = v.quantity
-    rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
+    is_input = v.kind == "INPUT"
+    rate = inputs.index(q.rate) if is_input and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
     above = q.warn_above if v.watched and q.warn_above is not None else math.inf
     below = q.warn_below if v.watched and q.warn_below is not None else -math.inf
     literals = ", ".join(number(value) for value in (low, high, q.nominal, q.absolute_scale, above, below))
     meaning = string(f": {q.meaning}" if q.meaning else "")
-    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {meaning}}}"
+    held = int(q.held and is_input)
+    return f"{{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}, {held}, {meaning}}}"
 
 
 def string(text: str) -> str:

@@ -323,7 +323,7 @@ def split(values: ca.SX, like: Iterable[ca.SX]) -> list[ca.SX]:
 
 
 def hoist(expressions: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
-    """Replaces subexpressions that depend on the parameters alone by symbols c.
+    """Replaces subexpressions that depend on the parameters p alone by symbols c.
 
     Returns the new expressions, c, and the subexpressions. Those that a call takes as one vector are
     consecutive.

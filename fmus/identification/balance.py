@@ -13,10 +13,13 @@ a filter. With G = de/d(samples of a sensor), sd its noise and z_0 the zeros of 
 
 The zeros are columns of the regression; the limit of a data sheet is two standard deviations of their prior.
 e and its derivatives are taken at the estimated true signals y - z_0 - sd^2 G' S^-1 e, so noise in regressors
-does not bias theta, and squares of the noise hardly do (H. I. Britt and R. H. Luecke, The estimation of
-parameters in nonlinear, implicit models, Technometrics 15, 1973, 233-247). If residuals are k > 1 times the
-noise, only the share 1/k^2 of them is noise. The covariance then is the larger one of k^2 times that by the
-noise and that by the residuals (Newey and West 1987), so that it covers errors of the model.
+does not bias theta (H. I. Britt and R. H. Luecke, The estimation of parameters in nonlinear, implicit models,
+Technometrics 15, 1973, 233-247). A window has far more samples than balances, so most of the noise stays in
+them: the mean of e by its squares, such as a centrifugal torque at rest, is subtracted.
+
+If residuals are k > 1 times the noise, only the share 1/k^2 of them is noise. The covariance then is the
+larger one of k^2 times that by the noise and that by the residuals (Newey and West 1987), so that it covers
+errors of the model.
 """
 
 from __future__ import annotations
@@ -70,12 +73,14 @@ class Law:
     rows       number of equations
     terms      (z, theta, known) -> (f, h), their derivatives by z, and by theta, column by column
     by_known   (z, theta, known) -> derivatives of (f, h) by `known`, column by column
+    by_squares (z, theta, known, sd of z) -> mean of (f, h) at z + sd and z - sd less that at z, sum over z
     """
 
     unknowns: tuple[str, ...]
     rows: int
     terms: ca.Function
     by_known: ca.Function
+    by_squares: ca.Function
 
 
 def law(
@@ -85,12 +90,18 @@ def law(
     both = ca.vertcat(force, ca.SX.zeros(force.shape[0]) if momentum is None else momentum)
     theta = ca.vertcat(*unknowns.values())
     derivatives = [ca.densify(ca.vec(ca.jacobian(both, x))) for x in (z, theta, known)]
-    arguments = [z, theta, known]
+    arguments, sd, slopes = [z, theta, known], ca.SX.sym("sd", z.shape[0]), ca.jacobian(both, z)
+    by_squares = ca.SX(2 * force.shape[0], 1)
+    for c in range(z.shape[0]):
+        if ca.depends_on(slopes[:, c], z[c]):
+            up, down = (ca.substitute(both, z[c], z[c] + sign * sd[c]) for sign in (1, -1))
+            by_squares += (up + down) / 2 - both
     return Law(
         unknowns=tuple(unknowns),
         rows=force.shape[0],
         terms=ca.Function("terms", arguments, [ca.densify(both), *derivatives[:2]]),
         by_known=ca.Function("by_known", arguments, derivatives[2:]),
+        by_squares=ca.Function("by_squares", [*arguments, sd], [ca.densify(by_squares)], {"cse": True}),
     )
 
 
@@ -235,6 +246,17 @@ def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
     return Linear(s.integral(both[:r], both[r:]), s.integral(by_theta[:, :r], by_theta[:, r:]), g)
 
 
+def squares_of_noise(s: Samples, true: Array, theta: Array) -> Array:
+    """Mean of e by the squares of the noise, shape (rows, m).
+
+    A value and a slope of one sensor have no common noise: one filter is even, the other odd.
+    """
+    variance = np.broadcast_to(s.sd**2, true.shape)
+    sds = np.sqrt([np.correlate(variance[sensor], kernel**2, "valid") for sensor, kernel in s.channels])
+    mean, r = s.law.by_squares(s.filtered(true), theta, s.known, sds).full(), s.law.rows
+    return s.integral(mean[:r], mean[r:])
+
+
 def flat(rows: Array) -> Array:
     """Terms (..., rows, m) of e in one order, shape (..., m rows): the rows of each window together."""
     return np.swapaxes(rows, -1, -2).reshape(*rows.shape[:-2], -1)
@@ -274,9 +296,10 @@ def whitened(s: Samples, true: Array, measured: Array, x: Mapping[str, float]) -
     x          all unknowns, then zeros by the names of their sensors
     measured   samples without these zeros
     """
-    linear = linearised(s, true, np.array([x[n] for n in s.names]))
+    theta = np.array([x[n] for n in s.names])
+    linear = linearised(s, true, theta)
     g = s.by_samples(linear.g)
-    e = flat(linear.e) + g @ (measured - true).ravel()
+    e = flat(linear.e - squares_of_noise(s, true, theta)) + g @ (measured - true).ravel()
     lower = sparse.tril(g * np.broadcast_to(s.sd**2, true.shape).ravel() @ g.T).todia()
     bands = np.zeros((1 - lower.offsets.min(), e.size))
     bands[-lower.offsets] = lower.data

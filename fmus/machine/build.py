@@ -18,6 +18,7 @@ from fmus.manipulator import MANIPULATOR
 from fmus.package_files import SUBFOLDERS, data
 from fmus.parameters import ParameterSet, not_shipped, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
+from fmus.valve_actuation import ACTUATION
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import VARIANTS, tell_once, write_whole
 from orchestrator.base.units import doubt
@@ -48,7 +49,8 @@ def build_machine(
     steering = controller_of(parts, parameters)
     # load-sensing supply, the largest, is the last variant: compiled first, it does not keep one core waiting
     whole = composed_machine({name: parts[name] for name in FERIC.subsystems})
-    subs = [*reversed(others), steering, whole, *parts.values()]
+    head = with_parameters(ACTUATION, read(parameters)["parameters"]) if parameters else ACTUATION
+    subs = [*reversed(others), steering, head, whole, *parts.values()]
     names = [sub.name for sub in subs]
     subs = [with_partners(sub) for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
     if not subs:
@@ -74,7 +76,9 @@ def parts_with_parameters(parameters: Path | None = None) -> tuple[dict[str, Sub
     others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
     if parameters is None:
         return dict(FERIC.components), others
-    parameter_set = read_parameter_set(parameters, [*FERIC.components.values(), CONTROLLER, *others])
+    parameter_set = read_parameter_set(
+        parameters, [*FERIC.components.values(), ACTUATION, CONTROLLER, *others]
+    )
     old, new = (
         pose_set(POSES[NOMINAL], m) for m in (MANIPULATOR, with_parameters(MANIPULATOR, parameter_set))
     )

@@ -60,6 +60,7 @@ class Machine:
     parts      part -> variant -> subsystem, the default variant first
     supplies   the same; the machine in one FMU does not contain them
     operator, controller   each gives the commands in a system of its own; the controller also measures
+    actuation  what is between the commands and the valves, in some systems
     shared     parameter -> parts that it describes together
     """
 
@@ -67,6 +68,7 @@ class Machine:
     supplies: Mapping[str, Mapping[str, Subsystem]] = field(default_factory=dict)
     operator: Subsystem | None = None
     controller: Subsystem | None = None
+    actuation: Subsystem | None = None
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -136,6 +138,15 @@ class Machine:
     def operator_wires(self) -> Connections:
         """Connections of the operator."""
         return self._added(self.operator) if self.operator else ()
+
+    def actuated(self, wires: Connections, driver: Subsystem) -> Connections:
+        """The wires of what gives the commands, with the actuation between it and the valves."""
+        if self.actuation is None:
+            return wires
+        valves = self._added(self.actuation)
+        fed = {target for _, target in valves}
+        others = (wire for wire in wires if wire[1] not in fed)
+        return (*others, *plugged((driver, self.actuation)), *valves)
 
     @cached_property
     def controller_wires(self) -> Connections:

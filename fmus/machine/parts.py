@@ -7,6 +7,7 @@ from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
 from fmus.machine.machine import Machine
 from fmus.operator_input.model import OPERATOR
+from fmus.valve_actuation import ACTUATION
 
 
 class Parts(dict[str, Mapping[str, Subsystem]]):
@@ -21,6 +22,7 @@ FERIC = Machine(
     supplies={"supply": supply.VARIANTS},
     operator=OPERATOR,
     controller=CONTROLLER,
+    actuation=ACTUATION,
     # the cylinders press on oil and on the linkage
     shared=dict.fromkeys(("boom_stroke", "stick_stroke"), ("boom_stick", "manipulator")),
 )

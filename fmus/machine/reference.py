@@ -54,6 +54,7 @@ from fmus.monolith import join, simulate
 from fmus.operator_input.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
 from fmus.supply import SUPPLY
+from fmus.valve_actuation import ACTUATION
 from orchestrator.base.files import write_columns, write_whole
 from orchestrator.base.signals import CONSTANT_OF_NOMINAL
 
@@ -85,6 +86,7 @@ def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
     recorded |= {target: recorded[source] for source, target in wires if source in recorded}
     recorded |= {f"controller.{n}": samples for n, samples in experiment_inputs(time).items()}
     recorded |= {f"controller.{n}_lever": recorded[f"operator_input.{n}_command"] for n in AXES}
+    recorded |= {f"{ACTUATION.name}.{n}": commands[n] for n in quantities(ACTUATION.inputs)}
     return {name: samples[::2] for name, samples in (recorded | driven).items()}
 
 
@@ -193,10 +195,10 @@ def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mappin
 
 
 def write_experiments() -> None:
-    """Write the experiments of all variants, operator, controller and composed machine."""
+    """Write the experiments of all variants, operator, actuation, controller and composed machine."""
     empty, loaded = machine_signals(), machine_signals([STEM])
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
-    for sub in (*variants, OPERATOR, CONTROLLER, HARVESTER):
+    for sub in (*variants, OPERATOR, ACTUATION, CONTROLLER, HARVESTER):
         write_reference(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)
 
 

@@ -1,8 +1,10 @@
 """Systems of the machine as SSP files, and which ports of its FMUs belong together.
 
-harvester.ssp           machine, supply and operator; parameter sets: poses, programs
-harvester_control.ssp   machine, supply and controller; parameter sets: poses, starts of paths, and
-                        `compensated`, the section flows that the controller needs with compensated drives
+harvester.ssp            machine, supply and operator; parameter sets: poses, programs, `winter_oil`
+harvester_actuation.ssp  the same with the electrical actuation of the valves
+harvester_control.ssp    machine, supply, actuation and controller; parameter sets: poses, starts of paths,
+                         `compensated`: section flows that the controller needs with compensated drives,
+                         `winter_oil`
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,16 +20,19 @@ from fmus.manipulator import MANIPULATOR
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.supply import SUPPLY
+from fmus.valve_actuation import ACTUATION
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.write import write_ssp
 
-WIRES = FERIC.connections + FERIC.operator_wires + FERIC.supply_wires + FERIC.controller_wires
+ACTUATED = FERIC.actuated(FERIC.operator_wires, OPERATOR)
+CONTROLLED = FERIC.actuated(FERIC.controller_wires, CONTROLLER)
+WIRES = tuple(dict.fromkeys((*FERIC.wires, *ACTUATED, *CONTROLLED)))
 UNPOWERED = (
     "While supply_pressure is 0, no command turns the swing, and each command lets boom or stick sink."
 )
 HELD = (
     "What held inputs cost, as the error of the worst joint speed over 42 s in Ecos, a Jacobi master: with "
-    "rate ports 0.0086 % at a step of 1 ms; without them 0.072 % at 0.1 ms, and at 1 ms the run diverges. "
+    "rate ports 0.0082 % at a step of 1 ms; without them 0.071 % at 0.1 ms, and at 1 ms the run diverges. "
     "Measured by “python docs/rate_ports.py” in the repository of harvester-cosim."
 )
 HELD_COMMAND = (
@@ -36,10 +41,11 @@ HELD_COMMAND = (
 )
 
 
-NAME, CONTROL = "harvester", "harvester_control"
+NAME, ACTUATED_NAME, CONTROL = "harvester", "harvester_actuation", "harvester_control"
 VIEW = Path(__file__).parent / NAME / "view.toml"  # displays and controls of `harvester view`
 COMPENSATED = "compensated"  # variant of the drives, parameter set of the controller
 CONTROL_STOP = 20.0  # s
+WINTER, WINTER_GRADE = "winter_oil", {"oil_viscosity_40": 46e-6, "oil_viscosity_100": 8.2e-6}  # HVLP 46, m2/s
 # some tools initialise in the order of the file, so sources of holding forces and supply pressure are first
 ORDER = ("manipulator", "supply", "boom_stick", "swing")
 
@@ -47,26 +53,29 @@ ORDER = ("manipulator", "supply", "boom_stick", "swing")
 def write_systems(
     folder: Path, fmus: Mapping[str, Path], step: float, manipulator: Subsystem, boom_stick: Subsystem
 ) -> list[Path]:
-    """Write harvester.ssp to `folder`, and harvester_control.ssp if there is an FMU of the controller.
+    """Write the systems to `folder` whose operator or controller, and actuation, have an FMU.
 
     fmus                      .fmu files by component
     step                      communication step [s]
     manipulator, boom_stick   for which poses and start values are calculated
 
-    harvester.ssp has no inputs: Ecos and libcosim reject them, and FMPy delays them by one step. The other
-    machine is at rest without inputs.
+    Those with the operator have no inputs: Ecos and libcosim reject them, and FMPy delays them by one step.
+    The machine with the controller is at rest without inputs.
     """
     poses = controlled_poses(manipulator).items()
     controlled = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
-    operated, own = parameter_sets(manipulator), controlled | {COMPENSATED: section_flows()}
+    own = controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
+    operated = parameter_sets(manipulator)
+    lever, head = (OPERATOR.name,), ACTUATION.name
     systems = (
-        (NAME, OPERATOR, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
-        (CONTROL, CONTROLLER, FERIC.controller_wires, CONTROL_STOP, own, (NOMINAL,)),
+        (NAME, lever, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
+        (ACTUATED_NAME, (*lever, head), ACTUATED, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
+        (CONTROL, (CONTROLLER.name, head), CONTROLLED, CONTROL_STOP, own, (NOMINAL,)),
     )
     return [
         write_ssp(
             assemble(
-                {n: fmus[n] for n in (*ORDER, driver.name)},
+                {n: fmus[n] for n in (*ORDER, *reversed(drivers))},
                 FERIC.connections + wires + FERIC.supply_wires,
                 name=name,
                 stop=stop,
@@ -77,10 +86,10 @@ def write_systems(
             sets=sets,
             bound=bound,
             resources={VIEW.name: VIEW.read_bytes()},
-            columns=((driver.name, "supply"), ("boom_stick", "swing"), ("manipulator",)),
+            columns=((*drivers, "supply"), ("boom_stick", "swing"), ("manipulator",)),
         )
-        for name, driver, wires, stop, sets, bound in systems
-        if driver.name in fmus
+        for name, drivers, wires, stop, sets, bound in systems
+        if fmus.keys() >= {*drivers}
     ]
 
 
@@ -91,21 +100,26 @@ def section_flows() -> dict[str, float]:
     return {f"{CONTROLLER.name}.{n}": v for n, v in flows.items()}
 
 
+def winter_oil() -> dict[str, float]:
+    """Viscosities of a hydraulic oil of index 150, for all parts that contain oil."""
+    return {f"{part}.{n}": v for part in (*DRIVES, SUPPLY.name) for n, v in WINTER_GRADE.items()}
+
+
 def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, float]]:
-    """Parameter sets by name, values by "component.variable": poses, and programs of the operator."""
+    """Parameter sets by name, values by "component.variable": poses, programs of the operator, oil."""
     sets = {name: pose_set(pose, manipulator) for name, pose in POSES.items()}
     for name, moves in PROGRAMS.items():
         sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}
-    return sets
+    return sets | {WINTER: winter_oil()}
 
 
 def wired_ports() -> Iterator[tuple[str, str, str, str, str]]:
-    """FMU, port, other FMU, its port, the rate port in both; without ports that are only rates."""
+    """FMU, port, other FMU, its port, the rate port in both; without rates of the same name in both."""
     for start, end in WIRES:
         (source, output), (target, name) = start.split("."), end.split(".")
         rate = FERIC.rate_of.get(name, "")
         wired = (f"{source}.{rate}", f"{target}.{rate}") in WIRES
-        if name in FERIC.rate_of or name not in FERIC.rate_of.values():
+        if name in FERIC.rate_of or name not in FERIC.rate_of.values() or name != output:
             yield source, output, target, name, rate if wired else ""
 
 

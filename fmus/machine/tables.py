@@ -15,6 +15,7 @@ from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import FAMILIES, FERIC
 from fmus.parameters import SOURCES, Number, complete, numbers, padded, read, row_text, row_value, rows
+from fmus.valve_actuation import ACTUATION
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS, Location
 from orchestrator.fmi.interface import read_interface
@@ -92,7 +93,7 @@ def parameter_rows(
 def _chosen(name: str | None, source: str | None, folder: Path | None) -> tuple[list[Subsystem], str]:
     """The subsystems, and the part of the names of their parameters."""
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
-    by_name = {**FERIC.components, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
+    by_name = {sub.name: sub for sub in (*FERIC.components.values(), ACTUATION, CONTROLLER, *variants)}
     if source is not None and source not in SOURCES:
         hint = suggest(source, SOURCES) or f", expected one of {', '.join(SOURCES)}"
         raise Problem(f"unknown source {source!r}{hint}")

@@ -1,8 +1,8 @@
 """Models of test benches: one component of the machine between a supply and a throttle.
 
 All benches have a supply of constant pressure and a return line whose filter keeps the pressure `RETURN`
-[Pa], so that no pressure is close to zero. Throttles obey eq. (1). Each bench is a small ODE, solved in the
-same way as the machine.
+[Pa], so that no pressure is close to zero. Throttles obey eq. (1) above some 0.1 L/min. Each bench is a small
+ODE, solved in the same way as the machine.
 
 Valve bench: one metering edge at a time; the other port is closed.
 
@@ -19,8 +19,8 @@ line. Only the hose is between the two pairs of instruments.
 
     supply --valve-- (P_in, Q_in) ==hose== (P_out, Q_out) --throttle-- return line
 
-lumped     I dQ/dt = P_in - P_out - C_R Q|Q|, C dP_out/dt = Q - Q_out, as in `fmus.drives.lumped`
-detailed   the line of lumps of `fmus.components.hose`, with elastic wall, air and both kinds of friction
+lumped     I dQ/dt = P_in - P_out - dp(Q), C dP_out/dt = Q - Q_out, as in `fmus.drives.lumped`
+detailed   the line of lumps of `fmus.components.hose`, with elastic wall and air
 
 Motor bench: the swing motor with a locked shaft; pressure reducing valves set both port pressures.
 
@@ -43,6 +43,7 @@ import numpy as np
 from fmus import boom_stick, swing
 from fmus.components import circuit, hose, motor, spool_valve
 from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
+from fmus.components.orifice import root
 from fmus.components.spool_valve import SpoolState
 from fmus.contract import Scalar, column, quantities
 from fmus.drives.cylinder import Flows
@@ -60,6 +61,7 @@ SUPPLY = 20.684e6  # Pa, as in the machine
 RETURN = 0.5e6  # Pa
 LINES = SimpleNamespace(supply_pressure=SUPPLY, tank_pressure=RETURN)
 TOLERANCE = 1e-10  # relative tolerance of CVODES
+LAMINAR = 1e-6  # m3/s, Q_t of a throttle
 
 
 def lumped() -> Any:
@@ -80,14 +82,9 @@ def start_flow(leakage: Scalar) -> Scalar:
     return leakage * (SUPPLY - RETURN)
 
 
-def throttle(start: str, end: str, resistance: float, transition_flow: Scalar) -> Branch:
-    """A throttle C_R [Pa.s2/m6], eq. (1)."""
-
-    def flow(drop: Scalar) -> Scalar:
-        y = drop / resistance
-        return y * spool_valve.turbulent_factor(y, transition_flow)
-
-    return Branch(start, end, Kind.THROTTLE, flow)
+def throttle(start: str, end: str, resistance: float) -> Branch:
+    """A throttle C_R [Pa.s2/m6], eq. (1), laminar at small flows."""
+    return Branch(start, end, Kind.THROTTLE, lambda drop: root(drop / resistance, LAMINAR))
 
 
 def run(states: Start, bench: Bench, time: Array, inputs: Mapping[str, Array]) -> dict[str, Array]:
@@ -138,12 +135,12 @@ class BenchValve:
         rates: ByName = {}
         if self._spool:
             p, state = detailed(), SpoolState(x["position"], x["speed"])
-            ports = spool_valve.spool_ports(p.valve, p.spool, state.position, flows, LINES, p.density)
+            ports = spool_valve.spool_ports(p.valve, p.spool, state.position, flows, LINES, p)
             commanded = spool_valve.commanded_position(command, p.valve.full_command)
             rates = vars(spool_valve.spool_rates(p.spool, state, commanded))
         else:
             p = lumped()
-            ports = spool_valve.ports_from_flow(p.valve, command, flows, LINES, p.density)
+            ports = spool_valve.ports_from_flow(p.valve, command, flows, LINES, p)
         names = (port, "closed port") if at == "A" else ("closed port", port)
         nodes = {name: Node(found.pressure) for name, found in zip(names, ports, strict=True)}
         nodes |= {circuit.SUPPLY: Node(SUPPLY), TANK: Node(RETURN)}
@@ -170,14 +167,14 @@ def _lumped_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Start]
     p, of = lumped(), lumped().stick.hose
 
     def line(x: ByName) -> Circuit:
-        friction = (of.resistance, p.valve.transition_flow)
+        drop = of.friction(p).drop(x["flow_in"])
         return Circuit(
             {"pressure_out": Node(x["pressure_out"], "C", of.capacitance)},
             {
                 "flow_in": hose.column(
-                    *("pressure_in", "pressure_out", x["flow_in"], "I", of.inertance), *friction
+                    *("pressure_in", "pressure_out", x["flow_in"], "I", of.inertance), drop
                 ),
-                "flow_out": throttle("pressure_out", TANK, resistance, p.valve.transition_flow),
+                "flow_out": throttle("pressure_out", TANK, resistance),
             },
         )
 
@@ -192,7 +189,7 @@ def _detailed_hose(resistance: float) -> tuple[Callable[[ByName], Circuit], Star
 
     def line(x: ByName) -> Circuit:
         # without volume, so the flow out of the hose gives the drop of the throttle
-        drop = spool_valve.turbulent_drop(x["flow_out"], resistance, p.valve.transition_flow)
+        drop = resistance * x["flow_out"] * (ca.fabs(x["flow_out"]) + LAMINAR)
         end = Branch("pressure_out", TANK, Kind.THROTTLE, x["flow_out"])
         return hose.ladder(of, states, SimpleNamespace(**x), "pressure_in", "pressure_out") | Circuit(
             {"pressure_out": Node(RETURN + drop)}, {"throttle": end}
@@ -245,7 +242,7 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
     from_supply = edge.startswith("P")
     other_end, start = (TANK, RETURN) if from_supply else (circuit.SUPPLY, SUPPLY)
     fraction = LINE / detailed().stick.hose.length
-    friction = (hose.scaled_resistance(p.stick.hose.resistance, fraction, 1.0), p.valve.transition_flow)
+    friction = p.stick.hose.friction(p)
 
     def bench(x: ByName, u: ByName) -> tuple[Circuit, ByName, ByName]:
         flow = x["flow"]  # out of the port
@@ -253,8 +250,11 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
         whole = of_valve | Circuit(
             {"block": Node(x["block"], "C", BLOCK / p.bulk_modulus)},
             {
-                "flow": hose.column("port", "block", flow, "I", fraction * p.stick.hose.inertance, *friction),
-                "throttle": throttle("block", other_end, VALVE_THROTTLE, p.valve.transition_flow),
+                "flow": hose.column(
+                    *("port", "block", flow, "I", fraction * p.stick.hose.inertance),
+                    fraction * friction.drop(flow),
+                ),
+                "throttle": throttle("block", other_end, VALVE_THROTTLE),
             },
         )
         at_port = whole.pressures["port"]

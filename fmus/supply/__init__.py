@@ -10,6 +10,7 @@ from dataclasses import replace
 from fmus.components.additions import Addition
 from fmus.contract import Subsystem, family, make_group
 from fmus.supply import engine_pump, ideal, load_sensing
+from fmus.supply.rail import with_heats
 from fmus.supply.variables import CONSUMERS, inputs, terminals
 
 NONE: Mapping[str, type[Addition]] = {}
@@ -26,10 +27,12 @@ def supply(
     }
     u, t = inputs(drives), terminals(drives)
     made = {v: replace(sub, inputs=u, terminals=t) for v, sub in variants.items()}
-    for v in ("engine_pump", "load_sensing") if additions else ():
+    for v in ("engine_pump", "load_sensing"):
         sub, states = made[v], {n: a.states for n, a in additions.items() if a.states}
-        parameters = make_group("Parameters", {}, sub.parameters, **additions)
-        made[v] = replace(sub, parameters=parameters, states=make_group("States", {}, sub.states, **states))
+        if additions:
+            parameters = make_group("Parameters", {}, sub.parameters, **additions)
+            sub = replace(sub, parameters=parameters, states=make_group("States", {}, sub.states, **states))
+        made[v] = with_heats(sub)
     return family(name, **made)
 
 

@@ -24,7 +24,7 @@ import casadi as ca
 
 from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import DieselEngine, Pump
-from fmus.contract import Group, Quantity, Scalar, nested, quantities
+from fmus.contract import Group, Quantity, Scalar, nested
 from fmus.supply import rail
 from fmus.supply.rail import Outlet, RailParameters, ShaftOutputs, ShaftState, Supply, TankParameters
 from fmus.supply.variables import line_pressure, variant
@@ -117,7 +117,6 @@ class EnginePumpOutputs(_Pumps, ShaftOutputs):
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
     engine_load: Scalar = Quantity("N.m", "Torque of both pumps on the engine", 100.0)
-    oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
     cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
@@ -125,8 +124,8 @@ class EnginePumpOutputs(_Pumps, ShaftOutputs):
 def _supply(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> Supply:
     (first, second), line = p.pumps, (p.check_resistance, p.pump_line_capacitance)
     pumps = (
-        Outlet("pump_1", rail.viscous(first, x), *line, x.pump_1_pressure, x.pump_1_stroke),
-        Outlet("pump_2", rail.viscous(second, x), *line, x.pump_2_pressure, x.pump_2_stroke),
+        Outlet("pump_1", rail.viscous(first, x, p), *line, x.pump_1_pressure, x.pump_1_stroke),
+        Outlet("pump_2", rail.viscous(second, x, p), *line, x.pump_2_pressure, x.pump_2_stroke),
     )
     return Supply(pumps, u, x, p)
 
@@ -142,12 +141,11 @@ def dynamics(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpS
     return nested(type(x), rates)
 
 
-def observe(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> EnginePumpOutputs:
-    """Outputs."""
+def observe(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:
+    """States, outputs and heats by name."""
     known = _supply(x, u, p).outputs()
     load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
-    known |= {"load_sensing_pressure": load.value, "load_sensing_pressure_rate": load.rate}
-    return EnginePumpOutputs(**{name: known[name] for name in quantities(EnginePumpOutputs)})
+    return known | {"load_sensing_pressure": load.value, "load_sensing_pressure_rate": load.rate}
 
 
 def initial(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> dict[str, Scalar]:

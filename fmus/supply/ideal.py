@@ -67,6 +67,7 @@ def observe(x: IdealState, u: Any, p: IdealParameters) -> SupplyOutputs:
         engine_power=power,
         stored_energy=0,
         dissipated_power=0,
+        oil_temperature=p.oil_temperature_start,
     )
 
 

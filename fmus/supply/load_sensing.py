@@ -44,7 +44,7 @@ from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.circuit import Branch, Kind
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.load_sensing import LoadPressure
-from fmus.contract import Group, Quantity, Scalar, nested, quantities
+from fmus.contract import Group, Quantity, Scalar, nested
 from fmus.smooth import ramp_inverse
 from fmus.supply import rail
 from fmus.supply.rail import (
@@ -159,15 +159,14 @@ class LoadSensingOutputs(ShaftOutputs):
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pump", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
     engine_load: Scalar = Quantity("N.m", "Torque of the pump on the engine", 100.0)
-    oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
     cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
 def _supply(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> Supply:
     line = (p.main_pump.check_resistance, p.main_pump.line_capacitance)
-    pump = rail.viscous(p.pump(x.load_sensing_pressure), x)
-    bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature)
+    pump = rail.viscous(p.pump(x.load_sensing_pressure), x, p)
+    bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature, p)
     leakage = Branch("supply_pressure", RESERVOIR, Kind.LEAKAGE, lambda drop: bleed * drop, "k_l")
     pumps = [Outlet("pump", pump, *line, x.pump_pressure, x.pump_stroke)]
     return Supply(pumps, u, x, p, {"rail_leakage_flow": leakage})
@@ -189,13 +188,12 @@ def dynamics(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensi
     return nested(type(x), rates)
 
 
-def observe(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> LoadSensingOutputs:
-    """Outputs."""
-    known = _supply(x, u, p).outputs() | {
+def observe(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
+    """States, outputs and heats by name."""
+    return _supply(x, u, p).outputs() | {
         "load_sensing_pressure_rate": dynamics(x, u, p).load_sensing_pressure,
         "pressure_margin": x.supply_pressure - x.load_sensing_pressure,
     }
-    return LoadSensingOutputs(**{name: known[name] for name in quantities(LoadSensingOutputs)})
 
 
 def _standby_line(u: Any, p: LoadSensingParameters) -> Scalar:
@@ -222,7 +220,7 @@ def _standby(u: Any, p: LoadSensingParameters, speed: Scalar, engine: DieselEngi
     drop z, so both leakages together are k + k_l (1 - z/dp) per pressure rise dp of the pump.
     """
     tank, pump = p.reservoir_pressure, rail.at_start(p.pump(_standby_line(u, p)), p)
-    bleed = p.rail_leakage / oil.viscosity_ratio(p.oil_temperature_start)
+    bleed = p.rail_leakage / oil.viscosity_ratio(p.oil_temperature_start, p)
     passed: Scalar = 0  # leakage of the supply line per pressure rise of the pump
     for iteration in range(_ITERATIONS):
         leaking = replace(pump, leakage=pump.leakage + passed)

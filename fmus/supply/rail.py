@@ -26,10 +26,10 @@ import casadi as ca
 
 from fmus.components import engine_and_pump, oil
 from fmus.components.additions import Addition, Place
-from fmus.components.circuit import GROUND, Branch, Circuit, Kind, Node
+from fmus.components.circuit import GROUND, HEATS, Branch, Circuit, Kind, Node
 from fmus.components.engine_and_pump import Pump
 from fmus.components.orifice import PressureValve
-from fmus.contract import Group, Quantity, Scalar, flat, quantities
+from fmus.contract import Group, Quantity, Scalar, Subsystem, flat, make_group, nested, quantities, unknown
 from fmus.smooth import unit_limited
 from fmus.supply.variables import CommonParameters, SupplyOutputs, consumers
 
@@ -87,10 +87,7 @@ class TankParameters(CommonParameters):
         "Pa.s/m3", "Resistance of that check valve with filter and cooler", 1e7, minimum=1e3
     )
     return_capacitance: Scalar = Quantity("m3/Pa", "Capacitance of the return line", 1e-10, minimum=1e-13)
-    oil_temperature_start: Scalar = Quantity(
-        "K", "Initial temperature of the oil", 300.0, minimum=243.15, maximum=373.15, group="Heat"
-    )
-    ambient_temperature: Scalar = Quantity("K", "Temperature of the air", 300.0, minimum=223.15)
+    ambient_temperature: Scalar = Quantity("K", "Temperature of the air", 300.0, minimum=223.15, group="Heat")
     heat_capacity: Scalar = Quantity("J/K", "Heat capacity of oil, tank and lines", 1e5, minimum=1e3)
     tank_conductance: Scalar = Quantity(
         "W/K", "Heat to the air per kelvin, from tank, lines and cylinders", 100.0, minimum=0.0
@@ -110,13 +107,20 @@ class ShaftState(Group):
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_fuel_torque: Scalar = Quantity("N.m", "Torque of the injected fuel if all of it burns", 100.0)
     tank_pressure: Scalar = replace(quantities(SupplyOutputs)["tank_pressure"], absolute=1e6)
-    oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
+    oil_temperature: Scalar = quantities(SupplyOutputs)["oil_temperature"]
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
 class ShaftOutputs(SupplyOutputs):
-    """Outputs of every variant, and two that are zero while the engine is in its range."""
+    """Outputs of every variant, viscosity, and two that are zero while the engine is in its range."""
 
+    oil_viscosity: Scalar = Quantity(
+        "m2/s",
+        "Kinematic viscosity of the oil in the tank",
+        1e-5,
+        warn_above=1e-3,
+        meaning="pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only",
+    )
     engine_speed_below_idle: Scalar = Quantity(
         "rad/s", "Speed that the engine lacks to its idle speed, else zero", 100.0, warn_above=0.0
     )
@@ -164,9 +168,9 @@ class Outlet:
         )
 
 
-def viscous(pump: Pump, x: ShaftState) -> Pump:
+def viscous(pump: Pump, x: ShaftState, p: TankParameters) -> Pump:
     """A pump with the oil at its temperature."""
-    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature))
+    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature, p))
 
 
 @dataclass(frozen=True)
@@ -193,7 +197,7 @@ class Supply:
             {
                 **consumers(self.u),
                 "relief_flow": Branch("supply_pressure", RESERVOIR, Kind.RELIEF, p.relief.flow, "Q_relief"),
-                "return_check": Branch("tank_pressure", RESERVOIR, Kind.CHECK, self._into_tank, "R_b"),
+                "return_check": Branch("tank_pressure", RESERVOIR, Kind.RETURN, self._into_tank, "R_b"),
                 **self.branches,
             },
         )
@@ -224,12 +228,18 @@ class Supply:
         burning = engine_and_pump.burning_share(self.p.engine, self.x.engine_speed)
         return burning * self.x.engine_fuel_torque
 
+    @cached_property
+    def heats(self) -> dict[str, Scalar]:
+        """Heat [W] by cause."""
+        w = self.x.engine_speed
+        pumps = sum(engine_and_pump.pump_friction(o.pump, w, self._rise(o)) * w for o in self.pumps)
+        engine = engine_and_pump.engine_friction(self.p.engine, w) * w
+        return {**self.circuit.heats, "pump_friction_heat": pumps, "engine_friction_heat": engine}
+
     @property
     def oil_heat(self) -> Scalar:
         """Heat [W] of all losses but those of the engine."""
-        w = self.x.engine_speed
-        friction = (engine_and_pump.pump_friction(o.pump, w, self._rise(o)) * w for o in self.pumps)
-        return sum(self.circuit.heat().values()) + sum(friction)
+        return sum(heat for cause, heat in self.heats.items() if not cause.startswith("engine"))
 
     @property
     def cooling_power(self) -> Scalar:
@@ -253,11 +263,11 @@ class Supply:
     def outputs(self) -> dict[str, Scalar]:
         """States and outputs by name."""
         x, p, w = self.x, self.p, self.x.engine_speed
-        engine_heat = engine_and_pump.engine_friction(p.engine, w) * w
         rotation = p.engine.inertia * w**2 / 2
         return {
             **flat(x),
             **self.circuit.flows,
+            "oil_viscosity": oil.kinematic_viscosity(x.oil_temperature, p),
             "supply_pressure_rate": self.circuit.rates["supply_pressure"],
             "tank_pressure_rate": self.circuit.rates["tank_pressure"],
             "hydraulic_power": self.circuit.work(Kind.CONSUMER),
@@ -269,9 +279,18 @@ class Supply:
             "stored_energy": self.circuit.stored_energy
             + rotation
             + p.reservoir_pressure * x.reservoir_volume,
-            "dissipated_power": self.oil_heat + engine_heat,
+            **self.heats,
+            "dissipated_power": sum(self.heats.values()),
             "cooling_power": self.cooling_power,
         }
+
+
+def with_heats(sub: Subsystem) -> Subsystem:
+    """The subsystem with an output for each heat that it has; its `observe` gives all by name."""
+    known = sub.observe(*map(unknown, (sub.states, sub.inputs, sub.parameters)))
+    heats = {n: q.of("supply", str) for n, q in HEATS.items() if n in known}
+    outputs = make_group("Outputs", heats, sub.outputs)
+    return replace(sub, outputs=outputs, observe=lambda x, u, p: nested(outputs, sub.observe(x, u, p)))
 
 
 def additions(p: Any) -> list[tuple[str, Addition]]:
@@ -296,7 +315,7 @@ def return_pressure(p: Any) -> Scalar:
 
 def at_start(pump: Pump, p: TankParameters) -> Pump:
     """A pump at the initial temperature of the oil."""
-    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(p.oil_temperature_start))
+    return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(p.oil_temperature_start, p))
 
 
 def engine_requirements(p: Any, idle_load: Scalar, pumps: str) -> dict[str, Scalar]:

@@ -11,16 +11,20 @@ from fmus import ports
 from fmus.components.chamber import ATMOSPHERE
 from fmus.components.circuit import GROUND, Branch, Kind
 from fmus.components.load_sensing import LoadPressure, highest, relieved
+from fmus.components.oil import Grade
 from fmus.contract import Group, Quantity, Scalar, Subsystem, Terminal, make_group
 
 CONSUMERS = ("swing", "boom_stick")
 
 
-class CommonParameters(Group):
-    """Parameters of every variant: tank, relief valve of the load-sensing line."""
+class CommonParameters(Grade):
+    """Parameters of every variant: tank, oil, relief valve of the load-sensing line."""
 
     reservoir_pressure: Scalar = Quantity(
         "Pa", "Pressure in the tank and in the return lines", 1e5, minimum=-ATMOSPHERE, group="Tank"
+    )
+    oil_temperature_start: Scalar = Quantity(
+        "K", "Initial temperature of the oil", 300.0, minimum=243.15, maximum=373.15, group="Oil"
     )
     load_sensing_relief_difference: Scalar = Quantity(
         "Pa",
@@ -75,6 +79,7 @@ class SupplyOutputs(Group):
     engine_power: Scalar = Quantity("W", "Input power: from the combustion, or from the ideal source", 1e4)
     stored_energy: Scalar = Quantity("J", "Energy of oil compression, rotation and oil in the tank", 1e3)
     dissipated_power: Scalar = Quantity("W", "Power dissipated by friction, leakage and throttling", 1e4)
+    oil_temperature: Scalar = ports.oil_temperature("Temperature of the oil in the tank")
 
 
 def supply_flow(u: Any) -> Scalar:

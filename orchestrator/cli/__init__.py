@@ -11,6 +11,7 @@ COMMANDS = (  # in the order of the help
     *("build", "modelica", "variants", "parameters", "signals", "check", "run", "validate", "compare"),
     *(
         "plot",
+        "energy",
         "reference",
         "convergence",
         "rig",
@@ -25,7 +26,7 @@ COMMANDS = (  # in the order of the help
 )
 FILES = {  # of commands in files of another name
     **dict.fromkeys(("variants", "parameters", "signals"), "lists"),
-    **dict.fromkeys(("validate", "compare", "plot"), "results"),
+    **dict.fromkeys(("validate", "compare", "plot", "energy"), "results"),
     **dict.fromkeys(("reference", "linearize"), "run"),
     **dict.fromkeys(("convergence", "track", "sweep"), "studies"),
     **{"rig": "identify", "describe": "identify", "page": "view"},

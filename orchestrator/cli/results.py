@@ -1,16 +1,21 @@
-"""`harvester validate`, `compare` and `plot`: judge, compare and draw the results of runs."""
+"""`harvester validate`, `compare`, `plot` and `energy`: judge, compare and draw the results of runs."""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import TYPE_CHECKING, Annotated, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_whole
 from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, Time, command, system_file
 from orchestrator.engine.arguments import DEFAULT_ACCURACY, CoupledArguments
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from orchestrator.results.comparison import Run
 
 
 @command
@@ -123,17 +128,9 @@ def plot(
     stop      End of the time window [s]; default: all.
     out       File of the picture (.png, .svg, .pdf); default: a window, or build/plot.png without a display.
     """
-    from orchestrator.base.files import make_folder
-    from orchestrator.engine.result import newest_trace
-    from orchestrator.pages.plotting import pdf, png, show, svg
-    from orchestrator.results.comparison import read_runs
+    from orchestrator.pages.plotting import show
 
-    if out is not None and out.suffix.lower() not in FORMATS:
-        raise Problem(f"--out {out}: expected a file name ending in .png, .svg or .pdf")
-    newest = None if files else newest_trace(BUILD)
-    if not (chosen := files or ([newest] if newest else [])):
-        raise Problem(f"{BUILD}: expected the trace of a run, got none; make one with: harvester run")
-    first, *others = read_runs(chosen)
+    chosen, (first, *others) = _runs(files, out)
     title = ", ".join(run.label for run in (first, *others))
     names = first.trace.window(start, stop).chosen(signals or ())
     beside = {run.label: run.trace for run in others}
@@ -144,8 +141,61 @@ def plot(
     print(f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}{more}")
     if out is None and show(figure, title):
         return
-    picture = out or BUILD / "plot.png"
+    picture = _write(figure, out or BUILD / "plot.png")
+    print(f"{'' if out else 'no display for a window; '}picture: {picture}")
+
+
+@command
+def energy(
+    runs: Annotated[list[Path] | None, Kind("RUN...", positional=True)] = None,
+    start: Time = None,
+    stop: Time = None,
+    out: File | None = None,
+    json: bool = False,
+) -> None:
+    """Show where the energy of a run went: heat of each function by cause, pump, engine, load.
+
+    Several runs stand side by side, with differences from the first one.
+
+    runs    Traces of runs of a machine (.csv, .parquet, .mat); default: the newest trace in build.
+    start   Start of the time window [s], such as that of a cycle; default: all.
+    stop    End of the time window [s]; default: all.
+    out     File of the picture (.png, .svg, .pdf); default: build/energy.png.
+    json    Print the energies [J] as JSON, without a picture.
+    """
+    from json import dumps
+
+    from orchestrator.results.energy import draw, energy, table
+
+    _, chosen = _runs(runs, out)
+    found = {r.label: energy(r.trace.window(start, stop), r.file or r.label) for r in chosen}
+    if json:
+        print(dumps({label: e.data() for label, e in found.items()}, indent=1))
+        return
+    unreliable = [f"{r.label}: {told}" for r in chosen if r.metadata for told in r.metadata.unreliable]
+    print("\n".join([*unreliable, *table(found).lines()]))
+    print(f"\npicture: {_write(draw(found), out or BUILD / 'energy.png')}")
+
+
+def _runs(files: list[Path] | None, out: Path | None) -> tuple[list[Path], list[Run]]:
+    """The files and their runs, else the newest run in build; refuses a picture of another format."""
+    from orchestrator.engine.result import newest_trace
+    from orchestrator.results.comparison import read_runs
+
+    if out is not None and out.suffix.lower() not in FORMATS:
+        raise Problem(f"--out {out}: expected a file name ending in .png, .svg or .pdf")
+    newest = None if files else newest_trace(BUILD)
+    if not (chosen := files or ([newest] if newest else [])):
+        raise Problem(f"{BUILD}: expected the trace of a run, got none; make one with: harvester run")
+    return chosen, read_runs(chosen)
+
+
+def _write(figure: Figure, picture: Path) -> Path:
+    """Write a picture in the format of its name."""
+    from orchestrator.base.files import make_folder
+    from orchestrator.pages.plotting import pdf, png, svg
+
     make_folder(picture.parent)
     drawn = {".svg": lambda: svg(figure, transparent=False).encode(), ".pdf": lambda: pdf(figure)}
     write_whole(picture, drawn.get(picture.suffix.lower(), lambda: png(figure))())
-    print(f"{'' if out else 'no display for a window; '}picture: {picture}")
+    return picture

@@ -371,6 +371,7 @@ class CouplingInputs:
         inputs = (*self._connections, *self.driven)
         moving = self._varied.union(self.driven, self.rate_wires)
         held = {p for p in inputs if p not in moving or not slaves[p.component].input_degree(p.variable, 1)}
+        held -= {p for p in held if p.variable in slaves[p.component].interface.model.held_inputs}
         for name, slave in slaves.items():
             ports = [p for p in sources if p.component == name and not self._depends_on_held(p, held)]
             given = set(slave.outputs_with_derivatives([p.variable for p in ports]) if ports else ())

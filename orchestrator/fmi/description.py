@@ -310,6 +310,7 @@ class ModelDescription(Entry):
     categories      log categories
     input_rates     input -> input that is its time derivative, from this project's annotation in FMI 2.0
     optional_inputs input -> what it means if nothing feeds it, from this project's annotation
+    held_inputs     inputs that the FMU takes as constant in a step, from this project's annotation
     parameter_sets  files of parameters that the FMU was built with, from this project's annotation
     """
 
@@ -324,6 +325,7 @@ class ModelDescription(Entry):
     categories: tuple[str, ...] = ()
     input_rates: Mapping[str, str] = field(default_factory=dict)
     optional_inputs: Mapping[str, str] = field(default_factory=dict)
+    held_inputs: frozenset[str] = frozenset()
     parameter_sets: tuple[ParameterSetFile, ...] = ()
 
     @cached_property
@@ -415,9 +417,9 @@ def read_description(root: Element | None, major: int) -> ModelDescription:
         entries = children(root, "ModelStructure", *path) if path else ()
         structure[section] = tuple(_unknown(e, "/".join(path), by_key, major) for e in entries)
     annotation = root.find(OWN_ANNOTATION[major - 2])
-    rates, optional = (
+    rates, optional, held = (
         () if annotation is None else annotation.iterfind(f".//{name}")
-        for name in ("InputDerivative", "OptionalInput")
+        for name in ("InputDerivative", "OptionalInput", "HeldInput")
     )
     return ModelDescription(
         major=major,
@@ -433,6 +435,7 @@ def read_description(root: Element | None, major: int) -> ModelDescription:
         categories=tuple(c.get("name", "") for c in children(root, "LogCategories", "Category")),
         input_rates={e.get("input"): e.get("derivative") for e in rates},
         optional_inputs={e.get("input"): text for e in optional if (text := e.get("without"))},
+        held_inputs=frozenset(e.get("input") for e in held),
         parameter_sets=tuple(map(_parameter_set, root.iterfind(PARAMETERS[major - 2]))),
     )
 

@@ -68,8 +68,19 @@ def no_effect_notes(plant: CutPlant, b: Array) -> tuple[str, ...]:
     )
 
 
+def _commanding(plant: CutPlant) -> set[str]:
+    """Components with external inputs, and those that only pass on what these give, such as an actuation."""
+    found = {port.component for inlet in plant.cut.inputs for port, _ in inlet.targets}
+    sources: dict[str, set[str]] = {}
+    for i, j in zip(*np.nonzero(plant.connections), strict=True):
+        sources.setdefault(plant.inputs[i].component, set()).add(plant.outputs[j].component)
+    while passing := {part for part, given in sources.items() if given <= found} - found:
+        found |= passing
+    return found
+
+
 def _open_loops(plant: CutPlant) -> Iterator[Port]:
-    """Outputs without effect at this operating point, of components with external inputs.
+    """Outputs without effect at this operating point, of components with external inputs (`_commanding`).
 
     Such an output is connected to an input on which a state may depend by declaration, but no state depends
     on its connected inputs here. Components without external inputs, such as a machine behind a controller,
@@ -79,7 +90,7 @@ def _open_loops(plant: CutPlant) -> Iterator[Port]:
     """
     blocks = plant.blocks()
     effective = np.asarray((blocks.b @ plant.loop_inverse(blocks.d)).any(axis=0))
-    with_inputs = {port.component for inlet in plant.cut.inputs for port, _ in inlet.targets}
+    with_inputs = _commanding(plant)
     for j, output in enumerate(plant.outputs):
         targets = [i for i, row in enumerate(plant.connections) if row[j]]
         if {plant.inputs[i].component for i in targets} & with_inputs:

@@ -23,7 +23,7 @@ stable plant settles (E. J. Davison 1976, IEEE Trans. Autom. Control 21(1) 35-47
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -147,9 +147,10 @@ FIRST_STEP, SHORTEST_STEP = 1e-4, 1e-9  # [s], steps of the transient
 LONG_STEP = 10.0  # [s], shortest step after which Newton's method is tried
 MAX_TIME = 1e9  # [s], length of the transient
 RAMP_TIME = 0.5  # [s] until the joints have their speeds
-# [s], inputs change by nominal / lag at full acceleration of their joints. At rest lags are tried in turn,
-# each with a number of steps; the long ones are for oil behind check valves, which leaks away in hours.
-MOVING_LAG, RESTING_LAGS = 0.005, {0.005: 600, 1e3: 1200, 1e4: 1200}
+# [s], inputs change by nominal / lag at full acceleration of their joints. Pairs of lags, of joints that move
+# and at rest, are tried in turn, each with a number of steps: the second for slow spools, the last ones for
+# oil behind check valves, which leaks away in hours.
+LAGS = {(0.005, 0.005): 3000, (0.05, 0.005): 3000, (0.005, 1e3): 1200, (0.005, 1e4): 1200}
 JERK_TIME = 0.005  # [s], T of the control law of the inputs
 # relative to nominal, [s], number of steps: step of an input to find its sign
 TEST_INPUT, TEST_TIME, TEST_STEPS = 0.3, 0.5, 600
@@ -167,13 +168,20 @@ class Search(SteadyEquations):
         start = self.plant.x.copy(), self.plant.u
         signs = np.array([self._sign(joint, *start) for joint in self.joints])
         joint_speeds = {joint.speed: speeds.get(joint.name, 0.0) for joint in self.joints}
-        for resting, steps in RESTING_LAGS.items():
-            lags = [MOVING_LAG if joint_speeds[joint.speed] else resting for joint in self.joints]
+        for lags, steps in self._lags([bool(joint_speeds[joint.speed]) for joint in self.joints]).items():
             self.evaluate(*start)
-            for _ in self._settle(signs / lags, joint_speeds, MAX_TIME, steps):
+            for _ in self._settle(signs / np.array(lags), joint_speeds, MAX_TIME, steps):
                 if self.solve():
                     return True
         return False
+
+    @staticmethod
+    def _lags(moves: Sequence[bool]) -> dict[tuple[float, ...], int]:
+        """The lags of all joints to try, each once, and their numbers of steps."""
+        found: dict[tuple[float, ...], int] = {}
+        for (moving, resting), steps in LAGS.items():
+            found.setdefault(tuple(moving if move else resting for move in moves), steps)
+        return found
 
     def _sign(self, joint: HeldJoint, x: Array, u: Array) -> float:
         """1 if a larger input accelerates the joint forwards, -1 if backwards, with all joints held."""

@@ -379,19 +379,24 @@ class System:
     def with_start(self, values: Mapping[str, Value | str], origin: str = "--set") -> System:
         """The system with other start values; names are those that `targets` accepts.
 
-        A text may contain a unit: "180bar". Otherwise a value is in the unit of the variable.
+        A text may contain a unit: "180bar". Otherwise a value is in the unit of the variable. A connected
+        input cannot be set; but a value of one that its FMU declares as held replaces the connection.
 
         origin   where the values come from, for `Component.origins`
         """
         connected = {c.target: c for c in self.connections}
         start: dict[str, dict[str, Value]] = {name: {} for name in ("", *self.components)}
+        replaced: list[Connection] = []
         for name, given in values.items():
             given = self.inputs[name].number(given) if name in self.inputs else given
             if self.passed(name):
                 value, to_unit = self._without_unit(name, port := Port("", name), given)
                 start[""][name] = coerce(name, self.variable(port), value, to_unit)
             for port, linear in self.targets(name):
-                if port in connected:
+                held = port.variable in self.components[port.component].interface.model.held_inputs
+                if port in connected and held:
+                    replaced.append(connected[port])
+                elif port in connected:
                     reason = f"the input is connected ({connected[port]})"
                     raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
                 check_settable(port, self.components[port.component].interface)
@@ -399,7 +404,9 @@ class System:
                 converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
                 check_bounds(str(port), self.variable(port), converted)
                 start[port.component][port.variable] = converted
-        system = self.started(start, origin)
+        notes = tuple(f"{c.target} is set, which replaces its connection from {c.source}" for c in replaced)
+        kept = tuple(c for c in self.connections if c not in replaced)
+        system = replace(self.started(start, origin), connections=kept, notes=self.notes + notes)
         for component in system.components.values():
             for name, value in component.start.items():
                 where = f"{self.source or self.name}: {component.name}.{name}"

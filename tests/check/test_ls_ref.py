@@ -40,6 +40,7 @@ from fmus.machine.reference import (
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
+from fmus.valve_actuation import ACTUATION
 from orchestrator.check.ls_ref_comparison import EXPERIMENT, ExperimentComparison, cases, compare
 from orchestrator.check.probe_process import probe_limits, use_probe_limits
 from orchestrator.check.read_ls_ref import manifest, table
@@ -49,7 +50,9 @@ from orchestrator.check.subject import parse_unpacked
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in FERIC.components]
 # but the ideal source: it has no states, there is nothing to prove
 SUBSYSTEMS = {
-    s.name: s for s in (*FERIC.components.values(), *OTHERS, CONTROLLER, HARVESTER) if quantities(s.states)
+    s.name: s
+    for s in (*FERIC.components.values(), *OTHERS, ACTUATION, CONTROLLER, HARVESTER)
+    if quantities(s.states)
 }
 
 
@@ -57,7 +60,7 @@ def built(folder: Path, name: str) -> Path:
     """The FMU of a subsystem in a folder of the built machine."""
     return folder / (
         f"{name}.fmu"
-        if name in (*FERIC.components, CONTROLLER.name, HARVESTER.name)
+        if name in (*FERIC.components, ACTUATION.name, CONTROLLER.name, HARVESTER.name)
         else f"variants/{name}.fmu"
     )
 

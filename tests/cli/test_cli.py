@@ -18,8 +18,8 @@ from orchestrator.base.files import require
 
 def test_build_makes_the_machine(built):
     """The FMUs, the system that connects them and all variants, for FMI 2.0 and 3.0, each with its size."""
-    files = [*(f"{name}.fmu" for name in (*FERIC.components, "controller", "harvester"))]
-    files += ["harvester.ssp", "harvester_control.ssp"]
+    files = [*(f"{name}.fmu" for name in (*FERIC.components, "controller", "valve_actuation", "harvester"))]
+    files += ["harvester.ssp", "harvester_actuation.ssp", "harvester_control.ssp"]
     files += [f"variants/{part}_{v}.fmu" for part, variants in FAMILIES.items() for v in variants]
     names = [*files, *(f"fmi3/{name}" for name in files)]
     printed = (built.parent / "machine.printed").read_text().splitlines()

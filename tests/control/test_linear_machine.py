@@ -137,8 +137,8 @@ def test_the_machine_as_one_block_has_the_jacobian_of_its_equations(fmu_dir):
     wanted = (every[np.ix_(i, j)] for i in rows for j in columns)
     for found, there in zip((one.a, one.b, one.c, one.d), wanted, strict=True):
         assert there.any()
-        atol = 1e-12 * np.abs(there).max()  # products in another order, as above
-        np.testing.assert_allclose(found, there, rtol=1e-9, atol=atol)
+        atol = 1e-12 * np.abs(there).max()  # products in another order, as above; sums of flows take a digit
+        np.testing.assert_allclose(found, there, rtol=1e-8, atol=atol)
     several = linearize(fmu_dir / "harvester.ssp", inputs=COMMANDS, set=given)
     order = [bare(one.states).index(n) for n in bare(several.states)]
     matched(several, one.a[np.ix_(order, order)])
@@ -161,7 +161,7 @@ def test_a_load_sensing_supply_does_not_hunt(fmu_dir, speeds):
     linear = linearize(system, steady=True, speeds=speeds, swap=MACHINES["load_sensing"])
     swinging = [m for m in linear.modes if m.oscillates]
     assert min(m.damping for m in swinging) > 0.004  # of the boom on closed valves, with any supply
-    (pump,) = (m for m in swinging if m.frequency > 30)  # measured: 92 to 97 Hz, 0.18 to 0.22
+    (pump,) = (m for m in swinging if "pump" in m.name)  # measured: 92 to 97 Hz, 0.18 to 0.22
     assert pump.damping > 0.15
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from kit import mistakes
 from kit.any_fmu.edit import edited
+from kit.steering import IDEAL
 
 from orchestrator import Problem, linearize
 
@@ -37,10 +38,10 @@ def test_a_steady_state_holds_the_joints_whatever_the_inputs_are(fmu_dir):
 def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
     """A swing at rest is in its dead band, which opens its loop; with all joints moving all are closed."""
     system = fmu_dir / "harvester_control.ssp"
-    rest = linearize(system, parameters=["reach"], set={"engaged": 1.0}, time=3.0)
-    moving = {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
+    rest = linearize(system, parameters=["reach"], set={"engaged": 1.0} | IDEAL, time=3.0)
+    moving = IDEAL | {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
     moves = linearize(system, parameters=["reach"], set=moving, time=2.0)
-    told = "at this operating point loops are open at controller.swing_command"
+    told = "at this operating point loops are open at valve_actuation.swing_valve_command"
     assert any(told in note for note in rest.notes)
     assert not any("loops are open" in note for note in moves.notes)
 
@@ -81,7 +82,9 @@ def test_a_loop_that_is_cut_and_closed_again_is_the_closed_loop(fmu_dir):
     system = fmu_dir / "harvester_control.ssp"
     point = {"parameters": ["reach"], "set": {"engaged": 1.0, "radial_velocity": -0.3}, "time": 1.0}
     whole = linearize(system, inputs=["radial_velocity"], **point)
-    cut = linearize(system, inputs=["boom_command"], outputs=["controller.boom_command"], **point)
+    cut = linearize(
+        system, inputs=["valve_actuation.boom_command"], outputs=["controller.boom_command"], **point
+    )
     assert cut.states == whole.states
     assert cut.b.any()
     assert whole.b.any()

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from math import pi, sqrt
 from types import SimpleNamespace as Group
 
-from equations.transcription import oil, opening, ramp, void, warmed
+from equations.transcription import friction, laminar, oil, opening, ramp, velocity, void, warmed
 
 Numbers = Mapping[str, float]
 Rates = dict[str, float]
@@ -38,10 +38,22 @@ def least(a: float, b: float, width: float) -> float:
     return a - ramp(a - b + width / 2, width)
 
 
-def root(y: float, transition: float) -> float:
-    """f(y) of section 4.5: the signed root, laminar below the transition flow."""
-    e = 2 / transition**2
-    return y * sqrt(e / (1 + sqrt(1 + (e * y) ** 2)))
+def root(y: float, linear: float, square: float = 1.0) -> float:
+    """f(y, b, a) of section 4.5."""
+    return 2 * y / (linear + sqrt(linear**2 + 4 * square * abs(y)))
+
+
+def through(p: Group, area: float, drop: float, of: str = "") -> float:
+    """Flow through an opening [m2], and in series through a hose or line of this name, section 4.5."""
+    square = (p.valve_discharge_coefficient * area) ** 2 * 2 / p.density
+    edge = laminar(p, area)
+    if not of:
+        return root(square * drop, edge)
+    b, a = friction(p, of, 0.0)[0], getattr(p, f"{of}{'_turbulent' * (of == 'line')}_resistance")
+    for _ in range(2):
+        flow = root(square * drop, edge + square * b, 1 + square * a)
+        b, a = friction(p, of, flow)
+    return flow
 
 
 def part(p: Numbers, prefix: str) -> Group:
@@ -84,20 +96,20 @@ def higher(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float
 
 def section(
     p: Group,
-    full: float,
+    full: tuple,
     areas: tuple,
     neutral: float,
-    series: float,
+    series: str,
     u: Numbers,
     command: float,
     ports: tuple,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Flows (in, out) of the ports A and B, section 4.6; `series` is C_R of the line at meter-out."""
+    """Flows (in, out) of the ports A and B, section 4.6; `series`: the line at meter-out, if any."""
     supply, sensing, tank = u["supply_pressure"], u["load_sensing_pressure"], u["tank_pressure"]
-    k2 = 2 * p.valve_discharge_coefficient**2 / p.density
     closed = 1 - sum(connected(p, command))
     found = []
-    for sign, edges, area, pressure in zip((1, -1), ("pa at", "pb bt"), areas, ports, strict=True):
+    sides = zip((1, -1), ("pa at", "pb bt"), full, areas, ports, strict=True)
+    for sign, edges, most, area, pressure in sides:
         enter, leave = edges.split()
         y = opening(p, enter, sign * command)
         both = ramp(supply - pressure, 1e4)
@@ -106,9 +118,10 @@ def section(
         d_c *= 1 + p.compensator_droop * (both - 1e7)
         left = both / (1 + y**2 * p.compensator_open_drop / p.compensator_setting)
         drop = least(left, d_c, (left + d_c) / 20)
-        q_in = root((full * y) ** 2 * drop / p.compensator_setting, p.valve_transition_flow)
-        square = k2 * (area * opening(p, leave, -sign * command) + neutral * closed) ** 2
-        q_out = root((pressure - tank) * square / (1 + series * square), p.valve_transition_flow)
+        passing = most * y / (p.valve_discharge_coefficient * sqrt(2 * p.compensator_setting / p.density))
+        q_in = root((most * y) ** 2 * drop / p.compensator_setting, laminar(p, passing))
+        leaving = area * opening(p, leave, -sign * command) + neutral * closed
+        q_out = through(p, leaving, pressure - tank, series)
         found.append((q_in + p.valve_leakage * both, q_out + p.valve_leakage * (pressure - tank)))
     return found[0], found[1]
 
@@ -126,9 +139,15 @@ def air(p: Group, pressure: float) -> float:
 
 
 def relief(p: Group, name: str, drop: float) -> float:
-    """Flow of a relief or anti-cavitation valve, section 4.4."""
+    """Flow of a relief valve, section 4.4."""
     v = part(vars(p), f"{name}_")
     return v.gain * ramp(drop - v.pressure, v.rounding)
+
+
+def make_up(p: Group, drop: float) -> float:
+    """Flow of an anti-cavitation valve, section 4.4."""
+    v = part(vars(p), "anti_cavitation_")
+    return through(p, v.area * step((drop - v.pressure) / v.rounding), drop)
 
 
 # ---- swing
@@ -136,17 +155,17 @@ def relief(p: Group, name: str, drop: float) -> float:
 
 def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     """Rates and observables of the compensated swing, sections 4.5, 4.6, 4.8 to 4.10."""
-    p, tank = warmed(Group(**p_)), u["tank_pressure"]
+    p, tank = warmed(Group(**p_), u["oil_temperature"]), u["tank_pressure"]
     sump = tank, u["tank_pressure_rate"]
     a, b, torque, q = (x[f"swing_{n}"] for n in ("pressure_a", "pressure_b", "brake_torque", "brake_applied"))
     areas = (p.swing_return_area, p.swing_return_area)
     (in_a, out_a), (in_b, out_b) = section(
-        p, p.swing_section_flow, areas, 0.0, p.line_turbulent_resistance, u, u["swing_command"], (a, b)
+        p, (p.swing_section_flow,) * 2, areas, 0.0, "line", u, u["swing_command"], (a, b)
     )
     d, w = p.motor_displacement * p.gear_ratio, u["swing_speed"]
     inner, outer = p.internal_leakage_resistance, p.external_leakage_resistance
     cross = relief(p, "relief", a - b) - relief(p, "relief", b - a)
-    fill = relief(p, "anti_cavitation", tank - a), relief(p, "anti_cavitation", tank - b)
+    fill = make_up(p, tank - a), make_up(p, tank - b)
     net_a = in_a - out_a - d * w - (a - b) / inner - (a - tank) / outer - cross + fill[0]
     net_b = in_b - out_b + d * w + (a - b) / inner - (b - tank) / outer + cross + fill[1]
     volume = pi / 4 * p.line_bore**2 * p.line_length + p.motor_volume
@@ -170,6 +189,7 @@ def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         "return_flow": out_a + out_b + (a + b - 2 * tank) / outer - sum(fill),
         "swing_load_pressure": value,
         "swing_load_pressure_rate": rate,
+        "swing_oil_velocity": velocity((in_a - out_a, in_b - out_b), p.line_bore),
         "swing_relief_flow": cross,
         "swing_anti_cavitation_flow": sum(fill),
     }
@@ -178,13 +198,12 @@ def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
 # ---- boom and stick
 
 
-def counterbalance(p: Group, resistance: float, y: float, line: float, chamber: float) -> float:
+def counterbalance(p: Group, hose: str, y: float, line: float, chamber: float) -> float:
     """Flow into the cylinder, section 4.7."""
     c = part(vars(p), "counterbalance_")
     check = step((line - chamber - c.check_pressure) / c.check_range)
-    gain = p.valve_discharge_coefficient * sqrt(2 / p.density) * (c.area * y + c.check_area * check)
-    square = 0.0 if gain == 0 else 1 / (1 / gain**2 + resistance)
-    return root(square * (line - chamber), p.valve_transition_flow) + c.leakage * (line - chamber)
+    area = c.area * y + c.check_area * check
+    return through(p, area, line - chamber, hose) + c.leakage * (line - chamber)
 
 
 def at_rest(p: Group, ratio: float, chamber: float, pilot: float, line: float, tank: float) -> float:
@@ -197,7 +216,7 @@ def at_rest(p: Group, ratio: float, chamber: float, pilot: float, line: float, t
 
 def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     """Rates and observables of both cylinders, sections 4.6 to 4.8 and 4.10."""
-    p, tank = warmed(Group(**p_)), u["tank_pressure"]
+    p, tank = warmed(Group(**p_), u["oil_temperature"]), u["tank_pressure"]
     sump = tank, u["tank_pressure_rate"]
     p_, rates = vars(p), {}
     y = {"supply_flow": 0.0, "return_flow": 0.0}
@@ -210,14 +229,15 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         openings = at.head_counterbalance_opening, at.rod_counterbalance_opening
         command, command_rate = u[f"{axis}_command"], u[f"{axis}_command_rate"]
         returns = own.head_return_area, own.rod_return_area
-        ports = section(p, own.section_flow, returns, p.neutral_area, 0.0, u, command, lines)
+        full = own.section_flow, own.rod_section_flow
+        ports = section(p, full, returns, p.neutral_area, "", u, command, lines)
         volumes = own.dead_volume + head * s, own.dead_volume + rod * (own.stroke - s)
         inside = pi / 4 * own.hose_bore**2 * own.hose_length
         slopes = []
         for i, side in enumerate(("head", "rod")):
             line, chamber, (q_in, q_out) = lines[i], chambers[i], ports[i]
-            q = counterbalance(p, own.hose_resistance, openings[i], line, chamber)
-            out, back = relief(p, "port_relief", line - tank), relief(p, "anti_cavitation", tank - line)
+            q = counterbalance(p, f"{axis}_hose", openings[i], line, chamber)
+            out, back = relief(p, "port_relief", line - tank), make_up(p, tank - line)
             swept = (-head * v, rod * v)[i]
             soft = own.hose_capacitance + inside * air(p, line) + void(line)
             slopes.append((q_in - q_out - q - out + back) / soft)
@@ -229,6 +249,8 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
             y[f"{axis}_{side}_flow"] = q
             y["supply_flow"] += q_in
             y["return_flow"] += q_out + out - back
+        flows = y[f"{axis}_head_flow"], y[f"{axis}_rod_flow"]
+        y[f"{axis}_oil_velocity"] = velocity(flows, own.hose_bore)
         loads.append(load(p, command, command_rate, lines, tuple(slopes), sump))
         y[f"{axis}_force"] = head * at.head_pressure - rod * at.rod_pressure
         y[f"{axis}_force_rate"] = head * rates[f"{axis}_head_pressure"] - rod * rates[f"{axis}_rod_pressure"]
@@ -255,7 +277,12 @@ def limited(z: float, e: float) -> float:
 def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     """Rates and observables of the load-sensing pump, sections 5.3 and 5.4."""
     p, d, e = Group(**p_), part(p_, "main_pump_"), part(p_, "engine_")
-    tank, w, s, m = p.reservoir_pressure, x["engine_speed"], x["pump_stroke"], oil(x["oil_temperature"])[0]
+    tank, w, s, m = (
+        p.reservoir_pressure,
+        x["engine_speed"],
+        x["pump_stroke"],
+        oil(x["oil_temperature"], p.oil_viscosity_40, p.oil_viscosity_100)[0],
+    )
     returning = x["tank_pressure"]
     out, rail, sensing = x["pump_pressure"], x["supply_pressure"], x["load_sensing_pressure"]
     displaced = s * d.displacement * step(w / 10)

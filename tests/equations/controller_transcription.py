@@ -59,12 +59,13 @@ class Arm:
 def oil(name: str, piston: float, p: Group) -> Group:
     """Areas, capacitances, hose and valve of one actuator."""
     prefix = "swing_" if name == "swing" else ""
-    valve = {n: getattr(p, f"{prefix}valve_{n}") for n in ("dead_band", "full_command", "transition_flow")}
+    valve = {n: getattr(p, f"{prefix}valve_{n}") for n in ("dead_band", "full_command")}
     valve["rounding"] = getattr(p, f"{prefix}valve_command_rounding")
     rho = getattr(p, f"{prefix}density")
     discharge, area = (getattr(p, f"{prefix}valve_{n}") for n in ("discharge_coefficient", "area"))
     valve["k_valve"] = discharge * area * np.sqrt(2 / rho)
-    valve["q"] = getattr(p, f"{name}_section_flow")
+    head = getattr(p, f"{name}_section_flow")
+    valve["q"] = np.array([head, getattr(p, f"{name}_rod_section_flow", 0.0) or head])
     if name == "swing":
         d, c = p.motor_displacement * p.gear_ratio, p.line_capacitance
         return Group(a=np.array([d, d]), c=np.array([c, c]), hose=p.line_turbulent_resistance, **valve)
@@ -161,17 +162,16 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     forces = o.a[0] * p.nominal_supply_pressure - fixed, o.a[1] * p.nominal_supply_pressure + fixed
     plain = [o.k_valve * np.sqrt(m(z, w * o.a[0]) / (o.a**3).sum()) for z in forces]
     full = [n + p.feedback * (known - n) for n, known in zip(plain, (up, down), strict=True)]
-    mean, area = sum(full) / 2, o.a.mean()
+    mean = sum(full) / 2
     size = v**2 / np.sqrt(v**2 + 1e-8)
     spare = o.a[0] * s - o.a[1] * t - load, o.a[1] * s - o.a[0] * t + load
     gates = [1 + p.feedback * (rise(f / (a * 5e5)) - 1) for f, a in zip(spare, o.a, strict=True)]
-    if o.q > 0:  # a compensated section
+    if o.q[0] > 0:  # a compensated section
         full, gates = o.q / o.a, [1.0, 1.0]
         mean = full.mean()
     y = gates[0] * (v + size) / 2 / full[0] + gates[1] * (v - size) / 2 / full[1]
-    flow, hose = (o.q * y, 0.0) if o.q > 0 else (area * v, o.hose)
-    laminar = (1 + o.transition_flow**2 / (flow**2 + (p.foot_share * area * mean) ** 2)) ** 0.25
-    wide = y * laminar / np.sqrt(1 - hose * o.k_valve**2 * min(y**2, 1))
+    hose = 0.0 if o.q[0] > 0 else o.hose
+    wide = y / np.sqrt(1 - hose * o.k_valve**2 * min(y**2, 1))
     had = wide - r(wide - 0.95, 0.1)
     had += r(-had - 0.95, 0.1)
     lever = clip(getattr(u, f"{name}_lever"), -o.full_command, o.full_command)
@@ -181,13 +181,37 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     learn *= speed / (speed**2 + slow**2)
     over = (r(h - most, most / 10) - r(-h - most, most / 10)) / p.unwinding_time
     taught = ref.e * p.feedback * (learn / np.sqrt(1 + (learn / 2) ** 2) - over)
+    half, limit = getattr(x, f"{name}_half_width"), o.full_command / 2 * p.hysteresis_limit
+    alpha, steady = (
+        ref.arm.arms[i] * (b - late) / p.lead_filter_time,
+        0.05 * getattr(p, f"{name}_speed_limit"),
+    )
+    f = p.hysteresis_gain * (p.hysteresis > 0) * error * speed**2 / (speed**2 + slow**2)
+    f *= (o.full_command - o.dead_band) / mean * alpha / np.hypot(alpha, steady)
+    beyond = (r(half - limit, limit / 10) - r(-half, limit / 10)) / p.unwinding_time
+    spool, trailing = getattr(x, f"{name}_spool"), getattr(x, f"{name}_trailing")
     return {
-        f"{name}_command": (target - getattr(x, f"{name}_command")) / p.amplifier_time,
+        f"{name}_spool": (target - spool) / p.amplifier_time,
+        f"{name}_trailing": trailing_rate(spool, trailing, p.reversal),
+        f"{name}_half_width": ref.e * p.feedback * f / (1 + (f / 0.3) ** 2) - beyond,
         f"reference_{name}": ref.rates[i],
         f"{name}_gain": taught - (1 - ref.e) * h / p.tracking_time,
         f"{name}_load": swinging / slowly,
         f"{name}_late_speed": (b - late) / p.lead_filter_time,
     }
+
+
+def trailing_rate(spool, trailing, n):
+    """Section play: the rate of t."""
+    return 200 * (r(spool - trailing - 5 / 6 * n, n / 3) - r(trailing - spool - 5 / 6 * n, n / 3))
+
+
+def command(name: str, x: dict, p: Group) -> float:
+    """Section play: V_c, also of complex states."""
+    full = p.swing_valve_full_command if name == "swing" else p.valve_full_command
+    spool, apart = x[f"{name}_spool"], x[f"{name}_spool"] - x[f"{name}_trailing"]
+    s = apart / np.sqrt(apart**2 + (p.reversal / 3) ** 2)
+    return spool + x["coordination"] * x[f"{name}_half_width"] * (1 - spool**2 / full**2) * s
 
 
 def pressure_use(ref: Group, x: Group, u: Group, p: Group) -> float:
@@ -208,8 +232,10 @@ def written(x: Group, u: Group, p: Group) -> tuple[dict[str, float], dict[str, f
     rates |= dict(zip(("radial_lever", "vertical_lever", "turning_lever"), ref.levers, strict=True))
     rates["coordination"] = (ref.e - x.coordination) / p.blend_time
     here, there = (np.array([a * np.cos(g), a * np.sin(g), h]) for a, h, g in (ref.at, ref.there))
-    shown = {f"{n}_command": getattr(x, f"{n}_command") for n in AXES}
-    shown |= {f"{n}_command_rate": rates[f"{n}_command"] for n in AXES}
+    # the derivative along the rates by a step in the imaginary direction: exact to rounding
+    moving = {n: v + 1e-20j * rates.get(n, 0.0) for n, v in vars(x).items()}
+    shown = {f"{n}_command": command(n, moving, p).real for n in AXES}
+    shown |= {f"{n}_command_rate": command(n, moving, p).imag / 1e-20 for n in AXES}
     shown |= {f"reference_{n}": v for n, v in zip(("radius", "height", "angle"), ref.at, strict=True)}
     apart = ref.at - ref.there
     shown |= {f"{n}_error": v for n, v in zip(("radial", "vertical", "angle"), apart, strict=True)}

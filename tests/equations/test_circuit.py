@@ -6,7 +6,7 @@ import pytest
 from kit.equations import JOINTS, number
 
 from fmus.components.chamber import AeratedOil
-from fmus.components.circuit import GROUND, SUPPLY, TANK, Branch, Circuit, Kind, Node
+from fmus.components.circuit import CAUSES, GROUND, SUPPLY, TANK, WORK, Branch, Circuit, Kind, Node
 from fmus.contract import Subsystem, column, quantities, stack, symbols
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
@@ -51,10 +51,27 @@ def test_rates_and_balances_of_a_small_circuit():
     assert {n: number(found[n]) for n in expected} == pytest.approx(expected, rel=1e-12)
 
 
+def test_heat_of_a_small_circuit_by_cause():
+    """1 kW in a hose of which a quarter is a throttle, and an edge at the supply line with a compensator."""
+    series = {Kind.COMPENSATOR: 7e6, Kind.RESISTANCE: lambda flow: 1e9 * flow}
+    c = small() | Circuit(
+        {},
+        {
+            "hose": Branch("chamber", TANK, Kind.COLUMN, 1e-3, "I", 2e7, 1e6, series={Kind.THROTTLE: 0.25e6}),
+            "in": Branch(SUPPLY, "chamber", Kind.EDGE, 1e-3, series=series),
+            "out": Branch("chamber", TANK, Kind.EDGE, 2e-3),
+        },
+    )
+    expected = {"hose_heat": 750.0 + 1000.0, "throttle_heat": 250.0 + 22500.0, "relief_heat": 800.0}
+    expected |= {"compensator_heat": 7000.0, "meter_in_heat": 7000.0, "meter_out_heat": 8000.0}
+    assert c.heats == pytest.approx(expected, rel=1e-12)
+    assert {kind for kind in Kind if kind not in WORK | {Kind.CAPACITANCE, Kind.GIVEN}} == {*CAUSES}
+
+
 def test_power_into_a_node_is_what_it_stores_and_what_its_oil_takes_along():
     """P (C + V kappa + C_c) dP/dt = dE/dt, cavity and air included; a piston takes e of the oil with it."""
     pressure = ca.SX.sym("P")
-    oil = AeratedOil(density=870.0, bulk_modulus=1.6e9, air_share=0.01, air_exponent=1.4)
+    oil = AeratedOil(density=870.0, viscosity=0.02, bulk_modulus=1.6e9, air_share=0.01, air_exponent=1.4)
     node = Node(pressure, "C", 2e-12, 4e-3, oil, cavity=0.5)
     circuit = Circuit(
         {"a": node, GROUND: Node(0)}, {"piston": Branch("a", GROUND, Kind.PISTON, ca.SX(-3e-4), "gy_1")}

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import EDGES, VALVE, lines, random_curve
+from kit.equations import EDGES, OIL, VALVE, lines, random_curve
 from kit.properties import examples
 from scipy.optimize import brentq
 
-from fmus.components import cylinder, motor, spool_valve
+from fmus.components import cylinder, hose, motor, orifice, spool_valve
 from fmus.components.circuit import TANK, Node
 from fmus.contract import column, quantities, symbolic
 from fmus.machine.parts import FERIC
@@ -89,17 +89,24 @@ def close(ours, theirs, declared, tolerance=1e-9):
 
 
 @pytest.mark.parametrize("name", FERIC.subsystems)
-def test_every_formula_keeps_its_dimensions(name):
+def test_every_formula_keeps_its_dimensions(name, monkeypatch):
     """In other units of mass, length, time and current rates, outputs and start values stay the same.
 
-    A term of wrong dimension, a number that hides one or a wrongly declared unit shows. Pressures stay far
-    above the cavity, whose three constants are the only numbers with a dimension in the components.
+    A term of wrong dimension, a number that hides one or a wrongly declared unit shows. Numbers with a
+    dimension in the components: three of the cavity, above which pressures stay; two that are changed, too;
+    and those of Walther's law, whose viscosities stay as they are.
     """
     e, rng = equations(name), np.random.default_rng(11)
     scale = dict.fromkeys(BASES, 1.0) | {"kg": 1.9, "m": 0.7, "s": 1.3, "A": 0.6}
+    monkeypatch.setattr(hose, "REFERENCE_FLOW", hose.REFERENCE_FLOW * scale["m"] ** 3 / scale["s"])
+    for module in (orifice, spool_valve):
+        monkeypatch.setattr(module, "CLOSED", module.CLOSED * scale["m"] ** 2)
+    in_others = Equations(name)
 
     def in_other_units(values, group, per_second=0):
-        exponents = {n: parse_unit(group[n].unit).exponents for n in values}
+        exponents = {
+            n: parse_unit(group[n].unit if "oil_viscosity_" not in n else "1").exponents for n in values
+        }
         unit = {
             n: np.prod([scale[b] ** k for b, k in zip(BASES, ex, strict=True)]) for n, ex in exponents.items()
         }
@@ -109,7 +116,7 @@ def test_every_formula_keeps_its_dimensions(name):
         drawn, groups = e.draw(rng, pressures=(2e6, 2.5e7)), (e.x, e.u, e.p)
         other = [in_other_units(values, group) for values, group in zip(drawn, groups, strict=True)]
         for ours, theirs, group, per_second in zip(
-            e.at(*drawn), e.at(*other), (e.x, e.y, e.x), (1, 0, 0), strict=True
+            e.at(*drawn), in_others.at(*other), (e.x, e.y, e.x), (1, 0, 0), strict=True
         ):
             kept = {n: a for n, a in theirs.items() if not n.endswith("void_volume")}
             # exact identity; terms up to 1e3 times larger than their difference are rounded to 1e-16
@@ -234,7 +241,7 @@ def test_boom_and_stick_drives_are_the_same_equations(seed):
 def test_opening_a_valve_further_never_costs_more_pressure(command, more, flow):
     """At the same flow the drops over both edges fall, or stay, as the command grows."""
     less, further = (
-        spool_valve.ports_from_flow(VALVE, c, (flow, -flow), lines(), RHO) for c in (command, command + more)
+        spool_valve.ports_from_flow(VALVE, c, (flow, -flow), lines(), OIL) for c in (command, command + more)
     )
     # rounding of 1e7 Pa, and of pressures up to 1e12 Pa that belong to flows which a shut valve cannot pass
     for a, b in ((PS - less[0].pressure, PS - further[0].pressure), (less[1].pressure, further[1].pressure)):
@@ -245,7 +252,7 @@ def test_opening_a_valve_further_never_costs_more_pressure(command, more, flow):
 def test_a_port_gives_less_pressure_the_more_it_is_drawn(command, flow, more):
     """dP/dQ < 0 at each port and command: no valve position feeds an oscillation of its line."""
     before, after = (
-        spool_valve.ports_from_flow(VALVE, command, (q, q), lines(), RHO) for q in (flow, flow + more)
+        spool_valve.ports_from_flow(VALVE, command, (q, q), lines(), OIL) for q in (flow, flow + more)
     )
     for a, b in zip(before, after, strict=True):
         assert float(ca.DM(b.pressure)) < float(ca.DM(a.pressure))

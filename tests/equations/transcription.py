@@ -65,8 +65,8 @@ def sized(p: Group, of: str, length: float, bore: float, volume: float, resistan
 
 
 def hose(p: Group) -> Group:
-    """The hose of a cylinder; eq. (10) from 4 m of 3/4 in."""
-    ratio = p.hose_length / 4.0 * (0.01905 / p.hose_bore) ** 4.75
+    """The hose of a cylinder; eq. (10) from 4 m of 3/4 in with 8 mPa.s."""
+    ratio = p.hose_length / 4.0 * (0.01905 / p.hose_bore) ** 4.75 * (p.viscosity / 8e-3) ** 0.25
     return sized(p, "hose", p.hose_length, p.hose_bore, 0.0, p.hose_reference_resistance * ratio)
 
 
@@ -76,38 +76,66 @@ def line(p: Group) -> Group:
     return sized(p, "line", p.line_length, p.line_bore, p.motor_volume, resistance)
 
 
-def oil(temperature: float) -> tuple[float, float]:
+def oil(temperature: float, thick: float = 46e-6, thin: float = 6.8e-6) -> tuple[float, float]:
     """m and r of section 4.10: a straight line through two points of lg lg (nu + 0.7) over lg T."""
 
     temperature = min(max(temperature, 223.15), 423.15)
 
-    def product(kelvin: float) -> float:
+    def product(kelvin: float, *points: float) -> float:
         low, high = log10(313.15), log10(373.15)
         share = (log10(kelvin) - low) / (high - low)
-        y = log10(log10(46.7)) * (1 - share) + log10(log10(7.5)) * share
-        return (10**10**y - 0.7) / (1 + 7e-4 * (kelvin - 333.15))
+        y = [log10(log10(1e6 * nu + 0.7)) for nu in points]
+        return (10**10 ** (y[0] * (1 - share) + y[1] * share) - 0.7) / (1 + 7e-4 * (kelvin - 333.15))
 
-    return product(temperature) / product(333.15), 1 / (1 + 7e-4 * (temperature - 333.15))
+    r = 1 / (1 + 7e-4 * (temperature - 333.15))
+    return product(temperature, thick, thin) / product(333.15, 46e-6, 6.8e-6), r
 
 
-def warmed(p: Group) -> Group:
+def warmed(p: Group, temperature: float) -> Group:
     """Its numbers at the temperature of the oil, the table of section 4.10."""
-    m, r = oil(p.oil_temperature)
+    m, r = oil(temperature, p.oil_viscosity_40, p.oil_viscosity_100)
+    b = exp(-5e-3 * (min(max(temperature, 223.15), 423.15) - 333.15))
     mixed = r**0.75 * m**0.25
-    factors = {"density": r, "viscosity": m, "valve_leakage": 1 / m, "valve_transition_flow": m / r}
+    factors = {"density": r, "viscosity": m, "valve_leakage": 1 / m, "bulk_modulus": b}
     factors |= {"line_inertance": r, "line_resistance": m, "line_turbulent_resistance": mixed}
     factors |= {"hose_inertance": r, "hose_resistance": mixed, "counterbalance_leakage": 1 / m}
     factors |= {f"{a}_hose_{n}": f for a in ("boom", "stick") for n, f in (("resistance", mixed),)}
     factors |= {"internal_leakage_resistance": m, "external_leakage_resistance": m}
-    return Group(**{name: value * factors.get(name, 1.0) for name, value in vars(p).items()})
+    warm = Group(**{name: value * factors.get(name, 1.0) for name, value in vars(p).items()})
+    for name in ("hose", "boom_hose", "stick_hose", "line"):
+        if hasattr(p, f"{name}_capacitance"):
+            volume = pi / 4 * getattr(p, f"{name}_bore") ** 2 * getattr(p, f"{name}_length")
+            volume += p.motor_volume if name == "line" else 0.0
+            softer = volume * (1 - b) / (p.bulk_modulus * b)
+            setattr(warm, f"{name}_capacitance", getattr(p, f"{name}_capacitance") + softer)
+    return warm
+
+
+def friction(p: Group, of: str, flow: float) -> tuple[float, float]:
+    """b and a of section 3 for a hose, of dp = b Q + a Q |Q|; R and C_R of the line of a motor."""
+    length, bore = getattr(p, f"{of}_length"), getattr(p, f"{of}_bore")
+    laminar = 128 * p.viscosity * length / (pi * bore**4)
+    if of == "line":
+        return laminar, p.line_turbulent_resistance
+    critical = 2300 * pi / 4 * p.viscosity / p.density * bore
+    z = (flow / critical) ** 8
+    blasius = (170 / 60e3 / critical) ** 0.25 / (abs(flow / critical) + 1e-9) ** 0.25
+    return laminar / (1 + z), getattr(p, f"{of}_resistance") * blasius * z / (1 + z)
+
+
+def drop(p: Group, of: str, flow: float) -> float:
+    """H of section 3."""
+    b, a = friction(p, of, flow)
+    return flow * (b + a * abs(flow))
 
 
 class Machine:
     """The parameters in groups, and the arm as particles."""
 
-    def __init__(self, table: Mapping[str, float]) -> None:
-        self.swing = warmed(line(group(table, "swing")))
-        self.hydraulic = [warmed(hose(group(table, "boom_stick", a))) for a in ("boom_", "stick_")]
+    def __init__(self, table: Mapping[str, float], temperature: float = 333.15) -> None:
+        self.swing = warmed(line(group(table, "swing")), temperature)
+        cylinders = (hose(group(table, "boom_stick", a)) for a in ("boom_", "stick_"))
+        self.hydraulic = [warmed(p, temperature) for p in cylinders]
         self.linkage = [group(table, "manipulator", prefix) for prefix in ("boom_", "stick_")]
         a = self.arm = group(table, "manipulator")
         radius, g, elbow = a.boom_pivot_x, a.gravity, (a.stick_pivot_x, a.stick_pivot_z)
@@ -143,14 +171,16 @@ def opening(p: Group, edge: str, volts: float) -> float:
     return ramp(min(volts, full) - band, width) / ramp(full - band, width)
 
 
-def rounded(flow: float, p: Group) -> float:
-    """|flow| [m3/s], rounded below the transition flow."""
-    return sqrt(flow**2 + p.valve_transition_flow**2)
+def laminar(p: Group, area: float) -> float:
+    """Q_t [m3/s] of an opening [m2], section 2."""
+    return p.valve_transition_reynolds * p.viscosity / p.density * sqrt(pi * (area + 1e-9)) / 2
 
 
 def port(p: Group, supply: float, tank: float, flow: float, ps: float, pt: float) -> Port:
     """A port node whose edges are open by `supply` and `tank` [1], section 2."""
-    k2 = (p.valve_discharge_coefficient * p.valve_area) ** 2 * 2 / p.density / rounded(flow, p)
+    k2 = (p.valve_discharge_coefficient * p.valve_area) ** 2 * 2 / p.density
+    edge = p.valve_leakage * (ps - pt) + (flow if supply else -flow)
+    k2 /= abs(edge) + laminar(p, p.valve_area * (supply + tank))
     g_s, g_t = p.valve_leakage + k2 * supply**2, p.valve_leakage + k2 * tank**2
     node = (g_s * ps + g_t * pt - flow) / (g_s + g_t)
     return node, g_s * (ps - node), g_t * (node - pt)
@@ -183,8 +213,8 @@ def cylinder(p: Group, x: Floats, s: float, v: float, a: Port, b: Port) -> list[
     return [
         (q_h - a_h * v) / (c_h + void(p_h)),
         (q_r + a_r * v) / (c_r + void(p_r)),
-        (a[0] - p_h - p.hose_resistance * q_h * rounded(q_h, p)) / p.hose_inertance,
-        (b[0] - p_r - p.hose_resistance * q_r * rounded(q_r, p)) / p.hose_inertance,
+        (a[0] - p_h - drop(p, "hose", q_h)) / p.hose_inertance,
+        (b[0] - p_r - drop(p, "hose", q_r)) / p.hose_inertance,
     ]
 
 
@@ -201,12 +231,12 @@ def motor(p: Group, p_a: float, p_b: float, tank: float, speed: float) -> tuple[
 def slewing(p: Group, x: Floats, p_1: float, p_2: float, a: Port, b: Port) -> list[float]:
     """Rates of (P_a, P_b, Q_a, Q_b), section 4."""
     p_a, p_b, q_a, q_b = x
-    loss = p.line_turbulent_resistance
+    turbulence = [p.line_turbulent_resistance * q * abs(q) for q in (q_a, q_b)]
     return [
         (q_a - (p_a - p_1) / p.line_resistance) / (p.line_capacitance + void(p_a)),
         (q_b - (p_b - p_2) / p.line_resistance) / (p.line_capacitance + void(p_b)),
-        (a[0] - p_a - loss * q_a * rounded(q_a, p)) / p.line_inertance,
-        (b[0] - p_b - loss * q_b * rounded(q_b, p)) / p.line_inertance,
+        (a[0] - p_a - turbulence[0]) / p.line_inertance,
+        (b[0] - p_b - turbulence[1]) / p.line_inertance,
     ]
 
 
@@ -314,6 +344,11 @@ def evaluate(m: Machine, x: Floats, u: Floats) -> tuple[list[float], Group]:
     return [*rates, w, w2, w3, turn, lift, fold, flow, grip], z
 
 
+def velocity(flows: Floats, bore: float) -> float:
+    """Velocity of the oil in the faster of both hoses, section 3."""
+    return max(map(abs, flows)) / (pi / 4 * bore**2)
+
+
 def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
     """Observables by `component.variable`, sections 2 to 6."""
     dx, z = evaluate(m, x, u)
@@ -330,6 +365,7 @@ def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
         "swing.supply_flow": supply_a + supply_b,
         "swing.return_flow": tank_a + tank_b + drain,
         "swing.swing_void_volume": 5e3 * (void(x[0]) + void(x[1])),
+        "swing.swing_oil_velocity": velocity(x[2:4], m.swing.line_bore),
         "boom_stick.supply_flow": sum(node[1] for pair in z.ports[1:] for node in pair),
         "boom_stick.return_flow": sum(node[2] for pair in z.ports[1:] for node in pair),
         "manipulator.swing_acceleration": dx[15],
@@ -343,6 +379,7 @@ def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
             f"boom_stick.{name}_force": z.forces[i],
             f"boom_stick.{name}_force_rate": a_h * dx[h] - a_r * dx[r],
             f"boom_stick.{name}_void_volume": 5e3 * (void(x[h]) + void(x[r])),
+            f"boom_stick.{name}_oil_velocity": velocity(x[h + 2 : h + 4], m.hydraulic[i].hose_bore),
             f"manipulator.{name}_position": s,
             f"manipulator.{name}_velocity": lever * speed,
             f"manipulator.{name}_acceleration": lever * dx[16 + i] + bend * speed**2,
@@ -376,7 +413,7 @@ def simulate(time: Array, commands: Array, loads: Array | None = None, tolerance
     state's nominal value.
     """
     table, given = numbers(), numbers("start")
-    m = Machine(table)
+    m = Machine(table, given["swing.oil_temperature"])
     angles = [table[f"manipulator.initial_{joint}_angle"] for joint in ("swing", "boom", "stick")]
     pressures = given["swing.supply_pressure"], given["swing.tank_pressure"]
     driven = np.column_stack([commands, np.zeros(len(time)) if loads is None else loads])

@@ -15,6 +15,7 @@ from fmus.export.interface import interface_of
 from fmus.export.model_description import model_description
 from fmus.parameters import Values, values
 from fmus.supply import SUPPLY
+from fmus.swing import SWING
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.fmi.interface import read_interface
@@ -71,6 +72,14 @@ def test_optional_inputs_are_declared_with_their_meaning(tmp_path, fmi):
         f"{drive}_load_pressure": f"the load of {drive} is not sensed" for drive in drives
     }
     assert interface.rate_inputs == {f"{d}_load_pressure": f"{d}_load_pressure_rate" for d in drives}
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_held_inputs_are_declared(tmp_path, fmi):
+    """Slopes of outputs hold although the temperature of the oil has none."""
+    description = model_description(interface_of(SWING, values(SWING)), fmi, "token", 1e-3, 1.0)
+    (tmp_path / "modelDescription.xml").write_bytes(description)
+    assert read_interface(Location(tmp_path)).model.held_inputs == {"oil_temperature"}
 
 
 def test_dependencies_are_those_of_the_equations(chamber):

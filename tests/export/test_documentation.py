@@ -22,8 +22,9 @@ from fmus.export.documentation import formulas, mathml, printed, project_file, p
 from fmus.export.interface import interface_of
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import FAMILIES, FERIC
-from fmus.machine.ssp import HELD, HELD_COMMAND, UNPOWERED
+from fmus.machine.ssp import HELD, HELD_COMMAND, UNPOWERED, WIRES
 from fmus.parameters import numbers, values
+from fmus.valve_actuation import ACTUATION
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import pretty
 
@@ -37,18 +38,14 @@ DOCUMENTS = sorted(
 OTHERS = [
     sub for variants in FAMILIES.values() for sub in variants.values() if sub.name not in FERIC.components
 ]
-SUBSYSTEMS = {sub.name: sub for sub in (*FERIC.components.values(), *OTHERS, CONTROLLER, HARVESTER)}
+SUBSYSTEMS = {
+    sub.name: sub for sub in (*FERIC.components.values(), *OTHERS, ACTUATION, CONTROLLER, HARVESTER)
+}
 PARTS = ("swing", "boom_stick", "manipulator")
 # part -> rate ports that are connected to it
 RATED = {
-    part: {
-        p
-        for wire in (*FERIC.connections, *FERIC.operator_wires, *FERIC.supply_wires, *FERIC.controller_wires)
-        for end in wire
-        if end.startswith(f"{part}.")
-        for p in [end.split(".")[1]]
-    }
-    for part in (*FERIC.components, CONTROLLER.name)
+    part: {p for wire in WIRES for end in wire if end.startswith(f"{part}.") for p in [end.split(".")[1]]}
+    for part in (*FERIC.components, ACTUATION.name, CONTROLLER.name)
 }
 ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
@@ -58,7 +55,7 @@ def content(fmu_dir, fmi3_dir):
     """(name, FMI version) -> files of the FMU as built."""
     found = {}
     for name, (fmi, folder) in product(SUBSYSTEMS, ((2, fmu_dir), (3, fmi3_dir))):
-        part = name in FERIC.components or name in (CONTROLLER.name, HARVESTER.name)
+        part = name in FERIC.components or name in (ACTUATION.name, CONTROLLER.name, HARVESTER.name)
         with zipfile.ZipFile(folder / ("" if part else "variants") / f"{name}.fmu") as archive:
             found[name, fmi] = {member: archive.read(member) for member in archive.namelist()}
     return found
@@ -169,10 +166,14 @@ def test_page_says_what_to_connect(page, name):
             for end in ends:
                 part, _, other = end.partition(".")
                 found |= {(direction, port, part, other or port)}
-                found |= {(direction, rate, part, rate) for rate in rates if rate in RATED.get(part, ())}
+                found |= {
+                    (direction, rate, part, rate)
+                    for rate in rates
+                    if not other and rate in RATED.get(part, ())
+                }
     parts = PARTS if name == HARVESTER.name else (sub.component,)
     expected = set()
-    for wire in (*FERIC.connections, *FERIC.operator_wires, *FERIC.supply_wires, *FERIC.controller_wires):
+    for wire in WIRES:
         for direction, own, other in (("out", *wire), ("in", *wire[::-1])):
             (part, port), (partner, name_there) = own.split("."), other.split(".")
             outside = partner not in parts and not (name == HARVESTER.name and partner == "supply")
@@ -232,12 +233,7 @@ def test_cost_of_held_inputs_is_that_of_the_measurement(page, document, rows):
 def test_readme_of_the_release_lists_the_connections():
     """The README in the zip has each connection of the parts, or its port has it as its rate."""
     text = runpy.run_path(str(ROOT / "tools" / "release.py"))["read_me"]("1.2.3")
-    for start, end in (
-        *FERIC.connections,
-        *FERIC.operator_wires,
-        *FERIC.supply_wires,
-        *FERIC.controller_wires,
-    ):
+    for start, end in WIRES:
         name = end.partition(".")[2]
         assert f"  {start} to {end}" in text or f", rate port {name}\n" in text
     assert max(map(len, text.splitlines())) <= 120

@@ -25,13 +25,13 @@ def test_an_edge_passes_the_flow_of_two_turbulent_resistances_in_series():
     """Its own and the throttle's; leakage and laminar flow are small there."""
     square, supply, throttle = 1e-12, 200 * BAR, 3e11
     flow, drop = blind.edge_flow(np.array([square]), supply, throttle)
-    # leakage is 3e-7 m3/s of 4e-3, laminar flow counts (1e-5/4e-3)^2/2
-    assert flow == pytest.approx(math.sqrt(supply / (1 / square + throttle)), rel=1e-4)
+    # leakage is 3e-7 m3/s of 4e-3, laminar flow counts 1e-6/4e-3/2
+    assert flow == pytest.approx(math.sqrt(supply / (1 / square + throttle)), rel=2e-4)
     assert drop == pytest.approx(supply - throttle * flow**2, rel=1e-12)
 
 
-def test_a_hose_without_friction_oscillates_at_the_frequency_of_its_inertance_and_capacitance():
-    """Behind a step of the inlet pressure, with a throttle that is almost closed."""
+def test_a_hose_oscillates_at_the_frequency_of_its_inertance_and_capacitance():
+    """Behind a step of the inlet pressure, with a throttle that is almost closed; flow is laminar."""
     step, i, c = 2e-4, blind.INERTANCE, blind.CAPACITANCE
     inlet = np.full(2000, 101 * BAR)
     inlet[0] = 100 * BAR

@@ -12,11 +12,12 @@ from fmus.controller import CONTROLLER
 from fmus.export.model_description import COMMUNICATION_STEP, data_file
 from fmus.machine.parts import FAMILIES
 from fmus.operator_input.model import OPERATOR
+from fmus.valve_actuation import ACTUATION
 from kit.fmu import Fmu, driving
 
 EVERY: dict[str, Subsystem] = {
     f"{part}_{variant}": sub for part, variants in FAMILIES.items() for variant, sub in variants.items()
-} | {OPERATOR.name: OPERATOR, CONTROLLER.name: CONTROLLER}
+} | {sub.name: sub for sub in (OPERATOR, ACTUATION, CONTROLLER)}
 
 # machines that hold every variant of every part at least once
 MACHINES: tuple[dict[str, str], ...] = (
@@ -66,4 +67,5 @@ def outputs(sub: Subsystem) -> list[str]:
 
 def native(name: str, folder: Path) -> Path:
     """The native FMU in a folder that `build_machine` filled."""
-    return folder / ("" if name in (OPERATOR.name, CONTROLLER.name) else "variants") / f"{name}.fmu"
+    alone = (OPERATOR.name, ACTUATION.name, CONTROLLER.name)
+    return folder / ("" if name in alone else "variants") / f"{name}.fmu"

@@ -6,6 +6,8 @@ from fmus.controller.model import CONTROLLER
 from fmus.parameters import values
 from kit.equations import Part
 
+# valves without hysteresis, and a controller that knows it
+IDEAL = {"valve_actuation.hysteresis": 0.0, "controller.hysteresis": 0.0}
 V, PART = values(CONTROLLER), Part(CONTROLLER)
 STATES, INPUTS, OUTPUTS = PART.states, PART.inputs, PART.outputs
 

@@ -20,8 +20,10 @@ GROUPS = [group for sub in PARTS for group in (sub.parameters, sub.states, sub.i
 # variables of the harvester; one word such as `engaged` or `feedback` is a word of everybody
 VARIABLES = {name for group in GROUPS for name in quantities(group) if "_" in name}
 WORDS = re.compile("swing|boom|slew|crane|curl|jib|grapple|yoke|manipulator|operator_input", re.IGNORECASE)
+ENERGY = ('"engine_power"', 'f"{c}.stored_energy"', 'f"{c}.convected_power"')
 EXEMPT = {
     ("engine/arguments.py", '"joint=speed, such as boom=0.1"'): "the example in a message",
+    **{("results/energy.py", part): "by which any FMU tells its energy" for part in ENERGY},
 }
 
 

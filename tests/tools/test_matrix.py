@@ -138,7 +138,7 @@ def test_open_rate_ports_lose_their_wires_and_no_other_does(tmp_path):
     with zipfile.ZipFile(systems.held(system, tmp_path)) as archive:
         left = wires_of(archive.read("SystemStructure.ssd"))
         assert archive.read("resources/swing.fmu") == b"swing"
-    assert (len(systems.WIRES), len(left)) == (43, 26)
+    assert (len(systems.WIRES), len(left)) == (45, 28)
     assert left == list(systems.OPEN_WIRES)
 
 

@@ -23,7 +23,7 @@ def test_every_signal_of_a_run_has_a_limit(system):
     assert all(REFERENCE.criterion(name).tolerance for name in REFERENCE.signals)
     columns = column_of(system)
     inputs = {n for n in REFERENCE.signals if columns[n] != n}
-    assert len(inputs) == 36
+    assert len(inputs) == 38
     for name in inputs:
         np.testing.assert_array_equal(REFERENCE[name], REFERENCE[columns[name]])
 

@@ -18,7 +18,7 @@ from fmus.components.additions import (
     PistonLeakage,
     Regeneration,
 )
-from fmus.contract import Subsystem, family, nested, quantities, symbolic
+from fmus.contract import Subsystem, family, nested, quantities
 from fmus.drives.drive import part
 from fmus.drives.lumped import LUMPED
 from fmus.drives.quasistatic import QUASISTATIC
@@ -33,6 +33,9 @@ CYLINDERS = {
     "cushion": (Cushion, {"length": 0.3, "resistance": 1e12}),
     "regeneration": (Regeneration, {"area": 2e-5}),
 }
+
+HEATS = {"leakage": "leakage_heat", "reliefs": "relief_heat"}
+HEATS |= {"cushion": "throttle_heat", "regeneration": "check_valve_heat"}
 
 
 def drives(**additions: type[Addition]) -> Subsystem:
@@ -92,11 +95,11 @@ def test_flows_of_additions_are_those_of_their_laws():
 def test_an_addition_that_does_not_fit_is_told():
     """A cylinder's at a motor, a name that the axis has, and a cushion at lines without oil columns."""
     (axis,), text = swing.AXES, {"text": "-", "validity": "-"}
-    leaking = part("swing", [replace(axis, additions=(("past_piston", PistonLeakage),))], LUMPED, **text)
+    leaking = [replace(axis, additions=(("past_piston", PistonLeakage),))]
     with pytest.raises(
         Problem, match=r"^swing: past_piston: expected a node head_pressure, got supply, tank, "
     ):
-        symbolic(leaking)
+        part("swing", leaking, LUMPED, **text)
     named = replace(axis, additions=(("leakage", PistonLeakage),))  # a motor has one of its own
     with pytest.raises(Problem, match=r"^Own: leakage is a name in its base already"):
         part("swing", [named], LUMPED, **text)
@@ -104,18 +107,19 @@ def test_an_addition_that_does_not_fit_is_told():
     with pytest.raises(
         Problem, match=r"^cushion: expected lines with oil columns, as in lumped and detailed"
     ):
-        symbolic(part("boom", [boom], QUASISTATIC, **text))
+        part("boom", [boom], QUASISTATIC, **text)
 
 
 @pytest.mark.parametrize("name", CYLINDERS)
 def test_an_addition_does_nothing_by_default(name):
-    """Rates and outputs are those of the drives without it, to rounding."""
+    """Rates and outputs are those of the drives without it, to rounding; its own output is its heat, 0."""
     plain, added = Part(FAMILIES["boom_stick"]["lumped"]), Part(drives(**{name: CYLINDERS[name][0]}))
     rng = np.random.default_rng(1)
     for _ in range(50):
         x, u = point(plain, rng)
-        for one, other in zip(plain(x, **u), added(x, **u), strict=True):
-            assert other == pytest.approx(one, rel=1e-12)
+        (rates, shown), (other_rates, others) = plain(x, **u), added(x, **u)
+        assert other_rates == pytest.approx(rates, rel=1e-12)
+        assert others == pytest.approx(shown | {f"boom_{HEATS[name]}": 0.0}, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", CYLINDERS)
@@ -128,15 +132,17 @@ def test_energy_closes_with_an_addition_at_work(name):
         u["supply_pressure"] * y["supply_flow"] - u["tank_pressure"] * y["return_flow"] + y["convected_power"]
     )
     power -= sum(y[f"{a}_force"] * u[f"{a}_velocity"] for a in ("boom", "stick"))
-    balance = at_work.of(power, at_work.along(y["stored_energy"]), y["dissipated_power"])
+    own = y[f"boom_{HEATS[name]}"]
+    balance = at_work.of(power, at_work.along(y["stored_energy"]), y["dissipated_power"], own)
     plain, more = Part(FAMILIES["boom_stick"]["lumped"]), 0.0
     for _ in range(50):
         x, given = point(at_work, rng)
-        power_in, stored, heat = (b.item() for b in balance(x, **given))
+        power_in, stored, heat, added = (b.item() for b in balance(x, **given))
         # exact identity; 1e-10 is 1e6 rounding errors of the largest term
         assert power_in - stored - heat == pytest.approx(0, abs=1e-10 * (abs(power_in) + abs(stored) + heat))
         alone = plain(x, **given)[1]["dissipated_power"]
-        assert heat >= alone * (1 - 1e-12)
+        assert heat - alone == pytest.approx(added, abs=1e-12 * heat)
+        assert added >= 0
         more = max(more, heat - alone)
     assert more > 1.0  # W
 
@@ -195,3 +201,6 @@ def test_an_accumulator_at_the_supply(variant):
         given = {n: rng.uniform(0, 1e-3) for n in u if "flow" in n}
         power, stored, heat = (b.item() for b in balance(state, **given))
         assert power - stored - heat == pytest.approx(0, abs=1e-9 * (abs(power) + abs(stored) + heat))
+        drop = state[at_work.at("supply_pressure")] - state[at_work.at("accumulator_pressure")]
+        shown = at_work(state, **given)[1]["throttle_heat"]
+        assert shown == pytest.approx(1e-8 * drop**2, rel=1e-12)

@@ -26,6 +26,8 @@ def random_numbers(rng, own):
     """All parameters, each moved by up to 20 %, and curves of the edges."""
     p = {n: v * rng.uniform(0.8, 1.2) for n, v in own.items()}
     p |= {n: size * rng.random() * rng.integers(0, 2) for n, size in ZEROS.items() if n in p}
+    if "anti_cavitation_rounding" in p:  # the default range is too short to meet
+        p["anti_cavitation_rounding"] *= rng.choice([1.0, 300.0])
     for edge in EDGES:
         p |= {n: v for n, v in random_curve(rng, f"valve_{edge}").items() if n in own}
     return p

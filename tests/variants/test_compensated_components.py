@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import lines
+from kit.equations import OIL, lines
 
 from fmus.components import counterbalance_valve
 from fmus.components import pressure_compensator as compensator
 from fmus.components.counterbalance_valve import Restriction
+from fmus.components.hose import ShortLine
+from fmus.components.orifice import Edge
 from fmus.drives.compensated import motor_section
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import parameters
@@ -24,7 +26,8 @@ SWING = parameters(FAMILIES["swing"]["compensated"])
 SECTION = motor_section(SWING.swing, SWING)
 COMPENSATOR = SECTION.compensator
 VALVE = parameters(FAMILIES["boom_stick"]["compensated"]).counterbalance
-ALONE = Restriction(0.62, 970.0, 0.0, 1e-5)  # without hose
+EDGE = Edge(discharge_coefficient=0.62, transition_reynolds=10.0)
+ALONE = Restriction(EDGE, ShortLine(0.0, 0.0), OIL)  # without hose
 PRESSURE = st.floats(0, 4e7)
 COMMAND = st.floats(-10, 10)
 

@@ -71,25 +71,23 @@ def limit(part: str, eps: float, length: float) -> tuple[dict[str, float], dict[
         "spool_frequency": fine["spool_frequency"] / eps,
         "spool_speed": fine["spool_speed"] / eps,
         "relief_gain": 0.0,
-        "anti_cavitation_gain": 0.0,
+        "anti_cavitation_area": 0.0,
     }
     lines = ("line",) if part == "swing" else ("boom_hose", "stick_hose")
     for name in lines:
         fine[f"{name}_length"] *= length
+        usual[f"{name}_length"] *= length
         area = math.pi / 4 * fine[f"{name}_bore"] ** 2
         volume = area * fine[f"{name}_length"]
         usual[f"{name}_inertance"] = fine["density"] * fine[f"{name}_length"] / area
         if part == "swing":  # laminar friction out of the way: it lies on either side of the capacitance
             fine |= {"viscosity": 1e-7, "motor_volume": 1.5e-3 - volume, "initial_preload": PRELOAD}
             usual |= {"line_resistance": 1.0, "line_capacitance": 1.5e-3 / fine["bulk_modulus"]}
-            usual["initial_preload"] = PRELOAD
+            usual |= {"initial_preload": PRELOAD, "viscosity": 1e-7}
         else:
             fine[f"{name}_resistance"] *= length
             usual[f"{name}_resistance"] = fine[f"{name}_resistance"]
             usual[f"{name}_capacitance"] = volume / fine["bulk_modulus"]
-            # the laminar branch of lumped: R = C_R Q_t
-            laminar = fine[f"{name}_resistance"] * fine["valve_transition_flow"]
-            fine["viscosity"] = laminar * math.pi * fine[f"{name}_bore"] ** 4 / (128 * fine[f"{name}_length"])
     return fine, usual
 
 
@@ -148,7 +146,8 @@ def test_the_floor_falls_with_the_square_of_the_hose_length(part):
         apart(pressures(part, "detailed", SMALL, k), pressures(part, "lumped", 1.0, k))
         for k in (1.0, 0.5, 0.25)
     ]
-    ratios = np.array(floors[:-1]) / floors[1:]
+    changes = -np.diff(floors)  # free of what does not depend on l: 17 Pa of the spool at the swing
+    ratios = changes[:-1] / changes[1:]
     # the terms in l^3 are a tenth of those in l^2 at full length
     assert ratios == pytest.approx(4.0, rel=0.15)
 

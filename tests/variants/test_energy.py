@@ -10,7 +10,7 @@ from kit.every import MACHINES
 
 from fmus.contract import quantities
 from fmus.machine.machine import wiring
-from fmus.machine.parts import FAMILIES, FERIC
+from fmus.machine.parts import DRIVES, FAMILIES, FERIC
 from fmus.machine.work_cycle import COMMANDS, PROGRAMS, WORK_CYCLE_STOP, Move, Stem, payload, sample
 from fmus.monolith import breakpoints, join
 
@@ -64,6 +64,8 @@ def stored(part, signal):
 def audit(index, program, changed=()):
     """Part -> energy in, its gross turnover, heat and change of the stored energy [J] over the run.
 
+    Energy in contains what oil that becomes warmer stores more, at constant pressures and flows.
+
     changed   (parameter, value), other than in parameters.toml
     """
     chosen = FERIC.chosen(**MACHINES[index])
@@ -85,11 +87,20 @@ def audit(index, program, changed=()):
     for part in audited:
         into = powers(part, signal)
         heat = signal(f"{part}.dissipated_power")
-        rates += [sum(into), sum(ca.fabs(w) for w in into), heat]
+        warming = _warming(model, x, u, p, stored(part, signal)) if part in DRIVES else 0
+        rates += [sum(into) + warming, sum(ca.fabs(w) for w in into), heat]
     energies = ca.Function("e", [x, u, p], [ca.vertcat(*(stored(part, signal) for part in audited))])
     x_end, quad, x_start, u_end = _integrate(model, x, u, p, ca.vertcat(*rates), *PROGRAM[program])
     change = (energies(x_end, u_end, model.p) - energies(*x_start, model.p)).full()[:, 0]
     return {part: (*quad[3 * i : 3 * i + 3], change[i]) for i, part in enumerate(audited)}
+
+
+def _warming(model, x, u, p, energy):
+    """Part of the rate [W] of a drive's energy that is due to the temperature of its oil."""
+    if "supply.oil_temperature" not in model.states:
+        return 0
+    at = model.states.index("supply.oil_temperature")
+    return ca.jacobian(energy, x[at]) * model.right_hand_side(x, u, p)[at]
 
 
 def _integrate(model, x, u, p, rates, moves, stop):

@@ -125,5 +125,6 @@ def test_the_card_tells_when_the_engine_stalled(system, bench):
         (line,) = (w for w in done.card.warnings if f"engine_speed_below_{name} = " in w)
         found = re.match(rf"supply: \S+ = (\S+) rad/s at t = (\S+) s is above 0 rad/s{end}", line)
         crossed = np.argmax(speed < limit)
-        assert float(found[2]) == pytest.approx(time[crossed])
-        assert float(found[1]) == pytest.approx(limit - speed[crossed], abs=1e-4)  # six digits of 83.7758
+        at = float(found[2])
+        assert time[crossed - 1] < at <= time[crossed]  # a row, or within a step that was divided
+        assert float(found[1]) == pytest.approx(limit - np.interp(at, time, speed), abs=2e-3)  # curvature

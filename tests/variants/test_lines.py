@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from fmus.boom_stick import AXES, VALUES, VARIANTS, with_lumps
 from fmus.components import hose
-from fmus.components.chamber import Fluid
+from fmus.components.chamber import AeratedOil
 from fmus.components.circuit import Circuit, Node
 from fmus.components.hose import HydraulicLine, lumps_needed
 from fmus.contract import Quantity, nested, quantities
@@ -31,15 +31,16 @@ WORK = 1e7  # Pa: far above the pressure at which the oil cavitates
 AREA = math.pi / 4 * BORE**2
 
 
-def oil(viscosity: float) -> Fluid:
-    return Fluid(density=RHO, viscosity=viscosity, bulk_modulus=BETA, air_share=0.0, air_exponent=1.4)
+def oil(viscosity: float) -> AeratedOil:
+    return AeratedOil(density=RHO, viscosity=viscosity, bulk_modulus=BETA, air_share=0.0, air_exponent=1.4)
 
 
 def pipe(
     viscosity: float = 1e-12, wall: float = STIFF, length: float = LENGTH, bore: float = BORE
 ) -> HydraulicLine:
     """A line without air and without turbulent friction."""
-    return HydraulicLine(length, bore, 0.0, wall, oil(viscosity))
+    laminar = 128 * viscosity * length / (math.pi * bore**4)
+    return HydraulicLine(length, bore, hose.ShortLine(laminar, 0.0), wall, oil(viscosity))
 
 
 def in_between(one: HydraulicLine, lumps: int, pressure: float) -> tuple[dict[str, ca.SX], Circuit]:

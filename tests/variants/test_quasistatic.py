@@ -13,14 +13,15 @@ from kit import equations
 from kit.work_cycle import PRESSURES
 
 from fmus.components import spool_valve
+from fmus.components.hose import Friction, HoseSize
 from fmus.contract import symbolic
 from fmus.machine.machine import wiring
 from fmus.machine.parts import FAMILIES, FERIC
 from fmus.monolith import join
 from fmus.parameters import Values, values
 
-RHO = 970.0  # kg/m3
-HOSE = 3.2e10  # Pa.s2/m6
+# 4 m of 3/4 in
+HOSE = Friction.of(HoseSize(length=4.0, bore=0.01905), 4e10, equations.OIL)
 QUASISTATIC = {part: FAMILIES[part]["quasistatic"] for part in ("swing", "boom_stick")}
 
 pressures = st.floats(-2e5, 4e7)
@@ -30,15 +31,17 @@ drops = st.floats(-4e7, 4e7)
 
 def ports(command, a, b, supply=equations.SUPPLY, tank=0.0, valve=equations.VALVE, hose=HOSE):
     """Both ports as numbers."""
-    found = spool_valve.ports_from_pressure(valve, command, (a, b), equations.lines(supply, tank), RHO, hose)
+    found = spool_valve.ports_from_pressure(
+        valve, command, (a, b), equations.lines(supply, tank), equations.OIL, hose
+    )
     return [{n: float(ca.DM(v)) for n, v in vars(port).items()} for port in found]
 
 
-def square_gain(command: float) -> float:
-    """K^2 of edge and hose in series [m6/(s2.Pa)]."""
-    share = float(ca.DM(spool_valve.opening(abs(command), 0.6, 10.0, 0.4)))
-    edge = (0.62 * 4e-5 * share) ** 2 * 2 / RHO
-    return edge / (1 + HOSE * edge)
+def edge(command: float) -> tuple[float, float]:
+    """K^2 [m6/(s2.Pa)] and Q_t [m3/s] of an edge."""
+    area = 4e-5 * equations.number(spool_valve.opening(abs(command), 0.6, 10.0, 0.4))
+    laminar = 10.0 * 0.02 / 970.0 * math.sqrt(math.pi * (area + 1e-9)) / 2
+    return (0.62 * area) ** 2 * 2 / 970.0, laminar
 
 
 # ---- the edges
@@ -54,13 +57,15 @@ def test_a_closed_valve_passes_exactly_the_stated_leakage(command, a, b, tank):
 
 @pytest.mark.parametrize("command", [1.0, 10.0])
 def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
-    """dQ/ddp = K^2 / Q_t + G_leak there, by the derivative of the equations."""
+    """1/(Q_t/K^2 + R) + G_leak there, by the derivative of the equations; R of the hose, laminar."""
     pressure = ca.SX.sym("pressure")
     supplied, _ = spool_valve.ports_from_pressure(
-        equations.VALVE, command, (pressure, 0.0), equations.lines(), RHO, HOSE
+        equations.VALVE, command, (pressure, 0.0), equations.lines(), equations.OIL, HOSE
     )
     slope = ca.Function("slope", [pressure], [-ca.jacobian(supplied.supply, pressure)])
-    expected = square_gain(command) / equations.VALVE.transition_flow + equations.VALVE.leakage
+    square, laminar = edge(command)
+    resistance = 128 * 0.02 * 4.0 / (math.pi * 0.01905**4)
+    expected = 1 / (laminar / square + resistance) + equations.VALVE.leakage
     # exact identity, rounding only
     assert float(slope(equations.SUPPLY)) == pytest.approx(expected, rel=1e-12)
 
@@ -69,10 +74,12 @@ def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
 def test_flow_over_an_edge_is_the_inverse_of_the_lumped_drop(flow, command):
     """The drop of the lumped edge and hose at a flow Q, put over the quasistatic edge, gives Q back."""
     tight = replace(equations.VALVE, leakage=0.0)
-    drop = float(spool_valve.turbulent_drop(flow, 1 / square_gain(command), 1e-5))
+    square, laminar = edge(command)
+    drop = flow * (abs(flow) + laminar) / square + equations.number(HOSE.drop(flow))
     port, _ = ports(command, -drop, 0.0, supply=0.0, tank=0.0, valve=tight)
-    # exact identity: some rounding errors of numbers that are never subtracted
-    assert port["supply"] == pytest.approx(flow, rel=1e-12, abs=1e-25)
+    # exact identity while the hose is laminar; beyond, what a step of the fixed-point iteration leaves
+    room = 1e-12 if abs(flow) < 0.03 * HOSE.critical else 1e-3
+    assert port["supply"] == pytest.approx(flow, rel=room, abs=1e-25)
     assert port["line"] == port["supply"]
 
 
@@ -112,15 +119,14 @@ def test_steady_cylinder_speed_has_the_closed_form_of_the_lumped_drive(name, com
 
 @pytest.mark.parametrize(("command", "speed"), [(5.0, 0.5), (-5.0, -0.3), (2.0, 0.1)])
 def test_steady_swing_torque_is_that_of_the_lumped_drive(command, speed):
-    """Same torque and supply flow at the same speed but for the drop over the lines, R_line Q."""
+    """Same torque and supply flow at the same speed: the lines have the same friction, in other places."""
     moved = {"swing_command": command, "swing_speed": speed}
     found = {v: settled("swing", v, **moved) for v in ("lumped", "quasistatic")}
     p = values(FAMILIES["swing"]["lumped"]).p
     d = p["motor_displacement"] * p["gear_ratio"]
-    lost = 2 * d * p["line_resistance"] * d * abs(speed)  # N.m
-    difference = found["quasistatic"]["swing_torque"] - found["lumped"]["swing_torque"]
+    torques = [found[v]["swing_torque"] for v in ("lumped", "quasistatic")]
     # the leakage of the closed edges in the turbulent term: 1e-3 of P_s D
-    assert difference * math.copysign(1, speed) == pytest.approx(lost, abs=1e-3 * equations.SUPPLY * d)
+    assert torques[0] == pytest.approx(torques[1], abs=1e-3 * equations.SUPPLY * d)
     # the same leakage; 0.1 %
     assert found["quasistatic"]["supply_flow"] == pytest.approx(found["lumped"]["supply_flow"], rel=1e-3)
 
@@ -137,8 +143,8 @@ def scaled(length: float, variant: str) -> dict[str, Values]:
     The leakage is the smallest allowed: what it adds to the turbulent term is no matter of length.
     """
     of_length = {
-        "swing": ("line_inertance", "line_resistance", "line_turbulent_resistance"),
-        "boom_stick": ("hose_inertance", "hose_capacitance", "hose_resistance"),
+        "swing": ("line_length", "line_inertance", "line_resistance", "line_turbulent_resistance"),
+        "boom_stick": ("hose_length", "hose_inertance", "hose_capacitance", "hose_resistance"),
         "manipulator": (),
     }
     numbers = {}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import VALVE, lines, number
+from kit.equations import OIL, VALVE, lines, number
 from kit.properties import examples
 
 from fmus.components import spool_valve
@@ -99,13 +99,12 @@ def test_the_stroke_is_never_exceeded(x, u, w, z, v_max):
 
 ROUNDING = 0.04  # of the foot, as share of the stroke
 UNEQUAL = moving(W, Z, V_MAX, (0.06, 0.1, 0.2, 0.3))
-RHO = 970.0
 
 
 @given(anything)
 def test_each_edge_opens_from_its_own_overlap_on(x):
     """Oil from and to a port: only leakage up to the overlap, more beyond, edge by edge."""
-    a, b = spool_valve.spool_ports(VALVE, UNEQUAL, x, (0.0, 0.0), lines(1.0), RHO)
+    a, b = spool_valve.spool_ports(VALVE, UNEQUAL, x, (0.0, 0.0), lines(1.0), OIL)
     for port, x_s, s, x_t, t in (
         (a, x, UNEQUAL.overlap_pa, -x, UNEQUAL.overlap_at),
         (b, -x, UNEQUAL.overlap_pb, x, UNEQUAL.overlap_bt),
@@ -123,8 +122,8 @@ def test_each_edge_opens_from_its_own_overlap_on(x):
 @given(st.floats(-1.0, 1.0), st.floats(-2e-3, 2e-3))
 def test_equal_overlaps_make_the_valve_of_lumped(x, flow):
     """With the dead band as overlap of all edges and the spool at its command: the ports of lumped."""
-    usual = spool_valve.ports_from_flow(VALVE, 10.0 * x, (flow, -flow), lines(), RHO)
-    found = spool_valve.spool_ports(VALVE, SPOOL, x, (flow, -flow), lines(), RHO)
+    usual = spool_valve.ports_from_flow(VALVE, 10.0 * x, (flow, -flow), lines(), OIL)
+    found = spool_valve.spool_ports(VALVE, SPOOL, x, (flow, -flow), lines(), OIL)
     for mine, theirs in zip(found, usual, strict=True):
         # exact identity; volts and shares differ by rounding, which the foot of the opening multiplies
         assert number(mine.pressure) == pytest.approx(number(theirs.pressure), rel=1e-6, abs=1.0)

@@ -143,6 +143,29 @@ def test_the_oil_settles_where_cooler_and_tank_give_off_the_heat(bench):
         assert y["cooling_power"] == pytest.approx(heat, rel=1e-4)
 
 
+@pumps
+def test_heat_by_cause_is_that_of_each_part(bench):
+    """By torques, flows and pressures of engine, pumps, valves and return line; they sum to the heat."""
+    y = bench.settled(Load(20 * L_MIN / 1e3, 1.4e7), relief_pressure=1.5e7)  # open in both variants
+    w, names = y["engine_speed"], [n.removesuffix("_stroke") for n in y if n.endswith("_stroke")]
+    size = bench.p.get("pump_displacement", bench.p.get("main_pump_displacement"))
+    suction = {n: y[f"{n}_stroke"] * size * w for n in names}
+    outlet, rail = {n: y[f"{n}_pressure"] for n in names}, y["supply_pressure"]
+    expected = {
+        "engine_friction_heat": (40.0 + 0.17 * w) * w,
+        "pump_friction_heat": y["engine_load"] * w - sum(suction[n] * outlet[n] for n in names),
+        "leakage_heat": sum((suction[n] - y[f"{n}_flow"]) * outlet[n] for n in names)
+        + y.get("rail_leakage_flow", 0.0) * rail,
+        "check_valve_heat": sum(y[f"{n}_flow"] * (outlet[n] - rail) for n in names),
+        "relief_heat": y["relief_flow"] * rail,
+        "return_line_heat": y["return_flow"] * y["tank_pressure"],
+    }
+    # what is left of the transient; the dry friction of the engine is rounded by 7e-6
+    assert {n: v for n, v in y.items() if n.endswith("_heat")} == pytest.approx(expected, rel=1e-4)
+    assert sum(y[n] for n in expected) == pytest.approx(y["dissipated_power"], rel=1e-9)
+    assert min(y[n] for n in expected) > 0
+
+
 # ---- dynamics
 
 

@@ -42,7 +42,7 @@ def test_only_derivatives_of_states_say_so_in_fmi_2(fmu_dir):
     Rate inputs are marked by an annotation; the orchestrator knows them all the same.
     """
     paths = [*fmu_dir.glob("*.fmu"), *fmu_dir.glob("variants/*.fmu")]
-    assert len(paths) == len(variant_names()) + 7  # usual parts, operator, controller, the whole machine
+    assert len(paths) == len(variant_names()) + 8  # usual parts, operator, controller, the whole machine
     for path in paths:
         with zipfile.ZipFile(path) as archive:
             root = etree.fromstring(archive.read("modelDescription.xml"))
@@ -124,8 +124,8 @@ def test_command_beyond_the_range_is_warned_of(fmu_dir, capsys):
     """70 V, meant as percent, opens the valve like 10 V and is told once; 10 V with rounding is legal."""
     with driving(fmu_dir / "swing.fmu") as fmu:
         fmu.set(swing_command=10.0 * (1 + 1e-6), swing_command_rate=0.0)  # printed as 10 V
-        assert fmu.step(1e-3, 5).get("swing_flow_a")[0] > 0
+        assert fmu.step(1e-3, 2).get("swing_flow_a")[0] > 0  # the line rings with a period of 6 ms
         assert "swing_command" not in capsys.readouterr().out
         fmu.set(swing_command=70.0)
         fmu.step(1e-3, 5)
-    assert capsys.readouterr().out.count("swing_command = 70 V at t = 0.006 s is above 10 V") == 1
+    assert capsys.readouterr().out.count("swing_command = 70 V at t = 0.003 s is above 10 V") == 1

@@ -185,12 +185,12 @@ def test_a_head_too_heavy_to_lift_is_not_lifted(driven):
 
 
 def test_reversing_at_full_speed_stays_bounded(driven):
-    """All three commands from +6 to -6 V within 20 ms: no tension, no more than three times the supply."""
+    """All three commands from +6 to -6 V within 20 ms: no tension, no more than 3.5 times the supply."""
     volts = {command: [0.0, 6.0, 6.0, -6.0, -6.0] for command in COMMANDS}
     y = driven(2.0, record_step=5e-3, time=[0.0, 0.3, 0.8, 0.82, 2.0], **volts)
     pressures = [v for n, v in y.signals.items() if n.endswith(("_pressure", "pressure_a", "pressure_b"))]
     assert min(p.min() for p in pressures) > FULL_VACUUM
-    assert max(p.max() for p in pressures) < 3 * SUPPLY
+    assert max(p.max() for p in pressures) < 3.5 * SUPPLY
     for joint, way in (("swing", -1), ("boom", -1), ("stick", 1)):
         assert way * y[f"manipulator.{joint}_speed"][-1] > 0.1
 
@@ -202,7 +202,7 @@ ODD = {
     # not 0, which stands for the capacitance that follows from length and bore
     "no hoses": {f"boom_stick.{j}_hose_capacitance": 1e-18 for j in PISTONS},
     "no line resistance": {"swing.line_resistance": 1.0},
-    "sharp edges": {f"{c}.valve_transition_flow": 1e-8 for c in ("swing", "boom_stick")},
+    "sharp edges": {f"{c}.valve_transition_reynolds": 0.1 for c in ("swing", "boom_stick")},
     "no friction": {
         f"manipulator.{n}": 0.0 for n in MANIPULATOR if n.endswith("_damping") and "stop" not in n
     },

@@ -77,13 +77,14 @@ def expected_wires():
             yield from ((f"supply.{line}{rate}", f"{drive}.{line}{rate}") for line in LINES)
             yield f"{drive}.{drive}_load_pressure{rate}", f"supply.{drive}_load_pressure{rate}"
         yield from ((f"{drive}.{v}", f"supply.{v}_{drive}") for v in ("supply_flow", "return_flow"))
+        yield "supply.oil_temperature", f"{drive}.oil_temperature"
 
 
 def test_terminals_carry_all_wires_of_the_machine():
     """Connecting terminals by the rule "plug" gives the connections of the machine, no more and no fewer."""
     wires = FERIC.connections + FERIC.operator_wires + FERIC.supply_wires
     assert sorted(wires) == sorted(expected_wires())
-    assert len(wires) == 43
+    assert len(wires) == 45
 
 
 def test_the_controller_measures_what_it_has_inputs_for():
@@ -111,7 +112,7 @@ def test_a_machine_without_supply_and_operator_has_their_signals_as_inputs():
     connections, inputs = wiring(FERIC.subsystems)
     assert connections == FERIC.connections
     levers = [f"{axis}_{v}" for axis in MOTION for v in ("command", "command_rate")]
-    lines = [f"{line}{rate}" for line in LINES for rate in ("", "_rate")]
+    lines = [*(f"{line}{rate}" for line in LINES for rate in ("", "_rate")), "oil_temperature"]
     assert list(inputs) == [*levers, "payload_mass", *lines]
     assert all(inputs[line] == (f"swing.{line}", f"boom_stick.{line}") for line in lines)
     assert wiring(FERIC.subsystems | {"supply": SUPPLY})[1] == {
@@ -120,7 +121,7 @@ def test_a_machine_without_supply_and_operator_has_their_signals_as_inputs():
 
 
 def test_assemble_connects_terminals(fmu_dir):
-    """Thirteen terminals of the FMUs give the 43 connections of harvester.ssp."""
+    """Thirteen terminals of the FMUs give the 45 connections of harvester.ssp."""
     rods = [f"boom_stick.{axis}_rod -> manipulator.{axis}_rod" for axis in ("boom", "stick")]
     levers = [f"operator_input.{axis}_lever -> {drive}.{axis}_lever" for axis, (drive, *_) in MOTION.items()]
     lines = [
@@ -137,7 +138,7 @@ def test_assemble_connects_terminals(fmu_dir):
     files = {name: fmu_dir / f"{name}.fmu" for name in FERIC.components}
     found = {str(c) for c in assemble(files, [*wires, *lines]).connections}
     assert found == {str(c) for c in load(fmu_dir / "harvester.ssp").connections}
-    assert len(found) == 43
+    assert len(found) == 45
 
 
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])

@@ -1,7 +1,8 @@
 """A servo valve, two lines, a cylinder and the mass that it moves, from the components of the harvester.
 
     spool       x'' of second order [spool_valve.spool_rates]; it stands for the command V x
-    edges       Q = K_e o(V x) sqrt(dp) + G dp, K_e = C_d A_e sqrt(2 / rho), four areas A_e, laminar leakage G
+    edges       dp = Q (|Q| + Q_t) / (K_e o(V x))^2, K_e = C_d A_e sqrt(2 / rho), four areas A_e [orifice]
+                beside each a laminar leakage G dp
                 1 / K^2 = 1 / (K_e o)^2 + C_R of bores and lines, each edge its own [spool_valve]
     chambers    dP/dt = (Q -+ A v) / (C + (V_line + V(x)) kappa(P))    C: walls of the line [cylinder]
                 kappa: oil with entrained air, which makes a chamber soft at low pressure [chamber]
@@ -23,7 +24,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from fmus.components import chamber, cylinder, friction, spool_valve
+from fmus.components import chamber, cylinder, friction, orifice, spool_valve
 from fmus.components.spool_valve import SpoolState
 from fmus.contract import Group, Quantity, Scalar, Subsystem
 
@@ -63,7 +64,7 @@ class AxisParameters(Group):
         "1", "Discharge coefficient of the metering edges", minimum=0.1, maximum=1.0
     )
     leakage: Scalar = Quantity("m3/(s.Pa)", "Laminar leakage of each edge", 1e-13, minimum=1e-17)
-    transition_flow: Scalar = Quantity("m3/s", "Flow below which edges are laminar", 1e-7, minimum=1e-10)
+    transition_flow: Scalar = Quantity("m3/s", "Flow Q_t below which edges are laminar", 1e-7, minimum=1e-10)
     spool_frequency: Scalar = Quantity("Hz", "Natural frequency of the spool", 50.0, minimum=0.1)
     resistance_pa: Scalar = _resistance("P-A")
     resistance_at: Scalar = _resistance("A-T")
@@ -151,7 +152,7 @@ def square_gain(edge: str, command: Scalar, gain: Scalar, p: AxisParameters) -> 
 
     gain   flow in this run, relative to the mean
     """
-    full = spool_valve.flow_gain(getattr(p, f"area_{edge}"), p.discharge_coefficient, p.density)
+    full = orifice.flow_gain(getattr(p, f"area_{edge}"), p.discharge_coefficient, p.density)
     curve = (getattr(p, f"dead_band_{edge}"), p.full_command, p.command_rounding)
     share = spool_valve.opening(command, *curve)
     square = (full * share) ** 2
@@ -168,10 +169,12 @@ def port_flows(x: AxisState, u: AxisInputs, p: AxisParameters) -> tuple[Scalar, 
     back = (-volts, p.backward_factor * u.backward_gain, p)
     a = square_gain("pa", *ahead) + square_gain("at", *back)
     b = square_gain("bt", *ahead) + square_gain("pb", *back)
-    return (
-        spool_valve.edge_flows_from_pressure(p, x.head_pressure, behind_a, forward, a, p).line,
-        spool_valve.edge_flows_from_pressure(p, x.rod_pressure, behind_b, 1 - forward, b, p).line,
-    )
+
+    def flow(pressure: Scalar, behind: Scalar, square: Scalar) -> Scalar:
+        leakage = p.leakage * (p.supply_pressure + p.tank_pressure - 2 * pressure)
+        return leakage + orifice.root(square * (behind - pressure), p.transition_flow)
+
+    return flow(x.head_pressure, behind_a, a), flow(x.rod_pressure, behind_b, b)
 
 
 def evaluate(x: AxisState, u: AxisInputs, p: AxisParameters) -> Axis:
@@ -179,7 +182,7 @@ def evaluate(x: AxisState, u: AxisInputs, p: AxisParameters) -> Axis:
     head, rod = cylinder.areas(p.bore, p.rod)
     inside = x.position - p.retracted
     volumes = cylinder.volumes(inside, p.stroke, head, rod, p.line_volume)
-    oil = chamber.Fluid(
+    oil = chamber.AeratedOil(
         density=p.density,
         bulk_modulus=p.bulk_modulus,
         viscosity=0.0,

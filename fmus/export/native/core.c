@@ -41,7 +41,7 @@ LOCAL void core_reset(Core *core) {
 }
 
 static void prepare(Core *core) {
-    if (!core->c_valid) model_prepare(core->s.p, core->c);
+    if (!core->c_valid) model_prepare(core->s.u, core->s.p, core->c);
     core->c_valid = 1;
 }
 
@@ -234,6 +234,7 @@ LOCAL void core_set(Core *core, unsigned reference, double value) {
         if (s->u[reference - FIRST_INPUT] != value) {
             core->start_valid &= s->start_fixed;
             core->dx_valid = core->y_valid = 0;
+            if (model_variables[reference].held) core->c_valid = core->z_valid = 0;
         }
         s->u[reference - FIRST_INPUT] = s->last_set[reference - FIRST_INPUT] = value;
         core->inputs_changed = 1;
@@ -273,6 +274,7 @@ static void plan_inputs(const State *s, const double *u, double tau, InputPolyno
     inputs->count = 0;
     memcpy(inputs->start, u, NU * sizeof *u);
     for (int i = 0; i < NU; i++) {
+        if (model_variables[FIRST_INPUT + i].held) continue;
         if (!s->has_derivatives[i] && model_variables[FIRST_INPUT + i].rate < 0) continue;
         double *m = inputs->coefficients[i];
         input_derivatives(s, u, i, m);

@@ -63,6 +63,7 @@ typedef struct {
     double warn_above;       /* magnitude above which a warning is logged; infinite if there is no limit */
     double warn_below;       /* value below which a warning is logged; -infinite if there is no limit */
     int rate;                /* inputs: index of the input that is the time derivative of this one, or -1 */
+    int held;                /* inputs: whether c depends on it; then it is constant in a step */
     const char *meaning;     /* what a value beyond its limit means, after a colon; empty if nothing is said */
 } Variable;
 
@@ -72,8 +73,8 @@ extern const double model_start_values[ROOM(NUMBER_OF_VARIABLES)];
 extern const char model_guid[48], model_other_guid[144];
 #endif
 
-/* Computes c from p. */
-LOCAL void model_prepare(const double *p, double *c);
+/* Computes c from p and the inputs that are held. */
+LOCAL void model_prepare(const double *u, const double *p, double *c);
 
 /* Computes the initial states x0 from the start values x. */
 LOCAL void model_start(const double *x, const double *u, const double *p, const double *c, double *x0);

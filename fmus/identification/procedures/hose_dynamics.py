@@ -2,13 +2,13 @@
 
 Two methods. First, the equations of a lumped hose as laws of `balance`:
 
-    I dQ/dt = P_in - P_out - R Q - C_R Q|Q|        Q = Q_in + s (Q_out - Q_in)
+    I dQ/dt = P_in - P_out - R Q - dp(Q)           Q = Q_in + s (Q_out - Q_in)
     C dP/dt = Q_in - Q_out                               P = P_out + s (P_in - P_out)
 
-In the machine (`fmus.boom_stick.drive`) s = 0: the inertance sees the flow of the inlet, and the capacitance
-is at the outlet. If both are distributed along the hose, s = 1/2: the mean of its ends. The position s, the
-friction, and the zeros of the instruments are estimated together with I and C, so that they do not bias them.
-The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
+dp is the friction with C_R (`hose.Friction`). In the machine s = 0: the inertance sees the flow of the inlet,
+and the capacitance is at the outlet. If both are distributed along the hose, s = 1/2: the mean of its ends.
+The position s, R, C_R, and the zeros of the instruments are estimated together with I and C, so that they do
+not bias them. The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
 
 Second, the definitions, which the paper uses, for comparison: sample by sample, then the mean of each group
 of recordings, then the mean of these means.
@@ -40,10 +40,10 @@ from scipy import optimize, stats
 from scipy.ndimage import shift
 
 from fmus.components import hose
+from fmus.components.chamber import Liquid
 from fmus.identification import balance
 from fmus.identification.balance import Law, Regression, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.recordings.clock import filter_for, period, uniform_rate
 from fmus.identification.recordings.masks import good, good_all
 from fmus.identification.results import (
@@ -91,9 +91,8 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         _check(test, equations_[0])
     groups, solutions, later, delay = align(equations_, tests)
     both = [fitted(e, groups, s, later) for e, s in zip(equations_, solutions, strict=True)]
-    resistance = equations_[0].start["C_R"]
     # for each quantity the samples of each group
-    defined = [*zip(*(by_definition(group, resistance) for group in groups), strict=True)]
+    defined = [*zip(*(by_definition(group, equations_[0]) for group in groups), strict=True)]
     sides = (
         ("dQ/dt [m3/s2]", "drop without friction", BAR),
         ("dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
@@ -124,10 +123,9 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
 class Equation:
     """The law of one quantity, "I" or "C", with the start of its search and its windows.
 
-    lines             of the machine that have the quantity as a parameter
-    start             initial value of each unknown
-    half_width        of the windows [s]
-    transition_flow   at which |Q| is rounded [m3/s]
+    lines        of the machine that have the quantity as a parameter
+    start        initial value of each unknown
+    half_width   of the windows [s]
     """
 
     name: str
@@ -137,27 +135,26 @@ class Equation:
     law: Law
     start: Mapping[str, float]
     half_width: float
-    transition_flow: float
 
 
 def equations(parameters: Mapping[str, Number], length: float, bore: float) -> tuple[Equation, Equation]:
-    """Both equations of a hose; |Q| is rounded as in `spool_valve.turbulent_drop`."""
-    density, modulus, known, resistance, stick_length, stick_bore = (
+    """Both equations of a hose."""
+    density, modulus, viscosity, resistance, stick_length, stick_bore = (
         data.parameter_value(parameters, f"boom_stick.{name}")
         for name in (
-            *("density", "bulk_modulus", "valve_transition_flow"),
+            *("density", "bulk_modulus", "viscosity"),
             *("stick_hose_resistance", "stick_hose_length", "stick_hose_bore"),
         )
     )
     half_width = PERIODS / float(hose.frequency_limit(length, density, modulus))
-    z, transition = ca.SX.sym("z", 4), ca.SX.sym("transition")
+    z, size = ca.SX.sym("z", 4), hose.HoseSize(length=length, bore=bore)
     p_in, p_out, q_in, q_out = ca.vertsplit(z)
     u = {name: ca.SX.sym(name) for name in ("I", "C_R", "R", "s", "C")}
     flow, pressure = q_in + u["s"] * (q_out - q_in), p_out + u["s"] * (p_in - p_out)
-    friction = flow * (u["R"] + u["C_R"] * ca.sqrt(flow**2 + transition**2))
+    of = hose.Friction.of(size, u["C_R"], Liquid(density=density, viscosity=viscosity))
     inertance = {
         "I": float(hose.inertance(length, bore, density)),
-        "C_R": scaled(resistance, stick_length, stick_bore, length, bore),  # by that of the stick's hose
+        "C_R": float(hose.scaled_resistance(resistance, length / stick_length, bore / stick_bore)),
         "R": 0.0,
         "s": 0.0,
     }
@@ -166,11 +163,11 @@ def equations(parameters: Mapping[str, Number], length: float, bore: float) -> t
     def equation(
         quantity: str, unit: str, lines: tuple[str, ...], start: Mapping[str, float], f: ca.SX, h: ca.SX
     ) -> Equation:
-        own = balance.law(z, {n: u[n] for n in start}, transition, f, h)
-        return Equation(next(iter(start)), quantity, unit, lines, own, start, half_width, known)
+        own = balance.law(z, {n: u[n] for n in start}, ca.SX.sym("known"), f, h)
+        return Equation(next(iter(start)), quantity, unit, lines, own, start, half_width)
 
     hoses = ("boom_stick.stick_hose", "boom_stick.boom_hose")
-    drop, stored = p_in - p_out - friction, q_in - q_out
+    drop, stored = p_in - p_out - u["R"] * flow - of.drop(flow), q_in - q_out
     return (
         equation("inertance", "kg/m4", (*hoses, "swing.line"), inertance, drop, u["I"] * flow),
         equation("capacitance", "m3/Pa", hoses, capacitance, stored, u["C"] * pressure),
@@ -208,7 +205,7 @@ def prepared(recording: Recording, equation: Equation) -> Samples:
     bump, slope = balance.modulating_function(max(round(equation.half_width * rate), 3), rate)
     raw = np.array([recording.interpolated(n) for n in SIGNALS])
     noise = np.array([data.noise_sd(recording, n) for n in SIGNALS])
-    samples = balance.samples_of(equation.law, SIGNALS, raw, noise, [equation.transition_flow])
+    samples = balance.samples_of(equation.law, SIGNALS, raw, noise)
     starts = balance.window_starts(good_all(recording, SIGNALS), bump.size)
     return replace(samples, rate=rate, bump=bump, slope=slope, starts=starts)
 
@@ -365,23 +362,23 @@ def fitted(
     return GroupFits(equation, tuple(alone), solution, pooled, equal)
 
 
-def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array]:
-    """Samples of I and of C; the drop is C_R Q|Q| with the hose's C_R [Pa.s2/m6]."""
+def by_definition(recording: Recording, equation: Equation) -> tuple[Array, Array]:
+    """Samples of I and of C; the drop is that of the flow at the inlet with the C_R that is known."""
     window = max(DEFINITION_WINDOW, DEFINITION_SAMPLES * period(recording.time))
     smoothing, usable = filter_for(recording, window), good_all(recording, SIGNALS)
     signal, rate = (
         {name: smoothing.apply(np.where(usable, recording[name], np.nan), order) for name in SIGNALS}
         for order in (0, 1)
     )
-    flow = signal["flow_in"]
-    inertial_drop = signal["pressure_in"] - signal["pressure_out"] - resistance * flow * np.abs(flow)
+    terms = equation.law.terms(np.array([*signal.values()]), [*equation.start.values()], 0.0)
+    inertial_drop = terms[0].full()[0]
 
     def ratio(numerator: Array, denominator: Array) -> Array:
         size = np.abs(denominator)
         clear = size > CLEAR * np.max(size, initial=0.0, where=np.isfinite(size))
         return np.asarray(numerator[clear] / denominator[clear])
 
-    stored = flow - signal["flow_out"]
+    stored = signal["flow_in"] - signal["flow_out"]
     return ratio(inertial_drop, rate["flow_in"]), ratio(stored, rate["pressure_out"])
 
 

@@ -1,28 +1,31 @@
-"""Hose resistance procedure (section 4(b), Fig. 6): turbulent pressure drop along a hose at stepped flows.
+"""Hose resistance procedure (section 4(b), Fig. 6): pressure drop along a hose at stepped flows.
 
-    P_in - P_out = C_R Q|Q|, eq. (1)        P_in - P_out = k Q^1.75, k ~ l/D^4.75, eq. (10)
+    P_in - P_out = dp(Q) of `hose.Friction`        P_in - P_out = C_R Q|Q|, eq. (1)
 
-Eq. (1) is the law that the machine simulates, with |Q| rounded to sqrt(Q^2 + Q_t^2) as in
-`fmus.components.spool_valve.turbulent_drop`. Eq. (10) is Blasius' law, so C_R = k Q^-0.25 is valid for one
-reference flow (correction E10 in docs/equations.md). Both are fitted to the means over the steps (`balance`),
-with the errors of drop and flow. Chi-square and AIC show which law the data support.
+The first is the law of the machine: laminar flow by the known viscosity of the oil, above the critical flow
+Blasius' law, whose C_R is stated at 170 L/min (correction E10 in docs/equations.md). Eq. (1) is compared with
+it. Both are fitted to the means over the steps (`balance`), with the errors of drop and flow; AIC shows which
+law the data support. If both are misfits and the small flows are clearly those of another viscosity, it is
+estimated, too.
 
 The readings of two transducers differ slightly without flow, and a tenth of a bar is a hundredth of a hose's
 drop: the zeros of the transducers and of the meter are estimated with each law.
 
-Validity: steady flow above the dead zone of the meter; eq. (10) for a smooth pipe and Re 3e3 to 1e5.
+Validity: steady flow above the dead zone of the meter; a smooth pipe, up to Re 1e5.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache, partial
-from operator import mul
+from contextlib import suppress
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from scipy import stats
 
 from fmus.components import hose
+from fmus.components.chamber import Liquid
+from fmus.contract import Scalar
 from fmus.identification import balance
 from fmus.identification.balance import Solution
 from fmus.identification.procedures import experiment_data as data
@@ -43,39 +46,47 @@ from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
-FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by eq. (10) is reported
+FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by Blasius' law is reported
 UNIT = "Pa.s2/m6"
-LABELS = {  # of the laws in the panels of drop and residual
-    "square": ("C_R Q|Q|, eq. (1)", "eq. (1)"),
-    "power": ("k Q^1.75, eq. (10)", "eq. (10)"),
-    "mixed": ("with laminar part", "with laminar part"),
+REFERENCE = f"{hose.REFERENCE_FLOW / LITRES_PER_MINUTE[1]:.0f} L/min"
+LABELS: Mapping[str, tuple[str, CurveKind]] = {  # of the laws in the panels
+    "machine": ("laminar to turbulent", "fit"),
+    "square": ("C_R Q|Q|, eq. (1)", "compared"),
+    "viscosity": ("viscosity fitted", "compared"),
 }
 TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
+RATIOS = tuple(2.0 ** (k / 4) for k in range(-8, 13))  # of viscosities with which a search begins
 MIN_STEPS = 4  # fewer steps cannot distinguish between the laws
 LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
 ONE_WAY = 0.9  # rank correlation of flow and time from which on a change in time cannot be told
-Fits = Mapping[str, Solution]  # by each law; "mixed" only if the others are misfits and it is significant
+Fits = Mapping[str, Solution]  # by each law; "viscosity" only if the others are misfits and it is better
 
 
 @lru_cache(maxsize=1)
 def laws() -> Mapping[str, balance.Law]:
-    """The drop by eq. (1) as the machine simulates it, by eq. (10), and with a laminar part.
+    """The drop as the machine simulates it, by eq. (1), and the former with another viscosity.
 
-    square   C_R Q sqrt(Q^2 + Q_t^2)
-    power    k Q^1.75 with the sign of Q
-    mixed    Q sqrt(R^2 + (C_R Q)^2), laminar below R/C_R as in `fmus.components.hose`; R^2 may be negative
+    Known are length and bore of the hose, density and viscosity of the oil; C_R is that at this viscosity.
+    The logarithm of the viscosity over it is unknown in the third law.
     """
-    z, transition = ca.SX.sym("z", 3), ca.SX.sym("transition")
-    u = {name: ca.SX.sym(name) for name in ("resistance", "factor", "laminar_square")}
-    q, turbulent = z[2], (u["resistance"] * z[2]) ** 2
-    mixed = q * ca.sqrt(ca.fmax(u["laminar_square"] + turbulent, 1e-6 * turbulent + 1e-9))
+    z, known = ca.SX.sym("z", 3), ca.SX.sym("known", 4)
+    length, bore, density, nominal = ca.vertsplit(known)
+    size = hose.HoseSize(length=length, bore=bore)
+    u = {name: ca.SX.sym(name) for name in ("resistance", "thicker")}
+
+    thicker = ca.fmax(-3, ca.fmin(u["thicker"], 3))  # finite in a search that diverges
+
+    def machine(viscosity: ca.SX) -> Scalar:
+        own = hose.scaled_resistance(u["resistance"], 1, 1, viscosity / nominal)
+        return hose.Friction.of(size, own, Liquid(density=density, viscosity=viscosity)).drop(z[2])
+
     forms = {
-        "square": (("resistance",), u["resistance"] * q * ca.sqrt(q**2 + transition**2)),
-        "power": (("factor",), u["factor"] * ca.sign(q) * ca.fabs(q) ** 1.75),
-        "mixed": (("resistance", "laminar_square"), mixed),
+        "machine": (("resistance",), machine(nominal)),
+        "square": (("resistance",), u["resistance"] * z[2] * ca.fabs(z[2])),
+        "viscosity": (("resistance", "thicker"), machine(nominal * ca.exp(thicker))),
     }
     return {
-        name: balance.law(z, {n: u[n] for n in unknowns}, transition, z[0] - z[1] - drop)
+        name: balance.law(z, {n: u[n] for n in unknowns}, known, z[0] - z[1] - drop)
         for name, (unknowns, drop) in forms.items()
     }
 
@@ -84,14 +95,6 @@ def drop_by(fits: Fits, name: str, flow: Array) -> Array:
     """Drop [Pa] by one of the laws at flows [m3/s]."""
     readings, known = np.outer([0.0, 0.0, 1.0], flow), fits[name].samples[0].known
     return np.asarray(-laws()[name].terms(readings, fits[name].fit.values, known)[0].full()[0])
-
-
-def scaled(resistance: float, length: float, diameter: float, to_length: float, to_diameter: float) -> float:
-    """C_R or k of a hose of another length and diameter [m], from that of `length` and `diameter`, eq. (10).
-
-    R ~ l/D^4.75, at the same flow and with the same oil.
-    """
-    return float(hose.scaled_resistance(resistance, to_length / length, to_diameter / diameter))
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
@@ -108,22 +111,20 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         times.append(along)
     steps, along = data.concatenate(means), np.concatenate(times)
     limits = data.zero_limits(tests, ("pressure_in", "pressure_out")) | data.declared_limits(tests, ["flow"])
-    fits = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limits)
-    square, good = fits["square"], steps[steps.good]
-    zero = zero_of(fits)
-    weights = square.column("resistance") ** 2
-    reference_flow = float(np.sqrt(weights @ good.flow**2 / weights.sum()))  # weighted rms
     length, bore = data.hose_size(tests)
-    flow = f"{reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min"
+    density, viscosity = (parameter_value(parameters, f"boom_stick.{n}") for n in ("density", "viscosity"))
+    to_density = data.density_ratio(tests, parameters)
+    fits = fit_laws(steps, (length, bore, density / to_density, viscosity), limits)
+    found, zero = fits.get("viscosity", fits["machine"]), zero_of(fits)
     estimates = []
     for axis in ("stick", "boom"):
         size = tuple(parameter_value(parameters, f"boom_stick.{axis}_hose_{n}") for n in ("length", "bore"))
-        factor = data.density_ratio(tests, parameters) ** 0.75 * scaled(1.0, length, bore, *size)
-        note = f"eq. (1), section 4(b), at {flow}"
+        factor = float(hose.scaled_resistance(to_density**0.75, size[0] / length, size[1] / bore))
+        note = f"Blasius, section 4(b), at {REFERENCE}"
         if abs(factor - 1) > 1e-9:
             note += f", eq. (10) from {length:g} m to {size[0]:g} m, {size[1] * 1e3:.4g} mm"
         name = f"boom_stick.{axis}_hose_resistance"
-        estimates.append(square.fit.estimate(name, UNIT, note, "resistance", factor))
+        estimates.append(found.fit.estimate(name, UNIT, note, "resistance", factor))
     return ProcedureResult(
         procedure="hose_resistance",
         title=f"Hose resistance: {length:g} m, bore {bore * 1e3:.4g} mm",
@@ -131,19 +132,23 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         estimates=tuple(estimates),
         panels=panels(steps.without_zero(zero.value), fits),
         remarks=(
-            *_remarks(steps, fits, zero, flow),
-            data.constants_remark(tests, parameters, "density"),
+            *_remarks(steps, fits, zero),
+            data.constants_remark(tests, parameters, "density", "viscosity"),
         ),
-        others=tuple(_others(fits, zero, flow)),
+        others=tuple(_others(fits, zero)),
         findings=(
-            *_findings(square, good.flow, (along[steps.good], word)),
+            *_findings(found, steps[steps.good].flow, (along[steps.good], word)),
             *data.signal_findings(tests, SIGNALS, "hose_resistance"),
         ),
     )
 
 
-def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> Fits:
-    """All laws, fitted to the measured steps; `limits` are the largest errors of the zeros."""
+def fit_laws(steps: StepMeans, known: tuple[float, float, float, float], limits: Mapping[str, float]) -> Fits:
+    """All laws, fitted to the measured steps.
+
+    known    length and bore of the hose, density and viscosity of the oil
+    limits   largest errors of the zeros
+    """
     good = steps[steps.good]
     if good.flow.size < MIN_STEPS:
         raise Problem(
@@ -157,31 +162,35 @@ def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, floa
             f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "
             "change the sign of the flow, or exchange the two pressures"
         )
-    largest, none = float(np.abs(good.flow).max()), np.zeros_like(good.drop)
+    none = np.zeros_like(good.drop)
     # only the difference of the pressures counts, so that at the outlet is taken as zero
     means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
 
-    def fitted(name: str, **initial: float) -> Solution:
-        samples = balance.samples_of(laws()[name], SIGNALS, means, errors, (transition_flow,))
+    def fitted(name: str, ratio: float = 1.0, **initial: float) -> Solution:
+        constants = (*known[:3], ratio * known[3])
+        samples = balance.samples_of(laws()[name], SIGNALS, means, errors, constants)
         return balance.solve([samples], initial, "hose_resistance", limits)
 
-    fits = {
-        "square": fitted("square", resistance=start),
-        "power": fitted("power", factor=start * largest**0.25),
-    }
+    fits = {name: fitted(name, resistance=start) for name in ("machine", "square")}
     if all(solution.fit.misfit for solution in fits.values()):
-        try:
-            mixed = fitted("mixed", resistance=start, laminar_square=(start * largest / 10) ** 2)
-        except Problem:  # data that contradict this law may have no optimum
-            return fits
-        if mixed.fit["laminar_square"] > 0 and mixed.fit.significant("laminar_square"):
-            fits["mixed"] = mixed
+        near = {1.0: fits["machine"]}
+        with suppress(Problem):  # all flows are laminar
+            for x in RATIOS:
+                near[x] = fitted("machine", x, resistance=start)
+        with suppress(Problem):  # data that contradict this law may have no optimum
+            x = min(near, key=lambda x: near[x].fit.chi_square)
+            other = fitted("viscosity", resistance=near[x].fit["resistance"] / x**0.25, thicker=math.log(x))
+            sd, better = other.fit.sd("thicker"), _aic(other) < min(map(_aic, fits.values()))
+            # else a misfit of another cause, such as a drift, would be taken for a viscosity
+            significant = abs(other.fit["thicker"]) > balance.SIGNIFICANT * sd
+            if better and significant and sd < balance.DETERMINED:
+                fits["viscosity"] = other
     return fits
 
 
 def zero_of(fits: Fits) -> Estimate:
     """Pressure difference without flow by the best law."""
-    best = fits.get("mixed") or min(fits.values(), key=_aic)
+    best = min(fits.values(), key=_aic)
     zero, sd = best.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
     return Estimate.normal("pressures without flow", zero, "Pa", sd, "pressure_in - pressure_out")
 
@@ -192,22 +201,22 @@ def _aic(solution: Solution) -> float:
     return solution.fit.chi_square + 2 * len(solution.fit.names) + zeros
 
 
-def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterator[Finding]:
-    """Tests of the residual of eq. (1): a C_R that changes with the flow, or in time; zeros; the model."""
+def _findings(found: Solution, flow: Array, along: tuple[Array, str]) -> Iterator[Finding]:
+    """Tests of the residual: a C_R that changes with the flow, or in time; zeros; the model."""
     size = np.abs(flow)
-    level = square.column("resistance") * (size - size.mean()) / max(float(np.ptp(size)), TINY)
-    change, sd = square.effect(level)
-    percent = 100 / square.fit["resistance"]
+    level = found.column("resistance") * (size - size.mean()) / max(float(np.ptp(size)), TINY)
+    change, sd = found.effect(level)
+    percent = 100 / found.fit["resistance"]
     yield Finding(
         "model",
-        balance.probability(change, sd, LEVEL * square.fit["resistance"]),
-        f"hose_resistance: C_R of eq. (1) changes by {percent * change:+.3g} +- {percent * sd:.2g} % from "
+        balance.probability(change, sd, LEVEL * found.fit["resistance"]),
+        f"hose_resistance: C_R changes by {percent * change:+.3g} +- {percent * sd:.2g} % from "
         "the smallest to the largest flow",
     )
     if abs(float(stats.spearmanr(size, along[0])[0])) < ONE_WAY:  # else time and flow look alike
-        yield balance.drift_finding(square, "resistance", [along], "hose_resistance: C_R", given=[level])
-    yield from balance.zero_findings(square, "hose_resistance")
-    yield balance.model_finding(square, "hose_resistance: eq. (1)")
+        yield balance.drift_finding(found, "resistance", [along], "hose_resistance: C_R", given=[level])
+    yield from balance.zero_findings(found, "hose_resistance")
+    yield balance.model_finding(found, "hose_resistance")
 
 
 def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
@@ -219,67 +228,57 @@ def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
         Curve("masked: dead zone of the meter", dead.flow, dead.drop, "masked"),
     ]
     residual = []
+    resistance = [Curve("measured", good.flow, good.resistance, error=good.resistance_error)]
+    in_range = flows[flows >= np.abs(good.flow).min() / 2]  # laminar flow has no limit at Q = 0
     for name in fits:
-        label, short = LABELS[name]
-        kind: CurveKind = "fit" if name == "square" else "compared"
-        error = good.drop_error if name == "square" else None
+        label, kind = LABELS[name]
+        error = good.drop_error if kind == "fit" else None
         drop.append(Curve(label, flows, drop_by(fits, name, flows), kind, line=True))
         left = good.drop - drop_by(fits, name, good.flow)
-        residual.append(Curve(short, good.flow, left, kind, error=error))
-    constant = np.full_like(flows[1:], fits["square"].fit["resistance"])
-    in_range = flows[flows >= np.abs(good.flow).min() / 2]  # eq. (10) has no limit at Q = 0
-    power_resistance = fits["power"].fit["factor"] * in_range**-0.25
-    resistance = (
-        Curve("measured", good.flow, good.resistance, error=good.resistance_error),
-        Curve("eq. (1)", flows[1:], constant, "fit", line=True),
-        Curve("k Q^-0.25, eq. (10)", in_range, power_resistance, "compared", line=True),
-    )
+        residual.append(Curve(label, good.flow, left, kind, error=error))
+        ratio = drop_by(fits, name, in_range) / in_range**2
+        resistance.append(Curve(label, in_range, ratio, kind, line=True))
     litres = LITRES_PER_MINUTE
     return (
         Panel("flow", "pressure drop", tuple(drop), "Drop along the hose", litres, BAR),
         Panel("flow", "drop, measured - fitted", tuple(residual), "Residual", litres, BAR),
-        Panel("flow", "C_R [Pa.s2/m6]", resistance, "C_R is valid for one flow", litres),
+        Panel("flow", "C_R [Pa.s2/m6]", tuple(resistance), "C_R is valid for one flow", litres),
     )
 
 
-def _others(fits: Fits, zero: Estimate, reference_flow: str) -> Iterator[Estimate]:
-    square, power = fits["square"].fit, fits["power"].fit
-    yield square.estimate("C_R", UNIT, f"eq. (1), the tested hose at {reference_flow}", "resistance")
+def _others(fits: Fits, zero: Estimate) -> Iterator[Estimate]:
+    found = fits.get("viscosity", fits["machine"]).fit
+    yield found.estimate("C_R", UNIT, f"the tested hose at {REFERENCE}", "resistance")
     yield zero
-    yield power.estimate("k", "Pa/(m3/s)^1.75", "eq. (10), the tested hose", "factor")
     for litres in FLOWS:
-        scale = (litres * LITRES_PER_MINUTE[1]) ** -0.25
-        note = "k Q^-0.25, eq. (10)"
-        yield power.derived(f"C_R({litres:g} L/min)", UNIT, note, "factor", partial(mul, scale))
-    if "mixed" in fits:
-        mixed, note = fits["mixed"].fit, "Q sqrt(R^2 + (C_R Q)^2)"
-        yield mixed.estimate("C_R with laminar part", UNIT, note, "resistance")
-        yield mixed.derived("R, laminar part", "Pa.s/m3", note, "laminar_square", math.sqrt)
+        factor = (hose.REFERENCE_FLOW / (litres * LITRES_PER_MINUTE[1])) ** 0.25
+        note = "Blasius, where the flow is turbulent"
+        yield found.estimate(f"C_R({litres:g} L/min)", UNIT, note, "resistance", factor)
+    yield fits["square"].fit.estimate("C_R by eq. (1)", UNIT, "the tested hose, all flows", "resistance")
+    if "viscosity" in fits:
+        note = "of the tested oil over that of the machine's, by the small flows"
+        yield found.derived("viscosity ratio", "1", note, "thicker", math.exp)
 
 
-def _remarks(steps: StepMeans, fits: Fits, zero: Estimate, reference_flow: str) -> Iterator[str]:
-    """Steps left out, the better law, the reference flow, the offset, a laminar part, a misfit."""
+def _remarks(steps: StepMeans, fits: Fits, zero: Estimate) -> Iterator[str]:
+    """Steps left out, the better law, the reference flow, the offset, another viscosity, a misfit."""
     if omissions := steps.omissions():
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
         yield f"Left out of {steps.flow.size} steps: {omissions}{flat}."
-    square, power = fits["square"].fit, fits["power"].fit
-    one_is_better = _aic(fits["square"]) < _aic(fits["power"])
-    order = "Eq. (1) fits better than eq. (10)" if one_is_better else "Eq. (10) fits better than eq. (1)"
+    machine, square = fits["machine"].fit, fits["square"].fit
+    better = "Eq. (1)" if _aic(fits["square"]) < _aic(fits["machine"]) else "The machine's law"
     yield (
-        f"{order}: chi-square is {square.chi_square:.4g} by eq. (1), {power.chi_square:.4g} by eq. (10), "
-        f"with {square.freedom} degrees of freedom."
+        f"{better} fits better: chi-square is {square.chi_square:.4g} by eq. (1), {machine.chi_square:.4g} "
+        f"by the machine's law, with {square.freedom} degrees of freedom."
     )
-    yield (
-        f"C_R is valid for {reference_flow}, the weighted rms "
-        "of the flows. By eq. (10) C_R would fall by 16 % for each doubling of the flow."
-    )
+    yield f"C_R is valid for {REFERENCE}. It falls by 16 % for each doubling of the flow."
     yield from data.pressure_offset_remark(zero)
-    if "mixed" in fits:
+    if "viscosity" in fits:
+        other = fits["viscosity"].fit
         yield (
-            "The small flows show a laminar part: with Q sqrt(R^2 + (C_R Q)^2) chi-square is "
-            f"{fits['mixed'].fit.chi_square:.4g}. The lumped hose has no such term: C_R includes a part of "
-            "it."
+            f"The small flows are those of {math.exp(other['thicker']):.3g} times the viscosity: with it "
+            f"chi-square is {other.chi_square:.4g}. C_R is converted to the machine's oil by eq. (10)."
         )
-    yield from balance.misfit_remark(square, "Eq. (1)")
+    yield from balance.misfit_remark(fits.get("viscosity", fits["machine"]).fit, "The hose's law")
     if "flow" not in fits["square"].limits:
         yield "The description of the flow meter has no `zero_error`: the intervals do not cover its zero."

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from fmus.boom_stick import BOOM_STICK
+from fmus.components import oil
 from fmus.contract import Subsystem, flat, nested, quantities, symbols, unstack, with_derived
 from fmus.identification import balance
 from fmus.identification.balance import Law, Samples, Solution
@@ -74,8 +75,9 @@ def symbolic_equations() -> SimpleNamespace:
     measured = {name.partition(".")[2]: pressures[k] for k, name in enumerate(ALL_PRESSURES)}
     measured |= {f"{j}_angle": q[k] for k, j in enumerate(JOINTS)}
     measured |= {f"{j}_speed": w[k] for k, j in enumerate(JOINTS)}
-    # the head's own mass includes what it holds
+    # the head's own mass includes what it holds; forces at measured pressures are those at any temperature
     measured |= {"tank_pressure": tank, "held_mass": ca.SX(0), "payload_flow": ca.SX(0)}
+    measured["oil_temperature"] = ca.SX(oil.REFERENCE)
     swing, cylinders = (
         sub.observe(_at(sub.states, measured), _at(sub.inputs, measured), _parameters_of(sub, p))
         for sub in (SWING, BOOM_STICK)

@@ -2,11 +2,12 @@
 
 Each step gives the effective area of the edge from its flow and pressure drop,
 
-    a = sqrt((Q - L) sqrt(Q^2 + Q_t^2) / dp) / (C_d sqrt(2/rho))        L = G dp - G (dp_s - dp)
+    a = sqrt((Q - L) (|Q| + Q_t) / dp) / (C_d sqrt(2/rho))        L = G dp - G (dp_s - dp)
 
-L is the leakage (coefficient G) of the open edge minus that of the closed edge at the same port, which has
-the rest of the pressure drop dp_s from supply to tank. Means over steps with one command are the nodes of
-the opening. With the zeros z of the pressure drop and z_q of the flow meter, and the noise e,
+Q_t is that of `orifice.Edge` at a, below 0.1 L/min. L is the leakage (coefficient G) of the open edge minus
+that of the closed edge at the same port, which has the rest of the pressure drop dp_s from supply to tank.
+Means over steps with one command are the nodes of the opening. With the zeros z of the pressure drop and
+z_q of the flow meter, and the noise e,
 
     a_i = A(V_i) + (da/ddp) z + (da/dQ) z_q + e_i
 
@@ -38,6 +39,7 @@ from scipy import optimize, stats
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
+from fmus.components.orifice import CLOSED
 from fmus.identification.balance import UNLIKELY, Regression
 from fmus.identification.procedures.experiment_data import StepMeans, parameter, parameter_value
 from fmus.identification.results import CONFIDENCE, Estimate
@@ -75,8 +77,9 @@ class Known:
     discharge_coefficient: float
     full_command: float
     leakage: float
-    transition_flow: float
+    transition_reynolds: float
     density: float
+    viscosity: float
     rounding: Number
     zero: float = 0.0
     flow_zero: float = 0.0
@@ -85,10 +88,11 @@ class Known:
     @classmethod
     def of(cls, parameters: Mapping[str, Number]) -> Known:
         """From the parameters of the machine, whose three valves are identical (section 4(a))."""
-        names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
+        names = ("discharge_coefficient", "full_command", "leakage", "transition_reynolds")
         valve = {name: parameter_value(parameters, f"boom_stick.valve_{name}") for name in names}
         rounding = parameter(parameters, "boom_stick.valve_command_rounding")
-        return cls(**valve, density=parameter_value(parameters, "boom_stick.density"), rounding=rounding)
+        oil = {name: parameter_value(parameters, f"boom_stick.{name}") for name in ("density", "viscosity")}
+        return cls(**valve, **oil, rounding=rounding)
 
     @property
     def zero_sd(self) -> float:
@@ -143,9 +147,14 @@ class ValveSteps(StepMeans):
         drop, flow = self.drop - zero, self.flow - flow_zero
         net = np.maximum(flow - c.leakage * (2 * drop - self.supply_drop), 1e-3 * np.abs(flow) + 1e-15)
         gain = c.discharge_coefficient * np.sqrt(2 / self.density)
-        area = np.sqrt(net * np.hypot(flow, c.transition_flow) / drop) / gain
-        by_flow = area / 2 * (1 / net + flow / (flow**2 + c.transition_flow**2))
-        return area, -area / 2 * (1 / drop + 2 * c.leakage / net), by_flow
+        laminar = c.transition_reynolds * c.viscosity / self.density * math.sqrt(math.pi / 4)
+        area = slowed = np.zeros_like(flow)
+        for _ in range(3):  # an error of (Q_t/2Q)^3
+            slowed = np.abs(flow) + laminar * np.sqrt(area + CLOSED)
+            area = np.sqrt(net * slowed / drop) / gain
+        share = area / (2 - (slowed - np.abs(flow)) / (2 * slowed) * area / (area + CLOSED))
+        by_flow = share * (1 / net + np.sign(flow) / slowed)
+        return area, -share * (1 / drop + 2 * c.leakage / net), by_flow
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,13 @@ def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Ar
         information = np.zeros((nx + len(prior), nx + len(prior)))
         information[nx:, nx:] = sum(bottoms, prior)
         information += run.top[:, :-1].T @ run.top[:, :-1]
+        # exactly optimal initial state: the first segment knows nearly all of it, so without that segment
+        # what a search leaves of its gradient would become a large change
+        start = np.zeros(nx + len(prior))
+        start[:nx] = -np.linalg.solve(run.top[:, :nx], run.top[:, -1])
         for rows in run.blocks:
-            contribution, gradient = rows[:, :-1].T @ rows[:, :-1], rows[:, :-1].T @ rows[:, -1]
+            contribution, residual = rows[:, :-1].T @ rows[:, :-1], rows[:, -1] + rows[:, :-1] @ start
+            gradient = rows[:, :-1].T @ residual
             changes.append((_inverse(information - contribution) @ gradient)[nx:])
     count, all_changes = len(changes), np.array(changes)
     if count == 1:

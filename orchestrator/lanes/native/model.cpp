@@ -103,6 +103,7 @@ typedef struct {
     Lanes start[ROOM(NX)], last_set[ROOM(NU)], end_derivative[ROOM(NU)], derivatives[ROOM(NU)][3];
     Mask alive;
     Lanes c[ROOM(NC)], z[ROOM(NZ)], require[ROOM(NREQUIRE)];
+    Lanes held[ROOM(NU)]; /* the inputs of which c is */
     int32_t has_derivatives[ROOM(NU)], had_derivatives[ROOM(NU)];
     Lanes step;         /* proposal for the next inner step [s]; 0: none */
     Rest cheap, second; /* of the method that is tried first, and of that of Cash and Karp */
@@ -134,10 +135,25 @@ static Instance *create(void *memory, double tolerance) {
     return shared;
 }
 
-static void prepare(Instance *self) { model_prepare(parameters(own(self)), own(self)->c); }
+static void prepare(Instance *self) {
+    Own *s = own(self);
+    memcpy((void *)s->held, inputs_of(s), sizeof s->held);
+    model_prepare(s->held, parameters(s), s->c);
+}
+
+/* Computes c again if a held input has changed, as core_set. Returns whether. */
+static int prepare_again(Own *s) {
+    for (int i = 0; i < NU; i++)
+        if (model_variables[FIRST_INPUT + i].held && any(inputs_of(s)[i] != s->held[i])) {
+            prepare(&s->shared);
+            return 1;
+        }
+    return 0;
+}
 
 static void start(Instance *self) {
     Own *s = own(self);
+    prepare_again(s);
     model_start(s->start, inputs_of(s), parameters(s), s->c, states(s));
 }
 
@@ -151,12 +167,14 @@ static void outputs_again(Instance *self, Mask machines) {
     Lanes others[ROOM(NY)];
     const int some = !all(machines);
     if (some) memcpy((void *)others, outputs(s), NY * sizeof *others);
+    if (prepare_again(s)) model_observe_states(states(s), parameters(s), s->c, outputs(s), s->z);
     model_observe(states(s), inputs_of(s), parameters(s), s->c, s->z, outputs(s));
     if (some) blend(outputs(s), others, NY, !machines);
 }
 
 static void outputs_now(Instance *self) {
     Own *s = own(self);
+    prepare_again(s);
     model_observe_states(states(s), parameters(s), s->c, outputs(s), s->z);
     model_observe(states(s), inputs_of(s), parameters(s), s->c, s->z, outputs(s));
 }
@@ -203,6 +221,7 @@ static void plan_inputs(Own *s) {
     inputs->count = 0;
     memcpy((void *)inputs->start, s->last_set, NU * sizeof *s->last_set);
     for (int i = 0; i < NU; i++) {
+        if (model_variables[FIRST_INPUT + i].held) continue;
         if (!s->has_derivatives[i] && model_variables[FIRST_INPUT + i].rate < 0) continue;
         Lanes *m = inputs->coefficients[i];
         input_derivatives(s, i, m);
@@ -420,6 +439,7 @@ static void check(Instance *self, Lanes time) {
 
 static void step(Instance *self, Lanes length, Mask machines) {
     Own *s = own(self);
+    if (prepare_again(s)) model_observe_states(states(s), parameters(s), s->c, outputs(s), s->z);
     plan_inputs(s);
     if (EXPLICIT_FIRST)
         model_derivatives(states(s), s->last_set, parameters(s), s->c, s->z, s->work.f0);

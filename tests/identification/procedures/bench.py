@@ -19,7 +19,7 @@ PRESSURE = Sensor("transducer 0-400 bar, 12 bit", 0.1 * BAR, 400 * BAR / 4096, 0
 FLOW = Sensor("turbine, 12 bit", 0.3 * LITRES, 600 * LITRES / 4096, -300 * LITRES, 300 * LITRES, 10 * LITRES)
 
 AREA, DEAD_BAND, ROUNDING, C_D, DENSITY = 4e-5, 0.6, 0.4, 0.62, 970.0
-LEAKAGE, TRANSITION, SUPPLY, TANK = 1.6e-14, 1e-5, 20.684e6, 0.5e6
+LEAKAGE, TRANSITION, VISCOSITY, SUPPLY, TANK = 1.6e-14, 10.0, 0.02, 20.684e6, 0.5e6
 LENGTH, BORE, RESISTANCE, INERTANCE, CAPACITANCE = 4.0, 0.01905, 3.2e10, 1.361e7, 7.126e-13
 HOSE = {"length": LENGTH, "diameter": BORE, "density": DENSITY}
 
@@ -30,8 +30,9 @@ KNOWN = {
         ("boom_stick.valve_full_command", 10.0, "V"),
         ("boom_stick.valve_command_rounding", ROUNDING, "V"),
         ("boom_stick.valve_leakage", LEAKAGE, "m3/(s.Pa)"),
-        ("boom_stick.valve_transition_flow", TRANSITION, "m3/s"),
+        ("boom_stick.valve_transition_reynolds", TRANSITION, "1"),
         ("boom_stick.density", DENSITY, "kg/m3"),
+        ("boom_stick.viscosity", VISCOSITY, "Pa.s"),
         ("boom_stick.bulk_modulus", 1.6e9, "Pa"),
         ("boom_stick.stick_hose_resistance", RESISTANCE, "Pa.s2/m6"),
         ("boom_stick.stick_hose_length", LENGTH, "m"),
@@ -100,8 +101,11 @@ def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
     drop = supply_drop - 4e5 * (volts - volts[0])
     leak = LEAKAGE * drop - LEAKAGE * (supply_drop - drop)  # of the open edge minus that of the closed one
 
+    # flow of that Reynolds number through a round hole of the same area
+    laminar = TRANSITION * VISCOSITY / DENSITY * np.sqrt(np.pi * area * opening(volts)) / 2
+
     def surplus(q, i):
-        return (q - leak[i]) * np.hypot(q, TRANSITION) - gain[i] ** 2 * drop[i]
+        return (q - leak[i]) * (abs(q) + laminar[i]) - gain[i] ** 2 * drop[i]
 
     q = np.array([brentq(surplus, 0.0, 1e-2, args=(i,), xtol=1e-15) for i in range(volts.size)])
     hold = round(1.5 * RATE)
@@ -121,9 +125,12 @@ def edges(seed, **changes):
 FLOWS = tuple(np.linspace(5.0, 280.0, 24))  # L/min
 
 
-def turbulent(q):
-    """Pressure drop [Pa] by eq. (1) with the rounding of the machine, at a flow [m3/s]."""
-    return RESISTANCE * q * np.hypot(q, TRANSITION)
+def friction(q, viscosity=VISCOSITY):
+    """Pressure drop [Pa] at a flow [m3/s]: Hagen-Poiseuille below Re 2300, Blasius above, smooth between."""
+    reynolds = 4 * q * DENSITY / (np.pi * BORE * viscosity)
+    s = reynolds**8 / (2300.0**8 + reynolds**8)
+    turbulent = RESISTANCE * (viscosity / VISCOSITY * 170 * LITRES * q**7) ** 0.25
+    return (1 - s) * 128 * viscosity * LENGTH / (np.pi * BORE**4) * q + s * turbulent
 
 
 def steady_hose(seed, drop, flows=FLOWS):
@@ -159,7 +166,7 @@ def _group(seed, number, share, length, late, delay):
     # Q_in, Q_out, P_in, P_out are the sums and differences of these and of what is stored between the ends
     q, dq = waves(120 * LITRES, np.array([30.0, 20.0, 12.0, 10.0]) * LITRES)
     p, dp = waves(120 * BAR, np.array([15.0, 15.0, 10.0, 10.0]) * BAR)
-    drop = INERTANCE * dq + turbulent(q)
+    drop = INERTANCE * dq + friction(q)
     stored = CAPACITANCE * dp
     signals = {
         "pressure_in": p + (1 - share) * drop,

@@ -105,7 +105,7 @@ def test_a_resistance_may_change_by_two_percent_over_the_flows(change, named):
     flows = np.random.default_rng(2).permutation(np.linspace(20.0, 275.0, 40))
 
     def drop(q):
-        return bench.turbulent(q) * (1 + change * (q / bench.LITRES - 147.5) / 255.0)
+        return bench.friction(q) * (1 + change * (q / bench.LITRES - 147.5) / 255.0)
 
     (record,) = bench.steady_hose(1, drop, flows)
     found = names(hose_resistance.identify([record], bench.KNOWN))

@@ -19,7 +19,7 @@ def names(result):
 
 def hose(change=lambda r: r, flows=UP_AND_DOWN):
     """Faults of a hose at stepped flows."""
-    (record,) = bench.steady_hose(1, bench.turbulent, flows)
+    (record,) = bench.steady_hose(1, bench.friction, flows)
     return names(hose_resistance.identify([change(record)], bench.KNOWN))
 
 
@@ -53,7 +53,7 @@ def test_a_fault_of_a_hose_is_named(fault):
 
 def test_a_recorded_temperature_takes_the_place_of_time():
     """A drop that follows the temperature, which rises at the end, is named with it."""
-    (r,) = bench.steady_hose(1, bench.turbulent, UP_AND_DOWN)
+    (r,) = bench.steady_hose(1, bench.friction, UP_AND_DOWN)
     course = np.clip(2 * r.time / r.time[-1] - 1, 0.0, 1.0)
     r = replace(r, units={**r.units, "oil_temperature": "K"})
     heated = changed(falling(r, course), {"oil_temperature": 310 + 9 * course})
@@ -102,7 +102,7 @@ def test_a_rest_recording_tells_zeros_also_at_the_end_of_a_range():
 
 def test_zeros_at_rest_are_subtracted_before_the_procedures():
     """Transducers 3 bar apart: C_R is right with a rest recording, whose finding names them."""
-    (record,) = bench.steady_hose(1, bench.turbulent, UP_AND_DOWN)
+    (record,) = bench.steady_hose(1, bench.friction, UP_AND_DOWN)
     moved = changed(record, {"pressure_in": record["pressure_in"] + 3 * BAR})
     still = at_rest(2, pressure_in=3 * BAR, pressure_out=0.0)
     found = pipeline.identify([moved, still])

@@ -23,7 +23,7 @@ TRUTH = {
 }
 BENCHES = {
     "valve": (valve, lambda: [bench.edge("P-A", [5, 0]), bench.edge("P-B", [5, 2])]),
-    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, bench.turbulent)),
+    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, bench.friction)),
     "hose_dynamics": (hose_dynamics, lambda: bench.moving_hose(5)),
 }
 
@@ -126,8 +126,8 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
 
 
 def test_residuals_far_above_the_noise_are_a_warning():
-    """A hose whose drop is laminar at first, which eq. (1) cannot be."""
-    recordings = bench.steady_hose(5, lambda q: bench.turbulent(q) + 3e8 * q)
+    """A hose with a check valve of 5 bar, which the law does not have."""
+    recordings = bench.steady_hose(5, lambda q: bench.friction(q) + 5 * bench.BAR * np.sign(q))
     found = results.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
     assert {f.fault for f in found} == {"model"}
     assert any("times the noise of the sensors" in f.sentence for f in found)
@@ -163,13 +163,16 @@ def test_two_hoses_are_refused(name):
         procedure.identify([*own, other], bench.KNOWN)
 
 
-@pytest.mark.parametrize(("name", "power"), [("hose_resistance", 0.75), ("hose_dynamics", 1.0)])
-def test_another_oil_is_converted(name, power):
+# exact: the same fit, another factor; with another density the critical flow differs, too
+@pytest.mark.parametrize(
+    ("name", "power", "error"), [("hose_resistance", 0.75, 1e-3), ("hose_dynamics", 1.0, 1e-12)]
+)
+def test_another_oil_is_converted(name, power, error):
     """I goes with the density, C_R with its power of 0.75, eq. (10): from the test's oil to the machine's."""
     light = result_of(name, lambda r: replace(r, conditions={**r.conditions, "density": bench.DENSITY / 1.1}))
     plain = result_of(name)
     ratio = light.estimates[0].value / plain.estimates[0].value
-    assert ratio == pytest.approx(1.1**power, rel=1e-12)  # exact: the same fit, another factor
+    assert ratio == pytest.approx(1.1**power, rel=error)
 
 
 def test_commands_that_close_the_edge_are_left_out():

@@ -47,7 +47,8 @@ def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals(nam
     zeros = machine.zeros(found)
     assert zeros[BOOM].low <= OFF <= zeros[BOOM].high
     assert zeros[BOOM].high - zeros[BOOM].low < np.radians(0.1)
-    assert zeros["manipulator.swing_angle"].high == pytest.approx(DECLARED)
+    # as declared: 1.96 standard deviations of half of it, or its bound if residuals widen the interval
+    assert 0.979 * DECLARED < zeros["manipulator.swing_angle"].high <= DECLARED * (1 + 1e-9)
     assert any(s.startswith(f"zero of the sensor of {BOOM}: 2") for s in machine.zero_sentences(found))
     (corrected,) = machine.without_zeros([read], found)
     # the interval of the zero

@@ -134,7 +134,6 @@ EXPORTED int simulate(int n, const double *time, const double *input_samples, do
     Trajectory t = {.p = p, .d = d, .inputs = &inputs, .sensitivities = sensitivities};
     StepMemory memory = {0};
     const StepCallback callback = {after_step, &t, 1};
-    model_prepare(p, c);
     sens_prepare(p, d);
     for (int i = 0; i < NX; i++) put((double *)t.dx, NX, (int[2]){i, NQ + i}, 1.0);
     for (int k = 0; k < n; k++) {
@@ -142,6 +141,7 @@ EXPORTED int simulate(int n, const double *time, const double *input_samples, do
         double none[1], z[ROOM(NZ)], require[ROOM(NREQUIRE)];
         report[0] = time[k];
         report[1] = t.steps;
+        model_prepare(u, p, c);
         model_observe_states(x, p, c, none, z);
         model_require(x, u, p, c, z, require);
         for (int i = 0; i < NREQUIRE; i++)
@@ -156,7 +156,7 @@ EXPORTED int simulate(int n, const double *time, const double *input_samples, do
         inputs.count = 0;
         for (int i = 0; i < NU; i++) {
             inputs.start[i] = u[i];
-            inputs.coefficients[i][0] = (u[NU + i] - u[i]) / length;
+            inputs.coefficients[i][0] = model_variables[FIRST_INPUT + i].held ? 0.0 : (u[NU + i] - u[i]) / length;
             if (inputs.coefficients[i][0] != 0.0) inputs.moving[inputs.count++] = i;
         }
         memcpy(t.x, x, NX * sizeof *x);

@@ -1,0 +1,141 @@
+"""`harvester energy`: heat by function and cause, from the engine to the load, of any machine."""
+
+import json
+
+import numpy as np
+import pytest
+from kit.mistakes import refused
+
+from orchestrator import Trace, run
+from orchestrator.__main__ import main
+from orchestrator.data.trace_writer import write_trace
+from orchestrator.results.energy import draw, energy, table
+
+TIME = np.linspace(0.0, 2.0, 21)
+# two axes, of which one begins like the other, and two supplies; powers [W] that rise from 0 to twice these
+POWERS = {
+    "crane.lift_hydraulic_power": 50e3,
+    "crane.lift_mechanical_power": 10e3,
+    "crane.lift_meter_in_heat": 25e3,
+    "crane.lift_hose_heat": 10e3,
+    "crane.lift_2_hydraulic_power": 30e3,
+    "crane.lift_2_mechanical_power": -5e3,
+    "crane.lift_2_meter_in_heat": 35e3,
+    "crane.convected_power": 1e3,
+    "pump.engine_power": 100e3,
+    "pump.hydraulic_power": 80e3,
+    "pump.leakage_heat": 15e3,
+    "saw_pump.engine_power": 10e3,
+    "saw_pump.pump_friction_heat": 4e3,
+    "arm.joint_friction_heat": 7e3,  # behind the load
+}
+ENERGIES = {
+    "crane.stored_energy": 12e3,
+    "pump.stored_energy": 10e3,
+    "arm.stored_energy": 5e3,
+}  # at the end [J]
+
+
+def crane(**changed):
+    """A trace of the crane."""
+    share = TIME / TIME[-1]
+    values = {name: 2 * value * share for name, value in POWERS.items()}
+    values |= {name: 1e3 + (value - 1e3) * share for name, value in ENERGIES.items()}
+    return Trace(TIME, {n: v for n, v in (values | changed).items() if v is not None})
+
+
+def test_energies_are_the_integrals_of_what_the_names_tell():
+    """Twice the mean power of 2 s; heat is that of its function or supply, and nothing of the mechanics."""
+    e = energy(crane(), "crane.csv")
+    assert e.engine == pytest.approx(220e3)
+    assert e.supplied == pytest.approx({"lift": 100e3, "lift_2": 60e3})
+    assert e.load == pytest.approx({"lift": 20e3, "lift_2": -10e3})
+    assert e.heat["lift"] == pytest.approx({"meter in": 50e3, "hose": 20e3})
+    assert e.heat["lift_2"] == pytest.approx({"meter in": 70e3})
+    assert e.heat["pump"] == pytest.approx({"leakage": 30e3})
+    assert e.heat["saw_pump"] == pytest.approx({"pump friction": 8e3})
+    assert len(e.heat) == 4
+    assert e.stored == pytest.approx(11e3 + 9e3 - 2e3)
+    assert e.remainder == pytest.approx(220e3 - 10e3 - 178e3 - 18e3)
+    assert e.of("lift")["stored"] == pytest.approx(10e3)
+    without = energy(crane(**{"pump.engine_power": None, "saw_pump.engine_power": None}), "-")
+    assert without.engine == pytest.approx(160e3)
+    assert set(without.heat) == {"lift", "lift_2"}
+
+
+def test_runs_stand_side_by_side(tmp_path, monkeypatch, capsys):
+    """A function that one run lacks, differences, JSON, a picture; a window in time is a part of it."""
+    monkeypatch.chdir(tmp_path)
+    less = {n: None for n in POWERS if "lift_2" in n} | {
+        "pump.engine_power": crane()["pump.engine_power"] / 2
+    }
+    for name, trace in {"a.csv": crane(), "b.csv": crane(**less)}.items():
+        write_trace(trace, name, "")
+    assert main(["energy", "a.csv", "b.csv"]) == 0
+    printed = capsys.readouterr().out
+    rows = {tuple(line.split()[:-5]): line.split()[-5:] for line in printed.splitlines() if " " in line}
+    assert rows["engine",] == ["220.00", "100", "120.00", "100", "-100.00"]
+    assert rows["lift_2", "supplied"] == ["60.00", "27.3", "-", "-", "-60.00"]
+    assert rows["remainder",][0] == "14"
+    assert printed.index("saw_pump") < printed.index("lift") < printed.index("total")
+    assert (tmp_path / "build" / "energy.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["energy", "a.csv", "--stop", "1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["a"]
+    assert found["heat"]["lift"]["meter in"] == pytest.approx(50e3 / 4)
+    assert found["remainder"] == pytest.approx(energy(crane().window(0, 1), "-").remainder)
+
+
+def test_bars_are_as_long_as_what_they_show():
+    """Of the engine and of each function, in kJ; negative parts are to the left of zero."""
+    figure = draw({"a": energy(crane(), "-")})
+    of_engine, of_functions = (
+        {
+            (bar.get_label(), round(b.get_y() + 0.4)): (b.get_x(), b.get_width())
+            for bar in axes.containers
+            for b in bar.patches
+        }
+        for axes in figure.axes
+    )
+    assert of_engine["leakage", 0] == pytest.approx((0, 30))
+    assert of_engine["lift_2", 0] == pytest.approx((138, 60))
+    assert of_functions["hose", 0] == pytest.approx((50, 20))
+    assert of_functions["load", 0] == pytest.approx((70, 20))
+    assert of_functions["load", 1] == pytest.approx((0, -10))
+
+
+def test_a_machine_at_rest_has_a_table():
+    """Without any energy there are no shares."""
+    still = Trace(TIME, dict.fromkeys(crane(), np.zeros_like(TIME)))
+    assert table({"a": energy(still, "-")}).rows == [["total", "remainder", "0", "-"]]
+
+
+def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys):
+    """A run without these outputs, no run, and a picture of an unknown format."""
+    monkeypatch.chdir(tmp_path)
+    write_trace(crane(**{n: None for n in POWERS if n.endswith("_heat")}), "old.csv", "")
+    told = refused(capsys, ["energy", "old.csv"])
+    assert told.startswith(
+        "harvester: old.csv: expected signals NAME_hydraulic_power, NAME_mechanical_power "
+    )
+    assert "expected the trace of a run, got none" in refused(capsys, ["energy"])
+    assert "--out a.txt: expected a file name ending in" in refused(
+        capsys, ["energy", "old.csv", "--out", "a.txt"]
+    )
+
+
+@pytest.mark.parametrize("drives", ["lumped", "compensated"])
+def test_energies_of_the_machine(built, drives):
+    """Causes sum to all heat; load, heat and what is stored leave no more than coupling and sampling."""
+    variants = dict.fromkeys(("swing", "boom_stick"), drives) | {"supply": "load_sensing"}
+    swap = {n: v for n, v in variants.items() if v != "lumped"}
+    trace = run(built / "harvester.ssp", swap=swap, stop=1.5).trace
+    e = energy(trace, "run")
+    parts = ("supply", "swing", "boom_stick")
+    total = sum(np.trapezoid(trace[f"{part}.dissipated_power"], trace.time) for part in parts)
+    assert set(e.supplied) == {"swing", "boom", "stick"}
+    assert e.all_heat == pytest.approx(total, rel=1e-9)  # the bar
+    taken = np.trapezoid(trace["supply.hydraulic_power"], trace.time)
+    # errors of the coupling and of the trapezoidal rule at 5 ms
+    assert sum(e.supplied.values()) == pytest.approx(taken, rel=1e-3)
+    assert abs(e.remainder) < 1e-4 * e.engine
+    assert min(min(causes.values()) for causes in e.heat.values()) > -1e-9 * total
