@@ -87,6 +87,7 @@ NAVIGATION = {
         "FMU manipulator <fmus/manipulator/README.md>",
         "FMU supply <fmus/supply/README.md>",
         "FMU operator_input <fmus/operator_input/README.md>",
+        "FMU valve_actuation <fmus/valve_actuation/README.md>",
         "FMU controller <fmus/controller/README.md>",
         "FMU harvester <fmus/machine/harvester/README.md>",
         "fmus/README.md",

@@ -28,9 +28,9 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
     return Quantity("V", text, 10.0, rate=rate, warn_above=10.0)
 
 
-def oil_temperature(text: str, held: bool = False) -> Quantity:
+def oil_temperature(text: str, held: bool = False, optional: str = "") -> Quantity:
     """Declaration of the temperature of the oil, without bounds: FMPy sets connected inputs to 0 at first."""
-    return Quantity("K", text, 300.0, held=held)
+    return Quantity("K", text, 300.0, held=held, optional=optional)
 
 
 class Commands(Group):
@@ -64,7 +64,9 @@ class LineInputs(Group):
         optional=NOT_SHARED,
     )
     load_sensing_pressure_rate: Scalar = rate_input("load_sensing_pressure", "Pa/s", 1e8)
-    oil_temperature: Scalar = oil_temperature("Temperature of the oil from the supply line", held=True)
+    oil_temperature: Scalar = oil_temperature(
+        "Temperature of the oil from the supply line", held=True, optional="the oil stays at 60 degC"
+    )
 
 
 def shaft(axis: str, drives: bool) -> Terminal:

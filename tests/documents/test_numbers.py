@@ -129,10 +129,10 @@ def test_the_equations_tell_the_power_of_lowering_the_boom(built):
     """Supply, pilot, power and oscillation of the shipped edge, as docs/counterbalance.py prints them."""
     script = runpy.run_path(str(ROOT / "docs/counterbalance.py"))
     system = str(built / "harvester.ssp")
-    supply, pilot, watts = script["power"](script["lowered"](1.5, 1.2e-4, 10.0, 1.9, system))
-    slow = script["lowered"](1.5, 1.2e-4, 2.5, 4.5, system)
+    supply, pilot, watts = script["power"](script["lowered"](1.5, script["WIDE"], 10.0, 2.2, system))
+    slow = script["lowered"](1.5, script["WIDE"], 2.5, 4.5, system)
     ripples = (100 * script["ripple"](slow, start, start + 1) for start in (1.0, 3.5))
-    numbers = r"\|120 mm2\|1\.5\|(\d+) bar\|(\d+) bar\|(\d+) kW\|([\d.]+)%\|([\d.]+)%"
+    numbers = r"\|66 mm2\|1\.5\|(\d+) bar\|(\d+) bar\|(\d+) kW\|([\d.]+)%\|([\d.]+)%"
     found = (supply / 1e5, pilot / 1e5, watts / 1e3, *ripples)
     # of the last digit; other compilers round otherwise
     assert all(abs(a - b) < 1 for a, b in zip(found, told("docs/equations.md", numbers), strict=True))
@@ -147,5 +147,5 @@ def test_the_page_on_control_tells_the_errors_of_the_load_sensing_machine(built,
     assert main(["track", str(built / "harvester_control.ssp"), *arguments]) == 0
     runs = json.loads((tmp_path / "tracking.json").read_text())
     found = [1e3 * r[f"{kind} error [m]"] for r in runs for kind in ("largest", "RMS")]
-    row = r"\|900 kg\|([\d.]+), ([\d.]+)\|([\d.]+), ([\d.]+)\|"
+    row = r"\|900 kg\|([\d.]+), ([\d.]+)\|[^|]*\|([\d.]+), ([\d.]+)\|"
     assert all(abs(a - b) < 0.11 for a, b in zip(found, told("docs/control.md", row), strict=True))
