@@ -156,7 +156,7 @@ def fmpy_container(job: Job) -> Rows:
         modelVariables=[clock, *mapped],
         coSimulation=CoSimulation(fixedInternalStepSize=job.step),
     )
-    wires = [Connection(*end(a), *end(b)) for a, b in job.wires]
+    wires = [Connection(*end(a), *end(b)) for a, b in sorted(job.wires, key=_rank)]
     folder = Path(job.out).with_suffix("")
     (folder / "unpacked").mkdir(parents=True)
     target = folder / "system.fmu"
@@ -164,6 +164,12 @@ def fmpy_container(job: Job) -> Rows:
         Configuration(False, made, list(parts.values()), wires, mapped), folder / "unpacked", target
     )
     return _contained(job, target, {n: n.replace(".", "_") for n in job.record})
+
+
+def _rank(wire: tuple[str, str]) -> int:
+    """The container carries one connection after the other: motion, force, acceleration, rates."""
+    ranks = {"force": 1, "torque": 1, "acceleration": 2, "rate": 3}
+    return ranks.get(wire[0].rsplit("_", 1)[-1], 0)
 
 
 def _contained(job: Job, target: Path, shown: Mapping[str, str]) -> Rows:

@@ -28,6 +28,7 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
       machine.tank_pressure_rate = 0 "Pa/s";
       machine.load_sensing_pressure = 0 "Pa";
       machine.load_sensing_pressure_rate = 0 "Pa/s";
+      machine.oil_temperature = 333.15 "K";
       annotation(experiment(StopTime = 42, Interval = 0.02, Tolerance = 1e-8));
     end OneBlock;
 

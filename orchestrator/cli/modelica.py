@@ -39,7 +39,7 @@ def modelica(
     out        Folder of the package; it becomes DIR/NAME/package.mo.
     name       Name of the package.
     constant   Input that becomes a parameter, or a connector if use_INPUT_in is true; default: those of
-               supply_pressure, tank_pressure and payload_mass that the FMUs have.
+               supply_pressure, tank_pressure, oil_temperature and payload_mass that the FMUs have.
     """
     from fmus.machine import CONSTANT_INPUTS, LEVERS
     from orchestrator.modelica import write_package

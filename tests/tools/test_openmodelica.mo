@@ -12,6 +12,7 @@ package Tested "The machine under sources and controllers of the Modelica Standa
     machine.load_sensing_pressure = 0;
     machine.load_sensing_pressure_rate = 0;
     machine.payload_mass = 0;
+    machine.oil_temperature = 333.15;
   end Stock;
 
   package Sources "All three commands at once, from 0.5 s on"

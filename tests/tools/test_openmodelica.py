@@ -18,12 +18,12 @@ from kit.fmu import driving
 from numpy.typing import NDArray
 
 from fmus.boom_stick import BOOM_STICK
+from fmus.machine import CONSTANT_INPUTS
 from fmus.parameters import values
 from orchestrator import run
 from orchestrator.modelica import write_package
 
 MODELS = Path(__file__).with_suffix(".mo")
-CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")
 STOP = 4.0  # s
 AMPLITUDE = {"swing_command": 2.5, "boom_command": 3.0, "stick_command": -3.0}  # V
 ANGLES = [f"{joint}_angle" for joint in ("swing", "boom", "stick")]
