@@ -105,7 +105,12 @@ SIZES = (
         spool_delay,
         "`detailed`: time to half of the speed after a step",
     ),
-    ("volume at each side of the motor", {"swing.motor_volume": 1.215e-3}, swing_mode, "frequency and damping of the swing mode"),
+    (
+        "volume at each side of the motor",
+        {"swing.motor_volume": 1.215e-3},
+        swing_mode,
+        "frequency and damping of the swing mode",
+    ),
     ("flow to the boom's rod side, return edge", OLD_RODS, lowering, "lowering the empty boom"),
     ("pilot ratio at the boom's head side", STEEP, lowering, "lowering the empty boom"),
 )
