@@ -30,7 +30,7 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
 
 def oil_temperature(text: str, held: bool = False, optional: str = "") -> Quantity:
     """Declaration of the temperature of the oil, without bounds: FMPy sets connected inputs to 0 at first."""
-    return Quantity("K", text, 300.0, held=held, optional=optional)
+    return Quantity("K", text, 300.0, held=held, optional=optional, warn_above=373.15)
 
 
 class Commands(Group):

@@ -42,7 +42,8 @@ REFERENCE_LENGTH, REFERENCE_BORE = 4.0, 0.01905  # [m], hose from which all resi
 REFERENCE_FLOW, REFERENCE_VISCOSITY = 170 / 60000, 8e-3
 CRITICAL = 2300  # Reynolds number
 LEAST = 1e-9  # added to |Q|/Q_c, so that its root has a derivative at 0, where s is 0
-ITERATIONS = 1  # of `flow_in_series`
+# of `flow_in_series`; with one the drop of a hose and an open check valve is off by 8 %, heat may be < 0
+ITERATIONS = 3
 BANDWIDTH = 75.0  # Hz: highest mode of a line that recordings at the paper's 200 Hz show
 FREQUENCY_ERROR = 0.05  # largest relative error of the frequencies of modes up to BANDWIDTH
 
@@ -106,7 +107,7 @@ class ReferenceHose(Group):
         "Pa.s2/m6",
         "C_R of a 3/4 in hose (19.05 mm) of 4 m at 170 L/min with 8 mPa.s, for eq. (10)",
         1e10,
-        minimum=0.0,
+        minimum=2e10,  # below, the drop of any hose would fall with the flow at Re 2300 (see `Friction`)
         group="Hoses",
     )
 
@@ -156,7 +157,8 @@ class Friction:
 
         R = 128 mu l/(pi D^4)        T = C_R (Q_0/|Q|)^(1/4) |Q|        s = 1 - 1/(1 + (Q/Q_c)^8)
 
-    Hagen-Poiseuille and Blasius, with a smooth passage: s is 5 % at Re 1600 and 95 % at 3300.
+    Hagen-Poiseuille and Blasius, with a smooth passage: s is 5 % at Re 1600 and 95 % at 3300. The drop rises
+    with the flow if T is at least R at Re 2300, for which C_R has to be 0.6 of Blasius' at least.
 
     laminar      R [Pa.s/m3]
     turbulent    C_R at the flow Q_0 = `REFERENCE_FLOW` [Pa.s2/m6]
@@ -218,7 +220,9 @@ def flow_in_series(edge: Edge, area: Scalar, drop: Scalar, oil: Liquid, line: La
     """Flow [m3/s] through an opening [m2] of a valve and a line, with the sign of the drop [Pa].
 
     With b and a of the line at a flow Q_k, dp = (C_R + a) Q_{k+1} |Q_{k+1}| + (C_R Q_t + b) Q_{k+1}. This
-    fixed-point iteration is exact where b and a are constant, and gains a digit per step elsewhere.
+    fixed-point iteration is exact where b and a are constant. Around Re 2700 it gains a factor of 3 to 8 per
+    step: with an opening of 40 mm2, 140 mm2, 260 mm2 and 4 m of 3/4 in hose the drop is off by less than
+    0.1, 0.3 and 2 %.
     """
     square, laminar = edge.square(area, oil), edge.transition_flow(area, oil)
     y = square * drop

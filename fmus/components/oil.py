@@ -37,6 +37,7 @@ LAMINAR, LEAKAGE, DENSITY = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 TURBULENT, BULK = (0.25, 0.75, 0.0), (0.0, 0.0, 1.0)
 REFERENCE = 333.15  # T_ref [K]
 _LIMITS = (223.15, 423.15)  # [K], -50 and 150 degC
+_LOWEST = 243  # K, -30 degC: a lower input is no temperature of oil, but 60 for 60 degC
 _POINTS = (313.15, 373.15)  # [K], 40 and 100 degC
 _EXPANSION = 7e-4  # alpha [1/K], mineral oils; density over temperature as in ISO 91
 _SOFTENING = 5e-3  # kappa [1/K]
@@ -71,6 +72,12 @@ def is_oil(grade: Grade) -> dict[str, Scalar]:
     """Requirement: the viscosity falls with the temperature."""
     thinner = grade.oil_viscosity_40 - grade.oil_viscosity_100
     return {"oil_viscosity_40 exceeds oil_viscosity_100": thinner}
+
+
+def is_liquid(temperature: Scalar) -> dict[str, Scalar]:
+    """Requirement on an input: no number of degrees Celsius. An open input is 0."""
+    margin = ca.if_else(temperature == 0, 1, temperature - _LOWEST)
+    return {f"oil_temperature [K] is above {_LOWEST:g}, or 0 for 60 degC": margin}
 
 
 def _limited(temperature: Scalar) -> Scalar:
@@ -127,6 +134,10 @@ def at_temperature(sub: Subsystem) -> Subsystem:
         dynamics=lambda x, u, p: sub.dynamics(x, u, _warmed(p, u.oil_temperature)),
         observe=lambda x, u, p: sub.observe(x, u, _warmed(p, u.oil_temperature)),
         initial=lambda x, u, p: sub.initial(x, u, _warmed(p, u.oil_temperature)),
-        require=lambda x, u, p: {**sub.require(x, u, _warmed(p, u.oil_temperature)), **is_oil(p)},
+        require=lambda x, u, p: {
+            **sub.require(x, u, _warmed(p, u.oil_temperature)),
+            **is_oil(p),
+            **is_liquid(u.oil_temperature),
+        },
         circuits=lambda x, u, p: sub.circuits(x, u, _warmed(p, u.oil_temperature)),
     )

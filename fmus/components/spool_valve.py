@@ -67,7 +67,7 @@ class EdgeShape(Edge):
 class Edges(EdgeShape):
     """Parameters of the metering edges of a valve; all valves are identical (section 3(b))."""
 
-    area: Scalar = Quantity("m2", "Opening area of each metering edge at full command", 1e-5, minimum=0.0)
+    area: Scalar = Quantity("m2", "Opening area of each metering edge at full command", 1e-5, minimum=1e-9)
 
 
 class DeadBand(Group):

@@ -3,6 +3,9 @@
     u = w + m b (1 - w^2/U^2) s        s = d/sqrt(d^2 + (n/3)^2),  d = w - t,  t' = play of w, half width n
     b' = f/(1 + (f/f_0)^2)    f = g e (U - D)/W v^2/(v^2 + v_0^2) a/sqrt(a^2 + a_0^2)    b >= 0 and bounded
 
+The factor 1 - w^2/U^2 keeps u within full command; near it less than the play is compensated, 84 % of b at
+4 V of 10, 36 % at 8 V.
+
 w is the command that the spool is to follow, u the command, m the weight of coordinated control, U full
 command and D the dead band. s tells from which side w was moved last: a reversal by more than n, `reversal`,
 moves u by 2 b, which carries the pilot head through the play. w is behind the amplifier, so u and the valve

@@ -23,8 +23,8 @@ load-sensing machine waits for an open valve.
 
 The swing motor is a cylinder with A_h = A_r = D, its displacement per angle of the column. The hose is in
 series with the edge: with its turbulent resistance C_R (`Actuator.hose_resistance`), the speed at the opening
-a is v = W a/sqrt(1 + C_R K^2 a^2). Laminar flow is left out: in warm oil it counts in the edges below 0.1
-L/min.
+a is v = W a/sqrt(1 + C_R K^2 a^2). Laminar flow is left out. In warm edges it counts below 0.1 L/min. In
+the hose it counts below 43 L/min at 60 degC and 276 L/min at 20 degC, where it makes up to 0.2 bar of 200.
 """
 
 from dataclasses import dataclass

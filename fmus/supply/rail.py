@@ -239,7 +239,7 @@ class Supply:
     @property
     def oil_heat(self) -> Scalar:
         """Heat [W] of all losses but those of the engine."""
-        return sum(heat for cause, heat in self.heats.items() if not cause.startswith("engine"))
+        return sum(heat for cause, heat in self.heats.items() if cause != "engine_friction_heat")
 
     @property
     def cooling_power(self) -> Scalar:

@@ -115,6 +115,9 @@ def actuation(valves: Mapping[str, tuple[str, str]] = VALVES) -> Subsystem:
         dynamics=dynamics,
         observe=observe,
         values=Path(__file__).with_name("parameters.toml"),
+        require=lambda _x, _u, p: {
+            "full_command exceeds dead_band_compensation": p.full_command - p.dead_band_compensation
+        },
         terminals=(
             *(ports.lever(valve) for valve in valves),
             *(ports.lever(valve, part) for valve, (_, part) in valves.items()),

@@ -79,7 +79,10 @@ def energy(trace: Trace, name: str) -> Energy:
     """The energies of a trace; name: in messages."""
 
     def integral(signal: str) -> float:
-        return float(np.trapezoid(trace[signal], trace.time))
+        found = float(np.trapezoid(trace[signal], trace.time))
+        if not math.isfinite(found):
+            raise Problem(f"{name}: {signal}: expected finite values, got {found}")
+        return found
 
     functions = [n.removesuffix(TAKEN) for n in trace if n.endswith(TAKEN)]
     engines = [n for n in trace if n.rpartition(".")[2] == ENGINE]
@@ -178,7 +181,7 @@ def draw(energies: Mapping[str, Energy]) -> Figure:
                 style = {"color": colours.get(item, PALETTE.grid), "edgecolor": "white", "linewidth": 0.5}
                 axes.barh(row, value, 0.8, ends[value > 0], label=item, **style)
                 if item in functions:
-                    axes.text(ends[1] + value / 2, row, item, ha="center", va="center", fontsize=7)
+                    axes.text(ends[value > 0] + value / 2, row, item, ha="center", va="center", fontsize=7)
                 ends[value > 0] += value
             axes.text(ends[1], row, f" {number(total, 4)}", va="center", fontsize=8, color=PALETTE.ink)
         axes.set_yticks(range(len(of)), [name if len(runs) == 1 else f"{name}, {run}" for name, run in of])

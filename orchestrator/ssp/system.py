@@ -511,7 +511,9 @@ def coerce(
     text = str(value).strip()
     try:
         if variable.kind == "Real":
-            return linear(real(text))
+            if linear == IDENTITY:
+                return real(text)
+            return float(f"{linear(real(text)):.15g}")  # -30 degC is 243.15 K
         if variable.kind == "String":
             return str(value)
         if variable.kind == "Boolean":

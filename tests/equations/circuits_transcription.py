@@ -50,7 +50,7 @@ def through(p: Group, area: float, drop: float, of: str = "") -> float:
     if not of:
         return root(square * drop, edge)
     b, a = friction(p, of, 0.0)[0], getattr(p, f"{of}{'_turbulent' * (of == 'line')}_resistance")
-    for _ in range(2):
+    for _ in range(4):
         flow = root(square * drop, edge + square * b, 1 + square * a)
         b, a = friction(p, of, flow)
     return flow
