@@ -148,9 +148,12 @@ LONG_STEP = 10.0  # [s], shortest step after which Newton's method is tried
 MAX_TIME = 1e9  # [s], length of the transient
 RAMP_TIME = 0.5  # [s] until the joints have their speeds
 # [s], inputs change by nominal / lag at full acceleration of their joints. Pairs of lags, of joints that move
-# and at rest, are tried in turn, each with a number of steps: the second for slow spools, the last ones for
-# oil behind check valves, which leaks away in hours.
-LAGS = {(0.005, 0.005): 3000, (0.05, 0.005): 3000, (0.005, 1e3): 1200, (0.005, 1e4): 1200}
+# and at rest, are tried in turn, each with a number of steps: the second to fourth for slow spools, the last
+# ones for oil behind check valves, which leaks away in hours.
+LAGS = {
+    **dict.fromkeys(((0.005, 0.005), (0.05, 0.05), (0.1, 0.1), (0.05, 0.005)), 3000),
+    **dict.fromkeys(((0.005, 1e3), (0.005, 1e4)), 1200),
+}
 JERK_TIME = 0.005  # [s], T of the control law of the inputs
 # relative to nominal, [s], number of steps: step of an input to find its sign
 TEST_INPUT, TEST_TIME, TEST_STEPS = 0.3, 0.5, 600
