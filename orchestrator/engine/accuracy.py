@@ -104,7 +104,7 @@ class Settings:
     @property
     def experience(self) -> Experience:
         """That with the master."""
-        return HERMITE if self.coupling.master == "hermite" else EXTRAPOLATING
+        return HERMITE if self.coupling.method.repeats else EXTRAPOLATING
 
 
 class AccuracySearch:

@@ -173,10 +173,12 @@ class Request:
 
     def job(self) -> tuple[Job, Grid]:
         """The job of a run, and its communication points."""
-        self.execution.check()
-        if self.execution.isolated:
+        system, scenario, record, execution = self.coupled, self.scenario, self.record, self.execution
+        if system.coupling and system.coupling.method.own:  # its functions are in this process
+            execution = replace(execution, isolate=False)
+        execution.check()
+        if execution.isolated:
             start_process()
-        system, scenario, record = self.coupled, self.scenario, self.record
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
         system = with_sets(system, self.parameters).with_start(self.set)
         system = replace(system, notes=system.notes + built_notes(system))
@@ -196,7 +198,7 @@ class Request:
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
         divides = coupling.adaptive is not None or guarded(system, coupling)
-        span, fitted = (self.step, self.start, self.stop), self.execution.accuracy is not None
+        span, fitted = (self.step, self.start, self.stop), execution.accuracy is not None
         times = grid(system, trace, *span, record.step, fitted)
         driving = driving and replace(driving, table=driving.table.on(times))
         times = with_events(times, driving.table.corners() if driving and divides else ())
@@ -206,7 +208,7 @@ class Request:
             record = replace(record, signals=tuple(dict.fromkeys(wanted)))
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
-        return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
+        return Job(system, driving, coupling, record, execution, provenance(system, files)), times
 
 
 def scenario_trace(scenario: ScenarioSource) -> tuple[ScenarioSource, Trace | None, str]:
@@ -329,7 +331,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
     if outcome.problem:
-        cause = card.likely_cause()
+        cause = card.likely_cause(job.coupling.method.repeats)
         problem = Problem(f"{outcome.problem}; {cause}") if cause else outcome.problem
         raise RunFailed(problem, result, outcome.died) from outcome.problem
     return result
