@@ -80,7 +80,7 @@ def run_job(
             wall=time.perf_counter() - began,
             bonds=tuple(loop.energy.energies()),
             errors=loop.errors.errors() if loop.errors else {},
-            inside={name: c.struct.busy * state.tick for name, c in network.components.items()},
+            inside=loop.inside,
             logs=tuple(copy(s.log) for s in network.slaves.values()),
             notes=network.notes + times.notes + loop.notes,
             problem=problem,
@@ -283,6 +283,12 @@ class SimulationLoop:
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
         initialise(job.system, slaves, driven, (times.start, stop), tolerances, restore)
         self._binding.changed = partial(_warn_of_change, [*slaves.values()])
+
+    @property
+    def inside(self) -> dict[str, float]:
+        """Wall time in the steps of each component [s]; empty if Python takes the steps."""
+        components = {} if self.state.in_python else self.network.components
+        return {name: c.struct.busy * self.state.tick for name, c in components.items()}
 
     # ---- the run
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import grouped
 
 if TYPE_CHECKING:
     from orchestrator.ssp.coupling import Coupling
@@ -263,8 +262,8 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
 def _leading_components(system: System, relevant: frozenset[Port]) -> set[int]:
     """Indices of the components that depend on no other components than these, in an order without cycles."""
     names, leading = list(system.components), set[str]()
-    feeding = grouped((c for c in system.connections if c.target in relevant), lambda c: c.target.component)
-    sources = {name: {c.source.component for c in feeding.get(name, ())} for name in names}
+    feeding = [c for c in system.connections if c.target in relevant]
+    sources = {n: {c.source.component for c in feeding if c.target.component == n} for n in names}
     while (ready := {name for name in names if sources[name] <= leading}) != leading:
         leading = ready
     return {names.index(name) for name in leading}
