@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.processes import machine_memory
@@ -72,6 +72,7 @@ class Execution:
     time_limit       of all runs of a command together, see `begun`
     memory_limit     [GB]
     open             a function other than `open_slave` needs this process
+    until            condition that ends the run, see `engine.until`
     deadline         end of the time limit, by `time.monotonic` [s]
     """
 
@@ -84,6 +85,7 @@ class Execution:
     time_limit: float = math.inf
     memory_limit: float = math.inf
     open: Opener = open_slave
+    until: Any = None
     deadline: float = math.inf
 
     def begun(self) -> Execution:

@@ -75,8 +75,9 @@ class PlantComponent:
         """Bind the calls of the component to the arrays of the plant."""
         slave = cast(Slave, self.slave)
         v, y = plant.v[self.v], plant.y[self.y]
-        linear = Linearisation(slave, self.inputs, self.outputs, plant.f[self.x], plant.x[self.x])
-        self.starts = [*linear.state_reads, *calls_by_type(slave, self.inputs, v, slave.reader)]
+        linear = Linearisation(slave, self.inputs, self.outputs, plant.f[self.x])
+        states = calls_by_type(slave, linear.states, plant.x[self.x], slave.reader)
+        self.starts = [*states, *calls_by_type(slave, self.inputs, v, slave.reader)]
         self.writes = calls_by_type(slave, self.inputs, v, slave.writer)
         self.reads = calls_by_type(slave, self.outputs, y, slave.reader)
         self.rates, self.columns = linear.rate_reads, linear.columns

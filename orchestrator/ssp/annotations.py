@@ -190,7 +190,7 @@ class Request:
     component: str = ""
 
     def __str__(self) -> str:
-        master = self.coupling.master if self.coupling else "any master"
+        master = self.coupling.method.name if self.coupling else "any master"
         adaptive = (
             f", adaptive {self.coupling.adaptive:g}" if self.coupling and self.coupling.adaptive else ""
         )
@@ -462,6 +462,8 @@ def coupling_attributes(suggestion: Suggestion) -> dict[str, Any]:
     coupling, default = suggestion.coupling or Coupling(), Coupling()
     if suggestion.step is None and suggestion.coupling is None:
         return {}
-    values = {name: getattr(coupling, name) for name in ATTRIBUTES if name != "step"}
-    changed = {n: value for n, value in values.items() if n == "master" or value != getattr(default, n)}
-    return {"master": coupling.master, "step": suggestion.step} | changed
+    if coupling.method.own:
+        raise Problem(f"master {coupling.method.name}: expected one that a file can name, got one of Python")
+    values = {name: getattr(coupling, name) for name in ATTRIBUTES if name not in ("master", "step")}
+    changed = {n: value for n, value in values.items() if value != getattr(default, n)}
+    return {"master": coupling.method.name, "step": suggestion.step} | changed
