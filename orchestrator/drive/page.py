@@ -38,7 +38,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import FMI3, Location, shipped_with
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
-from orchestrator.drive import drawing, score, sticks
+from orchestrator.drive import drawing, sticks
 from orchestrator.drive.scene import Values, parameters, pose_names, start
 from orchestrator.drive.view_description import (
     CAVITATION,
@@ -214,7 +214,7 @@ def page_data(description: ViewDescription, values: Values | None) -> dict[str, 
             }
             for name, mode in description.modes.items()
         },
-        "task": score.rules(description.task),
+        "task": asdict(description.task) | {"needed": description.task.needed},
         "slowed": asdict(description.slowed) if description.slowed else None,
         "scale": list(drawing.SCALE),
         "unknown": drawing.UNKNOWN,

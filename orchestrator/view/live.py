@@ -9,7 +9,7 @@ dropped, and the end of the connection ends driving. The server sends objects wi
     frame    number, time, state, and the values of `names` in the hello
     bins     extremes of the charts in bins of time
     status   of the controls; ten times a second, so that it is the heartbeat of the server, too
-    info     the rest: timing, span of a replay, training task
+    info     the rest: timing, span of a replay
     answer   to an action: a line, what there is to choose, or that what was chosen is done
 
 A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
@@ -38,7 +38,6 @@ from orchestrator.realtime.setup import Machine
 from orchestrator.view.authority import ControlAuthority, OperatorStation, finite
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
 from orchestrator.view.session import Session
-from orchestrator.view.training import Training
 
 Asked = dict[str, Any]  # the action of a page, with its name in "do"
 
@@ -50,7 +49,6 @@ PATIENT = 100  # ignored messages after which a client is disconnected: 3 s at t
 LONGEST = 2**12  # characters of an action
 WINDOW, BIN = 20.0, 0.2  # s, of simulated time; as in charts.js
 DIGITS = 6  # significant digits of a value
-TABLE = "training.csv"
 log = logging.getLogger(__name__)
 
 
@@ -146,8 +144,8 @@ class Broadcast:
     frame     time, state and values of the last frame; None before the first
     """
 
-    def __init__(self, session: Session, training: Training) -> None:
-        self._session, self._training = session, training
+    def __init__(self, session: Session) -> None:
+        self._session = session
         self._fitted: tuple[object, ...] = ()
         self.number, self.hello, self.info = 0, dict[str, Any](), dict[str, Any]()
         self.jumps = 0
@@ -167,12 +165,9 @@ class Broadcast:
         time = frame.t if math.isfinite(frame.t) else 0.0
         self.frame = [round(time, 4), frame.state, numbers_of(row)]
         if self._ticks % round(RATE / INFO) == 0:
-            if self._training.shown:
-                self._training.update()
             self.history.look()
             timing, factor = asdict(frame.timing), session.machine.factor
-            told = {"span": session.span, "factor": factor, "message": frame.message, "timing": timing}
-            self.info = told | {"task": self._training.status()}
+            self.info = {"span": session.span, "factor": factor, "message": frame.message, "timing": timing}
         self._ticks += 1
 
     def _begin(self) -> None:
@@ -196,9 +191,8 @@ class Broadcast:
 class Pages:
     """All open pages of a server."""
 
-    def __init__(self, session: Session, authority: ControlAuthority, training: Training) -> None:
-        self.session, self.authority, self.training = session, authority, training
-        self.broadcast = Broadcast(session, training)
+    def __init__(self, session: Session, authority: ControlAuthority) -> None:
+        self.session, self.authority, self.broadcast = session, authority, Broadcast(session)
 
     async def run(self) -> None:
         """Read the machine until cancelled."""
@@ -235,7 +229,7 @@ class OpenPage:
 
     def __init__(self, pages: Pages, socket: WebSocket) -> None:
         self._socket, self.session = socket, pages.session
-        self.authority, self.training, self._broadcast = pages.authority, pages.training, pages.broadcast
+        self.authority, self._broadcast = pages.authority, pages.broadcast
         self.station: OperatorStation = pages.authority.join()
         self.credit = Credit()
         self._action = asyncio.Lock()
@@ -245,7 +239,6 @@ class OpenPage:
     def close(self) -> None:
         """The page is gone."""
         self.authority.leave(self.station)
-        self.show_task(False)
 
     # ---- to the page
 
@@ -369,29 +362,6 @@ class OpenPage:
     async def machines(self) -> None:
         self.answers.append({"machines": await asyncio.to_thread(offered, self.session.plan.choice)})
 
-    def task(self, what: object, value: object) -> None:
-        """Show, choose, repeat or write the training task."""
-        training, folders = self.training, self.session.folders
-        if what == "show":
-            self.show_task(bool(value))
-        elif what == "again":
-            training.again()
-        elif what == "choose":
-            training.choose(str(value))
-        elif what == "write" and folders:
-            self.answer(f"written: {training.write(folders[0] / TABLE).name}")
-
-    def show_task(self, on: bool) -> None:
-        """Show or hide the training task on this page. A driver who hides it drops its load."""
-        if on == self.station.tasked:
-            return
-        self.station.tasked = on
-        loads = () if on else [name for name, load in self.training.loads().items() if load]
-        (self.training.open if on else self.training.close)()
-        if self.authority.status(self.station).role == "driving":
-            for name in loads:
-                self.authority.set(self.station, name, 0.0)
-
 
 ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     "shown": lambda page, asked: page.credit.shown(asked.get("number")),
@@ -413,7 +383,6 @@ ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     "save": lambda page, _: page.save(),
     "files": lambda page, _: page.files(),
     "machines": lambda page, _: page.machines(),
-    "task": lambda page, asked: page.task(asked.get("what"), asked.get("value")),
 }
 
 

@@ -30,7 +30,6 @@ from orchestrator.view.live import Pages
 from orchestrator.view.result_files import find_result
 from orchestrator.view.server_load import REQUESTS, TimedConnection
 from orchestrator.view.session import Session
-from orchestrator.view.training import Training
 
 TITLE = "Harvester"
 LOOPBACK = "127.0.0.1"
@@ -51,16 +50,14 @@ class Server:
         """port: 0 selects a free one; token: by default random, if `host` is not a loopback address."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
-        self.session, training = session, Training(session.machine, lambda: session.plan.description.task)
-        self.authority = ControlAuthority(
-            session.machine, lambda: session.plan.description, loads=training.loads
-        )
+        self.session = session
+        self.authority = ControlAuthority(session.machine, lambda: session.plan.description)
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
         allowed = rules(host, (_displayed(host),), self.port, token)
         query = f"?token={allowed.token}" if allowed.token else ""
         self.url = f"http://{_displayed(host)}:{self.port}/{query}"
-        app = application(Pages(session, self.authority, training), lambda: self._began())
+        app = application(Pages(session, self.authority), lambda: self._began())
         app.add_middleware(Guard, rules=allowed)
         config = uvicorn.Config(
             app,

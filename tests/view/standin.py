@@ -25,7 +25,6 @@ from orchestrator.view.live import Pages
 from orchestrator.view.server import application
 from orchestrator.view.server_load import TimedConnection
 from orchestrator.view.session import columns
-from orchestrator.view.training import Training
 
 # how the harvester is driven, as its own description says
 DESCRIPTION = read_dataclass(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
@@ -77,7 +76,7 @@ class StandIn:
         return numbers, np.array([t for t, _ in part]), np.zeros((len(part), len(self.axes))), values
 
 
-def pages(machine: StandIn, authority: ControlAuthority, training: Training | None = None) -> Pages:
+def pages(machine: StandIn, authority: ControlAuthority) -> Pages:
     """The pages of a machine without a scene."""
     plan = SimpleNamespace(description=DESCRIPTION, parameters=None)
     session = SimpleNamespace(
@@ -89,7 +88,7 @@ def pages(machine: StandIn, authority: ControlAuthority, training: Training | No
         folders=(),
         before=lambda _: None,
     )
-    return Pages(session, authority, training or Training(machine, lambda: DESCRIPTION.task))
+    return Pages(session, authority)
 
 
 @dataclass

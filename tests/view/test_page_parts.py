@@ -42,7 +42,6 @@ from orchestrator.view.live import (
 )
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, columns
-from orchestrator.view.training import Training
 
 
 @given(
@@ -320,7 +319,7 @@ def test_charts_of_a_replay(fmu_dir: Path) -> None:
     replay = Replay(Trace(times, signals), playing=False)
     session = Session(MachineChoice(fmu_dir / "harvester.ssp"), (), lambda _: replay)
     session._show(replay, "file")
-    broadcast = Broadcast(session, Training(session.machine, lambda: session.plan.description.task))
+    broadcast = Broadcast(session)
     session.seek(50.0)
     broadcast.look()
     at = broadcast.history.names.index("swing_speed")

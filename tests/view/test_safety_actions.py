@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import httpx
 import pytest
-from view.standin import DESCRIPTION, LEVERS, SILENCE_LIMIT, TIMEOUT, StandIn, pages
+from view.standin import DESCRIPTION, SILENCE_LIMIT, TIMEOUT, StandIn, pages
 
 from orchestrator.base.errors import Problem
 from orchestrator.view import live
@@ -165,21 +165,6 @@ def test_actions_count_for_the_limit_of_messages(room: Room) -> None:
     heard = ran(flood())
     assert 0 < sum(heard) < PATIENT
     assert room.watcher.station.counts["flood"] == 2 * PATIENT - sum(heard)
-
-
-def test_a_hidden_task_drops_its_load(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The load that the task has put into the head goes with the driver's panel, not with another one."""
-    room.machine.axes = (*LEVERS, "manipulator.payload_mass")
-    training = room.driver.training
-    monkeypatch.setattr(training, "loads", lambda: {"payload_mass": 200.0} if training.shown else {})
-    for value in (True, False):
-        room.ask(room.watcher, "task", what="show", value=value)
-        room.say()
-        assert "manipulator.payload_mass" not in room.machine.commands[-1]
-    for page, value in ((room.watcher, True), (room.driver, True), (room.driver, False)):
-        room.ask(page, "task", what="show", value=value)
-    room.say()
-    assert room.machine.commands[-1]["manipulator.payload_mass"] == 0.0
 
 
 def test_the_end_of_the_server_is_rest(room: Room) -> None:

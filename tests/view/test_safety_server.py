@@ -95,7 +95,6 @@ ACTIONS = (
     '{"do":"replay","file":"../../etc/passwd.csv"}',
     '{"do":"speed","factor":"fast"}',
     '{"do":"choose","pattern":{}}',
-    '{"do":"task","what":[],"value":[]}',
 )
 
 

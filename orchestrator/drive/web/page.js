@@ -123,7 +123,6 @@ export class Page {
     source.onhello = () => {
       this.fit(source.data, source.names);
       document.title = source.data.title;
-      if (this.task?.open) this.asked("show", true); // a new connection does not know
       this.ready();
     };
     source.onframe = () => this.present();
@@ -242,13 +241,13 @@ export class Page {
 
   // of the training task
   asked(what, value) {
-    if (this.shared) return this.source.do("task", { what, value });
-    const { task } = this.sources.drive;
-    if (what === "show") [task.show(value), this.mode === "drive" || this.choose("drive")];
+    const source = this.sources.drive ?? this.source;
+    const { task } = source;
+    if (what === "show") [task.show(value), this.shared || this.mode === "drive" || this.choose("drive")];
     if (what === "choose") task.choose(value);
     if (what === "again") task.again();
     if (what === "write") download("training.csv", task.csv());
-    this.sources.drive.carry();
+    source.carry();
   }
 
   // ---- sources of this browser
@@ -458,7 +457,7 @@ export class Page {
     this.sliders?.show();
     this.choices();
     if (!this.shared) this.levers.show(this.mode === "drive" ? this.levers.last.sticks : REST, false);
-    const status = this.shared ? source.info.task : this.sources.drive?.task.status();
+    const status = (this.sources.drive ?? source).task?.status();
     this.task?.show(status);
     this.scene?.mark(this.task?.open && status ? rings(this.data.task, status) : []);
     this.times();
