@@ -92,7 +92,6 @@ class Status:
     asked     name of the station that requests the controls, or empty
     live      True while the machine follows the sticks: the lamp of the dead-man
     why       reason why it does not, and what to do
-    drives    True if the machine can be driven
     pattern, mode, modes   control pattern, drive mode, available drive modes
     """
 
@@ -101,7 +100,6 @@ class Status:
     asked: str
     live: bool
     why: str
-    drives: bool
     pattern: str
     mode: str
     modes: tuple[str, ...]
@@ -264,7 +262,7 @@ class ControlAuthority:
     def take(self, station: OperatorStation) -> bool:
         """Take the controls if they are free; else request them from the driver."""
         self.check()
-        if self._driver is None and self.machine.drives and station in self.stations:
+        if self._driver is None and station in self.stations:
             self._driver, self._last = station, None
             station.heard = self._clock()
             self._rest(HOLD)
@@ -347,9 +345,8 @@ class ControlAuthority:
     def status(self, station: OperatorStation | None = None) -> Status:
         """State of the controls for the page of this station."""
         role = "free" if self._driver is None else "driving" if self._driver is station else "watching"
-        gate = self._gate
-        why = gate.why if self.machine.drives else "a replay cannot be driven"
-        if role == "free" and self.machine.drives and station not in (None, self._last):
+        gate, why = self._gate, self._gate.why
+        if role == "free" and station not in (None, self._last):
             why = "the controls are free" if station is self._asked else "nobody drives"
         if role == "driving" and not gate.modes:
             why = SLIDE
@@ -361,7 +358,6 @@ class ControlAuthority:
             asked=self._asked.name if self._asked else "",
             live=gate.live,
             why="" if gate.live else why,
-            drives=self.machine.drives,
             pattern=gate.pattern,
             mode=gate.mode,
             modes=gate.modes,

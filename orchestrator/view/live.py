@@ -9,7 +9,7 @@ dropped, and the end of the connection ends driving. The server sends objects wi
     frame    number, time, state, and the values of `names` in the hello
     bins     extremes of the charts in bins of time
     status   of the controls; ten times a second, so that it is the heartbeat of the server, too
-    info     the rest: timing, span of a replay
+    info     the rest: timing, speed, message
     answer   to an action: a line, what there is to choose, or that what was chosen is done
 
 A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
@@ -156,7 +156,7 @@ class Broadcast:
     def look(self) -> None:
         """Read the machine once."""
         session = self._session
-        fitted = (session.columns, session.plan, session.machine.exchanges)
+        fitted = (session.columns, session.plan, session.starts)
         if fitted != self._fitted:
             self._fitted = fitted
             self._begin()
@@ -166,8 +166,8 @@ class Broadcast:
         self.frame = [round(time, 4), frame.state, numbers_of(row)]
         if self._ticks % round(RATE / INFO) == 0:
             self.history.look()
-            timing, factor = asdict(frame.timing), session.machine.factor
-            self.info = {"span": session.span, "factor": factor, "message": frame.message, "timing": timing}
+            timing, factor = asdict(frame.timing), session.factor
+            self.info = {"factor": factor, "message": frame.message, "timing": timing}
         self._ticks += 1
 
     def _begin(self) -> None:
@@ -177,8 +177,6 @@ class Broadcast:
         names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns]
         self._columns = [columns[name] for name in names]
         self.history = History(session.machine, columns, description.curves)
-        if before := session.before(WINDOW):
-            self.history.add(*before)
         self.jumps += 1
         self._ticks = 0
         hello = page_data(description, plan.parameters)
@@ -321,7 +319,7 @@ class OpenPage:
     # ---- actions
 
     def take(self) -> None:
-        if not self.authority.take(self.station) and self.session.machine.drives:
+        if not self.authority.take(self.station):
             self.answer("requested; the driver has to release the controls")
 
     async def toggle(self) -> None:
@@ -337,10 +335,6 @@ class OpenPage:
     async def start(self, asked: Asked) -> None:
         choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
         await self.change(self.authority.stop, self.session.start, choice)
-        self.answers.append({"done": True})
-
-    async def replay(self, asked: Asked) -> None:
-        await self.change(self.authority.stop, self.session.replay, asked.get("file"))
         self.answers.append({"done": True})
 
     async def change(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> None:
@@ -373,13 +367,10 @@ ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     "set": lambda page, asked: page.authority.set(page.station, asked.get("name"), asked.get("value")),
     "toggle": lambda page, _: page.toggle(),
     "speed": lambda page, asked: page.change(
-        page.authority.halt, page.session.machine.speed, finite(asked.get("factor"), "speed")
+        page.authority.halt, page.session.speed, finite(asked.get("factor"), "speed")
     ),
     "again": lambda page, _: page.change(page.authority.stop, page.session.again),
-    "back": lambda page, _: page.change(page.authority.stop, page.session.back),
-    "replay": lambda page, asked: page.replay(asked),
     "start": lambda page, asked: page.start(asked),
-    "seek": lambda page, asked: page.session.seek(finite(asked.get("t"), "time")),
     "save": lambda page, _: page.save(),
     "files": lambda page, _: page.files(),
     "machines": lambda page, _: page.machines(),

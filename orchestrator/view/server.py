@@ -9,18 +9,18 @@ import socket
 import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
-from functools import partial
 from pathlib import Path
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
 from orchestrator.drive.page import served
+from orchestrator.pages.html_page import json_values
 from orchestrator.realtime.setup import failures_reported
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
@@ -108,6 +108,13 @@ def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Sta
             return Response(f"{problem}\n", 404, media_type="text/plain")
         return FileResponse(path, filename=path.name)
 
+    def recording(request: Request) -> Response:
+        try:
+            data = pages.session.recording(request.path_params["name"])
+        except Problem as problem:
+            return Response(f"{problem}\n", 404, media_type="text/plain")
+        return JSONResponse(json_values(data))
+
     async def watch() -> None:
         while True:
             pages.authority.check()
@@ -126,7 +133,8 @@ def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Sta
             pages.authority.stop()
 
     routes: list[BaseRoute] = [Route(path, file) for path in files]
-    routes += [Route("/result/{name:path}", result), WebSocketRoute("/live", pages.serve)]
+    routes += [Route("/result/{name:path}", result), Route("/recording/{name:path}", recording)]
+    routes += [WebSocketRoute("/live", pages.serve)]
     return Starlette(routes=routes, lifespan=life, exception_handlers={404: _not_found})
 
 
@@ -178,18 +186,21 @@ def serve(
     """
     make_folder(results)
     access.shorten_library_logs()
-    session = Session(first, [results])
+    session = Session(first, [results], file=replay)
     try:
-        if replay is not None:
-            session.replay_file(replay)
         server = Server(session, host, port, token)
+        address = server.url
+        if replay is not None:
+            session.recording("")  # raises Problem for a file that cannot be replayed
+            session.machine.pause()
+            address += f"{'&' if '?' in address else '?'}replay="
 
         def began() -> None:
-            tell(f"{session.title}\n{server.url}\npress Ctrl-C to end")
+            tell(f"{replay or session.title}\n{address}\npress Ctrl-C to end")
             if open_:  # in a thread, because on some systems the call waits for the browser
-                threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
-        with failures_reported(session.live, partial(session.save, session.live), tell_failure):
+        with failures_reported(session.machine, session.save, tell_failure):
             server.run(began)
         raise KeyboardInterrupt  # uvicorn returns without it if SIGINT is ignored, as in a background job
     finally:

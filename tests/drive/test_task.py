@@ -161,6 +161,20 @@ def test_nothing_moves(attempt: Attempt) -> None:
     assert (result["table"], result["seen"][-1][0]) == ([], "ready")
 
 
+def test_a_replay_is_scored_as_it_was_driven(attempt: Attempt, script: Any) -> None:
+    """The times of its pictures are those of the run here, so the samples are the same."""
+    trace = cycle()
+    run = """(() => {
+      const replay = new m.Recording({ time: a.time, columns: a.columns, ghost: {} }, a.rules);
+      replay.task.show(true); replay.show(a.time[0]);
+      for (const t of a.time.slice(1)) replay.show(t);
+      return replay.task.table; })()"""
+    columns = {name.rpartition(".")[2]: values.tolist() for name, values in trace.signals.items()}
+    rules = RULES | {"exercises": [asdict(EXERCISE)]}
+    found = script("recording", run, {"rules": rules, "time": trace.time.tolist(), "columns": columns})
+    assert found == attempt(trace)["table"]
+
+
 def test_what_lacks(attempt: Attempt) -> None:
     """Without a supply or pressures those figures are left out."""
     trace = cycle()

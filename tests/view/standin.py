@@ -43,14 +43,11 @@ class StandIn:
     axes: tuple[str, ...] = LEVERS
     signals: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
-    drives: bool = True
     commands: list[dict[str, float]] = field(default_factory=list)
     frames: list[tuple[float, list[float]]] = field(default_factory=list)
     still: dict[str, float] = field(default_factory=dict)
     state: str = "running"
     number: int = 0
-    exchanges: int = 0
-    factor: float = 1.0
 
     def command(self, values: Mapping[str, float]) -> None:
         self.commands.append(dict(values))
@@ -83,10 +80,10 @@ def pages(machine: StandIn, authority: ControlAuthority) -> Pages:
         machine=machine,
         columns=columns(machine),
         plan=plan,
-        span=None,
+        starts=0,
+        factor=1.0,
         title="",
         folders=(),
-        before=lambda _: None,
     )
     return Pages(session, authority)
 

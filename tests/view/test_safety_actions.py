@@ -38,8 +38,8 @@ class Room:
         )
         self.pages: Any = pages(self.machine, self.authority)
         for owner, names in (
-            (self.machine, "play pause speed"),
-            (self.pages.session, "again back replay start"),
+            (self.machine, "play pause"),
+            (self.pages.session, "again speed start"),
         ):
             for name in names.split():
                 setattr(owner, name, partial(self._note, name))
@@ -75,7 +75,7 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Room:
     return found
 
 
-ENDS = {"again": {}, "back": {}, "replay": {"file": "run.csv"}, "start": {"system": "other.ssp"}}
+ENDS = {"again": {}, "start": {"system": "other.ssp"}}
 CHANGES: dict[str, dict[str, object]] = {"speed": {"factor": 2.0}, **ENDS}
 
 
@@ -114,14 +114,14 @@ def test_going_on_and_another_speed_need_the_dead_man_anew(room: Room, do: str) 
 
 @pytest.mark.parametrize("do", ENDS)
 def test_another_machine_takes_the_controls(room: Room, do: str) -> None:
-    """After a restart, a replay or a start nobody drives, so nothing moves by itself."""
+    """After a restart or a start nobody drives, so nothing moves by itself."""
     room.ask(room.driver, do, **ENDS[do])
     assert room.done == [do]
     room.say()
     assert (room.machine.moving, room.role()) == (False, "free")
 
 
-def test_the_end_of_a_replay_is_played_again_without_a_driver(room: Room) -> None:
+def test_a_machine_that_has_ended_starts_without_a_driver(room: Room) -> None:
     """Play starts what has ended or failed from the beginning."""
     room.machine.state = "ended"
     room.ask(room.driver, "toggle")

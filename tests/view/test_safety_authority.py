@@ -332,14 +332,6 @@ def test_an_input_that_rests_elsewhere(desk: Desk) -> None:
     assert desk.hold_anew(desk.driver())
 
 
-def test_replay(desk: Desk) -> None:
-    """What cannot be driven gives nobody the controls."""
-    desk.machine.drives = False
-    station = desk.page()
-    assert not desk.take(station)
-    assert desk.status(station).why == "a replay cannot be driven"
-
-
 @pytest.mark.parametrize("error", [Problem("machine: no such axis"), OSError("gone")])
 def test_machine_that_breaks(desk: Desk, error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine that takes no command stops nobody: the lamp goes out and says why."""

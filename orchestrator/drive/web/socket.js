@@ -1,14 +1,15 @@
-// Source: the machine in real time, or a replay, of `harvester view`, by one websocket. It belongs to a worker
+// Source: the machine in real time of `harvester view`, by one websocket. It belongs to a worker
 // (worker.js), so that messages go in time; a message goes now or never, nothing is kept for later.
 import { History } from "drive/charts.js";
 import { Attempts } from "drive/task.js";
 
 const SILENT = 1000; // ms after which a server that says nothing counts as gone
 const HEARD = 4; // pictures between two words to the server that they were drawn
-const FREE = { role: "free", live: false, why: "", asked: "", drives: false, pattern: "", mode: "", modes: [] };
+const FREE = { role: "free", live: false, why: "", asked: "", pattern: "", mode: "", modes: [] };
 
 export class SocketSource {
   shared = true;
+  drives = true;
 
   constructor(address) {
     // onhello: another machine; onframe; oninfo; onstatus: of the controls; onanswer; onlate
@@ -32,7 +33,7 @@ export class SocketSource {
     for (const [number, first, second] of data.bins ?? []) this.history.put(number, first, second);
     if (data.frame) this.show(data.frame);
     if (data.info) {
-      [this.info, this.span] = [data.info, data.info.span];
+      this.info = data.info;
       this.oninfo();
     }
     if (data.status) {
@@ -53,7 +54,7 @@ export class SocketSource {
   // the state of the controls
   tell(status) {
     if (status.live !== this.status?.live || status.role !== "driving") this.carried = 0; // a rest may have dropped it
-    Object.assign(this, { status, drives: status.drives, pattern: status.pattern, mode: status.mode });
+    Object.assign(this, { status, pattern: status.pattern, mode: status.mode });
     this.onstatus();
   }
 
@@ -118,10 +119,6 @@ export class SocketSource {
 
   set(name, value) {
     this.do("set", { name, value });
-  }
-
-  seek(t) {
-    this.do("seek", { t });
   }
 
   // what the task holds in the head, when that changes and this page drives
