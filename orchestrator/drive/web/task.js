@@ -7,7 +7,7 @@
 // Score, from the start of the clock to the end of the attempt; integrals by the trapezoidal rule:
 //
 //   cycle_time     s   to the last target done                     reach_time   s   to the first target entered
-//   path_length    m   path of the tip, sum of the distances between samples; "crane tip distance" of Polowy and
+//   path_length    m   path of the tip, sum of the distances between samples, as the tip distance of Polowy and
 //                      Rutkowski, Forests 15:1277, 2024
 //   simultaneous   1   share of time with two or more functions moving (faster than MOVING)
 //   functions      1   mean number of moving functions while any moves
