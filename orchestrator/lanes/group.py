@@ -353,8 +353,9 @@ def _settled(
     for k in plan.order:
         interface = system.components[names[k]].interface
         for port in (Port(names[k], v.name) for v in interface.of("input")):
+            moves = port.variable not in interface.model.held_inputs  # inside a step
             follows = port in varied and source[port].component in before and source[port] in known
-            if port not in rates and (port in inputs.driven or port not in source or follows):
+            if port not in rates and (port not in source or (moves and (port in inputs.driven or follows))):
                 settled.add(port)
         ports = (Port(names[k], name) for name in interface.variables)
         known |= {port for port in ports if settled.issuperset(_direct(system, port))}
