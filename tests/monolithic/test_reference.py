@@ -201,7 +201,7 @@ def test_the_fmus_solve_the_equations(fmu_dir, variants, stop):
     found = monolithic.compared(fmu_dir / "harvester.ssp", variants, stop=stop)
     # measured 1e-9 to 8e-9, in rates that have peaks when a cavity closes
     assert found.equations.largest < monolithic.EQUAL, found.equations
-    # measured 1.0 to 1.5; `benchmarks.monolithic` prints all combinations
+    # measured 1.0 to 1.62; `benchmarks.monolithic` prints all combinations
     assert found.ratio < monolithic.WITHIN, found.cosimulation
 
 
