@@ -125,7 +125,7 @@ def test_a_time_event_is_at_its_time_and_may_end_the_simulation(fmu, version):
 def test_discrete_signals_reach_other_fmus_in_event_mode(fmu, of_room, of_thermo):
     """A thermostat heats a room: T rises to 0.6, then moves between 0.4 and 0.6 on exponentials."""
     fmus = {"room": fmu("room", of_room), "thermo": fmu("thermo", of_thermo)}
-    system = assemble(fmus, ["room.T -> thermo.y", "thermo.on -> room.on"], exchange=True)
+    system = assemble(fmus, ["room.T -> thermo.y", "thermo.on -> room.on"])
     result = reference(system, stop=3.0, record_step=0.01)
     first, half = -log(0.4), log(1.5)
 
@@ -149,14 +149,14 @@ def test_a_loop_is_solved(fmu, of_a, of_b, gain, cubic):
     fmus = {"a": fmu("gain", of_a), "b": fmu("gain", of_b), "ball": fmu("ball", 2)}
     wires = [("a.y", "b.u"), ("b.y", "a.u", -1.0, 1.0)]
     start = {"a.a": gain, "a.b": cubic, "b.a": 2.0}
-    u = reference(assemble(fmus, wires, start, exchange=True), stop=1.0, record_step=0.5)["a.u"]
+    u = reference(assemble(fmus, wires, start), stop=1.0, record_step=0.5)["a.u"]
     assert u == pytest.approx(1 - 2 * (gain * u + cubic * u**3), rel=1e-12)
 
 
 def test_a_loop_without_solution_is_told(fmu):
     """u = u + 1."""
     fmus = {"a": fmu("gain", 2), "ball": fmu("ball", 2)}
-    system = assemble(fmus, [("a.y", "a.u", 1.0, 1.0)], {"a.a": 1.0}, exchange=True)
+    system = assemble(fmus, [("a.y", "a.u", 1.0, 1.0)], {"a.a": 1.0})
     with pytest.raises(Problem, match="loop"):
         reference(system, stop=1.0)
 
