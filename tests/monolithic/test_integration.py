@@ -70,7 +70,7 @@ class Equations:
 
 def solved(equations, grid, tolerance=1e-10):
     """The result over a grid."""
-    return module._Integration(equations, None, grid, tolerance).run(ProgressBar(1.0, False))
+    return module._Recorded(equations, None, grid, tolerance).result(ProgressBar(1.0, False))
 
 
 def test_the_card_counts_what_happened():
