@@ -105,9 +105,7 @@ def test_a_loop_through_components_with_states(fmu):
 def test_the_slope_of_a_loop_is_renewed_where_it_has_changed(fmu, before, after, u):
     """u = c - y and y = a u + b u^3, first with a = 1, then with a and b before and after a change."""
     c = u + after[0] * u + after[1] * u**3
-    system = assemble(
-        {"g": fmu("gain", 2)}, [("g.y", "g.u", -1.0, c)], {"g.a": 1.0, "g.b": 0.0}, exchange=True
-    )
+    system = assemble({"g": fmu("gain", 2)}, [("g.y", "g.u", -1.0, c)], {"g.a": 1.0, "g.b": 0.0})
     with closing(Plant(system)) as plant:
         plant.start((0.0, 1.0))
         for parameters, solution in ((before, c / (1 + before[0])), (after, u)):
