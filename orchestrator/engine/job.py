@@ -23,6 +23,7 @@ from orchestrator.engine.result import (
 )
 from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.time_grid import Grid
+from orchestrator.fmi.interface import MODEL_EXCHANGE
 from orchestrator.fmi.messages import Log
 from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
 from orchestrator.ssp.provenance import Provenance
@@ -38,9 +39,13 @@ Opener: TypeAlias = "Callable[[Component], Slave]"
 
 
 def open_slave(component: Component) -> Slave:
-    """Instantiate the FMU of a component for Co-Simulation."""
+    """Instantiate the FMU of a component."""
     if component.source is None:
         raise Problem(f"{component.name}: expected an FMU file, got none")
+    if component.interface.kind == MODEL_EXCHANGE:
+        from orchestrator.engine.stepped_fmu import SteppedFmu
+
+        return SteppedFmu(component, component.source)
     from orchestrator.fmi.cosimulation import CoSimulationFmu
 
     return CoSimulationFmu(component.name, component.interface, component.source, component.start)

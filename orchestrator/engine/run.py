@@ -287,10 +287,10 @@ def co_simulate(
             return with_error_estimate(job, times, result) if estimate else result, sink
 
 
-def opened(system: System | str | Path, given: dict[str, Any], exchange: bool = False) -> System:
+def opened(system: System | str | Path, given: dict[str, Any]) -> System:
     """The system with the connections and FMUs of the options, which are taken out of those of a run."""
-    system = system if isinstance(system, System) else load(system, exchange)
-    return with_swaps(system.without(*given.pop("cut", ())), given.pop("swap", {}), exchange)
+    system = system if isinstance(system, System) else load(system)
+    return with_swaps(system.without(*given.pop("cut", ())), given.pop("swap", {}))
 
 
 def prepare(
