@@ -363,7 +363,8 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
         sink = TraceInMemory()
         return finished(job, times, simulate(job, times, sink), sink)
 
-    if result.card.simulated < (1.0 - SAME_TIME) * (times.stop - times.start):
+    short = result.card.simulated < (1.0 - SAME_TIME) * (times.stop - times.start)
+    if short and job.execution.until is not None:
         return result.noted("no error estimate: the run ended before its stop time")
     if times.free:
         reason = "two adaptive runs have common times only with a record step; set --record-step"

@@ -1,6 +1,6 @@
 """Ends a run at the first recorded row where a condition holds: `run(..., until=...)`.
 
-The condition is a text, "manipulator.tip_height < -1.5 m", or a function of the time [s] and of the row, a
+The condition is a text, "arm.height < -1.5 m", or a function of the time [s] and of the row, a
 mapping from signal to value. A function that returns None only hears of each row. Rows come in blocks, some
 of them after the row that ends the run: these are not kept.
 """
@@ -44,7 +44,7 @@ def condition(system: System, until: str | Callable[[float, Row], Any]) -> Compa
         return until
     found = re.fullmatch(r"\s*(\S+?)\s*(<=|>=|<|>)\s*(.+)", until)
     if not found:
-        expected = "expected SIGNAL < NUMBER, such as manipulator.tip_height < -1.5"
+        expected = "expected SIGNAL < NUMBER, such as arm.height < -1.5 m"
         raise Problem(f"until: {expected}, got {until!r}")
     signals = [str(port) for causality in ("output", "input") for port in system.ports(causality)]
     names = matching(signals, found[1])

@@ -520,9 +520,8 @@ def coerce(
     text = str(value).strip()
     try:
         if variable.kind == "Real":
-            if linear == IDENTITY:
-                return real(text)
-            return float(f"{linear(real(text)):.15g}")  # -30 degC is 243.15 K
+            value = linear(real(text))
+            return float(f"{value:.15g}") if linear.offset else value  # -30 degC is 243.15 K
         if variable.kind == "String":
             return str(value)
         if variable.kind == "Boolean":

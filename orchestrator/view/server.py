@@ -188,11 +188,12 @@ def serve(
     access.shorten_library_logs()
     session = Session(first, [results], file=replay)
     try:
-        server = Server(session, host, port, token)
-        address = server.url
         if replay is not None:
             session.recording("")  # raises Problem for a file that cannot be replayed
             session.machine.pause()
+        server = Server(session, host, port, token)
+        address = server.url
+        if replay is not None:
             address += f"{'&' if '?' in address else '?'}replay="
 
         def began() -> None:

@@ -109,7 +109,7 @@ def test_the_command_ends_with_status_0(oscillator, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("until", "message"),
     [
-        ("a.x", "until: expected SIGNAL < NUMBER, such as manipulator.tip_height < -1.5, got 'a.x'"),
+        ("a.x", "until: expected SIGNAL < NUMBER, such as arm.height < -1.5 m, got 'a.x'"),
         ("a.y < 1", "until a.y < 1: expected one signal, got none"),
         ("x < 1", "until x < 1: expected one signal, got a.x, b.x"),
         ("a.x < one", "until a.x < one: expected a number behind <, got 'one'"),
