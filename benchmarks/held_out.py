@@ -176,7 +176,7 @@ def outcome(seed: int, number: int, build: Path, with_cost: bool) -> Outcome:
     same: dict[str, Any] = {"stop": STOP, "set": values}
     ours = {**same, "isolate": False, "record": SPEEDS}
     found = Outcome(number, tuple(chosen.variants.values()), chosen.asked)
-    exchanged = with_swaps(load(build / "harvester.ssp", exchange=True), chosen.variants, exchange=True)
+    exchanged = with_swaps(load(build / "harvester.ssp"), chosen.variants)
     try:
         solved = reference(
             exchanged, chosen.commands, tolerance=TOLERANCE * chosen.asked, record_step=RECORD_STEP, **same

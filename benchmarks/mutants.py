@@ -108,7 +108,6 @@ _NAMED = (
     ("orchestrator/engine/native/error_propagation.c", "line[0] = 2.0 / 3.0 *", "line[0] = 1.0 *"),
     ("orchestrator/engine/native/error_propagation.c", "d[1] * h * h / 12.0", "d[1] * h * h / 6.0"),
     ("orchestrator/engine/native/error_propagation.c", "fourth / 720.0", "fourth / 360.0"),
-    ("orchestrator/engine/native/communication_step.c", "sim->corrected && s->source", "s->source"),
     ("orchestrator/engine/native/algebraic_loop.c", "magnitude[i] = larger(p", "magnitude[i] = smaller(p"),
     ("orchestrator/engine/open_job.py", "FIRST_FRACTION = 1e-3", "FIRST_FRACTION = 0.5"),
     ("fmus/components/circuit.py", "node.cavity * chamber.cavity_volume", "chamber.cavity_volume"),

@@ -1,7 +1,7 @@
 """Cost of the native FMUs and of the co-simulation: `make bench`, shorter with ARGS="--repeats 1".
 
 The work cycle, in turn by the FMUs of the parts and by harvester.fmu, which is all of them in one;
-`orchestrator.studies.variants` says how the time inside an FMU is measured. Then the throughput of `batch` on
+`fmus.machine.variant_costs` says how the time inside an FMU is measured. Then the throughput of `batch` on
 two cores: one by one in two processes, and in the vector lanes of two threads.
 """
 
@@ -19,8 +19,8 @@ import numpy as np
 
 from fmus.machine.build import build_machine, data
 from fmus.machine.parts import FERIC
+from fmus.machine.variant_costs import inside
 from orchestrator import System, batch, load, run
-from orchestrator.studies.variants import inside
 
 SETTINGS = (("jacobi", 1e-3), ("gauss-seidel", 1e-3), ("gauss-seidel", 5e-3))
 WHOLE = "harvester"

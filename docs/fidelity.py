@@ -48,11 +48,11 @@ from fidelity_tables import (
 
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
+from fmus.machine.variant_costs import combinations
 from orchestrator import load
 from orchestrator.pages.plotting import png
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import draw
-from orchestrator.studies.variants import combinations
 
 HERE = Path(__file__).parent
 DOCUMENT, IMAGES = HERE / "fidelity.md", HERE / "images"

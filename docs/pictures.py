@@ -1,4 +1,4 @@
-"""Makes the pictures of README.md from a fresh run: `python docs/pictures.py`."""
+"""Makes the picture of README.md from a fresh run: `python docs/pictures.py`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from orchestrator import load, run
 from orchestrator.data.recording import read_recording
 from orchestrator.pages.plotting import png
 from orchestrator.results.layout import read_layout
-from orchestrator.results.motion import strobe
 from orchestrator.results.validation import validate
 from orchestrator.results.validation_report import draw
 
@@ -18,15 +17,11 @@ IMAGES = Path(__file__).parent / "images"
 
 
 def main() -> None:
-    """Run the work cycle; draw the motion, and the boom against the reference."""
+    """Run the work cycle; draw the boom against the reference."""
     layout = read_layout(data("reference/work_cycle.layout.toml"))
     with tempfile.TemporaryDirectory() as folder:
         build_machine(Path(folder))
         result = run(load(Path(folder) / "harvester.ssp"), data("scenarios/work_cycle.csv"))
-    motion = layout.motion(result.trace)
-    assert motion is not None
-    IMAGES.mkdir(exist_ok=True)
-    (IMAGES / "motion.png").write_bytes(png(strobe(motion, poses=11)))
     validation = validate(result.trace, read_recording(data("reference/work_cycle.csv")), rate=False)
     boom = next(figure for figure in layout.figures if figure.title == "Boom")
     (IMAGES / "validation.png").write_bytes(png(draw(boom, validation, result.trace)))

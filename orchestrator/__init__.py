@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from orchestrator.results.validation import Validation, validate
     from orchestrator.ssp.coupling import Coupling
     from orchestrator.ssp.load import assemble, load
+    from orchestrator.ssp.masters import Master
     from orchestrator.ssp.swap import with_swaps
     from orchestrator.ssp.system import System
     from orchestrator.ssp.write import write_ssp
@@ -61,6 +62,7 @@ _MODULES = {
     "results.validation": "Validation validate",
     "ssp.coupling": "Coupling",
     "ssp.load": "assemble load",
+    "ssp.masters": "Master",
     "ssp.swap": "with_swaps",
     "ssp.system": "System",
     "ssp.write": "write_ssp",
@@ -69,9 +71,9 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 __all__ = [
-    "BatchResult", "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem",
-    "Record", "Recording", "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble",
-    "batch", "compare", "linearize", "load", "read_recording", "read_study", "read_trace",
+    "BatchResult", "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Master",
+    "Problem", "Record", "Recording", "Result", "RunFailed", "Study", "System", "Trace", "Validation",
+    "assemble", "batch", "compare", "linearize", "load", "read_recording", "read_study", "read_trace",
     "reference", "run", "sweep", "validate", "with_swaps", "write_ssp", "write_trace",
 ]  # fmt: skip
 

@@ -26,8 +26,6 @@ LARGE = {case: (1e-3, 2e-3, 5e-3, 1e-2, 2e-2) for case in PLAIN} | {
     "truck": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3)
 }
 LARGEST = {case: (5e-3, 1e-2, 2e-2, 4e-2) for case in ("wired", "cut")}
-LAGGED = Coupling("interface-jacobian", lag=5)
-UNGUARDED = Coupling("interface-jacobian", lag=5, guard=0.0)
 ONE_PASS = LARGE | {case: (1e-3, 2e-3, 5e-3, 8e-3, 1e-2, 4e-2 / 3) for case in ("wired", "cut")}
 ACCURACIES = {case: (1e-6, 1e-5, 1e-4, 1e-3, 1e-2) for case in PLAIN}
 ONCE = {case: (USUAL,) for case in PLAIN}
@@ -80,8 +78,6 @@ OURS = (
     Setting(
         "interface-jacobian", "ours", LARGE, {"master": "interface-jacobian"}, drawn="interface-jacobian"
     ),
-    Setting("lag 5, FMUs at 1e-4", "ours", LARGEST, {"master": LAGGED, "tolerance": 1e-4}),
-    Setting("the same without guard", "ours", LARGEST, {"master": UNGUARDED, "tolerance": 1e-4}),
 )
 CHOSEN = Setting("--accuracy", "ours", ACCURACIES, vary="accuracy", drawn="--accuracy")
 SETTINGS = (*PEERS, *OURS, CHOSEN)

@@ -33,6 +33,7 @@ class Kind:
     form         of one item of a mapping, for messages
     least, most  limits of a number
     positional   an argument of a command
+    choices      the texts that are allowed
     text         help of an option without a row in a docstring
     """
 
@@ -43,6 +44,7 @@ class Kind:
     least: float = -inf
     most: float = inf
     positional: bool = False
+    choices: tuple[str, ...] = ()
     text: str = ""
 
     def __repr__(self) -> str:
@@ -154,7 +156,7 @@ def declared(hint: Any) -> Declared:
     inner = get_args(hint)
     if get_origin(hint) is Annotated:
         found = declared(inner[0])
-        return Declared(inner[1], found.types, found.choices)
+        return Declared(inner[1], found.types, found.choices or inner[1].choices)
     if get_origin(hint) is Literal:
         return Declared(choices=inner)
     if get_origin(hint) not in (Union, UnionType):

@@ -7,7 +7,7 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import FMUS, require
 from orchestrator.check.finding import Finding
-from orchestrator.check.ls_ref_comparison import EXPERIMENT
+from orchestrator.check.ls_ref import EXPERIMENT
 from orchestrator.check.probe_process import probe_threads
 from orchestrator.check.probes import PROBES
 from orchestrator.check.report import ANY, TOOLS, CheckReport

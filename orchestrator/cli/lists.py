@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from functools import partial
 from json import dumps
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind, Swaps
-from orchestrator.cli.options import BUILD, File, System, command, system_file
+from orchestrator.cli.options import BUILD, System, command, system_file
 
 if TYPE_CHECKING:
     from orchestrator.base.units import DeclaredUnit
@@ -27,40 +26,31 @@ WIDTH = 100  # characters
 def variants(
     system: System = None,
     cost: bool = False,
-    combinations: bool = False,
-    out: File = BUILD / "combinations.csv",
     json: bool = False,
 ) -> bool:
     """List the variants of each part, with numbers of states and inputs, and the range of validity.
 
-    system         System in which the cost of the variants is measured; default: build/harvester.ssp, else
-                   the one in the installed package.
-    cost           Also measure the simulation time of each variant on this computer, a few seconds.
-    combinations   Run the work cycle with every combination of variants instead.
-    out            With `combinations`: file for the table (.csv).
-    json           Print the list as JSON.
+    system   System in which the cost of the variants is measured; default: build/harvester.ssp, else the one
+             in the installed package.
+    cost     Also measure the simulation time of each variant on this computer, a few seconds.
+    json     Print the list as JSON.
     """
     require("model", "harvester variants")
-    from fmus.machine.parts import FAMILIES, JOINT_SPEEDS
     from fmus.machine.tables import variant_lines, variant_names, variant_rows
 
-    if not (cost or combinations):
+    if not cost:
         if system:
-            raise Problem(f"variants {system}: a system is only read with --cost or --combinations")
+            raise Problem(f"variants {system}: a system is only read with --cost")
         if json:
             print(dumps(variant_rows({}), indent=1))
             return True
         print("\n".join(variant_lines({})))
         print("To measure the cost of each variant on this computer: harvester variants --cost")
         return True
+    from fmus.machine.variant_costs import costs
     from orchestrator.base.files import require_system
-    from orchestrator.studies.variants import costs, table
 
-    file = require_system(system_file(system))
-    if combinations:
-        families = {part: list(family) for part, family in FAMILIES.items()}
-        return table(file, families, JOINT_SPEEDS, out, partial(print, flush=True))
-    measured = costs(file, variant_names())
+    measured = costs(require_system(system_file(system)), variant_names())
     print(dumps(variant_rows(measured), indent=1) if json else "\n".join(variant_lines(measured)))
     return True
 

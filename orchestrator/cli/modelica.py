@@ -49,7 +49,7 @@ def modelica(
     if not files:
         system = system_file(None)
         files = [system, system.with_suffix(".fmu"), *sorted((system.parent / VARIANTS).glob("*.fmu"))]
-    inputs = {file: {port.variable for port in load(file, exchange=True).ports("input")} for file in files}
+    inputs = {file: {port.variable for port in load(file).ports("input")} for file in files}
     default = [known for known in CONSTANT_INPUTS if known in set().union(*inputs.values())]
     package = write_package(files, out, name, constant or default, LEVERS)
     print(f"{package}\n{NEXT.format(package=package.as_posix())}")

@@ -102,9 +102,9 @@ def track(
     require("model", "harvester track")
     from fmus.controller.paths import route_start_angles, start_angles, write_route
     from fmus.machine.parts import MACHINES
+    from fmus.machine.path_following import first_point, read_machine
+    from fmus.machine.path_following import track as run_study
     from fmus.package_files import PACKAGE
-    from orchestrator.studies.path_following import first_point, read_machine
-    from orchestrator.studies.path_following import track as run_study
 
     names = read_machine(PACKAGE / "controller/tracking.toml")
     if path and through:

@@ -35,7 +35,7 @@ def view(
 
     system    An .ssp or .fmu file; default: build/harvester_control.ssp, in which the joysticks can also move
               the tip; else build/harvester.ssp, else the one in the installed package.
-    replay    Start with the replay of this result file (.csv, .parquet, .mat); default: none.
+    replay    Open the replay of this result file (.csv, .parquet, .mat); default: none.
     pose      Parameter set with the initial pose, such as reach; default: the pose in the system.
     port      TCP port; 0 selects a free one.
     host      Name or address to listen on, such as 0.0.0.0 for all; any other than a loopback address

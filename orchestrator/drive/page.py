@@ -38,7 +38,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import FMI3, Location, shipped_with
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
-from orchestrator.drive import drawing, score, sticks
+from orchestrator.drive import drawing, sticks
 from orchestrator.drive.scene import Values, parameters, pose_names, start
 from orchestrator.drive.view_description import (
     CAVITATION,
@@ -62,6 +62,7 @@ PROGRAM = "extra/org.fmi-standard.fmi-ls-ref/input.csv"  # of the reference expe
 FRAME = 0.01  # s; the commands change after this time, as in real time
 STEP = 1e-3  # s; communication step of an FMU that suggests none
 REPLAY_RATE = 25  # 1/s; pictures of a replay
+MOST = 30_000  # pictures of a replay; of a longer run they are further apart
 DIGITS = 5  # significant digits of a replayed signal
 
 
@@ -214,11 +215,21 @@ def page_data(description: ViewDescription, values: Values | None) -> dict[str, 
             }
             for name, mode in description.modes.items()
         },
-        "task": score.rules(description.task),
+        "task": asdict(description.task) | {"needed": description.task.needed},
         "slowed": asdict(description.slowed) if description.slowed else None,
         "scale": list(drawing.SCALE),
         "unknown": drawing.UNKNOWN,
     }
+
+
+def replay_data(
+    description: ViewDescription, values: Values | None, run: Trace, title: str
+) -> dict[str, Any]:
+    """The data of a page that replays a run and nothing else; values: as of `page_data`."""
+    joints = description.scene.signals if description.scene else ()
+    replay = _replay(description.shown, joints, Replayed(run))
+    own = {"autostart": True, "alone": True, "title": title, "replay": replay}
+    return page_data(description, values) | own
 
 
 def _shown(part: Any) -> dict[str, Any]:
@@ -296,7 +307,7 @@ def _program(fmu: System, inputs: Iterable[str]) -> dict[str, Any] | None:
 def _replay(shown: Iterable[str], joints: Iterable[str], replayed: Replayed) -> dict[str, Any]:
     """Signals of a run at the times of the pictures, and the angles of the reference."""
     run = replayed.run
-    count = max(2, round((run.time[-1] - run.time[0]) * REPLAY_RATE) + 1)
+    count = min(max(2, round((run.time[-1] - run.time[0]) * REPLAY_RATE) + 1), MOST)
     time = np.linspace(run.time[0], run.time[-1], count)
     ghost = _columns(replayed.reference, time, joints) if replayed.reference else {}
     times = [round(t, 4) for t in time.tolist()]

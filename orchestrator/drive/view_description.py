@@ -20,7 +20,7 @@ from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import factor_and_offset, parse_unit, reader_unit
 from orchestrator.drive.scene import Scene
-from orchestrator.drive.score import NO_TASK, Task
+from orchestrator.drive.task import NO_TASK, Task
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.ssp.system import Port, System
 

@@ -104,7 +104,7 @@ class Settings:
     @property
     def experience(self) -> Experience:
         """That with the master."""
-        return HERMITE if self.coupling.master == "hermite" else EXTRAPOLATING
+        return HERMITE if self.coupling.method.repeats else EXTRAPOLATING
 
 
 class AccuracySearch:
@@ -171,7 +171,7 @@ class AccuracySearch:
         slopes = all(component.interface.output_derivatives for component in components.values())
         span, unit = times.stop - times.start, self._base / GOLDEN
         looks = max(min(LOOKS_WITH_SLOPES if slopes else LOOKS, MOST_LOOKS * unit / span), 1.0)
-        execution = replace(job.execution, error_estimate=False)
+        execution = replace(job.execution, error_estimate=False, until=None)
         system, record = System(job.system.name, components), Record([str(port) for port in ports])
         alone = Job(system, None, Coupling("jacobi"), record, execution)
         return alone, Grid(times.start, unit / looks, math.ceil(span / unit * looks))

@@ -110,6 +110,18 @@ class LimitArguments(TypedDict, total=False):
     memory_limit: Annotated[float | None, Kind("GB", "GB", most=1e6)]  # more is meant in bytes
 
 
+class EndArguments(TypedDict, total=False):
+    """When a run ends before its stop time.
+
+    until   End at the first recorded row where a condition holds: SIGNAL < NUMBER, such as
+            'manipulator.tip_height < -1.5 m', or > <= >=. In Python also a function of the time [s] and of
+            the row, a mapping from signal to value, which hears of every recorded row and may return True;
+            with `accuracy` of those of every run of the search.
+    """
+
+    until: Annotated[str | Callable[[float, Mapping[str, float]], Any] | None, Kind("CONDITION")]
+
+
 class ProcessArguments(TypedDict, total=False):
     """Options of a run in Python only.
 
@@ -135,7 +147,7 @@ class CoupledArguments(CaseArguments, StepArguments, AccuracyArguments, Coupling
     """What a co-simulation runs, how accurate, and how it is coupled."""
 
 
-class CommandArguments(CoupledArguments, SolverArguments, LimitArguments, total=False):
+class CommandArguments(CoupledArguments, SolverArguments, LimitArguments, EndArguments, total=False):
     """Options of the command `run`."""
 
 
@@ -203,5 +215,5 @@ class LinearArguments(SystemArguments, total=False):
 
 GROUPS += [
     *(SystemArguments, SpanArguments, StepArguments, AccuracyArguments, SolverArguments, LimitArguments),
-    *(ProcessArguments, MachinesArguments),
+    *(EndArguments, ProcessArguments, MachinesArguments),
 ]

@@ -156,6 +156,7 @@ class Binding:
     allocate     makes the memory that is read after a crash
     components   the `RunningComponent` of each index, for callbacks about a component
     withdraw     called before a step is repeated
+    master       called with start and length of a step [s] that Python takes
     changed      called with the index of the component, or -1, that changed the floating-point environment
     problem      the exception that ended the last call; None if there was none
 
@@ -169,6 +170,7 @@ class Binding:
         self.simulation = self.h.Simulation.from_buffer(allocate("simulation", size))
         self.components: Sequence[Any] = ()
         self.withdraw: Callable[[], None] = lambda: None
+        self.master: Callable[[float, float], None] = lambda _t, _h: None
         self.changed: Callable[[int], None] = lambda _: None
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
@@ -303,6 +305,8 @@ class Binding:
     def _call_python(self, request: int, index: int, t: float, h: float) -> int:
         if request == self.h.CALL:
             return self._verdict(self._calls[index])
+        if request == self.h.MASTER:
+            return self._verdict(lambda: self.master(t, h))
         component = self.components[index]
         if request == self.h.STEP:
             return self._verdict(lambda: component.slave.step(t, h))

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.processes import machine_memory
@@ -23,6 +23,7 @@ from orchestrator.engine.result import (
 )
 from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.time_grid import Grid
+from orchestrator.fmi.interface import MODEL_EXCHANGE
 from orchestrator.fmi.messages import Log
 from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
 from orchestrator.ssp.provenance import Provenance
@@ -38,9 +39,13 @@ Opener: TypeAlias = "Callable[[Component], Slave]"
 
 
 def open_slave(component: Component) -> Slave:
-    """Instantiate the FMU of a component for Co-Simulation."""
+    """Instantiate the FMU of a component."""
     if component.source is None:
         raise Problem(f"{component.name}: expected an FMU file, got none")
+    if component.interface.kind == MODEL_EXCHANGE:
+        from orchestrator.engine.stepped_fmu import SteppedFmu
+
+        return SteppedFmu(component, component.source)
     from orchestrator.fmi.cosimulation import CoSimulationFmu
 
     return CoSimulationFmu(component.name, component.interface, component.source, component.start)
@@ -72,6 +77,7 @@ class Execution:
     time_limit       of all runs of a command together, see `begun`
     memory_limit     [GB]
     open             a function other than `open_slave` needs this process
+    until            condition that ends the run, see `engine.until`
     deadline         end of the time limit, by `time.monotonic` [s]
     """
 
@@ -84,6 +90,7 @@ class Execution:
     time_limit: float = math.inf
     memory_limit: float = math.inf
     open: Opener = open_slave
+    until: Any = None
     deadline: float = math.inf
 
     def begun(self) -> Execution:

@@ -16,10 +16,11 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Binding, engine_h
-from orchestrator.engine.masters import CouplingInputs, Plan, Prediction
+from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import EstimatedError
 from orchestrator.fmi.calls import Buffer, Call, Slave, calls_by_type
+from orchestrator.ssp.masters import Plan, Prediction
 from orchestrator.ssp.system import Connection, Port
 
 PREDICTION_ROWS, ERROR_ROWS = 6, 8  # vectors of the states that C uses as working memory
@@ -48,19 +49,15 @@ class Linearisation:
 
     Unknowns are the time derivatives of the states, then the outputs. Knowns are the states, then the inputs.
 
-    rate_reads    calls that read the time derivatives of the states into `f`, shape (n,)
-    state_reads   calls that read the states into `x`, shape (n,)
-    columns       all directional derivatives; empty if the FMU has none
+    rate_reads   calls that read the time derivatives of the states into `f`, shape (n,)
+    columns      all directional derivatives; empty if the FMU has none
     """
 
-    def __init__(
-        self, slave: Slave, inputs: Sequence[str], outputs: Sequence[str], f: Buffer, x: Buffer
-    ) -> None:
+    def __init__(self, slave: Slave, inputs: Sequence[str], outputs: Sequence[str], f: Buffer) -> None:
         states = slave.interface.states
         self.states, self.inputs, self.outputs = list(states), inputs, outputs
         rates = list(states.values())
         self.rate_reads = calls_by_type(slave, rates, f, slave.reader)
-        self.state_reads = calls_by_type(slave, self.states, x, slave.reader)
         self._knowns, self._unknowns = [*self.states, *inputs], [*rates, *outputs]
         groups = self._groups(slave) if slave.interface.directional_derivatives else []
         self.columns = [self._column(slave, group) for group in groups]
@@ -152,13 +149,13 @@ class LinearSystem:
         self._columns: list[tuple[JacobianColumn, list[Entry]]] = []
 
     def connect(
-        self, network: Network, members: Sequence[int], inputs: Sequence[LinearInput], f: Buffer, x: Buffer
+        self, network: Network, members: Sequence[int], inputs: Sequence[LinearInput], f: Buffer
     ) -> None:
-        """Make the directional derivatives of the components `members`; f, x: see `Linearisation`."""
+        """Make the directional derivatives of the components `members`; f: see `Linearisation`."""
         first, slaves = 0, [*network.slaves.values()]
         for k in members:
             last = first + len(slaves[k].interface.states)
-            linear = linearisation(slaves[k], k, inputs, f[first:last], x[first:last])
+            linear = linearisation(slaves[k], k, inputs, f[first:last])
             self.linearised.append(linear)
             name = slaves[k].name
             self._columns += [
@@ -207,11 +204,11 @@ class LinearSystem:
         )
 
 
-def linearisation(slave: Slave, k: int, inputs: Sequence[LinearInput], f: Buffer, x: Buffer) -> Linearisation:
+def linearisation(slave: Slave, k: int, inputs: Sequence[LinearInput], f: Buffer) -> Linearisation:
     """The linearisation of component k of a linear system with these inputs."""
     of_component = [u.target.variable for u in inputs if u.target.component == slave.name]
     outputs = dict.fromkeys(u.source.variable for u in inputs if u.source and u.source_component == k)
-    return Linearisation(slave, of_component, list(outputs), f, x)
+    return Linearisation(slave, of_component, list(outputs), f)
 
 
 class JoinedSystem(LinearSystem):
@@ -221,14 +218,13 @@ class JoinedSystem(LinearSystem):
         super().__init__(n, m)
         wide, broad = self.n_padded, self.m_padded
         self.factors = np.zeros((n, wide))
-        self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
-        self.w, self.w0 = np.zeros(broad), np.zeros(broad)
+        self.f, self.w = np.zeros(wide), np.zeros(broad)
         self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
         self.forcing, self.stages = np.zeros((3, wide)), np.zeros((PREDICTION_ROWS, wide))
 
     def struct(self, binding: Binding) -> Any:
         """`LinearPrediction` of engine.h with these arrays."""
-        arrays = binding.all_at(self, "f x w f0 x0 w0 q course response forcing v stages factors")
+        arrays = binding.all_at(self, "f w course response forcing v stages factors")
         return binding.h.LinearPrediction(system=self.system_struct(binding), **arrays)
 
 
@@ -244,7 +240,7 @@ class LinearPrediction:
 
     def __init__(self, network: Network, inputs: CouplingInputs, plan: Plan, prediction: Prediction) -> None:
         self._network, self._coupling, self._plan, self._h = network, inputs, prediction, engine_h()
-        leading, self._lag = prediction.leading_count, plan.coupling.lag
+        leading = prediction.leading_count
         self._leading, self._others = list(plan.order[:leading]), list(plan.order[leading:])
         self._names, self._components = list(network.slaves), [*network.components.values()]
         self.inputs = [u for u in self._candidates() if u.target in prediction.relevant]
@@ -285,9 +281,9 @@ class LinearPrediction:
         if self._names[k] not in self._plan.linearised:
             return None
         n = self._state_count(k)
-        linear = linearisation(self._components[k].slave, k, self.inputs, np.zeros(n), np.zeros(n))
+        linear = linearisation(self._components[k].slave, k, self.inputs, np.zeros(n))
         try:
-            for call in (*linear.rate_reads, *linear.state_reads):
+            for call in linear.rate_reads:
                 call()
             matrix = linear.matrix()
         except Problem:
@@ -307,7 +303,7 @@ class LinearPrediction:
                 by_prediction = self.kinds[i] in (self._h.PREDICTED, self._h.EXTRAPOLATED)
                 self._coupling.inputs[u.coupling_input].predicted = by_prediction
         self.joined = joined = JoinedSystem(sum(map(self._state_count, predicted)), len(self.inputs))
-        joined.connect(self._network, predicted, self.inputs, joined.f, joined.x)
+        joined.connect(self._network, predicted, self.inputs, joined.f)
 
     def _kind(self, source_component: int, predicted: Sequence[int]) -> int:
         h = self._h
@@ -324,9 +320,8 @@ class LinearPrediction:
         linearised = self.joined.linearised
         struct = self.joined.struct(binding)
         struct.rate_reads = binding.program([call for linear in linearised for call in linear.rate_reads])
-        struct.state_reads = binding.program([call for linear in linearised for call in linear.state_reads])
         struct.kinds, struct.inputs = at(self.kinds), at(np.array(coupling_inputs, np.int32))
-        struct.leading_count, struct.lag, struct.age = self._plan.leading_count, self._lag, self._lag
+        struct.leading_count = self._plan.leading_count
         binding.simulation.prediction = binding.pointer(struct)
 
 
@@ -384,7 +379,7 @@ class ErrorPropagation:
     def _connect(self) -> None:
         """Make the directional derivatives, and try them."""
         n = self._system.n
-        self._system.connect(self._network, self._members, self._inputs, np.zeros(n), np.zeros(n))
+        self._system.connect(self._network, self._members, self._inputs, np.zeros(n))
         for k, linear in zip(self._members, self._system.linearised, strict=True):
             try:
                 if np.isfinite(linear.matrix()).all():

@@ -24,10 +24,11 @@ from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, in_process, library
+from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import ENDS_EARLY, Job, RunEnd, guarded
 from orchestrator.engine.linear_system import ErrorPropagation, LinearPrediction
-from orchestrator.engine.masters import MASTERS, CouplingInputs
 from orchestrator.engine.network import Network, initialise
+from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
@@ -79,7 +80,7 @@ def run_job(
             wall=time.perf_counter() - began,
             bonds=tuple(loop.energy.energies()),
             errors=loop.errors.errors() if loop.errors else {},
-            inside={name: c.struct.busy * state.tick for name, c in network.components.items()},
+            inside=loop.inside,
             logs=tuple(copy(s.log) for s in network.slaves.values()),
             notes=network.notes + times.notes + loop.notes,
             problem=problem,
@@ -143,7 +144,7 @@ def opened(
         yield loop
 
 
-def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl | None:
+def step_control(job: Job, times: Grid) -> StepControl | None:
     """Parameters of adaptive steps, or of the divided steps of a guarded run; None: equal steps."""
     c = job.coupling
     if c.adaptive is None:
@@ -151,9 +152,6 @@ def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl |
             return None
         smallest = min(max(c.step_limits[0], times.shortest_step), times.step)
         return StepControl(times.step, smallest, times.step, c.guard_tolerance)
-    if c.controls_energy and not inputs.bonds:
-        expected = "a power bond with inputs that may vary on both sides"
-        raise Problem(f"control of the energy: expected {expected}, got none")
     interfaces = {name: component.interface for name, component in job.system.components.items()}
     if fixed := [name for name, interface in interfaces.items() if not interface.variable_step]:
         got = f"{', '.join(fixed)}: the FMU has a fixed step"
@@ -161,7 +159,7 @@ def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl |
     repeats = all(interface.rollback for interface in interfaces.values())
     first, (smallest, largest) = times.first if repeats else FIRST_FRACTION * times.first, c.step_limits
     smallest = max(smallest, times.shortest_step)
-    return StepControl(first, smallest, largest, c.adaptive, c.controls_energy, repeats)
+    return StepControl(first, smallest, largest, c.adaptive, repeats)
 
 
 def _rollback_notes(job: Job) -> tuple[str, ...]:
@@ -220,7 +218,7 @@ class StepControl:
     first       first step to try [s]
     smallest    shortest step [s]; it is accepted with any error
     largest     longest step [s], except for the rounding of times: 1e-9 of it
-    tolerance   of the error, relative to the magnitude of each signal; by_energy: to the power of each bond
+    tolerance   of the error, relative to the magnitude of each signal
     repeats     the components can go back to the beginning of a step
     """
 
@@ -228,7 +226,6 @@ class StepControl:
     smallest: float
     largest: float
     tolerance: float
-    by_energy: bool = False
     repeats: bool = True
 
     def struct(self, h: Any, power: int) -> Any:
@@ -255,18 +252,22 @@ class SimulationLoop:
         """selected: the recorded signals; None: all."""
         self.network, self.times = network, times
         self._binding, self.state = network.binding, network.binding.simulation
-        estimate, plan = job.execution.error_estimate, MASTERS[job.coupling.master](job.system, job.coupling)
+        master = job.coupling.method
+        estimate, plan = job.execution.error_estimate, master.planned(job.system, job.coupling)
         self._plan = plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
+        if master.step:
+            network.binding.master = partial(master.step, Components(network))
+            self.state.in_python = True
         self._inputs = inputs = CouplingInputs(network, plan)
         prediction = LinearPrediction(network, inputs, plan, plan.prediction) if plan.prediction else None
         self._initialise(job)
         self.energy = EnergyMonitor(network, inputs.varying, bonds_of(job, network))
         self.recorder = Recorder(network, times, sink, selected)
-        self._control = step_control(job, inputs, times)
+        self._control = step_control(job, times)
         self._components = [*network.components.values()]
-        self._threads_undecided = not plan.sequential and len(self._components) > 1
+        self._threads_undecided = not (plan.sequential or master.step) and len(self._components) > 1
         self._fill(prediction)
-        if estimate:
+        if estimate and not master.step:
             errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
             if not errors.missing:
                 errors.fill(self._binding)
@@ -282,6 +283,12 @@ class SimulationLoop:
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
         initialise(job.system, slaves, driven, (times.start, stop), tolerances, restore)
         self._binding.changed = partial(_warn_of_change, [*slaves.values()])
+
+    @property
+    def inside(self) -> dict[str, float]:
+        """Wall time in the steps of each component [s]; empty if Python takes the steps."""
+        components = {} if self.state.in_python else self.network.components
+        return {name: c.struct.busy * self.state.tick for name, c in components.items()}
 
     # ---- the run
 
@@ -342,7 +349,6 @@ class SimulationLoop:
         if c := self._control:
             sim.step_size = self._binding.pointer(c.struct(self._binding.h, self._inputs.power))
             sim.error_tolerance = c.tolerance
-            sim.by_energy = c.by_energy
 
     def _plan_rollback(self) -> None:
         """Decide which components save their states or step in halves, and whether all can go back."""
@@ -377,6 +383,5 @@ class SimulationLoop:
         sim.inputs = self._binding.pointer(inputs.array(self._binding))
         sim.input_count = len(inputs.inputs)
         sim.order, sim.has_stepped = at(np.array(order, np.int32)), at(np.zeros(len(order), np.uint8))
-        sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.coupling.correct
+        sim.degree, sim.passes = plan.degree, plan.passes
         sim.sequential, sim.tolerance = plan.sequential, plan.tolerance
-        sim.bonds, sim.bond_count = at(np.array(inputs.bonds, np.int32).reshape(-1)), len(inputs.bonds)

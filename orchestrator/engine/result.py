@@ -344,13 +344,13 @@ class Card:
         rows = [_error_row(e)[:columns] for e in worst]
         return ["", title, *TextTable(head[:columns], rows).lines()]
 
-    def likely_cause(self) -> str:
+    def likely_cause(self, repeats: bool = False) -> str:
         """The coupling, for the message of a failed run, if a bond has a large energy error; else empty."""
         worst = max(bonds_above(self.bonds, CAUSE), key=lambda b: abs(b.relative), default=None)
         if worst is None:
             return ""
         error = f"energy error {worst.relative:+.0%} of the energy exchanged by {worst.name}"
-        other = "" if self.master.startswith("hermite") else " or the master hermite"
+        other = "" if repeats else " or the master hermite"
         cause = f"the coupling, {self.master} with a step of {self.step:.6g} s ({error})"
         return f"likely cause: {cause}; use a shorter step{other}"
 

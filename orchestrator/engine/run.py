@@ -21,7 +21,7 @@ from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.base.signals import matching
 from orchestrator.data.table import READABLE
-from orchestrator.data.trace import Data, Trace, as_trace, read_trace
+from orchestrator.data.trace import SAME_TIME, Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
 from orchestrator.engine.arguments import RunArguments
@@ -53,6 +53,7 @@ from orchestrator.engine.time_grid import (
     step_length,
     with_events,
 )
+from orchestrator.engine.until import Comparison, Until, condition
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, take_coupling
 from orchestrator.ssp.load import load
@@ -173,10 +174,12 @@ class Request:
 
     def job(self) -> tuple[Job, Grid]:
         """The job of a run, and its communication points."""
-        self.execution.check()
-        if self.execution.isolated:
+        system, scenario, record, execution = self.coupled, self.scenario, self.record, self.execution
+        if system.coupling and system.coupling.method.own:  # its functions are in this process
+            execution = replace(execution, isolate=False)
+        execution.check()
+        if execution.isolated:
             start_process()
-        system, scenario, record = self.coupled, self.scenario, self.record
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
         system = with_sets(system, self.parameters).with_start(self.set)
         system = replace(system, notes=system.notes + built_notes(system))
@@ -196,17 +199,21 @@ class Request:
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
         divides = coupling.adaptive is not None or guarded(system, coupling)
-        span, fitted = (self.step, self.start, self.stop), self.execution.accuracy is not None
+        span, fitted = (self.step, self.start, self.stop), execution.accuracy is not None
         times = grid(system, trace, *span, record.step, fitted)
         driving = driving and replace(driving, table=driving.table.on(times))
         times = with_events(times, driving.table.corners() if driving and divides else ())
+        if execution.until is not None:
+            execution = replace(execution, until=condition(system, execution.until))
+            if record.signals is not None and isinstance(execution.until, Comparison):
+                record = replace(record, signals=(*record.signals, execution.until.signal))
         if record.signals is not None:
             names = [str(port) for causality in ("output", "input") for port in system.ports(causality)]
             wanted = (name for pattern in record.signals for name in matching(names, pattern) or [pattern])
             record = replace(record, signals=tuple(dict.fromkeys(wanted)))
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
-        return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
+        return Job(system, driving, coupling, record, execution, provenance(system, files)), times
 
 
 def scenario_trace(scenario: ScenarioSource) -> tuple[ScenarioSource, Trace | None, str]:
@@ -280,10 +287,10 @@ def co_simulate(
             return with_error_estimate(job, times, result) if estimate else result, sink
 
 
-def opened(system: System | str | Path, given: dict[str, Any], exchange: bool = False) -> System:
+def opened(system: System | str | Path, given: dict[str, Any]) -> System:
     """The system with the connections and FMUs of the options, which are taken out of those of a run."""
-    system = system if isinstance(system, System) else load(system, exchange)
-    return with_swaps(system.without(*given.pop("cut", ())), given.pop("swap", {}), exchange)
+    system = system if isinstance(system, System) else load(system)
+    return with_swaps(system.without(*given.pop("cut", ())), given.pop("swap", {}))
 
 
 def prepare(
@@ -299,16 +306,25 @@ def prepare(
 
 def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
     """Run a job, in a process of its own or in this one; the rows go to `sink`."""
+    until = Until(job.execution.until, sink) if job.execution.until is not None else None
+    job = replace(job, execution=replace(job.execution, until=None))  # functions stay in this process
     with ProgressBar(times.stop - times.start, job.execution.progress) as bar, doubts_told(job.system):
 
         def between(t: float) -> None:
             bar.update(t - times.start)
 
-        if job.execution.isolated:
-            return run_isolated(job, times, sink, between)
-        from orchestrator.engine.open_job import run_job  # a process that only supervises does not need it
+        def in_this_process(t: float) -> None:
+            between(t)
+            check()
 
-        return run_job(job, times, sink, between)
+        check = until.check if until else lambda: None
+        if job.execution.isolated:
+            end = run_isolated(job, times, until or sink, between, check)
+        else:
+            from orchestrator.engine.open_job import run_job  # a process that only supervises needs it not
+
+            end = run_job(job, times, until or sink, in_this_process)
+        return until.ended(end) if until else end
 
 
 def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
@@ -329,7 +345,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
     if outcome.problem:
-        cause = card.likely_cause()
+        cause = card.likely_cause(job.coupling.method.repeats)
         problem = Problem(f"{outcome.problem}; {cause}") if cause else outcome.problem
         raise RunFailed(problem, result, outcome.died) from outcome.problem
     return result
@@ -347,6 +363,9 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
         sink = TraceInMemory()
         return finished(job, times, simulate(job, times, sink), sink)
 
+    short = result.card.simulated < (1.0 - SAME_TIME) * (times.stop - times.start)
+    if short and job.execution.until is not None:
+        return result.noted("no error estimate: the run ended before its stop time")
     if times.free:
         reason = "two adaptive runs have common times only with a record step; set --record-step"
         return result.noted(f"no error estimate: {reason}")

@@ -26,7 +26,7 @@ from orchestrator.fmi.calls import (
 )
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.instance import FmuInstance, resources_location
-from orchestrator.fmi.interface import FmuInterface
+from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
@@ -36,8 +36,6 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 
 class RunningFmu:
     """An FMU from instantiation to termination, with bound calls for its variables."""
-
-    exchange = False
 
     def __init__(self, name: str, interface: FmuInterface, fmu: Location) -> None:
         names = {v.mark: v.name for v in interface.variables.values()}
@@ -54,7 +52,7 @@ class RunningFmu:
         face = self.interface
         folder = self._cleanup.enter_context(fmu.unpacked(UNUSED))
         library = load_library(folder, face.identifier, face.model.major, self._label)
-        self.fmu = FmuInstance(library, self.log, self.exchange, label=self._label)
+        self.fmu = FmuInstance(library, self.log, face.kind == MODEL_EXCHANGE, label=self._label)
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.model.major)
@@ -95,6 +93,17 @@ class RunningFmu:
                 self.fmu.call("Terminate")
         self._cleanup.close()
 
+    def after_rollback(self) -> None:
+        """Discard the messages and the status of a step that will be repeated from a saved state."""
+        self.log.discard_repeated()
+        if self.fmu.worst < FATAL:
+            self.fmu.worst = min(self.fmu.worst, WARNING)
+
+    def free_state(self, state: Any) -> None:
+        """Free a saved FMU state; errors are ignored if the FMU has failed before."""
+        with suppress(Problem) if self.fmu.worst >= ERROR else nullcontext():
+            self._unless_fatal(partial(self.fmu.free_state, state))
+
     # ---- several variables of one type
 
     def _references(self, variables: Sequence[str]) -> list[int]:
@@ -123,7 +132,7 @@ class RunningFmu:
         """Why outputs are read after inputs are set without a step, which FMI 2.0 does not allow."""
         face = self.interface
         late = [v for v in variables if face.variables[v].causality == "output" and face.direct_inputs(v)]
-        if self.exchange or face.model.major != 2 or not late:
+        if face.kind == MODEL_EXCHANGE or face.model.major != 2 or not late:
             return ""
         y = min(late, key=lambda v: face.dependencies.get(v) is not None)
         reason = f"declares that {y} depends on {', '.join(sorted(face.direct_inputs(y)))}"
@@ -137,7 +146,7 @@ class RunningFmu:
         access.call.check_status = partial(access.call.check_status, hint=self._hint(variables))
         return access
 
-    def writer(self, variables: Sequence[str], values: Buffer) -> Access:
+    def writer(self, variables: Sequence[str], values: Buffer) -> Call:
         """A call that sets the variables to `values`, shape (n,)."""
         type_ = self.interface.variables[variables[0]].function_type
         return self._access(f"Set{type_}", variables, values, type_)
@@ -148,7 +157,7 @@ class RunningFmu:
 
     def input_derivative_writer(
         self, variables: Sequence[str], derivatives: Buffer, orders: Sequence[int] = ()
-    ) -> Access:
+    ) -> Call:
         """A call that sets time derivatives of inputs for the next step to `derivatives`, shape (n,).
 
         orders   order of each derivative; default: all 1
@@ -372,14 +381,3 @@ class CoSimulationFmu(RunningFmu):
     def restore(self, state: ctypes.c_void_p) -> None:
         """Restore a saved FMU state."""
         self.fmu.restore(state)
-
-    def after_rollback(self) -> None:
-        """Discard the messages and the status of a step that will be repeated from a saved state."""
-        self.log.discard_repeated()
-        if self.fmu.worst < FATAL:
-            self.fmu.worst = min(self.fmu.worst, WARNING)
-
-    def free_state(self, state: ctypes.c_void_p) -> None:
-        """Free a saved FMU state; errors are ignored if the FMU has failed before."""
-        with suppress(Problem) if self.fmu.worst >= ERROR else nullcontext():
-            self._unless_fatal(partial(self.fmu.free_state, state))

@@ -25,6 +25,7 @@ from orchestrator.fmi.description import (
     read_description,
 )
 
+CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_LISTED = 5  # unsupported variables in a note
 # field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
 CAPABILITIES = {
@@ -45,9 +46,10 @@ class FmuInterface:
     model                  the whole model description
     dependencies           output or state derivative -> inputs and states; None if not declared
     initial_dependencies   output -> variables it depends on in initialisation mode; None if not declared
+    kind                   CO_SIMULATION or MODEL_EXCHANGE: how the FMU is used
     identifier             model identifier
     unsupported            unsupported variables -> their type
-    can_interpolate_inputs the FMU has a function for time derivatives of inputs, which FMI 3.0 lacks
+    can_interpolate_inputs a function takes time derivatives of inputs, as not in FMI 3.0 for Co-Simulation
     rate_inputs            input -> input that the FMU declares as its time derivative
     output_derivatives     the FMU provides time derivatives of outputs
     rollback               the FMU can save and restore its state
@@ -66,6 +68,7 @@ class FmuInterface:
     variables: Mapping[str, FmuVariable]
     dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
     initial_dependencies: Mapping[str, frozenset[str] | None] = field(default_factory=dict)
+    kind: str = CO_SIMULATION
     identifier: str = ""
     model: ModelDescription = field(default_factory=lambda: ModelDescription(2))
     unsupported: Mapping[str, str] = field(default_factory=dict)
@@ -149,34 +152,47 @@ SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
 def read_interface(
-    fmu: Location, exchange: bool = False, known: dict[bytes, FmuInterface] | None = None
+    fmu: Location, kind: str = "", known: dict[tuple[bytes, str], FmuInterface] | None = None
 ) -> FmuInterface:
     """Read the interface of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
 
-    exchange   for Model Exchange; else for Co-Simulation
-    known      interfaces by the content of modelDescription.xml, to which this one is added
+    kind    CO_SIMULATION or MODEL_EXCHANGE; default: the first of them that the FMU has
+    known   interfaces by the content of modelDescription.xml and kind, to which this one is added
     """
     file, known = fmu.member("modelDescription.xml"), {} if known is None else known
     text = file.read(MAX_BYTES)
-    if text not in known:
-        known[text] = _read_interface(fmu, parse_text(text, file, "fmiModelDescription"), exchange)
-    return known[text]
+    if (text, kind) not in known:
+        known[text, kind] = _read_interface(fmu, parse_text(text, file, "fmiModelDescription"), kind)
+    return known[text, kind]
 
 
-def _read_interface(fmu: Location, root: Element, exchange: bool) -> FmuInterface:
+def _read_interface(fmu: Location, root: Element, kind: str) -> FmuInterface:
     version = root.get("fmiVersion")
     if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
         raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
     description = read_description(root, int(version[0]))
-    element = "ModelExchange" if exchange else "CoSimulation"
-    if element not in description.interfaces:
+    asked = [kind] if kind else [CO_SIMULATION, MODEL_EXCHANGE]
+    element = next((e for e in asked if e in description.interfaces), "")
+    if not element:
         got = " and ".join(INTERFACES[e] for e in INTERFACES if e in description.interfaces) or "nothing"
-        kind = NotExchangeable if exchange else Problem
-        raise kind(f"{fmu}: expected an FMU for {INTERFACES[element]}, got one for {got} only")
+        expected = " or ".join(INTERFACES[e] for e in asked)
+        refusal = NotExchangeable if kind == MODEL_EXCHANGE else Problem
+        raise refusal(f"{fmu}: expected an FMU for {expected}, got one for {got} only")
     try:
-        return _interface(description, element)
+        interface = _interface(description, element)
+        return interface if element == CO_SIMULATION else _integrated(interface)
     except Problem as problem:
         raise Problem(f"{fmu}: {problem}") from None
+
+
+def _integrated(interface: FmuInterface) -> FmuInterface:
+    """What an FMU for Model Exchange can do with a solver of this project.
+
+    Without functions for its state it can go back if the continuous states are all of it.
+    """
+    continuous = not interface.event_indicators and not interface.completed_step
+    rollback = interface.rollback or continuous
+    return replace(interface, rollback=rollback, variable_step=True, can_interpolate_inputs=True)
 
 
 def _interface(description: ModelDescription, element: str) -> FmuInterface:
@@ -202,7 +218,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         _dependencies(description, description.structure[section])
         for section in ("outputs", "derivatives", "initial")
     )
-    exchange = "ModelExchange" in description.interfaces
+    exchange = MODEL_EXCHANGE in description.interfaces
     used = [*outputs.values(), *derivatives.values()]
     known = [names for names in used if names is not None]
     experiment = description.experiment
@@ -212,6 +228,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         variables=variables,
         dependencies=derivatives | outputs,
         initial_dependencies=outputs | initial,
+        kind=element,
         identifier=capabilities.get("modelIdentifier"),
         model=description,
         unsupported=unsupported,

@@ -8,13 +8,11 @@ from orchestrator.base.errors import NotExchangeable
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.interface import read_interface
+from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface, read_interface
 
 
 class ExchangeFmu(RunningFmu):
     """A running FMU for Model Exchange: in event mode after `exit`."""
-
-    exchange = True
 
     def exchange_call(self, function: str, values: Buffer) -> ExchangeCall:
         """A call of SetTime, CompletedIntegratorStep, or a function of a vector, with these values."""
@@ -33,10 +31,15 @@ def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
     """
     if fmu is None:
         raise NotExchangeable(f"{name}: expected an FMU file, got none")
-    interface = read_interface(fmu, exchange=True)
+    interface = read_interface(fmu, MODEL_EXCHANGE)
+    check_states(name, fmu, interface)
+    return ExchangeFmu(name, interface, fmu)
+
+
+def check_states(name: str, fmu: Location, interface: FmuInterface) -> None:
+    """Raise NotExchangeable if the FMU does not list all its continuous states."""
     if not (interface.states or interface.stateless):
         raise NotExchangeable(
             f"{name} ({fmu}): expected a modelDescription.xml that lists all continuous states and their"
             " derivatives, got none or an incomplete list"
         )
-    return ExchangeFmu(name, interface, fmu)

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from orchestrator.base.processes import available_cores
 from orchestrator.base.progress import doing
 from orchestrator.data.table import Array
+from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import Job
-from orchestrator.engine.masters import MASTERS, CouplingInputs, Plan
 from orchestrator.engine.network import Network
 from orchestrator.engine.open_job import bonds_of, step_control
 from orchestrator.engine.recorder import EnergyMonitor
@@ -30,9 +30,9 @@ from orchestrator.engine.result import BondEnergy, energies_above, unreliable_en
 from orchestrator.engine.scenario import DrivenInputs
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, Model, NotInLanes, compiled_model, header, machines_library
+from orchestrator.ssp.masters import Plan
 from orchestrator.ssp.system import Component, Connection, Port, System
 
-MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
 ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
 COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
@@ -149,9 +149,9 @@ class Lanes:
                 for model, first in zip(self.models, self._instances.values, strict=True)
                 for name, reference in model.names.items()
             }
-            self.plan = MASTERS[job.coupling.master](self.system, job.coupling)
+            self.plan = job.coupling.method.planned(self.system, job.coupling)
             self._inputs = CouplingInputs(self._network, self.plan)
-            self.control = step_control(job, self._inputs, times)
+            self.control = step_control(job, times)
             self.bonds = bonds_of(job, self._network)
             monitor = EnergyMonitor(self._network, self._inputs.varying, self.bonds)
             ends = np.array([self._input(p)[1] for b in self.bonds for p in (b.effort, b.flow)], np.int64)
@@ -325,10 +325,8 @@ def _check_coupling(job: Job, times: Grid) -> None:
     """Raise NotInLanes for settings of the master that lanes do not have."""
     c = job.coupling
     reasons = {
-        f"the master {c.master}": c.master not in MASTERS_IN_LANES,
-        "corrected inputs": c.correct,
+        f"the master {c.method.name}": not c.method.lanes,
         "several steps of a component in a communication step": any(n > 1 for n in c.factors.values()),
-        "control of the energy": c.adaptive is not None and c.controls_energy,
         "adaptive steps without a record step": times.free,
     }
     if found := next((reason for reason, applies in reasons.items() if applies), None):
@@ -355,8 +353,9 @@ def _settled(
     for k in plan.order:
         interface = system.components[names[k]].interface
         for port in (Port(names[k], v.name) for v in interface.of("input")):
+            moves = port.variable not in interface.model.held_inputs  # inside a step
             follows = port in varied and source[port].component in before and source[port] in known
-            if port not in rates and (port in inputs.driven or port not in source or follows):
+            if port not in rates and (port not in source or (moves and (port in inputs.driven or follows))):
                 settled.add(port)
         ports = (Port(names[k], name) for name in interface.variables)
         known |= {port for port in ports if settled.issuperset(_direct(system, port))}

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.signals import matching
+from orchestrator.engine.plant import Plant
 from orchestrator.fmi.interface import FmuInterface
-from orchestrator.monolithic.plant import Plant
 from orchestrator.ssp.system import Inlet, Port, System
 
 MAX_LISTED = 8  # names in a message

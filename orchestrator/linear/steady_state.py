@@ -31,8 +31,8 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import BASES
 from orchestrator.data.table import Array
+from orchestrator.engine.plant import Matrices
 from orchestrator.linear.cut_system import CutPlant
-from orchestrator.monolithic.plant import Matrices
 
 MAX_ITERATIONS, MAX_HALVINGS = 40, 8
 RESIDUAL_TOLERANCE = 1e-11  # of a time derivative, relative to the sum of its terms

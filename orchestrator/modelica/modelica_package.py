@@ -12,6 +12,7 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.text import rendered
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import FmuVariable
+from orchestrator.fmi.interface import MODEL_EXCHANGE
 from orchestrator.modelica.block import FmuBlock, attributes, connectors, fmu_block, positions
 from orchestrator.modelica.flanges import model_with_flanges
 from orchestrator.modelica.syntax import PLAIN, RESERVED, Scope, class_name, literal, number, quoted
@@ -88,7 +89,7 @@ def write_package(
     """
     if not re.fullmatch(PLAIN, name) or name in RESERVED:
         raise Problem(f"package name {name!r}: expected letters, digits and _, such as Harvester")
-    loaded = [load(path, exchange=True) for path in systems]
+    loaded = [load(path).in_kind(MODEL_EXCHANGE) for path in systems]
     blocks = PackageBlocks(constant_inputs, levers)
     parts = [{c.name: blocks.add(c) for c in system.components.values()} for system in loaded]
     inputs = {v.name for block in blocks.blocks.values() for v in block.inputs}

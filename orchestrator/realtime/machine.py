@@ -177,8 +177,6 @@ class RealTimeMachine:
     Each start or restart has its own process and memory. The frame numbers continue over restarts.
     """
 
-    drives = True
-
     def __init__(self, setup: Setup, playing: bool = True, speed: float = 1.0) -> None:
         """Returns when the machine is ready; raises Problem for a mistake in the setup."""
         self._playing, self._speed, self._serial = playing, speed_factor(speed), 0

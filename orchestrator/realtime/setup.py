@@ -126,7 +126,7 @@ class Frame:
     t          simulated time [s]
     axes       values of the axes after limits, shape (axes,)
     values     values of the signals, shape (signals,)
-    state      "starting", "running", "paused", "ended" (a replay at its end), "failed"
+    state      "starting", "running", "paused", "ended", "failed"
     message    reason of a failure, or why the motion is not reliable, else empty
     """
 
@@ -140,10 +140,9 @@ class Frame:
 
 
 class Machine(Protocol):
-    """Interface of a machine that a page shows: simulated (`machine.RealTimeMachine`) or `replay.Replay`.
+    """Interface of a machine that a page shows, such as `machine.RealTimeMachine`.
 
     axes, signals   names of the values in `Frame`
-    drives     True if it takes commands
     command    command new values by axis; other axes go to rest; raises `Problem` for a value that is not
                finite; a command expires
     since      frames after this number that are in memory: numbers (n,), times (n,), axes (n, axes), values
@@ -156,8 +155,6 @@ class Machine(Protocol):
     def axes(self) -> Sequence[str]: ...
     @property
     def signals(self) -> Sequence[str]: ...
-    @property
-    def drives(self) -> bool: ...
 
     def command(self, values: Mapping[str, float]) -> None: ...
     def play(self) -> None: ...

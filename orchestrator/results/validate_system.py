@@ -165,8 +165,6 @@ def judge(
         components=[describe(c) for c in result.system.components.values()],
         parameters=list(parameters(result.system)),
         card=card(result),
-        motion=layout.motion(result.trace),
-        ghost=layout.motion(reference.without_gaps()),
         machine=machine,
         warnings=result.card.warnings,
         notes=result.card.notes,

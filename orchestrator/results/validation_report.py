@@ -27,11 +27,9 @@ from orchestrator.pages.figures import (
     TraceLine,
     TracePanel,
     plot,
-    script_data,
 )
 from orchestrator.results import summary
 from orchestrator.results.layout import FigureSpec, PanelSpec
-from orchestrator.results.motion import MachineMotion, frames, still
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 if TYPE_CHECKING:
@@ -80,8 +78,7 @@ class Report:
     facts           settings of the run in the order of the report: system, scenario, master, step, ...
     card            accuracy card of the run: name -> number, text or a mapping of those
     trace           the run, for figures of signals that were not compared, such as commands
-    motion, ghost   motion of the machine in the run and in the reference
-    machine         the machine that replays the run and can be driven, as HTML, in place of the animation
+    machine         the machine that replays the run and can be driven, as HTML
     warnings        warnings of the run, one line each
     notes           remarks on the run
     caution         remark before the verdict
@@ -95,8 +92,6 @@ class Report:
     components: Sequence[ReportedComponent] = ()
     parameters: Sequence[ReportedParameter] = ()
     card: Mapping[str, Any] = field(default_factory=dict)
-    motion: MachineMotion | None = None
-    ghost: MachineMotion | None = None
     machine: Markup = Markup()  # noqa: RUF009  immutable
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
@@ -149,7 +144,7 @@ def _signal_dict(row: ValidatedSignal) -> dict[str, Any]:
 
 def render(report: Report) -> str:
     """The page as HTML."""
-    validation, motion = report.validation, report.motion
+    validation = report.validation
     return html_page.render(
         TEMPLATES / "validation_report.html.j2",
         title=report.title,
@@ -162,9 +157,6 @@ def render(report: Report) -> str:
         value=_value,
         figures=[(spec, plot(traces(spec, validation, report.trace), spec.title)) for spec in report.figures],
         plots=bool(report.figures),
-        motion=motion and not report.machine and script_data(frames(motion, report.ghost)),
-        still=motion and still(motion),
-        script=Markup((TEMPLATES / "motion.js").read_text(encoding="utf-8")),
     )
 
 

@@ -27,13 +27,10 @@ file, they are ignored with a note.
 If a Coupling is missing, those of other tools are used. They are followed, or a run is refused until the
 user chooses a master or a step: a run with another step than that of the file could be taken for its result.
 
-    OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster, or a solver in attributes; Jacobi,
-                  held inputs a draft       SimulationInformation directly in a System, as in drafts of SSP:
-                  as that of OMSimulator
+    OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster; Jacobi, held inputs
+    a draft       SimulationInformation directly in a System, as in drafts of SSP: as that of OMSimulator
     libcosim      com.opensimulationplatform, org.open-simulation-platform: FixedStepAlgorithm; as before
-    Vico          com.github.ntnu-ihb.vico: FixedStepAlgorithm, FixedStepMaster; Jacobi, held inputs
-    OpenMCx       com.avl.model.connect.ssp.task: Task; Gauss-Seidel if it is sequential, else Jacobi
-    FMIGo, Ecos   arguments, order of execution, kinematic constraints, scenarios: refused
+    others        FMIGo, Ecos, OpenMCx, Vico: refused
 """
 
 from __future__ import annotations
@@ -45,7 +42,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import declarations
-from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
+from orchestrator.base.xml import XmlElement, boolean, finite, integer, local_name
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
 OWN, COUPLING, SHARED = "harvester-cosim", "Coupling", "SharedParameter"
@@ -190,7 +187,7 @@ class Request:
     component: str = ""
 
     def __str__(self) -> str:
-        master = self.coupling.master if self.coupling else "any master"
+        master = self.coupling.method.name if self.coupling else "any master"
         adaptive = (
             f", adaptive {self.coupling.adaptive:g}" if self.coupling and self.coupling.adaptive else ""
         )
@@ -284,108 +281,50 @@ def _owner(element: XmlElement) -> str:
     return next(filter(None, ancestors), "the system")
 
 
-# libcosim, Vico and OpenMCx
-
-ORDERS: Mapping[str | None, Coupling] = {  # stepType of OpenMCx; without one it is sequential
-    **dict.fromkeys((None, "sequential"), Coupling("gauss-seidel")),
-    **dict.fromkeys(("parallel", "parallel_single_thread", "parallel_multi_thread"), JACOBI),
-}
-
-
 def _algorithm(element: XmlElement, tool: str) -> Iterator[Request]:
-    """Algorithm and MasterAlgorithm: elements inside have the step."""
+    """Algorithm: the element inside has the step."""
     children = list(element.children())
     if not children:
         raise _refusal(element, f"{element.name} of {tool}: expected a FixedStepAlgorithm, got none")
     for e in children:
-        if e.name not in ("FixedStepAlgorithm", "FixedStepMaster"):
-            raise _unsupported(e, tool)
-        for size in e.children("StepSizes", "StepSize"):
-            multiple = size.required("multipleOf")
-            if multiple.strip() != "1":
-                component = size.get("component") or "a component"
-                message = (
-                    f"the step of {component}, {multiple} times the base step of {tool}, is not supported"
-                )
-                raise _refusal(size, message)
+        for unknown in (*([] if e.name == "FixedStepAlgorithm" else [e]), *e.children()):
+            raise _unsupported(unknown, tool)
         yield Request(tool, e, JACOBI, _step(e, "baseStepSize"))
 
 
 def _step_size_hint(element: XmlElement, tool: str) -> Iterator[Request]:
-    """StepSizeHint of libcosim and Vico: the step of one component."""
+    """StepSizeHint of libcosim: the step of one component."""
     yield Request(tool, element, None, _step(element, "value"), _owner(element))
 
 
-def _component_step(element: XmlElement, tool: str) -> Iterator[Request]:
-    """Component of OpenMCx: its own step."""
-    if element.get("deltaTime") is not None:
-        yield Request(tool, element, None, _step(element, "deltaTime"), _owner(element))
-
-
-def _task(element: XmlElement, tool: str) -> Iterator[Request]:
-    """Task of OpenMCx."""
-    step_type, end = element.get("stepType"), element.get("endType")
-    if step_type not in ORDERS:
-        raise _refusal(element, f"stepType {step_type!r} of {tool} is not supported")
-    if end not in (None, "end_time"):
-        raise _refusal(element, f"endType {end!r} of {tool} is not supported, expected 'end_time'")
-    yield Request(tool, element, ORDERS[step_type], _step(element, "deltaTime"))
-
-
 # SimulationInformation of OMSimulator, drafts of SSP and early libcosim. A child element is the master.
-# OMSimulator's Python API writes attributes instead: a solver, and its name in annotations of components.
 
-MODEL_EXCHANGE = ("euler", "cvode")  # methods that solve by Model Exchange
 VARIABLE = ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance")
-API_DEFAULTS = dict(zip(VARIABLE, (1e-6, 1e-12, 1e-3, 1e-4), strict=True))  # for missing attributes
-METHODS = {"oms_ma": ("fixedStepSize", "relativeTolerance"), "oms_mav": VARIABLE, "oms_mav2": VARIABLE}
-TOLERANCES = ("tolerance", "absoluteTolerance")  # the API writes them and does not read them
 RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")
 
 
 def _simulation_information(element: XmlElement, tool: str) -> Iterator[Request]:
-    if element.get("method") is not None:
-        yield _solver(element, tool)
-    else:
-        _refuse_other_attributes(element, tool, RESULTS)
-        name = element.get("name")
-        if name is not None and name not in [
-            e.get("name") for e in _all(element) if e.get("method") is not None
-        ]:
-            raise _refusal(element, f"no solver of {tool} has the name {name!r}")
+    for name in element.attributes:  # another one may be a step, or a solver
+        if name not in RESULTS:
+            raise _refusal(element, f"attribute {name} of {element.name} ({tool}) is not supported")
     for e in element.children():
         if e.name == "FixedStepMaster":
             yield Request(tool, e, JACOBI, _step(e, "stepSize"))
         elif e.name == "VariableStepMaster":
-            for name in VARIABLE:
-                e.required(name)
-            yield _variable_step(e, tool, {})
+            yield _variable_step(e, tool)
         elif e.name == "VariableStepSolver":
-            raise _model_exchange_refusal(e, tool)
+            method = e.get("description") or e.name
+            request = f"{e.name} of {tool} requests Model Exchange ({method})"
+            raise _refusal(e, f"{request}, expected Co-Simulation")
         else:
             raise _unsupported(e, tool)
 
 
-def _solver(element: XmlElement, tool: str) -> Request:
-    """A solver in attributes."""
-    method = element.get("method") or ""
-    if method in MODEL_EXCHANGE:
-        raise _model_exchange_refusal(element, tool)
-    if method not in METHODS:
-        raise _refusal(element, f"the method {method!r} of {tool} is not supported")
-    _refuse_other_attributes(element, tool, (*RESULTS, "method", *METHODS[method], *TOLERANCES))
-    name = element.get("name")
-    users = {e.get("name") for e in _all(element) if e.get("method") is None}
-    if name is not None and name not in users:  # OMSimulator would use its default master
-        raise _refusal(element, f"no component names the solver {name!r} of {tool}")
-    if method == "oms_ma":
-        return Request(tool, element, JACOBI, _step(element, "fixedStepSize"))
-    return _variable_step(element, tool, API_DEFAULTS)
-
-
-def _variable_step(element: XmlElement, tool: str, defaults: Mapping[str, float]) -> Request:
+def _variable_step(element: XmlElement, tool: str) -> Request:
     """A master with adaptive steps; the nearest one of this project has the same tolerance and limits."""
-    first, smallest, largest, tolerance = (element.number(name, defaults.get(name)) for name in VARIABLE)
+    for name in VARIABLE:
+        element.required(name)
+    first, smallest, largest, tolerance = map(element.number, VARIABLE)
     if not first > 0:
         message = f"initialStepSize: expected a positive number of seconds, got {first:g}"
         raise _refusal(element, message)
@@ -394,24 +333,6 @@ def _variable_step(element: XmlElement, tool: str, defaults: Mapping[str, float]
     except Problem as problem:
         raise element.problem(str(problem)) from None
     return Request(tool, element, coupling, first)
-
-
-def _model_exchange_refusal(element: XmlElement, tool: str) -> Problem:
-    method = element.get("description") or element.get("method") or element.name
-    request = f"{element.name} of {tool} requests Model Exchange ({method})"
-    return _refusal(element, f"{request}, expected Co-Simulation")
-
-
-def _refuse_other_attributes(element: XmlElement, tool: str, names: tuple[str, ...]) -> None:
-    """Refuse attributes that are not read, because one may be a step."""
-    for name in element.attributes:
-        if name not in names:
-            raise _refusal(element, f"attribute {name} of {element.name} ({tool}) is not supported")
-
-
-def _all(element: XmlElement) -> list[Element]:
-    """Every SimulationInformation in the file of this one."""
-    return [e for e in element.element.getroottree().iter() if local_name(e) == "SimulationInformation"]
 
 
 Reader = Callable[[XmlElement, str], Iterator[Request]]
@@ -439,17 +360,11 @@ TOOLS = {
     ),
     "com.opensimulationplatform": _LIBCOSIM,
     "org.open-simulation-platform": _LIBCOSIM,
-    "com.github.ntnu-ihb.vico": AnnotationType(
-        "Vico",
-        {"Algorithm": _algorithm, "MasterAlgorithm": _algorithm, "StepSizeHint": _step_size_hint},
-        ("Transform",),
-    ),
-    "com.avl.model.connect.ssp.task": AnnotationType("OpenMCx", {"Task": _task}),
-    "com.avl.model.connect.ssp.component": AnnotationType("OpenMCx", {"Component": _component_step}),
 }
 REFUSED = {  # by the prefix of the annotation type
     "se.umu.math.umit.": "FMIGo",
-    "com.avl.model.connect.ssp.connection": "OpenMCx",
+    "com.avl.model.connect.ssp.": "OpenMCx",
+    "com.github.ntnu-ihb.vico": "Vico",
     "com.github.ecos-platform.scenario": "Ecos",
 }
 
@@ -462,6 +377,8 @@ def coupling_attributes(suggestion: Suggestion) -> dict[str, Any]:
     coupling, default = suggestion.coupling or Coupling(), Coupling()
     if suggestion.step is None and suggestion.coupling is None:
         return {}
-    values = {name: getattr(coupling, name) for name in ATTRIBUTES if name != "step"}
-    changed = {n: value for n, value in values.items() if n == "master" or value != getattr(default, n)}
-    return {"master": coupling.master, "step": suggestion.step} | changed
+    if coupling.method.own:
+        raise Problem(f"master {coupling.method.name}: expected one that a file can name, got one of Python")
+    values = {name: getattr(coupling, name) for name in ATTRIBUTES if name not in ("master", "step")}
+    changed = {n: value for n, value in values.items() if value != getattr(default, n)}
+    return {"master": coupling.method.name, "step": suggestion.step} | changed

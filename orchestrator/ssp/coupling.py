@@ -8,16 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal, TypedDict, get_args
+from typing import Annotated, Any, TypedDict
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole, declarations
-
-Master = Literal["jacobi", "gauss-seidel", "hermite", "interface-jacobian"]
-Control = Literal["error", "energy"]
-MASTERS: tuple[Master, ...] = get_args(Master)
-DEFAULT_ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3, "interface-jacobian": 3}  # of extrapolation
-CONTROLS: tuple[Control, ...] = get_args(Control)
+from orchestrator.ssp.masters import MASTERS, Master
 
 MAX_PASSES = 8  # default of hermite
 # Default tolerance of the passes. The work cycle at 5 ms has an error of 2.0e-5 in 1.1 passes with 1e-4, and
@@ -30,7 +25,6 @@ GUARD_TOLERANCE = 1e-2
 # Where an FMU suggests a shorter step. Near the limit of stability all defects of a flow have one sign: its
 # mean is off by about as much.
 SHORTER_STEP_GUARD = 5e-3
-GUARDED_MASTERS = ("hermite", "interface-jacobian")
 SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s], defaults of adaptive runs
 
 
@@ -38,38 +32,31 @@ SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s], defaults of adaptive runs
 class Coupling:
     """Coupling settings of a run, by the names of the options of `run`; `tolerance` is `coupling_tolerance`.
 
-    A setting that would have no effect raises a Problem.
+    A setting that would have no effect raises a Problem. master: one of `MASTERS`, by name, or a `Master`.
     """
 
-    master: str = "gauss-seidel"
+    master: str | Master = "gauss-seidel"
     order: int | None = None
     passes: int | None = None
     tolerance: float | None = None
-    correct: bool = False
-    lag: int = 1
     factors: Mapping[str, int] = field(default_factory=dict)
     adaptive: float | None = None
-    control: str | None = None
     guard: float | None = None
     smallest: float | None = None
     largest: float | None = None
 
     def __post_init__(self) -> None:
-        if self.master not in MASTERS:
+        if not isinstance(self.master, Master) and self.master not in MASTERS:
             raise Problem(f"unknown master {self.master!r}, expected one of {', '.join(MASTERS)}")
         if self.order not in (None, 0, 1, 2, 3):
             raise Problem(f"order of extrapolation: expected 0, 1, 2 or 3, got {self.order}")
         if self.passes is not None and self.passes < 1:
             raise Problem(f"passes: expected at least 1, got {self.passes}")
-        if self.lag < 1:
-            raise Problem(f"lag: expected at least 1 step, got {self.lag}")
         for name, value in (("coupling tolerance", self.tolerance), ("adaptive", self.adaptive)):
             if value is not None and not value > 0:
                 raise Problem(f"{name}: expected a positive number, got {value:g}")
         if self.guard is not None and not self.guard >= 0:
             raise Problem(f"guard: expected 0 or a positive number, got {self.guard:g}")
-        if self.control not in (None, *CONTROLS):
-            raise Problem(f"unknown control {self.control!r}, expected one of {', '.join(CONTROLS)}")
         smallest, largest = self.step_limits
         if not 0 < smallest <= largest:
             got = f"{smallest:g} s and {largest:g} s"
@@ -82,25 +69,23 @@ class Coupling:
     def _refuse_without_effect(self) -> None:
         """Refuse settings that have no effect together with the others."""
         for name, value in (("passes", self.passes), ("coupling tolerance", self.tolerance)):
-            if value is not None and self.master != "hermite":
-                raise Problem(f"{name}: expected the master hermite, which repeats steps, got {self.master}")
-        if self.lag != 1 and self.master != "interface-jacobian":
-            expected = "expected the master interface-jacobian, which keeps linearisations"
-            raise Problem(f"lag: {expected}, got {self.master}")
+            if value is not None and not self.method.repeats:
+                able = ", ".join(m.name for m in MASTERS.values() if m.repeats)
+                raise Problem(
+                    f"{name}: expected the master {able}, which repeats steps, got {self.method.name}"
+                )
         if self.tolerance is not None and self.passes == 1:
             raise Problem(
                 "coupling tolerance: expected at least 2 passes, got 1: the tolerance ends the "
                 "passes of a step"
             )
-        if self.correct and self.master == "interface-jacobian":
-            raise Problem(f"correct: expected another master, {self.master} predicts the inputs")
-        if self.correct and self.master == "hermite" and self.passes != 1:
-            raise Problem(
-                f"correct: expected a single pass with the master hermite, got up to {self.max_passes} passes"
-            )
         if self.guard is not None and self.adaptive is not None:
             raise Problem("guard: expected equal steps, got adaptive ones, which have their own tolerance")
-        for name in ("control", "smallest", "largest"):
+        for name in ("order", "factors", "adaptive", "guard") if self.method.step else ():
+            if getattr(self, name):
+                got = f"got {self.method.name}, which takes the steps itself"
+                raise Problem(f"{name}: expected a master with a plan, {got}")
+        for name in ("smallest", "largest"):
             if getattr(self, name) is not None and self.adaptive is None:
                 raise Problem(f"{name}: expected adaptive steps (a tolerance `adaptive`), got equal ones")
 
@@ -113,14 +98,19 @@ class Coupling:
                 raise Problem(f"factor of {name}: unknown component{near}")
 
     @property
+    def method(self) -> Master:
+        """The master."""
+        return self.master if isinstance(self.master, Master) else MASTERS[self.master]
+
+    @property
     def extrapolation(self) -> int:
         """Order of the extrapolation of outputs over a step."""
-        return DEFAULT_ORDERS[self.master] if self.order is None else self.order
+        return self.method.order if self.order is None else self.order
 
     @property
     def max_passes(self) -> int:
         """Largest number of passes over a step."""
-        if self.master != "hermite":
+        if not self.method.repeats:
             return 1
         return MAX_PASSES if self.passes is None else self.passes
 
@@ -136,7 +126,7 @@ class Coupling:
         """Estimated relative error above which an equal step is divided; 0: steps are not divided."""
         if self.adaptive is not None:
             return 0.0
-        default = GUARD_TOLERANCE if self.master in GUARDED_MASTERS else 0.0
+        default = GUARD_TOLERANCE if self.method.guarded else 0.0
         return default if self.guard is None else self.guard
 
     @property
@@ -151,40 +141,26 @@ class Coupling:
         return smallest, LARGEST_STEP if self.largest is None else self.largest
 
     @property
-    def controls_energy(self) -> bool:
-        """True if adaptive steps are controlled by the energy error of the power bonds."""
-        return self.control == "energy"
-
-    @property
     def text(self) -> str:
         """The master and the settings that differ from its defaults."""
         more = [] if self.order is None else [f"of order {self.order}"]
         if self.passes is not None:
             more.append("in one pass" if self.passes == 1 else f"in up to {self.passes} passes")
-        more += ["with correction"] if self.correct else []
-        more += ["with control of the energy"] if self.controls_energy else []
-        more += [f"linearised every {self.lag} steps"] if self.lag > 1 else []
         each = [f"{factor} of {name}" for name, factor in self.factors.items() if factor > 1]
         more += [f"with {' and '.join(each)} in each step"] if each else []
-        return " ".join([self.master, *more])
+        return " ".join([self.method.name, *more])
 
     @property
     def settings(self) -> dict[str, Any]:
         """All settings that have an effect, by name, defaults included."""
-        settings: dict[str, Any] = {
-            "master": self.master,
-            "order": self.extrapolation,
-            "correct": self.correct,
-        }
+        settings: dict[str, Any] = {"master": self.method.name, "order": self.extrapolation}
         settings |= {"factors": dict(self.factors)} if self.factors else {}
-        settings |= {"lag": self.lag} if self.master == "interface-jacobian" else {}
-        settings |= {"passes": self.max_passes} if self.master == "hermite" else {}
+        settings |= {"passes": self.max_passes} if self.method.repeats else {}
         settings |= {"tolerance": self.pass_tolerance} if self.max_passes > 1 else {}
         if self.adaptive is None:
             return settings | ({"guard": self.guard_tolerance} if self.guard_tolerance else {})
         smallest, largest = self.step_limits
-        control = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
-        return settings | control | {"smallest": smallest, "largest": largest}
+        return settings | {"adaptive": self.adaptive, "smallest": smallest, "largest": largest}
 
 
 class CouplingArguments(TypedDict, total=False):
@@ -198,14 +174,10 @@ class CouplingArguments(TypedDict, total=False):
     coupling_tolerance   hermite: repeat a step while the end value of a signal, or its time derivative times
                          the step, changes by more than TOL times its magnitude (the nominal value, or the
                          largest value so far); default: 1e-5, with `adaptive` 0.3 of its TOL.
-    correct              Correct the inputs by the extrapolation error of the previous step.
-    lag                  interface-jacobian: linearise the components every N steps; default: 1.
     factors              Number of internal steps of the component per communication step; default: 1.
     adaptive             Adapt the step so that the estimated error of each signal stays below TOL times its
                          magnitude (the nominal value, or the largest value so far), such as 1e-3; default:
                          equal steps.
-    control              With `adaptive`: what TOL limits: error (of the signals) or energy (the power error
-                         of the power bonds); default: error.
     guard                Without `adaptive`: divide a step if the estimated error of a signal exceeds TOL
                          times its magnitude, or if the scenario has a corner inside the step; all components
                          must be able to restore their states; 0: never; default: 0.01 for hermite and
@@ -215,15 +187,12 @@ class CouplingArguments(TypedDict, total=False):
     largest              With `adaptive`: longest step [s]; default: 0.1.
     """
 
-    master: Annotated[Master | Coupling | None, Kind("NAME")]
+    master: Annotated[Coupling | Master | None, Kind("NAME", choices=tuple(MASTERS))]
     order: Whole
     passes: Whole
     coupling_tolerance: Number
-    correct: bool | None
-    lag: Whole
     factors: Substeps
     adaptive: Number
-    control: Annotated[Control | None, Kind("WHAT")]
     guard: Number
     smallest: Seconds
     largest: Seconds

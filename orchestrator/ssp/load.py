@@ -39,41 +39,42 @@ from orchestrator.ssp.system_structure import (
 from orchestrator.ssp.terminals import Terminals
 
 
-def load(path: str | Path, exchange: bool = False) -> System:
+def load(path: str | Path) -> System:
     """The system in an .ssp, .ssd or .fmu file, or in a folder with an unpacked SSP or FMU.
 
-    path       or the name of a system or FMU in the folder build or in the package, such as harvester
-    exchange   read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
+    path   or the name of a system or FMU in the folder build or in the package, such as harvester
+
+    An FMU is used in Co-Simulation if it has that, else in Model Exchange, unless the file says which.
     """
     with archive_kept_open():
-        return _load(Location(require_system(path)), exchange)
+        return _load(Location(require_system(path)))
 
 
-def _load(file: Location, exchange: bool) -> System:
+def _load(file: Location) -> System:
     suffix = file.path.suffix.lower()
     if suffix == ".fmu" or (file.path / "modelDescription.xml").is_file():
-        return _single_fmu(file, exchange)
+        return _single_fmu(file)
     if suffix == ".ssp" or file.is_folder:
-        return _load_ssd(file.member(DEFINITION), exchange)
-    return _load_ssd(file, exchange)
+        return _load_ssd(file.member(DEFINITION))
+    return _load_ssd(file)
 
 
-def _single_fmu(fmu: Location, exchange: bool = False) -> System:
+def _single_fmu(fmu: Location) -> System:
     """A system of one FMU; the inputs of the FMU are inputs of the system."""
-    component = open_component(fmu.path.stem, fmu, exchange)
+    component = open_component(fmu.path.stem, fmu)
     inputs = [v for v in component.interface.of("input") if v.kind != "String"]
     inlets = {v.name: Inlet(v.name, v.unit, ((Port(component.name, v.name), IDENTITY),)) for v in inputs}
     start = component.interface.start
     return System(component.name, {component.name: component}, inputs=inlets, start=start, source=fmu)
 
 
-def _load_ssd(ssd: Location, exchange: bool) -> System:
-    flat = read_structure(ssd, exchange)
+def _load_ssd(ssd: Location) -> System:
+    flat = read_structure(ssd)
     suggestion = read_suggestion(flat.roots, flat.sources)
     shared = read_shared(flat.roots[0], flat.sources)
     flat.notes += ignored_annotations(flat.roots)
-    known = dict[bytes, FmuInterface]()  # several components may have the same FMU
-    interfaces = {name: read_interface(fmu, exchange, known) for name, fmu in flat.sources.items()}
+    known = dict[tuple[bytes, str], FmuInterface]()  # several components may have the same FMU
+    interfaces = {n: read_interface(fmu, flat.kinds[n], known) for n, fmu in flat.sources.items()}
     components = {name: Component(name, interfaces[name], fmu) for name, fmu in flat.sources.items()}
     try:
         system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
@@ -158,7 +159,6 @@ def assemble(
     stop: Seconds = None,
     step: Seconds = None,
     shared: Mapping[str, Sequence[str]] | None = None,
-    exchange: bool = False,
 ) -> System:
     """A system from FMU files and connections.
 
@@ -171,9 +171,8 @@ def assemble(
     stop          default stop time of a run [s], or with a unit, such as "2 s"
     step          default communication step of a run [s], or with a unit, with Gauss-Seidel
     shared        parameter -> components in which a parameter of this name is the same physical quantity
-    exchange      read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
     """
-    components = {n: open_component(n, Location(Path(p)), exchange) for n, p in fmus.items()}
+    components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
     system = System(name, components)
     notes: list[str] = []
     checked, terminals = list[Connection](), Terminals(system)

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 
-from orchestrator.base.errors import NotExchangeable, Problem, suggest
+from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import FMUS, VARIANTS, Location, require
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
@@ -41,12 +41,11 @@ DERIVATIVE_SUFFIXES = {"_rate": ("",), "_acceleration": ("_velocity", "_speed")}
 SUFFIX, MAKE = ".fmu", "harvester build"
 
 
-def with_swaps(system: System, swaps: Mapping[str, str | Path], exchange: bool = False) -> System:
+def with_swaps(system: System, swaps: Mapping[str, str | Path]) -> System:
     """The system with other FMUs, which must have the ports that are used.
 
-    swaps      component -> name of a variant, or path of an .fmu file; variants are in the folder `variants/`
-               next to the system's file
-    exchange   as for `load`
+    swaps   component -> name of a variant, or path of an .fmu file; variants are in the folder `variants/`
+            next to the system's file
     """
     lost = list[LostSignal]()
     for name, chosen in swaps.items():
@@ -54,7 +53,7 @@ def with_swaps(system: System, swaps: Mapping[str, str | Path], exchange: bool =
             names = ", ".join(system.components)
             hint = f"{suggest(name, system.components)}; there are {names}"
             raise Problem(f"swap {name}={chosen}: no component {name!r}{hint}")
-        system, signals = _swap(system, name, find_fmu(system.source, name, chosen), exchange)
+        system, signals = _swap(system, name, find_fmu(system.source, name, chosen))
         lost += signals
     told = [(signal, signal.users(system)) for signal in lost]
     return replace(
@@ -97,12 +96,10 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     )
 
 
-def _swap(system: System, name: str, file: Location, exchange: bool) -> tuple[System, tuple[LostSignal, ...]]:
+def _swap(system: System, name: str, file: Location) -> tuple[System, tuple[LostSignal, ...]]:
     old = system.components[name]
     try:
-        new = open_component(name, file, exchange)
-    except NotExchangeable as problem:
-        raise NotExchangeable(f"swap {name}: {problem}") from None
+        new = open_component(name, file)
     except Problem as problem:
         raise Problem(f"swap {name}: {problem}") from None
     fit = _fit(system, old, new)

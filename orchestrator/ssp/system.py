@@ -448,6 +448,15 @@ class System:
                     hint = f"set {'both' if len(ports) == 2 else 'all'} at once by the name {name}"
                     raise Problem(f"{got}: expected one value of one physical quantity; {hint}")
 
+    def in_kind(self, kind: str, *names: str) -> System:
+        """The system with components, default: all, in another kind, "CoSimulation" or "ModelExchange"."""
+        changed = dict(self.components)
+        for name, c in self.components.items():
+            if c.source is not None and (name in names or not names):
+                interface = replace(read_interface(c.source, kind), variables=c.interface.variables)
+                changed[name] = replace(c, interface=interface)
+        return replace(self, components=changed)
+
     def coupled(self, choices: Coupling | Mapping[str, Any]) -> System:
         """The system with another coupling, or with single choices named like the fields of `Coupling`.
 
@@ -511,9 +520,8 @@ def coerce(
     text = str(value).strip()
     try:
         if variable.kind == "Real":
-            if linear == IDENTITY:
-                return real(text)
-            return float(f"{linear(real(text)):.15g}")  # -30 degC is 243.15 K
+            value = linear(real(text))
+            return float(f"{value:.15g}") if linear.offset else value  # -30 degC is 243.15 K
         if variable.kind == "String":
             return str(value)
         if variable.kind == "Boolean":
@@ -527,9 +535,9 @@ def coerce(
         raise Problem(f"{context}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
 
 
-def open_component(name: str, fmu: Location, exchange: bool = False) -> Component:
-    """A component from its FMU; exchange: for Model Exchange, not Co-Simulation."""
-    return Component(name, read_interface(fmu, exchange), fmu)
+def open_component(name: str, fmu: Location, kind: str = "") -> Component:
+    """A component from its FMU; kind: as for `read_interface`."""
+    return Component(name, read_interface(fmu, kind), fmu)
 
 
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:

@@ -16,6 +16,7 @@ from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion, differences
 from orchestrator.base.xml import XmlElement, local_name, read_xml
 from orchestrator.fmi.description import FLOATS, TYPES, FmuVariable
+from orchestrator.fmi.interface import CO_SIMULATION, MODEL_EXCHANGE
 from orchestrator.ssp.common_elements import (
     MAPPINGS,
     Items,
@@ -77,6 +78,7 @@ class FlatStructure:
     """All systems of an SSP.
 
     sources    path of a component -> its FMU
+    kinds      path of a component -> the kind that the file asks for, or ""
     incoming   connector -> connection that feeds it
     bindings   parameter bindings, innermost first
     roots      root elements of all .ssd files, outermost first
@@ -84,6 +86,7 @@ class FlatStructure:
 
     name: str
     sources: dict[str, Location] = field(default_factory=dict)
+    kinds: dict[str, str] = field(default_factory=dict)
     systems: set[str] = field(default_factory=set)
     connectors: dict[Port, ConnectorType] = field(default_factory=dict)
     incoming: dict[Port, IncomingConnection] = field(default_factory=dict)
@@ -104,8 +107,8 @@ class FlatStructure:
         ]
 
 
-def read_structure(file: Location, exchange: bool = False) -> FlatStructure:
-    """Read a .ssd file and every system inside it; exchange: components may ask for Model Exchange."""
+def read_structure(file: Location) -> FlatStructure:
+    """Read a .ssd file and every system inside it."""
     root = read_xml(file, "SystemStructureDescription")
     flat = FlatStructure(root.get("name") or "system")
     if not (root.get("version") or "").startswith(("1.", "2.")):
@@ -114,7 +117,7 @@ def read_structure(file: Location, exchange: bool = False) -> FlatStructure:
     if experiment is not None:
         flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
         flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
-    _SsdReader(flat, root, (), {}, exchange).read("")
+    _SsdReader(flat, root, (), {}).read("")
     return flat
 
 
@@ -131,9 +134,8 @@ class _SsdReader:
         root: XmlElement,
         including: tuple[Location, ...],
         units: Mapping[str, DeclaredUnit],
-        exchange: bool,
     ) -> None:
-        self._flat, self._root, self._including, self._exchange = flat, root, including, exchange
+        self._flat, self._root, self._including = flat, root, including
         self._units, self._enumerations = {**units, **read_units(root)}, read_enumerations(root)
 
     def read(self, path: str) -> None:
@@ -200,12 +202,12 @@ class _SsdReader:
             uri, _, variant = uri.partition("#")
         source = element.file.resolve(uri)
         implementation = element.get("implementation") or "any"
-        if implementation not in ("any", "CoSimulation", *(["ModelExchange"] if self._exchange else [])):
-            raise Problem(
-                f"{element.location}: component {full}: expected CoSimulation, got {implementation}"
-            )
+        if implementation not in ("any", CO_SIMULATION, MODEL_EXCHANGE):
+            expected = f"expected {CO_SIMULATION} or {MODEL_EXCHANGE}, got {implementation}"
+            raise Problem(f"{element.location}: component {full}: {expected}")
         if mime_type == FMU:
             self._flat.sources[full] = source
+            self._flat.kinds[full] = implementation.removeprefix("any")
         elif mime_type in (SSD, PACKAGE):
             file = source if mime_type == SSD else source.member(unquote(variant) or DEFINITION)
             self._inner_file(element, full, file)
@@ -220,7 +222,7 @@ class _SsdReader:
         including = (*self._including, _resolved(element.file))
         if _resolved(file) in including:
             raise element.problem(f"{full}: expected another file, {file} includes itself")
-        _SsdReader(self._flat, root, including, self._units, self._exchange).read(full)
+        _SsdReader(self._flat, root, including, self._units).read(full)
 
     def _connectors(self, element: XmlElement, owner: str) -> None:
         connectors = set[Port]()

@@ -1,4 +1,4 @@
-"""Many runs: parameter studies, convergence studies, path following, and the cost of variants.
+"""Many runs: parameter studies and convergence studies.
 
     study, cases, design     a parameter study as data, resolved against its systems, and its samples
     single_run, processes    one run, and the child processes that load the FMUs

@@ -28,7 +28,7 @@ from orchestrator.base.text import brief
 from orchestrator.base.toml import Rule, Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
 from orchestrator.engine.arguments import CoupledArguments, RunArguments
-from orchestrator.ssp.coupling import CouplingArguments, Master, take_coupling
+from orchestrator.ssp.coupling import CouplingArguments, take_coupling
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
@@ -193,7 +193,7 @@ class Study:
     seed: int = 0
     stop: float | None = None
     step: float | None = None
-    master: Master | None = None
+    master: str | None = None
     factors: tuple[Factor, ...] = ()
     choices: tuple[Choice, ...] = ()
     outputs: tuple[Output, ...] = ()

@@ -20,7 +20,7 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from orchestrator.base.errors import Problem
@@ -31,7 +31,6 @@ from orchestrator.drive.view_description import ViewDescription
 from orchestrator.realtime.setup import Frame, Machine
 
 Described = Callable[[], ViewDescription]
-Loads = Callable[[], Mapping[str, float]]
 Clock = Callable[[], float]
 
 CURVE = ResponseCurve()
@@ -72,7 +71,6 @@ class OperatorStation:
     heard      time of that message [s]
     held       True if the dead-man was held in that message
     armed      True if the dead-man was released since the driver took over and since the last fault
-    tasked     True if the page shows the training task, whose load the head has while this page drives
     counts     number of messages: "accepted", "refused", "old", "flood"
     """
 
@@ -81,7 +79,6 @@ class OperatorStation:
     heard: float = float("-inf")
     held: bool = False
     armed: bool = False
-    tasked: bool = False
     bucket: TokenBucket = field(default_factory=TokenBucket)
     counts: Counter[str] = field(default_factory=Counter)
 
@@ -95,7 +92,6 @@ class Status:
     asked     name of the station that requests the controls, or empty
     live      True while the machine follows the sticks: the lamp of the dead-man
     why       reason why it does not, and what to do
-    drives    True if the machine can be driven
     pattern, mode, modes   control pattern, drive mode, available drive modes
     """
 
@@ -104,7 +100,6 @@ class Status:
     asked: str
     live: bool
     why: str
-    drives: bool
     pattern: str
     mode: str
     modes: tuple[str, ...]
@@ -125,9 +120,8 @@ class CommandGate:
     values  inputs that the driver has set by sliders
     """
 
-    def __init__(self, machine: Machine, described: Described, clock: Clock, loads: Loads) -> None:
-        """described: the current machine; clock: monotonic [s]; loads: as `ControlAuthority`."""
-        self._loads = loads
+    def __init__(self, machine: Machine, described: Described, clock: Clock) -> None:
+        """described: the current machine; clock: monotonic [s]."""
         self.machine, self._described = machine, described
         self.live, self.why = False, "nobody drives"
         self.values = dict[str, float]()
@@ -175,7 +169,7 @@ class CommandGate:
                 return self._fault("this machine has no input that sticks can drive")
             commanded = sticks.functions(deflections, described.patterns[self.pattern], CURVE)
             mode = described.modes[self.mode]
-            values = sticks.commands(commanded, mode, self.machine.axes, self._loaded())
+            values = sticks.commands(commanded, mode, self.machine.axes, self.values)
             if sticks.uncommanded(values, self.machine.axes, frame.axes, described.modes.values()):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
@@ -198,8 +192,8 @@ class CommandGate:
         self.values[name] = min(max(finite(value, name), ends[0]), ends[1])
 
     def keep(self) -> None:
-        """Command again the inputs that are set or loaded, while the sticks rest."""
-        if self._loaded():
+        """Command again the inputs that are set, while the sticks rest."""
+        if self.values:
             self._keep()
 
     def rest(self, why: str) -> None:
@@ -207,14 +201,9 @@ class CommandGate:
         self.live, self.why = False, why
         self._keep()
 
-    def _loaded(self) -> dict[str, float]:
-        """Input -> value that is set, or the load that the training task holds there."""
-        loads = self._loads()
-        return {**loads, **{name: value for name, value in self.values.items() if not loads.get(name)}}
-
     def _keep(self) -> None:
-        """Command only the inputs that are set or loaded."""
-        values, bare = self._loaded(), {axis: bare_name(axis) for axis in self.machine.axes}
+        """Command only the inputs that are set."""
+        values, bare = self.values, {axis: bare_name(axis) for axis in self.machine.axes}
         try:
             self.machine.command({axis: values[name] for axis, name in bare.items() if name in values})
         except Exception:
@@ -247,12 +236,9 @@ class ControlAuthority:
         timeout: float = 0.25,
         silence_limit: float = 1.0,
         clock: Clock = time.monotonic,
-        loads: Loads = dict,
     ) -> None:
-        """loads: values of inputs that no stick drives, such as the payload of the training task; they apply
-        while the driver's page shows it."""
         self.machine = machine
-        self._gate = CommandGate(machine, described, clock, lambda: loads() if self._tasked else {})
+        self._gate = CommandGate(machine, described, clock)
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self.stations: list[OperatorStation] = []
         self._names = itertools.count(1)
@@ -260,10 +246,6 @@ class ControlAuthority:
         self._asked: OperatorStation | None = None
         # the station that drove before; the reason concerns it alone
         self._last: OperatorStation | None = None
-
-    @property
-    def _tasked(self) -> bool:
-        return self._driver is not None and self._driver.tasked
 
     def join(self) -> OperatorStation:
         """Add a station for a new connection."""
@@ -280,7 +262,7 @@ class ControlAuthority:
     def take(self, station: OperatorStation) -> bool:
         """Take the controls if they are free; else request them from the driver."""
         self.check()
-        if self._driver is None and self.machine.drives and station in self.stations:
+        if self._driver is None and station in self.stations:
             self._driver, self._last = station, None
             station.heard = self._clock()
             self._rest(HOLD)
@@ -363,9 +345,8 @@ class ControlAuthority:
     def status(self, station: OperatorStation | None = None) -> Status:
         """State of the controls for the page of this station."""
         role = "free" if self._driver is None else "driving" if self._driver is station else "watching"
-        gate = self._gate
-        why = gate.why if self.machine.drives else "a replay cannot be driven"
-        if role == "free" and self.machine.drives and station not in (None, self._last):
+        gate, why = self._gate, self._gate.why
+        if role == "free" and station not in (None, self._last):
             why = "the controls are free" if station is self._asked else "nobody drives"
         if role == "driving" and not gate.modes:
             why = SLIDE
@@ -377,7 +358,6 @@ class ControlAuthority:
             asked=self._asked.name if self._asked else "",
             live=gate.live,
             why="" if gate.live else why,
-            drives=self.machine.drives,
             pattern=gate.pattern,
             mode=gate.mode,
             modes=gate.modes,

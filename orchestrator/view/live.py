@@ -9,7 +9,7 @@ dropped, and the end of the connection ends driving. The server sends objects wi
     frame    number, time, state, and the values of `names` in the hello
     bins     extremes of the charts in bins of time
     status   of the controls; ten times a second, so that it is the heartbeat of the server, too
-    info     the rest: timing, span of a replay, training task
+    info     the rest: timing, speed, message
     answer   to an action: a line, what there is to choose, or that what was chosen is done
 
 A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
@@ -38,7 +38,6 @@ from orchestrator.realtime.setup import Machine
 from orchestrator.view.authority import ControlAuthority, OperatorStation, finite
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
 from orchestrator.view.session import Session
-from orchestrator.view.training import Training
 
 Asked = dict[str, Any]  # the action of a page, with its name in "do"
 
@@ -50,7 +49,6 @@ PATIENT = 100  # ignored messages after which a client is disconnected: 3 s at t
 LONGEST = 2**12  # characters of an action
 WINDOW, BIN = 20.0, 0.2  # s, of simulated time; as in charts.js
 DIGITS = 6  # significant digits of a value
-TABLE = "training.csv"
 log = logging.getLogger(__name__)
 
 
@@ -146,8 +144,8 @@ class Broadcast:
     frame     time, state and values of the last frame; None before the first
     """
 
-    def __init__(self, session: Session, training: Training) -> None:
-        self._session, self._training = session, training
+    def __init__(self, session: Session) -> None:
+        self._session = session
         self._fitted: tuple[object, ...] = ()
         self.number, self.hello, self.info = 0, dict[str, Any](), dict[str, Any]()
         self.jumps = 0
@@ -158,7 +156,7 @@ class Broadcast:
     def look(self) -> None:
         """Read the machine once."""
         session = self._session
-        fitted = (session.columns, session.plan, session.machine.exchanges)
+        fitted = (session.columns, session.plan, session.starts)
         if fitted != self._fitted:
             self._fitted = fitted
             self._begin()
@@ -167,12 +165,9 @@ class Broadcast:
         time = frame.t if math.isfinite(frame.t) else 0.0
         self.frame = [round(time, 4), frame.state, numbers_of(row)]
         if self._ticks % round(RATE / INFO) == 0:
-            if self._training.shown:
-                self._training.update()
             self.history.look()
-            timing, factor = asdict(frame.timing), session.machine.factor
-            told = {"span": session.span, "factor": factor, "message": frame.message, "timing": timing}
-            self.info = told | {"task": self._training.status()}
+            timing, factor = asdict(frame.timing), session.factor
+            self.info = {"factor": factor, "message": frame.message, "timing": timing}
         self._ticks += 1
 
     def _begin(self) -> None:
@@ -182,8 +177,6 @@ class Broadcast:
         names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns]
         self._columns = [columns[name] for name in names]
         self.history = History(session.machine, columns, description.curves)
-        if before := session.before(WINDOW):
-            self.history.add(*before)
         self.jumps += 1
         self._ticks = 0
         hello = page_data(description, plan.parameters)
@@ -196,9 +189,8 @@ class Broadcast:
 class Pages:
     """All open pages of a server."""
 
-    def __init__(self, session: Session, authority: ControlAuthority, training: Training) -> None:
-        self.session, self.authority, self.training = session, authority, training
-        self.broadcast = Broadcast(session, training)
+    def __init__(self, session: Session, authority: ControlAuthority) -> None:
+        self.session, self.authority, self.broadcast = session, authority, Broadcast(session)
 
     async def run(self) -> None:
         """Read the machine until cancelled."""
@@ -235,7 +227,7 @@ class OpenPage:
 
     def __init__(self, pages: Pages, socket: WebSocket) -> None:
         self._socket, self.session = socket, pages.session
-        self.authority, self.training, self._broadcast = pages.authority, pages.training, pages.broadcast
+        self.authority, self._broadcast = pages.authority, pages.broadcast
         self.station: OperatorStation = pages.authority.join()
         self.credit = Credit()
         self._action = asyncio.Lock()
@@ -245,7 +237,6 @@ class OpenPage:
     def close(self) -> None:
         """The page is gone."""
         self.authority.leave(self.station)
-        self.show_task(False)
 
     # ---- to the page
 
@@ -328,7 +319,7 @@ class OpenPage:
     # ---- actions
 
     def take(self) -> None:
-        if not self.authority.take(self.station) and self.session.machine.drives:
+        if not self.authority.take(self.station):
             self.answer("requested; the driver has to release the controls")
 
     async def toggle(self) -> None:
@@ -344,10 +335,6 @@ class OpenPage:
     async def start(self, asked: Asked) -> None:
         choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
         await self.change(self.authority.stop, self.session.start, choice)
-        self.answers.append({"done": True})
-
-    async def replay(self, asked: Asked) -> None:
-        await self.change(self.authority.stop, self.session.replay, asked.get("file"))
         self.answers.append({"done": True})
 
     async def change(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> None:
@@ -369,29 +356,6 @@ class OpenPage:
     async def machines(self) -> None:
         self.answers.append({"machines": await asyncio.to_thread(offered, self.session.plan.choice)})
 
-    def task(self, what: object, value: object) -> None:
-        """Show, choose, repeat or write the training task."""
-        training, folders = self.training, self.session.folders
-        if what == "show":
-            self.show_task(bool(value))
-        elif what == "again":
-            training.again()
-        elif what == "choose":
-            training.choose(str(value))
-        elif what == "write" and folders:
-            self.answer(f"written: {training.write(folders[0] / TABLE).name}")
-
-    def show_task(self, on: bool) -> None:
-        """Show or hide the training task on this page. A driver who hides it drops its load."""
-        if on == self.station.tasked:
-            return
-        self.station.tasked = on
-        loads = () if on else [name for name, load in self.training.loads().items() if load]
-        (self.training.open if on else self.training.close)()
-        if self.authority.status(self.station).role == "driving":
-            for name in loads:
-                self.authority.set(self.station, name, 0.0)
-
 
 ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     "shown": lambda page, asked: page.credit.shown(asked.get("number")),
@@ -403,17 +367,13 @@ ACTIONS: Mapping[str, Callable[[OpenPage, Asked], Any]] = {
     "set": lambda page, asked: page.authority.set(page.station, asked.get("name"), asked.get("value")),
     "toggle": lambda page, _: page.toggle(),
     "speed": lambda page, asked: page.change(
-        page.authority.halt, page.session.machine.speed, finite(asked.get("factor"), "speed")
+        page.authority.halt, page.session.speed, finite(asked.get("factor"), "speed")
     ),
     "again": lambda page, _: page.change(page.authority.stop, page.session.again),
-    "back": lambda page, _: page.change(page.authority.stop, page.session.back),
-    "replay": lambda page, asked: page.replay(asked),
     "start": lambda page, asked: page.start(asked),
-    "seek": lambda page, asked: page.session.seek(finite(asked.get("t"), "time")),
     "save": lambda page, _: page.save(),
     "files": lambda page, _: page.files(),
     "machines": lambda page, _: page.machines(),
-    "task": lambda page, asked: page.task(asked.get("what"), asked.get("value")),
 }
 
 

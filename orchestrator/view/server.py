@@ -9,18 +9,18 @@ import socket
 import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
-from functools import partial
 from pathlib import Path
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
 from orchestrator.drive.page import served
+from orchestrator.pages.html_page import json_values
 from orchestrator.realtime.setup import failures_reported
 from orchestrator.view import access
 from orchestrator.view.access import Guard, rules
@@ -30,7 +30,6 @@ from orchestrator.view.live import Pages
 from orchestrator.view.result_files import find_result
 from orchestrator.view.server_load import REQUESTS, TimedConnection
 from orchestrator.view.session import Session
-from orchestrator.view.training import Training
 
 TITLE = "Harvester"
 LOOPBACK = "127.0.0.1"
@@ -51,16 +50,14 @@ class Server:
         """port: 0 selects a free one; token: by default random, if `host` is not a loopback address."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
-        self.session, training = session, Training(session.machine, lambda: session.plan.description.task)
-        self.authority = ControlAuthority(
-            session.machine, lambda: session.plan.description, loads=training.loads
-        )
+        self.session = session
+        self.authority = ControlAuthority(session.machine, lambda: session.plan.description)
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
         allowed = rules(host, (_displayed(host),), self.port, token)
         query = f"?token={allowed.token}" if allowed.token else ""
         self.url = f"http://{_displayed(host)}:{self.port}/{query}"
-        app = application(Pages(session, self.authority, training), lambda: self._began())
+        app = application(Pages(session, self.authority), lambda: self._began())
         app.add_middleware(Guard, rules=allowed)
         config = uvicorn.Config(
             app,
@@ -111,6 +108,13 @@ def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Sta
             return Response(f"{problem}\n", 404, media_type="text/plain")
         return FileResponse(path, filename=path.name)
 
+    def recording(request: Request) -> Response:
+        try:
+            data = pages.session.recording(request.path_params["name"])
+        except Problem as problem:
+            return Response(f"{problem}\n", 404, media_type="text/plain")
+        return JSONResponse(json_values(data))
+
     async def watch() -> None:
         while True:
             pages.authority.check()
@@ -129,7 +133,8 @@ def application(pages: Pages, began: Callable[[], object] = lambda: None) -> Sta
             pages.authority.stop()
 
     routes: list[BaseRoute] = [Route(path, file) for path in files]
-    routes += [Route("/result/{name:path}", result), WebSocketRoute("/live", pages.serve)]
+    routes += [Route("/result/{name:path}", result), Route("/recording/{name:path}", recording)]
+    routes += [WebSocketRoute("/live", pages.serve)]
     return Starlette(routes=routes, lifespan=life, exception_handlers={404: _not_found})
 
 
@@ -181,18 +186,22 @@ def serve(
     """
     make_folder(results)
     access.shorten_library_logs()
-    session = Session(first, [results])
+    session = Session(first, [results], file=replay)
     try:
         if replay is not None:
-            session.replay_file(replay)
+            session.recording("")  # raises Problem for a file that cannot be replayed
+            session.machine.pause()
         server = Server(session, host, port, token)
+        address = server.url
+        if replay is not None:
+            address += f"{'&' if '?' in address else '?'}replay="
 
         def began() -> None:
-            tell(f"{session.title}\n{server.url}\npress Ctrl-C to end")
+            tell(f"{replay or session.title}\n{address}\npress Ctrl-C to end")
             if open_:  # in a thread, because on some systems the call waits for the browser
-                threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
-        with failures_reported(session.live, partial(session.save, session.live), tell_failure):
+        with failures_reported(session.machine, session.save, tell_failure):
             server.run(began)
         raise KeyboardInterrupt  # uvicorn returns without it if SIGINT is ignored, as in a background job
     finally:

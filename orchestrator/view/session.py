@@ -1,4 +1,4 @@
-"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved."""
+"""The session that all pages show: a live machine, which can be started anew and saved."""
 
 import math
 import time
@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.table import Array
 from orchestrator.data.trace import read_trace
 from orchestrator.data.trace_writer import write_trace
+from orchestrator.drive.page import replay_data
 from orchestrator.drive.view_description import by_bare_name
 from orchestrator.realtime.machine import RealTimeMachine
-from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Machine, Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
@@ -30,45 +29,15 @@ def columns(machine: Machine) -> Mapping[str, int]:
     return places | {bare: axes.index(full) for bare, full in by_bare_name(axes).items()}
 
 
-class ExchangeableMachine:
-    """A `Machine` that is another one, which can be exchanged: what is not here is that of `machine`.
-
-    factor      the speed that was set last
-    exchanges   number of exchanges; frames before and after an exchange are not related
-    """
-
-    def __init__(self, machine: Machine) -> None:
-        self.machine, self.exchanges, self.factor = machine, 0, 1.0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.machine, name)
-
-    def exchange(self, machine: Machine) -> None:
-        """Show another machine. The previous one is paused."""
-        if self.machine.drives:
-            self.machine.command({})
-        self.machine.pause()
-        machine.speed(self.factor)
-        self.machine = machine
-        self.exchanges += 1
-
-    def speed(self, factor: float) -> None:
-        self.machine.speed(factor)
-        self.factor = factor
-
-    def restart(self, setup: Setup | None = None) -> None:
-        self.machine.restart(setup)
-        self.exchanges += 1
-
-
 class Session:
     """The machine that all pages show.
 
     plan      the latest choice
-    machine   the machine that is shown: `live`, or a replay
+    machine   the live machine
     columns   bare name -> column in its frames, see `columns`
-    title     title of the page
-    file      name of the file that is replayed; empty for the live machine
+    starts    number of its starts; frames before and after a start are not related
+    factor    the speed that was set last
+    file      what a page replays that names no file
     """
 
     def __init__(
@@ -76,43 +45,40 @@ class Session:
         first: MachineChoice,
         folders: Sequence[Path] = (),
         simulate: Callable[[Setup], Machine] = RealTimeMachine,
+        file: Path | None = None,
     ) -> None:
-        """folders: of result files, the first also for saving; simulate: starts the live machine."""
-        self.folders = tuple(folders)
+        """folders: of result files, the first also for saving; simulate: starts the machine."""
+        self.folders, self.file = tuple(folders), file
         self.plan: ViewPlan = plan(first)
-        self.live = simulate(self.plan.setup)
-        self.machine = ExchangeableMachine(self.live)
-        self.file = ""
-        self._recording: Replay | None = None
-        self.columns = columns(self.machine)
+        self.machine = simulate(self.plan.setup)
+        self.starts, self.factor, self.columns = 0, 1.0, columns(self.machine)
 
     @property
     def title(self) -> str:
-        """System, pose and variants, or the file that is replayed."""
-        if self.file:
-            return f"Replay: {self.file}"
+        """System, pose and variants."""
         choice = self.plan.choice
         swaps = [f"{part} {variant}" for part, variant in choice.swap.items()]
         sets = [f"{name}={value}" for name, value in choice.set.items()]
         return ", ".join([choice.system.name, *([choice.pose] if choice.pose else []), *swaps, *sets])
 
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """First and last time of the replayed file [s]; None for the live machine."""
-        return (self._recording.begin, self._recording.end) if self._recording else None
-
     def start(self, choice: MachineChoice) -> None:
-        """Start the live machine with this choice."""
+        """Start the machine with this choice."""
         new = plan(choice)
-        self.live.restart(new.setup)
+        self.machine.restart(new.setup)
         self.plan = new
-        self._show(self.live)
-        self.live.play()
+        self.starts, self.columns = self.starts + 1, columns(self.machine)
+        self.machine.play()
 
     def again(self) -> None:
-        """Restart the current machine or replay."""
+        """Start the machine again."""
         self.machine.restart()
+        self.starts += 1
         self.machine.play()
+
+    def speed(self, factor: float) -> None:
+        """Set the speed relative to real time."""
+        self.machine.speed(factor)
+        self.factor = factor
 
     @property
     def _required(self) -> tuple[set[str], int]:
@@ -132,72 +98,43 @@ class Session:
         results = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
         return [name for name, path in results if self._fits(by_bare_name(columns_of(path)))]
 
-    def replay(self, name: str) -> None:
-        """Show a result file of the open folders. The live machine is paused meanwhile."""
-        self.replay_file(find_result(name, self.folders), name)
-
-    def replay_file(self, path: Path, name: str = "") -> None:
-        """Show any result file. Not for names that come from a page."""
+    def recording(self, name: str) -> dict[str, Any]:
+        """What a page needs to replay a result file of the open folders; without a name that of `file`."""
+        path = find_result(name, self.folders) if name or self.file is None else self.file
         trace = read_trace(path)
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
-        recording = Replay(trace)
-        if not self._fits(columns(recording)):
+        if not self._fits(by_bare_name(trace.signals)):
             (required, least), full = self._required, by_bare_name(self.plan.setup.signals)
             example = next((full[name] for name in full if name in required), "component.output")
             found = ", ".join(list(trace.signals)[:4]) or "none"
             many = f"{least} or more " if least > 1 else ""
             raise Problem(f"{path}: expected {many}signals such as {example}, found {found}")
-        self._show(recording, name or path.name)
-        self.machine.play()
+        return replay_data(self.plan.description, self.plan.parameters, trace, f"Replay: {path.name}")
 
-    def seek(self, t: float) -> None:
-        """Go to a time of the replayed file [s]."""
-        if self._recording is not None and math.isfinite(t):
-            self._recording.seek(t)
-            self.machine.exchanges += 1  # frames before and after are not related
+    def save(self) -> Path:
+        """Save the session as a result file in the first folder.
 
-    def before(self, seconds: float) -> tuple[Array, Array, Array] | None:
-        """Times, axes and values that the replayed file has in the seconds before now, also before a jump."""
-        return self._recording.before(seconds) if self._recording else None
-
-    def back(self) -> None:
-        """Show the live machine again, as it was paused."""
-        if self.file:
-            self.machine.machine.close()
-            self._show(self.live)
-
-    def save(self, machine: Machine | None = None) -> Path:
-        """Save the session, or that of another machine, as a result file in the first folder.
-
-        What was driven is beside it, as a scenario (`drive_of`), unless it is a replay, or its beginning is
-        no longer in memory.
+        What was driven is beside it, as a scenario (`drive_of`), unless its beginning is no longer in memory.
         """
         if not self.folders:
             raise Problem("save: no folder for results is open")
-        machine = machine or self.machine
-        trace = machine.trace()
+        trace = self.machine.trace()
         if not len(trace.time):
             raise Problem("save: nothing has been recorded yet")
         stamp = time.strftime("%Y%m%d-%H%M%S")
         path = write_trace(trace, self.folders[0] / f"session-{stamp}.parquet")
-        if machine.drives and machine.axes and trace.time[0] <= self.plan.begin + 1e-9:  # rounding
-            write_trace(trace.select(machine.axes), drive_of(path))
+        if self.machine.axes and trace.time[0] <= self.plan.begin + 1e-9:  # rounding
+            write_trace(trace.select(self.machine.axes), drive_of(path))
         return path
 
     def repeated(self, saved: Path) -> str:
-        """How to repeat a saved session; empty for a replay."""
+        """How to repeat a saved session."""
         drive = drive_of(saved)
         if drive.is_file():
             return f"the same drive: {self.plan.choice.command(str(drive))}"
-        return "its beginning is no longer in memory, so it cannot be repeated" if self.machine.drives else ""
+        return "its beginning is no longer in memory, so it cannot be repeated"
 
     def close(self) -> None:
-        """Close all machines."""
+        """Close the machine."""
         self.machine.close()
-        self.live.close()
-
-    def _show(self, machine: Machine, file: str = "") -> None:
-        self.machine.exchange(machine)
-        self.file, self._recording = file, machine if isinstance(machine, Replay) else None
-        self.columns = columns(self.machine)

@@ -41,10 +41,9 @@ from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from fmus.valve_actuation import ACTUATION
-from orchestrator.check.ls_ref_comparison import EXPERIMENT, ExperimentComparison, cases, compare
+from orchestrator.check.ls_ref import EXPERIMENT, ExperimentComparison, cases, compare, table
+from orchestrator.check.ls_ref import parameter_set as read_parameters
 from orchestrator.check.probe_process import probe_limits, use_probe_limits
-from orchestrator.check.read_ls_ref import manifest, table
-from orchestrator.check.read_ls_ref import parameter_set as read_parameters
 from orchestrator.check.subject import parse_unpacked
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in FERIC.components]
@@ -69,7 +68,7 @@ def compared(path: Path, folder: Path) -> ExperimentComparison:
     """The first experiment of an FMU."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
-    found, texts = cases(folder, manifest(folder))
+    found, texts = cases(folder)
     assert texts == []
     return compare(parse_unpacked(path, folder), found[0])
 

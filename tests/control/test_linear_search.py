@@ -9,8 +9,8 @@ import pytest
 
 from orchestrator import Problem
 from orchestrator.base.units import DeclaredUnit, parse_unit
+from orchestrator.engine.plant import Matrices
 from orchestrator.linear.steady_state import HeldJoint, Search, SteadyEquations, find_steady_state
-from orchestrator.monolithic.plant import Matrices
 from orchestrator.ssp.system import Inlet, Port
 
 UNITS = {n: DeclaredUnit(n, parse_unit(n).exponents) for n in ("rad", "rad/s", "Pa", "V")}

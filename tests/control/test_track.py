@@ -10,11 +10,7 @@ from kit.equations import Part
 from kit.mistakes import table
 
 from fmus.controller.paths import start_angles
-from fmus.manipulator import MANIPULATOR
-from fmus.package_files import PACKAGE
-from orchestrator import Trace, load
-from orchestrator.__main__ import main
-from orchestrator.studies.path_following import (
+from fmus.machine.path_following import (
     PathRun,
     differences,
     draw,
@@ -26,6 +22,10 @@ from orchestrator.studies.path_following import (
     top_view,
     unwrapped,
 )
+from fmus.manipulator import MANIPULATOR
+from fmus.package_files import PACKAGE
+from orchestrator import Trace, load
+from orchestrator.__main__ import main
 
 VARIANTS = ("swing=detailed", "boom_stick=detailed", "manipulator=pendulum_friction", "supply=engine_pump")
 DETAILED = [f"--swap={variant}" for variant in VARIANTS]

@@ -25,7 +25,6 @@ from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, pack,
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import render as comparison
 from orchestrator.results.layout import FigureSpec, PanelSpec
-from orchestrator.results.motion import MachineMotion
 from orchestrator.results.validation import validate
 from orchestrator.results.validation_report import Report
 from orchestrator.results.validation_report import render as report
@@ -55,15 +54,11 @@ def validated() -> str:
     reference = Recording(
         TIME, known.signals, known.units, Path("ref.csv"), criteria=criteria, metadata=ABOUT
     )
-    tip = np.column_stack((np.cos(TIME), np.sin(TIME), 0 * TIME + 1))
-    motion = MachineMotion(TIME, {"foot": 0 * tip, "tip": tip})
     spec = FigureSpec(
         "Arm", (PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",)))
     )
     checked = validate(run(0.01), reference, rate=False)
-    return report(
-        Report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}, motion=motion, ghost=motion)
-    )
+    return report(Report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}))
 
 
 def studied() -> str:

@@ -2,17 +2,14 @@
 
 import json
 import math
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import pytest
-from drive.test_task import EXERCISE, TASK, cycle
 from kit import shards
 from kit.mistakes import table
 from view.standin import DESCRIPTION
 
-from orchestrator.drive import score as scores
 from orchestrator.drive.drawing import SCALE, UNKNOWN
 from orchestrator.drive.page import libraries, page_data
 from orchestrator.drive.sticks import ResponseCurve, StickAxes, functions
@@ -183,24 +180,6 @@ def test_charts_end(script: Any) -> None:
       return ended.sort(); })()"""
     given = {"uplot": libraries()["uplot"], "charts": DATA["charts"], "name": "boom_head_pressure"}
     assert script("charts", draw, given) == ["observer", "plot"]
-
-
-def test_task_as_in_python(script: Any) -> None:
-    """Progress and score of the page are those of score.py for the same samples; so are its words."""
-    trace = cycle()
-    names = [name.rpartition(".")[2] for name in trace.signals]
-    rows = np.stack(list(trace.signals.values()), axis=1).tolist()
-    rules = DATA["task"] | {"exercises": [asdict(EXERCISE)]}
-    run = """(() => { const task = new m.Attempts(a.rules); task.show(true); const seen = new Set();
-      const values = (k) => Object.fromEntries(a.names.map((n, j) => [n, a.rows[k][j]]));
-      a.time.forEach((t, k) => { task.add(t, values(k)); seen.add(task.phase); });
-      return { table: task.table, seen: [...seen], csv: task.csv() }; })()"""
-    found = script("task", run, {"rules": rules, "time": trace.time.tolist(), "names": names, "rows": rows})
-    assert set(found["seen"]) == {"ready", "moving", "holding", "done"}
-    expected = asdict(scores.score(trace, TASK))
-    (row,) = found["table"]
-    assert {name: row[name] for name in expected} == pytest.approx(expected, rel=1e-9)  # other order of sums
-    assert found["csv"].startswith("attempt,exercise,finished,cycle_time")
 
 
 def test_words_of_the_task(script: Any) -> None:

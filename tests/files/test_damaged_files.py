@@ -24,8 +24,7 @@ from fmus.machine.ssp import VIEW
 from orchestrator import load
 from orchestrator.base.errors import Problem
 from orchestrator.check.checking import DEFECT, check
-from orchestrator.check.ls_ref_comparison import cases
-from orchestrator.check.read_ls_ref import FOLDER, manifest, parameter_set, table
+from orchestrator.check.ls_ref import FOLDER, cases, parameter_set, table
 from orchestrator.check.subject import open_subject
 from orchestrator.cli.lists import lines
 from orchestrator.drive.view_description import view_description
@@ -143,7 +142,7 @@ def read_fmu(path: Path, system: System) -> None:
     """All that reads an FMU before it is loaded: to run it, to linearise it, to swap it, to list it."""
     for work in (
         lambda: used(load(path)),
-        lambda: load(path, exchange=True),
+        lambda: load(path),
         lambda: used(with_swaps(system, {"b": path})),
     ):
         with suppress(Problem):
@@ -152,7 +151,7 @@ def read_fmu(path: Path, system: System) -> None:
 
 def shipped(folder: Path) -> None:
     """The experiments that an FMU ships."""
-    for case in cases(folder, manifest(folder))[0]:
+    for case in cases(folder)[0]:
         for file in filter(None, (case.reference, case.stimuli)):
             with suppress(Problem):
                 table(file)

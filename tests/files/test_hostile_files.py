@@ -27,7 +27,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import MAX_DIRECTORY, MAX_NESTING, Location, extract_member, size_fault
 from orchestrator.base.xml import MAX_ITEMS
 from orchestrator.check.checking import check
-from orchestrator.check.read_ls_ref import resolve
+from orchestrator.check.ls_ref import resolve
 from orchestrator.check.rules import archive as archive_rules
 from orchestrator.check.subject import Subject
 from orchestrator.drive.view_description import FILE, view_description

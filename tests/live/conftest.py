@@ -9,7 +9,7 @@ import pytest
 from kit.any_fmu.models import Workshop
 from kit.wait import LONG
 
-from orchestrator.realtime import deadlines, replay
+from orchestrator.realtime import deadlines
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
 
@@ -66,8 +66,7 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """In place of the real one, for deadlines and replays."""
+    """In place of the real one, for deadlines."""
     clock = Clock()
     monkeypatch.setattr(deadlines, "time", clock)
-    monkeypatch.setattr(replay, "time", clock)
     return clock

@@ -9,7 +9,6 @@ from kit.wait import until
 
 from orchestrator import read_trace, write_trace
 from orchestrator.realtime import machine
-from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Axis, Setup
 
 from .conftest import u
@@ -91,7 +90,7 @@ def test_old_frames_make_room(opened, drift, monkeypatch):
 
 
 def test_its_trace_is_a_result_file_like_any_other(opened, drift, tmp_path):
-    """It can be written, and played again."""
+    """It can be written, and read again."""
     station = opened(drift)
     station.command({"u": 1.0})
     assert until(lambda: u(station) == 1.0)
@@ -99,6 +98,5 @@ def test_its_trace_is_a_result_file_like_any_other(opened, drift, tmp_path):
     trace = station.trace()
     again = read_trace(write_trace(trace, tmp_path / "session.parquet"))
     assert dict(again.units) == {"u": "m", "drift.u": "m"}
-    shown = Replay(tmp_path / "session.parquet", playing=False)
-    shown.seek(trace.time[-1])
-    assert list(shown.latest().values) == [trace[name][-1] for name in ("u", "drift.y", "drift.u")]
+    for name in ("u", "drift.y", "drift.u"):
+        np.testing.assert_array_equal(again[name], trace[name])

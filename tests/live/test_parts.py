@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from kit.mistakes import problem
 
-from orchestrator import Problem, Trace
 from orchestrator.engine.scenario import ScenarioTable
 from orchestrator.realtime import deadlines
 from orchestrator.realtime.deadlines import BINS, latency_bin, latency_quantile
@@ -173,14 +172,6 @@ def test_a_ramp_is_the_scenario_with_a_row_per_frame(values):
         for t in (begin, begin + 0.3 * (end - begin), end):
             np.testing.assert_array_equal(ramp.at(t), table.at(t))
             np.testing.assert_array_equal(ramp.sample(t), table.sample(t))
-
-
-def test_a_trace_of_no_time_is_refused():
-    """A replay needs a sample."""
-    from orchestrator.realtime.replay import Replay
-
-    with pytest.raises(Problem, match="replay: expected a trace with samples, got an empty one"):
-        Replay(Trace(np.zeros(0), {}))
 
 
 # ---- when frames are due: on a clock that the test moves

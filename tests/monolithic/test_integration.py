@@ -70,7 +70,7 @@ class Equations:
 
 def solved(equations, grid, tolerance=1e-10):
     """The result over a grid."""
-    return module._Integration(equations, None, grid, tolerance).run(ProgressBar(1.0, False))
+    return module._Recorded(equations, None, grid, tolerance).result(ProgressBar(1.0, False))
 
 
 def test_the_card_counts_what_happened():
@@ -164,7 +164,7 @@ def test_the_solver_starts_again_where_a_slope_jumps():
         columns = np.column_stack([np.zeros(6), values, np.full(6, 3.0)])
         driven = {Port("a", "u"): (0, IDENTITY), port: (1, IDENTITY)}
         scenario = Scenario(ScenarioTable(time, columns), driven)
-        return module._Integration(Equations(), scenario, Grid(0.0, 1.0, 5), 1e-10)._breaks()
+        return module._Recorded(Equations(), scenario, Grid(0.0, 1.0, 5), 1e-10)._breaks()
 
     u, n = Port("a", "u"), Port("a", "n")
     assert breaks(u, 0.0, 0.0, 0.0, 0.0, 0.0) == [np.inf]

@@ -9,7 +9,7 @@ import pytest
 from orchestrator import reference
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import LinearTransformation
-from orchestrator.monolithic.plant import MAX_EVENT_ITERATIONS, Plant, differences
+from orchestrator.engine.plant import MAX_EVENT_ITERATIONS, Plant, differences
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import Inlet, Port
 
@@ -36,7 +36,7 @@ def chain(fmu):
     fmus = {"q": fmu("lag", 3), "g": fmu("gain", 2), "room": fmu("room", 3), "p": fmu("lag", 2)}
     start = {"g.a": 2.0, "p.a": 3.0, "p.b": 5.0, "q.a": 7.0, "q.b": 11.0, "r.u": -14.0}
     wires = [("g.y", "p.u"), ("p.y", "q.u", -1.0, 4.0)]
-    system = assemble(fmus | {"r": fmu("gain", 3)}, wires, start, exchange=True)
+    system = assemble(fmus | {"r": fmu("gain", 3)}, wires, start)
     w = [(Port("g", "u"), LinearTransformation(2.0, 3.0)), (Port("r", "u"), LinearTransformation(10.0, 1.0))]
     with closing(Plant(system, [Inlet("w", None, tuple(w))])) as plant:
         plant.start((1.5, 4.0))
@@ -79,7 +79,7 @@ def test_a_loop_through_components_with_states(fmu):
     """p.u = 1 - q.y and q.u = p.y: 56 p.u = 1 - xq - 11 xp; D is that of the components alone."""
     fmus = {"p": fmu("lag", 2), "room": fmu("room", 2), "q": fmu("lag", 3)}
     start = {"p.b": 5.0, "q.b": 11.0}
-    system = assemble(fmus, [("p.y", "q.u"), ("q.y", "p.u", -1.0, 1.0)], start, exchange=True)
+    system = assemble(fmus, [("p.y", "q.u"), ("q.y", "p.u", -1.0, 1.0)], start)
     with closing(Plant(system)) as plant:
         plant.start((0.0, 1.0))
         plant.settle(np.array([2.0, 0.0, 3.0]), np.zeros(0))
@@ -105,9 +105,7 @@ def test_a_loop_through_components_with_states(fmu):
 def test_the_slope_of_a_loop_is_renewed_where_it_has_changed(fmu, before, after, u):
     """u = c - y and y = a u + b u^3, first with a = 1, then with a and b before and after a change."""
     c = u + after[0] * u + after[1] * u**3
-    system = assemble(
-        {"g": fmu("gain", 2)}, [("g.y", "g.u", -1.0, c)], {"g.a": 1.0, "g.b": 0.0}, exchange=True
-    )
+    system = assemble({"g": fmu("gain", 2)}, [("g.y", "g.u", -1.0, c)], {"g.a": 1.0, "g.b": 0.0})
     with closing(Plant(system)) as plant:
         plant.start((0.0, 1.0))
         for parameters, solution in ((before, c / (1 + before[0])), (after, u)):
@@ -125,7 +123,7 @@ def test_the_substitutions_are_as_many_as_the_components_in_a_row(fmu, length, c
     """Each takes the values on by one component; a loop has no such number."""
     names = [f"g{k}" for k in range(length)][::-1]
     wires = [(f"{a}.y", f"{b}.u") for a, b in pairwise([*names, *names[:closed]])]
-    with closing(Plant(assemble({n: fmu("gain", 2) for n in names}, wires, exchange=True))) as plant:
+    with closing(Plant(assemble({n: fmu("gain", 2) for n in names}, wires))) as plant:
         assert plant._count_substitutions() == (0 if closed else length)
 
 
@@ -173,7 +171,7 @@ def test_steps_that_ask_for_an_event_or_the_end(fmu):
     """x = 1 - exp(-t) starts again from 0 after each step beyond 0.5, at 0.69 s and 1.39 s; or it ends."""
     fmus = {"still": fmu("lag", 3), "b": fmu("lag", 2)}
     start = {"b.u": 1.0, "b.limit": 0.5}
-    system = assemble(fmus, [], start, exchange=True)
+    system = assemble(fmus, [], start)
     result = reference(system, stop=2.0, record_step=0.01)
     # times at which x would be 0, up to the error of the solver
     begins = np.unique(np.round(result.time + np.log(1 - result["b.x"]), 9))
@@ -182,7 +180,7 @@ def test_steps_that_ask_for_an_event_or_the_end(fmu):
     assert result.card.notes[-1].endswith(", 2 events")
     for ending in ("still", "b"):
         last = {f"{ending}.u": 1.0, f"{ending}.limit": 0.5, f"{ending}.last": 1}
-        result = reference(assemble(fmus, [], last, exchange=True), stop=2.0, record_step=0.01)
+        result = reference(assemble(fmus, [], last), stop=2.0, record_step=0.01)
         assert result.trace.time[-1] == pytest.approx(0.69)
         assert result.card.notes[-1] == f"{ending} requested the end of the simulation"
 
@@ -190,7 +188,7 @@ def test_steps_that_ask_for_an_event_or_the_end(fmu):
 def test_a_level_drives_a_continuous_input(fmu):
     """A Real that changes at events: y = (2 level + 1) / 2, after the event at a time."""
     fmus = {"c": fmu("counter", 2), "g": fmu("gain", 3)}
-    system = assemble(fmus, [("c.level", "g.u", 2.0, 1.0)], exchange=True)
+    system = assemble(fmus, [("c.level", "g.u", 2.0, 1.0)])
     assert reference(system, stop=2.0, record_step=0.5)["g.y"].tolist() == [0.5, 0.5, 1.5, 1.5, 2.5]
 
 

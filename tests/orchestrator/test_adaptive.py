@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kit import shards
 from kit.shards import few
 
-from orchestrator import Problem, Trace, assemble, run
+from orchestrator import Trace, assemble, run
 from orchestrator.engine.c_library import engine_h, library
 from orchestrator.ssp.coupling import Coupling
 
@@ -155,29 +155,6 @@ def test_bad_steps(integrals):
     assert (steps[1:] / steps[:-1]).min() < 0.5
     note = "adaptive steps with too large an error are not repeated: a, b cannot restore a saved state"
     assert note in stuck.card.notes
-
-
-# ---- energy
-
-
-@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
-def test_control_of_the_energy_rejects_steps(bounce, master):
-    """Steps with too large an error of power are repeated; the total error scales with the tolerance."""
-    made = []
-    for tolerance in (1e-3, 1e-5):
-        result = run(bounce(True), master=Coupling(master, 1, adaptive=tolerance, control="energy"), stop=2.0)
-        assert result.card.repeated > 0
-        (bond,) = result.card.bonds
-        # of the magnitudes of effort and flow the power is a half in the mean, so a share of it is larger
-        assert bond.turnover < 4 * tolerance * bond.exchanged
-        made.append(bond.turnover / bond.exchanged)
-    assert made[1] < made[0] / 30
-
-
-def test_control_of_the_energy_requires_a_bond(moving):
-    """The oscillator exchanges force and position, whose product is not power."""
-    with pytest.raises(Problem, match=r"control of the energy: expected a power bond"):
-        run(moving, master=Coupling("hermite", adaptive=1e-4, control="energy"), stop=1.0)
 
 
 # ---- the law

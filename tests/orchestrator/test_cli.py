@@ -22,7 +22,7 @@ from orchestrator.check.report import TOOLS
 from orchestrator.cli import app
 from orchestrator.cli.lists import KINDS
 from orchestrator.results import validate_system
-from orchestrator.ssp.coupling import CONTROLS, MASTERS
+from orchestrator.ssp.masters import MASTERS
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")
 
@@ -92,7 +92,7 @@ def test_every_choice_of_the_coupling_reaches_the_run(coupling, options):
     """They are noted beside the trace, all of them and no others."""
     assert harvester(f"run pair.ssp --stop 0.1 --step 0.01 --out o.csv {options}") == 0
     found = noted()
-    assert found["coupling"] == {"master": "gauss-seidel", "order": 0, "correct": False} | coupling
+    assert found["coupling"] == {"master": "gauss-seidel", "order": 0} | coupling
     assert found["steps"] >= 10
     assert found["passes"] >= found["steps"]
 
@@ -198,7 +198,6 @@ def python(code, *arguments):
     ("command", "option", "values"),
     [
         ("run", "--master", MASTERS),
-        ("run", "--control", CONTROLS),
         ("convergence", "--masters", MASTERS),
         ("check", "--for", (*TOOLS, "any")),
         ("build", "--platform", ("host", "all", *PLATFORMS)),

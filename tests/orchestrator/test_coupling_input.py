@@ -105,9 +105,8 @@ def test_projections_keep_mean_and_moment(c, h):
 def test_interpolation_passes_through_its_data(c, h, degree):
     """The only polynomial of its degree with both values, the slope at the beginning, and that at the end."""
     value, slope, value1, slope1 = c
-    s = Input(value=value, slope=slope, value_end=value1, slope_end=slope1, correction=1.0)
+    s = Input(value=value, slope=slope, value_end=value1, slope_end=slope1)
     s.interpolate(degree, h, 1.0)
-    assert s.correction == 0.0  # that was of another step
     found, magnitude = tuple(s.c), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
     assert not any(found[degree + 1 :])
     close(at(found, 0.0), value, magnitude)
@@ -149,12 +148,11 @@ def test_a_prediction_is_the_cubic_through_thirds_and_errs_by_a_quarter_in_the_m
 
     If the source has stepped, its value there is the end, with the same value, slope and bend at the start.
     """
-    s = Input(value=c[0], correction=1.0)
+    s = Input(value=c[0])
     s.predict(*(at(c, k * h / 3) - c[0] for k in (1, 2, 3)), h)
     magnitude = 200 * size(c, h) + 10 * abs(error)  # coefficients of the thirds are up to 45
     for k, (found, true) in enumerate(zip(tuple(s.c), c, strict=True)):
         close(found * h**k, true * h**k, magnitude)
-    assert s.correction == 0.0  # that was of another step
     source = (*c[:3], c[3] + error / h**3)
     s.struct.value_end = at(source, h)
     close(s.deviation(h, 0), mean(c, h) - mean(source, h), magnitude)
@@ -205,7 +203,6 @@ def watched(c, lengths, order=0, slopes=True, degree=3):
         s.extrapolate(h, steps[0])
         s.set_end(at(c, t + h), slope_at(c, t + h) if slopes else math.nan, h, *steps)
         if n < len(lengths) - 1:
-            s.find_deficit(h)
             s.accept(h)
             t, steps = t + h, (h, steps[0])
     return s, t, steps
@@ -222,11 +219,10 @@ def test_slopes_from_differences_are_exact_up_to_a_cubic(c, first, second, third
 
 @given(cubics, st.floats(0.5, 2.0), st.floats(0.5, 2.0))
 def test_a_polynomial_within_reach_is_no_error(c, before, h):
-    """The expected end of a cubic is exact: deviation, mismatch and mean error are zero."""
+    """The expected end of a cubic is exact: deviation and mismatch are zero."""
     s, _, (step, _) = watched(c, [before, h], order=3)
     magnitude = 100 * size(c, before + h)
     close(s.deviation(h, 0), 0.0, magnitude)
-    close(s.mean_error(h), 0.0, magnitude)
     s.interpolate(3, h, step)
     close(s.deviation(h, 1), 0.0, magnitude)
     close(s.mismatch(h) * s.magnitude(), 0.0, magnitude)
@@ -234,27 +230,10 @@ def test_a_polynomial_within_reach_is_no_error(c, before, h):
 
 @given(numbers, numbers.filter(lambda x: abs(x) > 1e-3), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
 def test_a_held_line_is_off_by_its_way(value, slope, before, h):
-    """The deviation of a held input is the change of the source, the error of its mean half of it."""
+    """The deviation of a held input is the change of the source."""
     s, _, _ = watched((value, slope, 0.0, 0.0), [before, h])
     magnitude = abs(value) + 4 * abs(slope)
     close(abs(s.deviation(h, 0)), abs(slope) * h, magnitude)
-    close(s.mean_error(h), 0.5 * slope * h, magnitude)
-
-
-@given(cubics, st.integers(0, 2), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
-def test_the_deficit_of_the_mean_is_corrected(c, order, before, h):
-    """Exactly for a polynomial one degree above the extrapolation, at any lengths of steps.
-
-    At order 2 the deficit depends on both steps before, and repeats at equal ones.
-    """
-    c, lengths = cut(c, order + 1), [before, h] if order < 2 else [h, h, h]
-    s, t, (step, _) = watched(c, lengths, order=order)
-    s.extrapolate(h, step)
-    s.correct(h, step)
-    magnitude = 10 ** (2 + order // 2) * size(c, sum(lengths))
-    close(mean(s.c, h), mean(shifted(c, t), h), magnitude)
-    s.find_deficit(h)
-    close(s.deficit, s.correction, magnitude)  # what the next step is corrected by in turn
 
 
 def test_corners_of_autonomous_sources_and_the_largest_magnitude():
@@ -312,16 +291,15 @@ def test_a_free_source_that_has_stopped_is_foreseen():
 
 @pytest.mark.parametrize("order", range(4))
 def test_the_past_of_the_start_is_a_straight_line(order):
-    """Or a constant if there is no slope yet; nothing is corrected there."""
+    """Or a constant if there is no slope yet."""
     for slope, known in ((3.0, 3.0), (math.nan, 0.0)):
         s = Input(order=order)
         s.begin(2.0, slope)
         assert tuple(s.c) == (2.0, known, 0.0, 0.0)
         points = [s.slopes_known]
         s.extrapolate(0.5, 0.0)
-        s.correct(0.5, 0.0)
         assert tuple(s.c) == (2.0, known if order else 0.0, 0.0, 0.0)
-        assert (s.expected, s.correction) == (at(s.c, 0.5), 0.0)
+        assert s.expected == at(s.c, 0.5)
         s.set_end(4.0, 5.0, 0.5, 0.0, 0.0)
         s.interpolate(3, 0.5, 0.0)  # without a slope at the beginning: the line between both ends
         assert (tuple(s.c) == (2.0, 4.0, 0.0, 0.0)) == (known == 0.0)

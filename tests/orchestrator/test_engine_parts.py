@@ -17,7 +17,7 @@ def everything():
     """The engine with all its functions visible."""
     name, code, arguments = recipe(host())
     engine = ctypes.CDLL(str(shared_library(name, code, [a for a in arguments if "visibility" not in a])))
-    for name in ("seconds", "step_error", "power_error"):
+    for name in ("seconds", "step_error"):
         getattr(engine, name).restype = ctypes.c_double
     return engine
 
@@ -132,7 +132,7 @@ class Step:
 
     h = 0.5
 
-    def __init__(self, ways, driven=(0.0, 0.0, 0.0), bonds=()):
+    def __init__(self, ways, driven=(0.0, 0.0, 0.0)):
         """ways: (value, slope, value at the end) of each source; driven: begin, middle, end."""
         h = ctypes.c_double(self.h)
         self.binding = Binding()
@@ -145,45 +145,26 @@ class Step:
         last = self.inputs[len(ways)]
         last.source_component, last.value = self.binding.h.DRIVEN, driven[0]
         everything().input_drive(ctypes.byref(last), *map(ctypes.c_double, driven[1:]), h)
-        self.bonds = np.array(bonds, np.int32).ravel()
 
-    def error(self, kind, passes=1, **plan):
-        """step_error or power_error, with what the plan of the master says."""
+    def error(self, passes=1):
+        """step_error after so many passes."""
         simulation = self.binding.h.Simulation(
-            inputs=self.binding.pointer(self.inputs), input_count=len(self.inputs), passes=passes,
-            bonds=self.binding.at(self.bonds), bond_count=len(self.bonds) // 2, **plan,
-        )  # fmt: skip
-        return getattr(everything(), f"{kind}_error")(ctypes.byref(simulation), ctypes.c_double(self.h))
+            inputs=self.binding.pointer(self.inputs), input_count=len(self.inputs), passes=passes
+        )
+        return everything().step_error(ctypes.byref(simulation), ctypes.c_double(self.h))
 
 
 def test_the_error_of_a_step_is_that_of_its_worst_input():
-    """A held line is off by its way, or half of it in the mean; a driven one by what a line leaves out.
+    """A held line is off by its way, a driven one by what a line leaves out.
 
     After repetition it is also what a further pass would change, and all of it relative to the magnitude.
     """
     lines = [(1.0, 4.0, 3.0), (-8.0, 2.0, -7.0)]
     step = Step(lines)
-    assert step.error("step") == pytest.approx(2 / 3, rel=1e-15)  # rounding
-    assert step.error("step", corrected=1) == pytest.approx(1 / 3, rel=1e-15)
-    for corrected in (0, 1):
-        driven = Step(lines, driven=(1.0, 5.0, 3.0))
-        assert driven.error("step", corrected=corrected) == pytest.approx((5 - 2) / 3, rel=1e-15)
+    assert step.error() == pytest.approx(2 / 3, rel=1e-15)  # rounding
+    driven = Step(lines, driven=(1.0, 5.0, 3.0))
+    assert driven.error() == pytest.approx((5 - 2) / 3, rel=1e-15)
     for s in step.inputs:
         s.expected = s.value_end  # as foreseen
-    assert step.error("step", passes=1) == 0.0
-    assert step.error("step", passes=2) == pytest.approx(2 / 3, rel=1e-15)
-
-
-def test_the_error_of_power_is_that_of_the_energy_which_held_inputs_make():
-    """The trapezoidal rule for effort and flow as the parts see them: h/2 (F1 v0 - F0 v1) in a step.
-
-    That by h/2 is relative to the largest effort times the largest flow.
-    """
-    effort, flow, rest = (0.3, 0.0, 0.5), (0.2, 0.0, -0.1), (0.0, 0.0, 0.0)
-    expected = (0.5 * 0.2 - 0.3 * -0.1) / (0.5 * 0.2)
-    step = Step([rest, flow, effort, (0.1, 0.0, 0.1), rest], bonds=[(3, 0), (2, 1), (0, 4)])
-    assert step.error("power") == pytest.approx(expected, rel=1e-15)  # rounding
-    for s in step.inputs:
-        s.expected = s.value_end
-    assert step.error("power", passes=1) == 0.0
-    assert step.error("power", passes=2) == pytest.approx(expected, rel=1e-15)
+    assert step.error(passes=1) == 0.0
+    assert step.error(passes=2) == pytest.approx(2 / 3, rel=1e-15)

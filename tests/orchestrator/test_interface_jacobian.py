@@ -10,10 +10,10 @@ from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_system import Linearisation
-from orchestrator.engine.masters import interface_jacobian_plan
 from orchestrator.engine.open_job import opened as opened_job
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.interface import read_interface
+from orchestrator.ssp.masters import interface_jacobian_plan
 
 
 def predicting(**choices):
@@ -46,13 +46,6 @@ def test_components_with_steps_of_their_own(open_oscillator, worst, factors):
     assert worst(follow(open_oscillator, step=1e-2, factors=factors)) < 3e-6
 
 
-def test_a_kept_linearisation_of_a_linear_system_is_as_good(open_oscillator):
-    """The linearisation of a linear system does not change; the drift is rounding."""
-    fresh, kept = (follow(open_oscillator, step=1e-2, stop=2.0, lag=lag).trace for lag in (1, 7))
-    # rounding of the drift, 1e-16 of accelerations around 1e5, in 200 undamped steps
-    np.testing.assert_allclose(kept["a.x"], fresh["a.x"], rtol=0, atol=1e-9)
-
-
 def test_inputs_that_move_at_lines_keep_the_order(fmus3, worst, order):
     """FMI 3.0 with rate inputs: the line with the same mean and moment keeps order four."""
     also = {m: [*STATES[m], RATES[m]] for m in ("mass_a", "mass_b")}
@@ -73,12 +66,11 @@ def test_adaptive_steps_keep_the_tolerance(open_oscillator, worst):
     assert worst(result) < 2e-5  # measured 5e-6: errors of all steps add up, and the estimate is rough
 
 
-@pytest.mark.parametrize("lag", [1, 3])
-def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
+def test_a_repeated_step_is_predicted_anew(open_oscillator):
     """A step that is computed three times with the same length has the same result."""
 
     def ends(rejected):
-        coupling = Coupling("interface-jacobian", adaptive=1e-3, lag=lag)
+        coupling = Coupling("interface-jacobian", adaptive=1e-3)
         job = Job(open_oscillator, None, coupling)
         sink = TraceInMemory()
         with opened_job(job, Grid(0.0, 0.5, 1, first=1e-2, free=True), sink) as opened:
@@ -101,7 +93,7 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
 
 @pytest.mark.parametrize(
     "choices",
-    [{}, {"lag": 5}, {"factors": {"b": 3}}, {"adaptive": 1e-5}, {"adaptive": 1e-4, "lag": 4}],
+    [{}, {"factors": {"b": 3}}, {"adaptive": 1e-5}],
     ids=str,
 )
 def test_fmus_called_by_c_and_by_python_give_the_same_numbers(open_oscillator, both, choices):
@@ -162,7 +154,7 @@ def test_states_are_read_from_the_model_structure(fmus, fmus3):
 def test_one_call_for_knowns_that_share_nothing(fmus, started, undeclared, calls):
     """x and v affect different unknowns, so one call gives both columns if dependencies are declared."""
     slave = started(telling(fmus, "mass_a", f"calls_{undeclared}", undeclared=undeclared))
-    tangent = Linearisation(slave, ["x2"], ["force"], np.zeros(2), np.zeros(2))
+    tangent = Linearisation(slave, ["x2"], ["force"], np.zeros(2))
     assert len(tangent.columns) == calls
     # x' = v, v' = -10 x + 100 (x2 - x), force = 100 (x2 - x): exact
     np.testing.assert_array_equal(tangent.matrix(), [[0, 1, 0], [-110, 0, 100], [-100, 0, 100]])

@@ -23,13 +23,8 @@ class Joined(JoinedSystem):
     def usable(self):
         return bool(self.state.system.usable)
 
-    def find_drift(self, last_step, age_seconds):
-        self.state.last_step, self.state.age_seconds = last_step, age_seconds
-        library().prediction_find_drift(byref(self.state))
-
-    def predict(self, h, age_seconds=0.0):
+    def predict(self, h):
         library().prediction_prepare(byref(self.state), c_double(h))
-        self.state.age_seconds = age_seconds
         library().prediction_solve(byref(self.state))
 
 
@@ -46,7 +41,7 @@ def random(n, m, seed, direct=True):
     return joined, (a + b @ k @ c, b @ k, k @ c, k)
 
 
-def exact(joined, matrices, h, q=None, since=0.0):
+def exact(joined, matrices, h):
     """The change of the inputs up to h/3, 2h/3 and h: states and powers of time as one linear system."""
     closed, push, told, k = matrices
     n, m = joined.n, joined.m
@@ -56,9 +51,6 @@ def exact(joined, matrices, h, q=None, since=0.0):
     for power in range(3):  # the columns behind f are for s, s^2 and s^3
         big[:n, n + 1 + power] = push @ course[power]
         big[n + 1 + power, n + power] = power + 1
-    if q is not None:
-        big[:n, n + 1] += since * q
-        big[:n, n + 2] += 0.5 * q
     found = []
     for s in (h / 3, 2 * h / 3, h):
         state = (expm(big * s) @ np.eye(n + 4)[n])[:n]
@@ -78,20 +70,6 @@ def test_the_prediction_converges_with_order_three(n, m, direct):
         errors.append(np.max(np.abs(joined.v[:, :m] - exact(joined, matrices, h))))
     # the local error of order three goes with h^4
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.3)
-
-
-def test_the_drift_is_the_error_of_the_linearisation():
-    """Rates that grow quadratically since the linearisation are extrapolated exactly."""
-    joined, matrices = random(4, 2, 1)
-    missed, last, since, h = np.array([3.0, -1.0, 0.5, 2.0]), 0.01, 0.03, 0.01
-    joined.join()
-    joined.f0[:], joined.f[:4] = joined.f, joined.f[:4] + missed * (since**2 - (since - last) ** 2) / 2
-    joined.find_drift(last, since)
-    # rounding
-    np.testing.assert_allclose(joined.q[:4], missed, rtol=1e-10)
-    joined.predict(h, since)
-    # the error of the method, measured 1.3e-9; a drift whose square is off by a fifth makes 5e-8
-    np.testing.assert_allclose(joined.v[:, :2], exact(joined, matrices, h, missed, since), rtol=0, atol=1e-8)
 
 
 def test_a_stiff_system_comes_to_rest():

@@ -12,7 +12,7 @@ from orchestrator import Result, System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.engine.result import BondEnergy, Card
-from orchestrator.results.layout import FigureSpec, Layout, MovingPoint, PanelSpec
+from orchestrator.results.layout import FigureSpec, Layout, PanelSpec
 from orchestrator.results.validate_system import card, describe, judge, parameters
 
 PROVENANCE = '[parameters.factor]\nvalue = 1.0\nunit = "1"\nsource = "assumed"\nnote = "a free choice"\n'
@@ -114,14 +114,13 @@ def test_the_card_in_the_report(oscillator):
     }
 
 
-def test_a_layout_gives_title_figures_and_motion(fmus, ramp, reference, tmp_path):
-    """Instead of the defaults, one figure per signal and no motion; a layout for another system is told."""
+def test_a_layout_gives_title_and_figures(fmus, ramp, reference, tmp_path):
+    """Instead of the defaults, one figure per signal; a layout for another system is told."""
     figures = (FigureSpec("Both", (PanelSpec("In", ("gain.u",)), PanelSpec("Out", ("gain.y",)))),)
-    layout = Layout(title="My gain", figures=figures, points=(MovingPoint("tip", "gain.y", 1.0),))
+    layout = Layout(title="My gain", figures=figures)
     _, data = judged(fmus["gain"], ramp, reference, tmp_path, layout)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert data["title"] == "My gain"
-    assert "motion-data" in page
     assert "Both" in page
     other = Layout(figures=(FigureSpec("F", (PanelSpec("a", ("gain.z",)),)),), source="my.toml")
     message = problem(lambda: judged(fmus["gain"], ramp, reference, tmp_path, other))

@@ -6,13 +6,13 @@ from kit.any_fmu.outcome import MASTERS
 from kit.mistakes import table
 from scipy.linalg import expm
 
-from orchestrator import Trace, assemble, run
+from orchestrator import Master, Problem, RunFailed, Trace, assemble, run
 from orchestrator.base.files import Location
-from orchestrator.engine.masters import gauss_seidel_order
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.dependencies import output_order
+from orchestrator.ssp.masters import gauss_seidel_order, gauss_seidel_plan
 from orchestrator.ssp.system import Component, Connection, Port, System
 
 RAMP = np.array([0.0, 1.0])  # in time and value
@@ -198,3 +198,85 @@ def test_parameters_of_the_run_do_not_leak_into_the_system(oscillator):
     )
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, plain)
+
+
+# ---- masters of one's own
+
+
+def stepping(components, time, length):
+    """All components step with the inputs that they have."""
+    for component in components.values():
+        component.step(time, length)
+
+
+def exchanging(components, time, length):
+    """Half a step, an exchange, and the other half."""
+    for start in (time, time + length / 2):
+        stepping(components, start, length / 2)
+        components.exchange(start + length / 2)
+
+
+def test_a_function_that_only_steps_is_jacobi(oscillators):
+    """Bit for bit: the engine exchanges as it does for its own master."""
+    own, ours = (
+        run(oscillators("held"), master=master, step=1e-2, stop=1.0)
+        for master in (Master("mine", step=stepping), "jacobi")
+    )
+    assert own.card.master == "mine"
+    for name, values in ours.trace.signals.items():
+        np.testing.assert_array_equal(own.trace[name], values)
+
+
+def test_an_exchange_within_a_function_is_that_of_the_engine(oscillators):
+    """Two half steps with an exchange between them are two steps of jacobi."""
+    halves = run(oscillators("held"), master=Master("halves", step=exchanging), step=1 / 64, stop=1.0)
+    whole = run(oscillators("held"), master="jacobi", step=1 / 128, stop=1.0)
+    for name, values in whole.trace.signals.items():
+        np.testing.assert_array_equal(halves.trace[name], values[::2])
+
+
+def test_a_plan_of_ones_own_runs_as_that_of_a_master(oscillators):
+    """With all options, and in C: the same bits."""
+    plan = Master("mine", plan=gauss_seidel_plan)
+    own, ours = (
+        run(oscillators(), master=master, order=2, step=1e-2, stop=1.0) for master in (plan, "gauss-seidel")
+    )
+    assert own.card.master == "mine of order 2"
+    for name, values in ours.trace.signals.items():
+        np.testing.assert_array_equal(own.trace[name], values)
+
+
+def test_an_error_in_a_function_ends_the_run_with_its_rows(oscillators):
+    """Three steps, and the message of the user."""
+
+    def failing(components, time, length):
+        if time > 0.025:
+            raise Problem(f"no step from {time:.2f} s")
+        stepping(components, time, length)
+
+    with pytest.raises(RunFailed, match=r"no step from 0\.03 s") as failed:
+        run(oscillators(), master=Master("failing", step=failing), step=1e-2, stop=1.0)
+    np.testing.assert_allclose(failed.value.result.trace.time, [0.0, 0.01, 0.02, 0.03], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"order": 1}, "order: expected a master with a plan, got mine, which takes the steps itself"),
+        ({"adaptive": 1e-3}, "adaptive: expected a master with a plan"),
+        ({"factors": {"a": 2}}, "factors: expected a master with a plan"),
+        ({"time_limit": 5.0}, "time_limit: expected a run in its own process"),
+    ],
+)
+def test_what_a_function_cannot_do_is_refused(oscillators, options, message):
+    """In one line that names the option."""
+    with pytest.raises(Problem, match=f"^{message}"):
+        run(oscillators(), master=Master("mine", step=stepping), stop=0.1, **options)
+
+
+def test_a_master_is_a_plan_or_a_function():
+    """Neither is refused, and so are both."""
+    with pytest.raises(Problem, match=r"mine: expected a function `plan` or a function `step`, got neither"):
+        Master("mine")
+    with pytest.raises(Problem, match=r"got both"):
+        Master("mine", plan=gauss_seidel_plan, step=stepping)

@@ -10,7 +10,7 @@ import pytest
 from kit.shards import thinned
 from scipy.linalg import expm
 
-from orchestrator import assemble, reference, run
+from orchestrator import Master, assemble, reference, run
 from orchestrator.monolithic.tight import BOUND, estimated_error
 from orchestrator.ssp.coupling import Coupling
 
@@ -42,12 +42,17 @@ def test_a_source_continued_at_order_n_gives_order_n_plus_one(oscillators, measu
     assert found == pytest.approx(n + 1, abs=NEAR)
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
-@pytest.mark.parametrize("master", BOTH)
-def test_the_correction_raises_the_order_by_one(oscillators, measured, master, n):
-    """The deficit of the mean is corrected one step later, so only its change remains."""
-    found = measured(oscillators(), Coupling(master, n, correct=True), MIDDLE if n == 2 else FINE)
-    assert found == pytest.approx(n + 2, abs=NEAR)
+def textbook(components, time, length):
+    """Each component steps with the newest outputs of those before it, which are held."""
+    for name, component in components.items():
+        component.step(time, length)
+        components.send(name)
+
+
+def test_a_textbook_master_in_python_has_order_one(oscillators, measured):
+    """Gauss-Seidel with held inputs."""
+    found = measured(oscillators("held"), Coupling(Master("textbook", step=textbook)), FINE)
+    assert found == pytest.approx(1, abs=NEAR)
 
 
 @pytest.mark.parametrize("passes", [1, 2, 40])

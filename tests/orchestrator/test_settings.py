@@ -6,14 +6,8 @@ from kit.mistakes import problem, table
 
 from orchestrator import Coupling, run
 from orchestrator.data.trace_writer import write_trace
-from orchestrator.engine.masters import MASTERS as MADE
 from orchestrator.engine.result import read_metadata, write_metadata
-from orchestrator.ssp.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
-
-
-def test_every_master_has_a_name_and_an_order():
-    """The table of names and that of plans have the same masters."""
-    assert set(MASTERS) == set(MADE) == set(DEFAULT_ORDERS)
+from orchestrator.ssp.coupling import merge_choices
 
 
 @table(__file__, "choices", "choices, message")
@@ -36,21 +30,19 @@ def test_the_text_tells_what_is_not_usual():
     """Only the name of the master if nothing else was chosen."""
     assert Coupling("hermite").text == "hermite"
     steps = {"a": 4, "b": 1, "c": 2}
-    more = Coupling("jacobi", 1, correct=True, factors=steps, adaptive=1e-3, control="energy")
-    assert more.text == (
-        "jacobi of order 1 with correction with control of the energy with 4 of a and 2 of c in each step"
-    )
+    more = Coupling("jacobi", 1, factors=steps, adaptive=1e-3)
+    assert more.text == "jacobi of order 1 with 4 of a and 2 of c in each step"
     assert Coupling("hermite", passes=1).text == "hermite in one pass"
     assert Coupling("hermite", passes=5).text == "hermite in up to 5 passes"
 
 
 def test_the_settings_are_those_with_an_effect():
     """Defaults filled in, so that a run can be repeated when defaults have changed."""
-    assert Coupling("jacobi").settings == {"master": "jacobi", "order": 0, "correct": False}
+    assert Coupling("jacobi").settings == {"master": "jacobi", "order": 0}
     assert Coupling("hermite", adaptive=1e-3).settings == {
-        **{"master": "hermite", "order": 3, "correct": False, "passes": 8},
+        **{"master": "hermite", "order": 3, "passes": 8},
         "tolerance": pytest.approx(3e-4, rel=1e-12),  # rounding only
-        **{"adaptive": 1e-3, "control": "error", "smallest": 1e-7, "largest": 0.1},
+        **{"adaptive": 1e-3, "smallest": 1e-7, "largest": 0.1},
     }
 
 

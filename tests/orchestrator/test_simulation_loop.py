@@ -65,12 +65,11 @@ KINDS = [("curves", 2, True), ("lines", 2, True), ("rates", 3, True), ("held", 3
 
 COUPLINGS = [
     *(Coupling(master, n) for master in ("jacobi", "gauss-seidel") for n in range(4)),
-    *(Coupling("jacobi", 1, correct=True), Coupling("gauss-seidel", correct=True)),
     Coupling("hermite", guard=0, passes=1),
     Coupling("hermite", guard=0, passes=2, tolerance=1e-14),
     Coupling("hermite", guard=0),
     Coupling("hermite", guard=0, factors={"a": 3, "b": 2}),
-    *(Coupling("jacobi", factors={"b": 7}), Coupling("gauss-seidel", 2, factors={"a": 2}, correct=True)),
+    *(Coupling("jacobi", factors={"b": 7}), Coupling("gauss-seidel", 2, factors={"a": 2})),
 ]
 
 
@@ -85,7 +84,7 @@ def test_equal_steps(alike, oscillators, master, kind):
 
 ADAPTIVE = [
     *(Coupling("jacobi", 2, adaptive=1e-5), Coupling("gauss-seidel", 1, adaptive=1e-4)),
-    *(Coupling("hermite", adaptive=1e-6), Coupling("jacobi", correct=True, adaptive=1e-3)),
+    *(Coupling("hermite", adaptive=1e-6), Coupling("jacobi", adaptive=1e-3)),
     Coupling("hermite", adaptive=1e-6, factors={"b": 3}),
 ]
 
@@ -101,11 +100,10 @@ def test_adaptive_steps(alike, oscillators, master, record_step, able):
     assert (result.card.repeated > 0) == (not able)
 
 
-@pytest.mark.parametrize("control", ["error", "energy"])
-def test_energy_of_bonds(alike, bounce, control):
-    """The energy error of the coupling is summed in the same order, and controls steps in the same way."""
+def test_energy_of_bonds(alike, bounce):
+    """The energy error of the coupling is summed in the same order."""
     fixed = alike(bounce(True), master=Coupling("gauss-seidel", 1), **STEPS)
-    free = alike(bounce(True), master=Coupling("hermite", 1, adaptive=1e-4, control=control), stop=1.0)
+    free = alike(bounce(True), master=Coupling("hermite", 1, adaptive=1e-4), stop=1.0)
     for result in (fixed, free):
         (bond,) = result.card.bonds
         assert bond.turnover > 0

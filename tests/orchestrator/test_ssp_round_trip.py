@@ -27,7 +27,7 @@ COUPLINGS = st.one_of(
         st.floats(1e-9, 1.0),
         st.integers(1, 9),
     ),
-    st.builds(lambda x: Coupling(adaptive=x, control="energy", correct=True), st.floats(1e-9, 1.0)),
+    st.builds(lambda x: Coupling(adaptive=x), st.floats(1e-9, 1.0)),
 )
 
 

@@ -83,7 +83,7 @@ def test_the_command_line_changes_single_settings(make, tmp_path, expected, opti
 
 def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
     """Like one that is given on the command line."""
-    path = make(annotated(coupling('adaptive="1e-2" smallest="1e-6" largest="0.05" control="error"')))
+    path = make(annotated(coupling('adaptive="1e-2" smallest="1e-6" largest="0.05"')))
     assert main(["run", str(path), "--out", str(tmp_path / "o.csv")]) == 0
     time = read_trace(tmp_path / "o.csv").time
     assert time[-1] == 0.1
@@ -91,12 +91,11 @@ def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
 
 
 def test_all_attributes_are_read(make):
-    """Floating-point numbers, integers, Booleans and text; those of other namespaces are passed over."""
-    many = 'master="gauss-seidel" order="2" correct="true" adaptive="1e-3" control="energy" largest="0.01"'
-    expected = Coupling("gauss-seidel", 2, correct=True, adaptive=1e-3, control="energy", largest=0.01)
+    """Floating-point numbers, integers and text; those of other namespaces are passed over."""
+    many = 'master="gauss-seidel" order="2" adaptive="1e-3" largest="0.01"'
+    expected = Coupling("gauss-seidel", 2, adaptive=1e-3, largest=0.01)
     for text, found in (
         (many, expected),
-        ('master="interface-jacobian" lag="3"', Coupling("interface-jacobian", lag=3)),
         ('xmlns:x="urn:x" x:note="mine" master="hermite"', Coupling("hermite")),
     ):
         assert load(make(annotated(coupling(text)))).coupling == found

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
@@ -21,7 +20,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_all_that_a_layout_holds(tmp_path: Path, trace: Trace) -> None:
-    """Title, figures with their panels, and motion come out as they were written."""
+    """Title and figures with their panels come out as they were written."""
     layout = read_layout(written(tmp_path, LAYOUT))
     panels = (
         PanelSpec("Angle", ("shaft.angle",)),
@@ -29,48 +28,27 @@ def test_all_that_a_layout_holds(tmp_path: Path, trace: Trace) -> None:
     )
     assert (layout.title, layout.figures) == ("Shaft", (FigureSpec("Turning", panels, "of the shaft"),))
     layout.check(trace)
-    motion = layout.motion(trace)
-    assert motion is not None
-    assert (motion.tip, motion.lines, motion.turning) == ("end", (("foot", "end"),), True)
-    radius, angle = trace["pump.command"], trace["shaft.angle"]
-    expected = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), np.ones(len(radius))))
-    np.testing.assert_array_equal(motion.points["end"], expected)
-    np.testing.assert_array_equal(motion.points["foot"], np.tile([0, 0, 0.5], (len(radius), 1)))
-
-
-def test_a_planar_machine_stays_in_its_plane(tmp_path: Path, trace: Trace) -> None:
-    """Without an angle the points keep y = 0, and no view from above is drawn."""
-    layout = read_layout(written(tmp_path, LAYOUT.replace('angle = "shaft.angle"\n', "", 1)))
-    motion = layout.motion(trace)
-    assert motion is not None
-    assert motion.views == ("side",)
-    assert not motion.points["end"][:, 1].any()
 
 
 def test_nothing_is_needed(tmp_path: Path, trace: Trace) -> None:
-    """An empty file is a layout; a reference without the signals that move the points gives no ghost."""
+    """An empty file is a layout."""
     layout = read_layout(written(tmp_path, ""))
     assert layout == Layout(source=layout.source)
-    assert (layout.title, layout.figures, layout.motion(trace)) == ("", (), None)
     layout.check(trace)
-    layout = read_layout(written(tmp_path, LAYOUT))
-    assert layout.motion(trace.select(["shaft.angle"])) is None
 
 
 def test_the_projects_own_layout_can_be_read() -> None:
-    """One figure per actuator with five rows, and a moving arm."""
+    """One figure per actuator with five rows."""
     layout = read_layout(data("reference/work_cycle.layout.toml"))
     assert [len(figure.panels) for figure in layout.figures] == [5, 5, 5]
-    assert [point.label for point in layout.points][-1] == layout.tip == "head"
 
 
 def test_what_a_run_lacks_can_be_left_out(tmp_path: Path, trace: Trace) -> None:
-    """Signals with their names, rows and figures without signals, and a motion that cannot be shown."""
+    """Signals with their names, rows and figures without signals."""
     layout = read_layout(written(tmp_path, LAYOUT))
     assert layout.within(trace) == layout
     kept = layout.within(trace.select(["pump.command"]))
     assert [f.panels for f in kept.figures] == [(PanelSpec("Pressures", ("pump.command",), ("u",)),)]
-    assert (kept.points, kept.angle) == ((), "")
     assert layout.within(trace.select([])).figures == ()
 
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from kit import shards
+from markupsafe import Markup
 
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.pages.figures import VENDOR
 from orchestrator.results.layout import FigureSpec, PanelSpec
-from orchestrator.results.motion import MachineMotion
 from orchestrator.results.validation import Validation, validate
 from orchestrator.results.validation_report import Report, ReportedComponent, ReportedParameter, write_report
 
@@ -50,8 +50,6 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def report(outcome: Validation, trace: Trace) -> Report:
     """A report with everything in it."""
-    tip = np.column_stack((np.cos(trace["shaft.angle"]), np.sin(trace["shaft.angle"]), trace.time * 0 + 1))
-    motion = MachineMotion(trace.time, {"foot": np.zeros_like(tip), "tip": tip})
     rows = PanelSpec("Command", ("pump.command",)), PanelSpec("Angle", ("shaft.angle",))
     pressure = (PanelSpec("Pressure", ("pump.pressure",)),)
     return Report(
@@ -65,8 +63,7 @@ def report(outcome: Validation, trace: Trace) -> Report:
             ReportedParameter("pump", "volume", 1.5e-3, "m3", "Dead volume", "assumed", changed=True),
         ),
         card={"real-time factor": np.float64(31.25), "energy residual [J]": {"shaft": 1e-3}, "order": None},
-        motion=motion,
-        ghost=motion,
+        machine=Markup("<p>machine</p>"),
         warnings=("pump: pressure above 300 bar at 1.2 s",),
     )
 
@@ -110,15 +107,6 @@ def test_shows_what_ran_and_how_well(page: str, report: Report) -> None:
     assert [one for one in expected if one.lower() not in text] == []
 
 
-def test_motion_is_data_for_the_script(page: str) -> None:
-    """The animation's frames are in the page as JSON: 2 s at 25 frames per second, machine and ghost."""
-    block = re.search(r'<script type="application/json" id="motion-data">(.*?)</script>', page, re.DOTALL)
-    assert block
-    data = json.loads(block[1])
-    assert len(data["views"]["side"]) == 2
-    assert len(data["views"]["side"][0]) == 51
-
-
 def test_json_has_the_same_numbers(report: Report, files: tuple[Path, Path]) -> None:
     """report.json holds the exact numbers of the comparison and everything that was handed in."""
     path = files[1]
@@ -157,7 +145,7 @@ def test_a_missed_limit_is_plain_to_see(
 
 
 def test_a_simulated_reference_is_told_as_one(page: str, report: Report, tmp_path: Path) -> None:
-    """What a pass means, only where the reference is a simulation; notes and warnings follow the motion."""
+    """What a pass means, only where the reference is a simulation; notes and warnings follow the machine."""
     line = "Reference: a simulation of the same equations."
     assert line not in page  # a measurement
     simulated = replace(report.validation, about={**report.validation.about, "kind": "simulation"})
@@ -171,7 +159,7 @@ def test_a_simulated_reference_is_told_as_one(page: str, report: Report, tmp_pat
 
 
 def test_least_report(outcome: Validation, tmp_path: Path) -> None:
-    """A comparison alone makes a report: no figures, motion, parameters or card are needed."""
+    """A comparison alone makes a report: no figures, machine, parameters or card are needed."""
     page = written(tmp_path, Report("Bare", outcome))
     assert "<code>shaft.<wbr>angle</code>" in page, "a name that may break after its dot"
     assert "<script" not in page
@@ -192,9 +180,7 @@ def test_stays_small_for_a_long_run(report: Report, tmp_path: Path) -> None:
         for n in range(3)
     ]
     outcome = replace(report.validation, rows=rows, window=(0.0, 60.0))
-    points = {f"p{k}": np.column_stack((t, noise[0], noise[1])) for k in range(6)}
-    motion = MachineMotion(t, points)
-    big = Report("Long", outcome, figures=specs, motion=motion, ghost=motion)
+    big = Report("Long", outcome, figures=specs)
     assert write_report(tmp_path / "report.html", big)[0].stat().st_size < 3e6
 
 
@@ -215,11 +201,3 @@ def test_no_column_is_cut_off_in_a_browser(report: Report, tmp_path: Path, chrom
         assert (max(page.evaluate(hidden)) <= 0) == fits
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.close()
-
-
-def test_data_cannot_end_the_script(report: Report, tmp_path: Path) -> None:
-    """A label with a closing tag in it stays data."""
-    motion = report.motion
-    assert motion is not None
-    odd = MachineMotion(motion.time, {"</script><b>": motion.points["tip"]})
-    assert "</script><b>" not in written(tmp_path, replace(report, motion=odd, ghost=None, figures=()))

@@ -1,6 +1,5 @@
 """The registry and what it prints; every combination of variants in the machine; Python FMUs among them."""
 
-import csv
 import itertools
 import shutil
 
@@ -10,9 +9,9 @@ from kit.any_fmu.edit import edited
 
 from fmus.machine.parts import FAMILIES
 from fmus.machine.tables import variant_names
+from fmus.machine.variant_costs import combinations
 from orchestrator import load
 from orchestrator.__main__ import main
-from orchestrator.studies.variants import combinations
 
 VARIANTS = {part: list(family) for part, family in FAMILIES.items()}
 WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
@@ -20,8 +19,8 @@ WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 
 def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsys, monkeypatch):
     """Every variant with its states and inputs, where it holds, and its cost beside the usual one's."""
-    monkeypatch.setattr("orchestrator.studies.variants.LENGTH", 0.02)
-    monkeypatch.setattr("orchestrator.studies.variants.REPEATS", 1)
+    monkeypatch.setattr("fmus.machine.variant_costs.LENGTH", 0.02)
+    monkeypatch.setattr("fmus.machine.variant_costs.REPEATS", 1)
     assert main(["variants", "--cost", str(fmu_dir / "harvester.ssp")]) == 0
     printed = capsys.readouterr().out
     indented = (line for line in printed.splitlines() if line.startswith("  ") and line[2] != " ")
@@ -44,10 +43,9 @@ def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, cap
     assert printed.endswith("on this computer: harvester variants --cost\n")
     assert main(["variants", "foo"]) == 2
     told = capsys.readouterr()
-    assert told == ("", "harvester: variants foo: a system is only read with --cost or --combinations\n")
-    for option in ("--cost", "--combinations"):
-        assert main(["variants", option]) == 2
-        assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
+    assert told == ("", "harvester: variants foo: a system is only read with --cost\n")
+    assert main(["variants", "--cost"]) == 2
+    assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
 
 
 def test_a_combination_that_does_not_start_is_a_row(fmu_dir, tmp_path):
@@ -106,44 +104,3 @@ def test_every_combination_runs_the_work_cycle(system):
         # load_sensing: a fifth of the pressure drop at the valves, slower; compensated: another circuit
         if row.variants["supply"] != "load_sensing" and "compensated" not in drives:
             assert row.change < 0.1, row.variants  # another fidelity, not another machine
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """Two combinations of one part, over a tenth of a second."""
-    family = {"swing": {"lumped": 0, "quasistatic": 0}}
-    monkeypatch.setattr("fmus.machine.parts.FAMILIES", family)
-    monkeypatch.setattr("orchestrator.studies.variants.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
-    return list(family["swing"])
-
-
-def test_the_table_is_written(fmu_dir, tmp_path, capsys, few):
-    """One row for each combination, on paper and in the file; here of few."""
-    out = tmp_path / "new" / "table.csv"
-    assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 0
-    printed = capsys.readouterr().out
-    with out.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["swing"] for row in rows] == few
-    assert all(row["reached [s]"] == "0.1" and row["failure"] == "" for row in rows)
-    numbers = [name for name in rows[0] if name not in ("swing", "failure")]
-    assert all(float(row[name]) >= 0 for row in rows for name in numbers)  # plain, units in the header
-    assert float(rows[0]["change [1]"]) == 0
-    assert "1/2 lumped" in printed
-    assert "us per ms is the time in the steps of all FMUs, calls from Python included" in printed
-    assert all(variant in printed for variant in few)
-
-
-@pytest.mark.usefixtures("few")
-def test_an_interrupt_tells_where_the_table_is(fmu_dir, tmp_path, capsys, monkeypatch):
-    """Exit status 130; the rows so far are in the file."""
-
-    def interrupted(*arguments, **options):
-        yield next(combinations(*arguments, **options))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("orchestrator.studies.variants.combinations", interrupted)
-    out = tmp_path / "table.csv"
-    assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 130
-    assert f"\n1 of 2 combinations, in {out}\n" in capsys.readouterr().out
-    assert len(out.read_text(encoding="utf-8").splitlines()) == 2

@@ -25,7 +25,6 @@ from orchestrator.view.live import Pages
 from orchestrator.view.server import application
 from orchestrator.view.server_load import TimedConnection
 from orchestrator.view.session import columns
-from orchestrator.view.training import Training
 
 # how the harvester is driven, as its own description says
 DESCRIPTION = read_dataclass(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
@@ -44,14 +43,11 @@ class StandIn:
     axes: tuple[str, ...] = LEVERS
     signals: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
-    drives: bool = True
     commands: list[dict[str, float]] = field(default_factory=list)
     frames: list[tuple[float, list[float]]] = field(default_factory=list)
     still: dict[str, float] = field(default_factory=dict)
     state: str = "running"
     number: int = 0
-    exchanges: int = 0
-    factor: float = 1.0
 
     def command(self, values: Mapping[str, float]) -> None:
         self.commands.append(dict(values))
@@ -77,19 +73,19 @@ class StandIn:
         return numbers, np.array([t for t, _ in part]), np.zeros((len(part), len(self.axes))), values
 
 
-def pages(machine: StandIn, authority: ControlAuthority, training: Training | None = None) -> Pages:
+def pages(machine: StandIn, authority: ControlAuthority) -> Pages:
     """The pages of a machine without a scene."""
     plan = SimpleNamespace(description=DESCRIPTION, parameters=None)
     session = SimpleNamespace(
         machine=machine,
         columns=columns(machine),
         plan=plan,
-        span=None,
+        starts=0,
+        factor=1.0,
         title="",
         folders=(),
-        before=lambda _: None,
     )
-    return Pages(session, authority, training or Training(machine, lambda: DESCRIPTION.task))
+    return Pages(session, authority)
 
 
 @dataclass

@@ -445,10 +445,10 @@ def test_task_in_a_line(page: Any) -> None:
 
 def test_speed_is_that_of_the_machine(page: Any, server: Server) -> None:
     """What another page has chosen is shown here, too."""
-    server.session.machine.speed(0.5)
+    server.session.speed(0.5)
     page.wait_for_function("() => document.querySelector('.hm-speed').value === '0.5'")
     page.get_by_role("combobox", name="Speed").select_option("1")
-    assert until(lambda: server.session.machine.factor == 1.0)
+    assert until(lambda: server.session.factor == 1.0)
 
 
 def test_pose_and_fidelity(page: Any, server: Server) -> None:
@@ -464,38 +464,26 @@ def test_pose_and_fidelity(page: Any, server: Server) -> None:
     page.wait_for_function("() => document.querySelector('.hm-panel').innerText.includes('Head, sideways')")
 
 
-def test_replay(page: Any, server: Server) -> None:
-    """A result file is played and cannot be driven; from there it goes back to the live machine."""
-    page.get_by_role("button", name="Replay").click()
-    page.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
-    assert until(lambda: server.session.file)
-    page.wait_for_function("() => document.querySelector('.hm-mode').innerText.includes('rising.csv')")
-    assert until(lambda: angle(server, "boom") > 0.3)
-    server.session.machine.pause()  # a click may take longer than the file
-    slider = page.get_by_role("slider", name="Time")
-    page.evaluate("""() => { const { source } = document.querySelector('.harvester-machine').machine;
-      source.begin = () => { throw new Error('the same description was sent again'); }; }""")
+def test_replay(own: Any) -> None:
+    """A result file is played by the page itself; from there it goes back to the live machine."""
+    own.get_by_role("button", name="Replay").click()
+    own.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
+    own.wait_for_function("() => document.title === 'Replay: rising.csv'")
+    time = "document.querySelector('.harvester-machine').machine.source.time"
+    own.wait_for_function(f"() => {time} > 0.5")
+    own.locator(".hm-pause").click()
+    slider = own.get_by_role("slider", name="Time")
     slider.click(position={"x": 0.1 * slider.bounding_box()["width"], "y": 8})
-    assert until(lambda: angle(server, "boom") < 0.3)
-    page.wait_for_function("() => document.querySelector('.harvester-machine').machine.source.time < 1")
-    page.evaluate("() => delete document.querySelector('.harvester-machine').machine.source.begin")
-    assert page.complaints == []
-    server.session.machine.play()
-    assert comes_to(server, "ended")
-    page.get_by_text("end of the replay: press P to repeat it").wait_for()
-    assert not server.session.machine.drives
-    page.get_by_role("button", name="Live machine").click()
-    assert until(lambda: server.session.machine.drives)
+    own.wait_for_function(f"() => {time} < 1")
+    assert own.complaints == []
+    own.get_by_role("button", name="Live machine").click()
+    own.get_by_role("button", name="Take controls").wait_for()
 
 
-def test_a_dialog_says_what_was_wrong(page: Any, server: Server) -> None:
-    """A file that is gone by now is refused in the dialog, which stays."""
-    page.get_by_role("button", name="Replay").click()
-    page.get_by_role("combobox", name="File").wait_for()
-    page.evaluate("document.querySelector('dialog[open] option').value = 'gone.csv'")
-    page.locator("dialog").get_by_role("button", name="Replay", exact=True).click()
-    page.locator("dialog[open]").get_by_role("alert").get_by_text("gone.csv").wait_for()
-    assert not server.session.file
+def test_a_replay_says_what_was_wrong(own: Any, server: Server) -> None:
+    """A file that is not there is one line."""
+    own.goto(f"{server.url}?replay=gone.csv")
+    own.get_by_role("alert").get_by_text("gone.csv").wait_for()
 
 
 def test_save(page: Any, tmp_path: Path) -> None:

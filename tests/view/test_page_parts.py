@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from kit.mistakes import problem
+from view.standin import StandIn
 
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
@@ -22,7 +23,6 @@ from orchestrator.drive import page
 from orchestrator.drive import view_description as described
 from orchestrator.drive.sticks import modes
 from orchestrator.drive.view_description import Slider, by_bare_name, view_description
-from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.ssp.load import assemble, load
 from orchestrator.ssp.system import System
@@ -33,7 +33,6 @@ from orchestrator.view.live import (
     BIN,
     LOST,
     WINDOW,
-    Broadcast,
     Credit,
     History,
     chosen,
@@ -42,7 +41,6 @@ from orchestrator.view.live import (
 )
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, columns
-from orchestrator.view.training import Training
 
 
 @given(
@@ -285,9 +283,11 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
     (tmp_path / "torn.parquet").write_bytes(b"PAR1")
     (tmp_path / "text.csv").write_bytes(b"\xff")
     (tmp_path / "cut.csv").write_text("time,boom_angle\nno number")
-    replay = Replay(Trace(np.arange(2.0), still))
-    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), [tmp_path], lambda _: replay)
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), [tmp_path], lambda _: StandIn())
     assert session.files() == ["a.csv", "b.parquet", "cut.csv"]
+    data = session.recording("b.parquet")
+    assert (data["title"], data["replay"]["columns"]) == ("Replay: b.parquet", {"boom_angle": [0.0] * 26})
+    assert "expected a path in the folder" in problem(lambda: session.recording("../a.csv"))
 
 
 def test_another_machine_is_not_replayed(bench: System, tmp_path: Path) -> None:
@@ -296,38 +296,11 @@ def test_another_machine_is_not_replayed(bench: System, tmp_path: Path) -> None:
     shown = [name.rpartition(".")[2] for name in plan(MachineChoice(path)).setup.signals]
     for file, names in (("few.csv", shown[:3]), ("half.csv", shown[: (len(shown) + 1) // 2])):
         write_trace(Trace(np.arange(2.0), {f"x.{n}": np.zeros(2) for n in names}), tmp_path / file)
-    replay = Replay(Trace(np.arange(2.0), {}))
-    session = Session(MachineChoice(path), [tmp_path], lambda _: replay)
+    session = Session(MachineChoice(path), [tmp_path], lambda _: StandIn())
     assert session.files() == ["half.csv"]
     assert f"expected {(len(shown) + 1) // 2} or more signals such as swing." in problem(
-        lambda: session.replay("few.csv")
+        lambda: session.recording("few.csv")
     )
-
-
-def test_replay_tells_what_it_knows() -> None:
-    """Of a file, signals are found by their bare names; a joint that is not in it stands where it began."""
-    trace = Trace(np.array([0.0, 1.0]), {"manipulator.boom_angle": np.array([0.3, 0.3])})
-    machine = Replay(trace)
-    found = columns(machine)
-    assert machine.latest().values[found["boom_angle"]] == 0.3
-    assert "stick_angle" not in found
-
-
-def test_charts_of_a_replay(fmu_dir: Path) -> None:
-    """After a jump the charts show what the file has before that time."""
-    times = np.linspace(0, 60, 6001)
-    signals = {"manipulator.boom_angle": 0.2 + 0 * times, "swing.swing_speed": times}
-    replay = Replay(Trace(times, signals), playing=False)
-    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), (), lambda _: replay)
-    session._show(replay, "file")
-    broadcast = Broadcast(session, Training(session.machine, lambda: session.plan.description.task))
-    session.seek(50.0)
-    broadcast.look()
-    at = broadcast.history.names.index("swing_speed")
-    shown = {number: (first[at], second[at]) for number, first, second in broadcast.history.since(-1)}
-    # bins of 0.2 s, of which the first begins 20 s before
-    assert set(shown) == set(range(150, 251))
-    assert shown[200] == pytest.approx((40.0, 40.19))
 
 
 def test_port_in_use() -> None:

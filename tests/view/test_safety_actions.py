@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import httpx
 import pytest
-from view.standin import DESCRIPTION, LEVERS, SILENCE_LIMIT, TIMEOUT, StandIn, pages
+from view.standin import DESCRIPTION, SILENCE_LIMIT, TIMEOUT, StandIn, pages
 
 from orchestrator.base.errors import Problem
 from orchestrator.view import live
@@ -38,8 +38,8 @@ class Room:
         )
         self.pages: Any = pages(self.machine, self.authority)
         for owner, names in (
-            (self.machine, "play pause speed"),
-            (self.pages.session, "again back replay start"),
+            (self.machine, "play pause"),
+            (self.pages.session, "again speed start"),
         ):
             for name in names.split():
                 setattr(owner, name, partial(self._note, name))
@@ -75,7 +75,7 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Room:
     return found
 
 
-ENDS = {"again": {}, "back": {}, "replay": {"file": "run.csv"}, "start": {"system": "other.ssp"}}
+ENDS = {"again": {}, "start": {"system": "other.ssp"}}
 CHANGES: dict[str, dict[str, object]] = {"speed": {"factor": 2.0}, **ENDS}
 
 
@@ -114,14 +114,14 @@ def test_going_on_and_another_speed_need_the_dead_man_anew(room: Room, do: str) 
 
 @pytest.mark.parametrize("do", ENDS)
 def test_another_machine_takes_the_controls(room: Room, do: str) -> None:
-    """After a restart, a replay or a start nobody drives, so nothing moves by itself."""
+    """After a restart or a start nobody drives, so nothing moves by itself."""
     room.ask(room.driver, do, **ENDS[do])
     assert room.done == [do]
     room.say()
     assert (room.machine.moving, room.role()) == (False, "free")
 
 
-def test_the_end_of_a_replay_is_played_again_without_a_driver(room: Room) -> None:
+def test_a_machine_that_has_ended_starts_without_a_driver(room: Room) -> None:
     """Play starts what has ended or failed from the beginning."""
     room.machine.state = "ended"
     room.ask(room.driver, "toggle")
@@ -165,21 +165,6 @@ def test_actions_count_for_the_limit_of_messages(room: Room) -> None:
     heard = ran(flood())
     assert 0 < sum(heard) < PATIENT
     assert room.watcher.station.counts["flood"] == 2 * PATIENT - sum(heard)
-
-
-def test_a_hidden_task_drops_its_load(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The load that the task has put into the head goes with the driver's panel, not with another one."""
-    room.machine.axes = (*LEVERS, "manipulator.payload_mass")
-    training = room.driver.training
-    monkeypatch.setattr(training, "loads", lambda: {"payload_mass": 200.0} if training.shown else {})
-    for value in (True, False):
-        room.ask(room.watcher, "task", what="show", value=value)
-        room.say()
-        assert "manipulator.payload_mass" not in room.machine.commands[-1]
-    for page, value in ((room.watcher, True), (room.driver, True), (room.driver, False)):
-        room.ask(page, "task", what="show", value=value)
-    room.say()
-    assert room.machine.commands[-1]["manipulator.payload_mass"] == 0.0
 
 
 def test_the_end_of_the_server_is_rest(room: Room) -> None:

@@ -12,8 +12,7 @@ from orchestrator.view.authority import AGAIN, HOLD, SLIDE, ControlAuthority, Op
 class Desk:
     """An authority, its machine, and pages that send."""
 
-    def __init__(self, **loads: float) -> None:
-        """loads: of the training task."""
+    def __init__(self) -> None:
         self.now, self.machine, self.numbers = 100.0, StandIn(), dict[OperatorStation, int]()
         self.authority = ControlAuthority(
             self.machine,
@@ -21,7 +20,6 @@ class Desk:
             timeout=0.25,
             silence_limit=1.0,
             clock=lambda: self.now,
-            loads=lambda: loads,
         )
         self.status, self.take = self.authority.status, self.authority.take
 
@@ -262,25 +260,6 @@ def test_a_slider_has_ends(desk: Desk) -> None:
         assert desk.machine.commands[-1] == {"manipulator.payload_mass": kept}
 
 
-def test_load_of_the_task() -> None:
-    """The head has it while the driver's page shows the task, with the sticks at rest, too; other pages and
-    an empty seat change nothing."""
-    desk = Desk(payload_mass=200.0)
-    desk.machine.axes = (*LEVERS, "manipulator.payload_mass")
-    watcher, station = desk.page(), desk.driver()
-    watcher.tasked = True
-    assert desk.hold(station)
-    assert "manipulator.payload_mass" not in desk.machine.commands[-1]
-    station.tasked = True
-    assert desk.hold(station)
-    assert desk.machine.commands[-1]["manipulator.payload_mass"] == 200.0
-    desk.say(station, dead_man=False)
-    assert desk.machine.commands[-1] == {"manipulator.payload_mass": 200.0}
-    desk.authority.release(station)
-    desk.authority.choose(station, "SAE")
-    assert desk.machine.commands[-1] == {}
-
-
 def test_machine_without_sticks() -> None:
     """Its inputs are set by sliders alone; sticks are a fault, and the page says what to do."""
     desk = Desk()
@@ -351,14 +330,6 @@ def test_an_input_that_rests_elsewhere(desk: Desk) -> None:
     desk.machine.axes = (*LEVERS, "supply_pressure")
     desk.machine.still = {"supply_pressure": 20e6}
     assert desk.hold_anew(desk.driver())
-
-
-def test_replay(desk: Desk) -> None:
-    """What cannot be driven gives nobody the controls."""
-    desk.machine.drives = False
-    station = desk.page()
-    assert not desk.take(station)
-    assert desk.status(station).why == "a replay cannot be driven"
 
 
 @pytest.mark.parametrize("error", [Problem("machine: no such axis"), OSError("gone")])

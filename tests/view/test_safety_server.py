@@ -89,13 +89,10 @@ WRONG = {
 }
 ACTIONS = (
     '{"do":"shown","number":1e999}',
-    '{"do":"seek","t":null}',
     '{"do":"set","name":[],"value":{}}',
     '{"do":"start","system":"/etc/passwd","pose":1,"swap":[]}',
-    '{"do":"replay","file":"../../etc/passwd.csv"}',
     '{"do":"speed","factor":"fast"}',
     '{"do":"choose","pattern":{}}',
-    '{"do":"task","what":[],"value":[]}',
 )
 
 

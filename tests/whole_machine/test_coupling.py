@@ -125,7 +125,8 @@ def test_one_pass_without_rollback_holds_where_held_inputs_diverge(system):
     found = validate(result.trace, REFERENCE, rate=False)
     assert worst(found, "speed") < 5e-3
     assert worst(found, "pressure") < 5e-3
-    with pytest.raises(RunFailed, match=r"stick_angle .* is violated"):
+    # arm and cylinder find it in the same step, and with threads either may be the first
+    with pytest.raises(RunFailed, match=r"stick_(angle .*|position\") is violated"):
         outcome(without_rates(stuck), "jacobi", 5e-3)
 
 
@@ -144,7 +145,7 @@ def test_adaptive_steps_keep_the_tolerance_over_the_whole_work_cycle(system, tol
 ORDERS = [Coupling(m, n) for m in ("jacobi", "gauss-seidel") for n in (0, 1, 2, 3)]
 # every master, and every order with one of the two that know orders: a run starts in longer than it steps
 FEW = [
-    *(ORDERS[0], ORDERS[3], ORDERS[5], ORDERS[6], Coupling("jacobi", 1, correct=True)),
+    *(ORDERS[0], ORDERS[3], ORDERS[5], ORDERS[6]),
     *(Coupling("hermite"), Coupling("hermite", passes=1), Coupling("interface-jacobian")),
     Coupling("hermite", factors={"boom_stick": 2, "swing": 3}),
 ]
@@ -171,17 +172,17 @@ def test_both_ways_to_call_fmus_give_the_same_bits(system, coupling):
     same(system, scenario=data("scenarios/work_cycle.csv"), master=coupling, **MOVING)
 
 
-@pytest.mark.parametrize("coupling", FEW[1:9:3], ids=lambda c: c.text)
+@pytest.mark.parametrize("coupling", FEW[1:8:3], ids=lambda c: c.text)
 def test_both_ways_to_call_fmus_give_the_same_bits_with_fmi_3(fmi3_dir, coupling):
     """Led by the levers, whose ramps have corners; inputs move at rate inputs."""
     same(load(fmi3_dir / "harvester.ssp"), master=coupling, **MOVING)
 
 
-@pytest.mark.parametrize(("folder", "control"), [("fmu_dir", "error"), ("fmi3_dir", "energy")])
-def test_both_ways_to_call_fmus_take_the_same_adaptive_steps(request, folder, control):
+@pytest.mark.parametrize("folder", ["fmu_dir", "fmi3_dir"])
+def test_both_ways_to_call_fmus_take_the_same_adaptive_steps(request, folder):
     """All of one length and one error, and the same ones are repeated."""
     machine = load(request.getfixturevalue(folder) / "harvester.ssp")
-    coupling = Coupling("hermite", adaptive=1e-4, control=control)
+    coupling = Coupling("hermite", adaptive=1e-4)
     same(machine, scenario=data("scenarios/work_cycle.csv"), master=coupling, stop=3.0)
 
 

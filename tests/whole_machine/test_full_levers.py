@@ -196,7 +196,7 @@ def test_the_live_machine_says_it_while_it_lasts(today, tmp_path):
         assert not live.unreliable
         for n in range(60):
             live.advance(min(n / 25, 1.0) * full)
-        assert live.unreliable.startswith("energy error of the coupling above 5% of what supply - swing")
+        assert live.unreliable.startswith("energy error of the coupling above 5% of what boom_stick - supply")
         for n in range(600):
             live.advance(max(1.0 - n / 25, 0.0) * full + rest)
         assert not live.unreliable

@@ -19,9 +19,6 @@ def run(trial: Trial) -> Iterator[Remark]:
     FMI-LS-REF does not define which of the two a result file contains.
     """
     job = trial.payload
-    if trial.kind == "ModelExchange":
-        trial.result = {"times": job["times"], "before": _by_cvode(trial, job), "after": []}
-        return
     simulation = Simulation(trial, start=job["start"], stop=job["stop"], step=job["step"])
     instance, variables = simulation.instance, trial.description.by_name
     job = {**job, "input_rows": np.array(job["input_rows"])}
@@ -92,35 +89,3 @@ def _set_parameters(simulation: Simulation, values: dict[str, Any]) -> None:
             instance.call("SetString", *instance.references([v.reference]), *instance.values(text, 1))
         else:
             simulation.values([v]).set(value)
-
-
-def _by_cvode(trial: Trial, job: Any) -> list[list[float]]:
-    """Outputs in Model Exchange, which needs an accurate solver: CVODE of FMPy."""
-    import fmpy
-
-    def report_progress(*_: Any) -> bool:
-        trial.activity.call("a simulation with CVODE")
-        return True
-
-    stimuli = None
-    if job["inputs"]:
-        stimuli = np.zeros(len(job["input_times"]), [("time", float), *((n, float) for n in job["inputs"])])
-        stimuli["time"] = job["input_times"]
-        for name, column in zip(job["inputs"], np.transpose(job["input_rows"]), strict=True):
-            stimuli[name] = column
-    result = fmpy.simulate_fmu(
-        str(trial.folder),
-        validate=False,
-        fmi_type="ModelExchange",
-        start_time=job["start"],
-        stop_time=job["stop"],
-        output_interval=job["step"],
-        relative_tolerance=min(job["tolerance"] or 1e-6, 1e-6),
-        start_values={n: v if isinstance(v, str) else v[0] for n, v in job["parameters"].items()},
-        input=stimuli,
-        output=job["signals"],
-        step_finished=report_progress,
-    )
-    columns = [np.interp(job["times"], result["time"], result[name]) for name in job["signals"]]
-    rows: list[list[float]] = np.column_stack(columns).tolist()
-    return rows

@@ -6,15 +6,12 @@ export class Dialogs {
   constructor(page, place) {
     [this.page, this.source] = [page, page.source];
     const button = (textContent, title, act) => make("button", { type: "button", textContent, title, onclick: act });
-    this.live = button("Live machine", "Back to the live machine", () => this.source.do("back"));
     place.append(
       button("Machine", "System, pose and fidelity", () => this.source.do("machines")),
       button("Replay", "Replay a result file", () => this.source.do("files")),
-      this.live,
     );
     this.source.onanswer = (answer) => this.answer(answer);
     page.onlost = () => this.window?.open && this.refuse("no connection");
-    setInterval(() => (this.live.hidden = !this.source.span), 250);
   }
 
   answer(answer) {
@@ -67,7 +64,7 @@ export class Dialogs {
   files({ files, folders }) {
     if (files.length) {
       const fields = { File: [Object.fromEntries(files.map((name) => [name, name])), files[0]] };
-      return this.open("Replay a result file", "Replay", fields, ({ File }) => this.source.do("replay", { file: File }));
+      return this.open("Replay a result file", "Replay", fields, ({ File }) => location.assign(`/?replay=${encodeURIComponent(File)}`));
     }
     const text = `No .csv or .parquet file with signals of this machine in ${folders.join(", ") || "none"}`;
     this.open("Replay a result file", "", {}).querySelector(".hm-heading").after(make("p", { textContent: text }));

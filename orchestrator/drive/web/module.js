@@ -162,7 +162,7 @@ export class ModuleSource {
 
   // what the task holds in the head, when that changes: the slider moves it, too
   carry() {
-    const load = this.task.open ? this.task.status().load : 0;
+    const { load } = this.task;
     if (load === this.carried) return;
     this.carried = load;
     this.set(this.data.task.load, load);

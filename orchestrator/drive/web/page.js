@@ -22,7 +22,7 @@ const KEPT = 60000; // ms that the name of a file stays
 const REST = [0, 0, 0, 0];
 const TITLES = { program: "demonstration", drive: "you drive", replay: "replay of the run" };
 const STANDING = { // banner for each state in which a shared machine does not move
-  starting: "starting", paused: "paused: press P to continue", ended: "end of the replay: press P to repeat it",
+  starting: "starting", paused: "paused: press P to continue",
   failed: "press Home to start again",
 };
 const TOUCH = [ // words about keys, and those for fingers
@@ -53,7 +53,7 @@ export class Page {
     this.onlost = () => {}; // of a dialog that waits for an answer
     [this.refused, this.said, this.jumped, this.slowed] = [-Infinity, 0, -1, false];
     for (const one of root.querySelectorAll(this.shared ? ".hm-own" : ".hm-shared")) one.hidden = true;
-    root.classList.toggle("hm-full", this.shared);
+    root.classList.toggle("hm-full", this.shared || Boolean(data.alone));
     this.levers = new Levers(root.querySelectorAll(".hm-stick"), this.shared, () => this.drives, () => this.pressed(), () => this.focus());
     this.controls();
     if (this.shared) this.connect(sources.live);
@@ -74,7 +74,7 @@ export class Page {
     this.charts = new Charts(this.at("charts"), data.charts, names);
     const driven = this.sources.drive ?? this.sources.live;
     this.sliders = driven && new Sliders(this.at("sliders"), driven.sliders, (name, value) => this.slide(name, value), (name) => driven.input(name));
-    const scored = driven && data.scene && data.task.needed.length && data.task.needed.every((name) => names.has(name));
+    const scored = (driven ?? this.sources.replay).task && data.scene && data.task.needed.length && data.task.needed.every((name) => names.has(name));
     this.at("training").hidden = !scored;
     if (scored && JSON.stringify(data.task) !== JSON.stringify(this.task?.rules)) this.task = new TaskPanel(this.at("task"), data.task, (what, value) => this.asked(what, value));
     this.jumped = -1;
@@ -123,7 +123,6 @@ export class Page {
     source.onhello = () => {
       this.fit(source.data, source.names);
       document.title = source.data.title;
-      if (this.task?.open) this.asked("show", true); // a new connection does not know
       this.ready();
     };
     source.onframe = () => this.present();
@@ -202,7 +201,7 @@ export class Page {
 
   // the page does not drive: the button that is missing shows itself
   refuse() {
-    if (!this.source.alive || !this.source.drives) return;
+    if (!this.source.alive) return;
     this.refused = performance.now();
     if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
     this.at("take").animate([{ opacity: 1 }, { opacity: 0.15 }, { opacity: 1 }], { duration: 300, iterations: 3 });
@@ -242,13 +241,13 @@ export class Page {
 
   // of the training task
   asked(what, value) {
-    if (this.shared) return this.source.do("task", { what, value });
-    const { task } = this.sources.drive;
-    if (what === "show") [task.show(value), this.mode === "drive" || this.choose("drive")];
+    const source = this.sources.drive ?? this.source;
+    const { task } = source;
+    if (what === "show") [task.show(value), this.sources.drive && this.mode !== "drive" && this.choose("drive")];
     if (what === "choose") task.choose(value);
     if (what === "again") task.again();
     if (what === "write") download("training.csv", task.csv());
-    this.sources.drive.carry();
+    source.carry();
   }
 
   // ---- sources of this browser
@@ -293,7 +292,7 @@ export class Page {
   seek(share) {
     const [first, last] = this.source.span;
     this.source.seek(first + share * (last - first));
-    if (!this.shared) this.present(true);
+    this.present(true);
   }
 
   run(on) {
@@ -385,7 +384,7 @@ export class Page {
     if (!alive) return "no connection";
     const refused = performance.now() - this.refused < TOLD;
     if (status.role === "watching") return `another page drives${refused ? ': press "Request controls"' : ""}`;
-    if (status.role === "free" && refused && status.drives) return 'press "Take controls" first';
+    if (status.role === "free" && refused) return 'press "Take controls" first';
     if (status.role === "free") return lost ? "the connection was lost: take the controls again" : status.why;
     if (status.mode && !touched() && elsewhere(document.activeElement)) return "Esc: back to the sticks";
     if (late) return "too slow: release Space, then hold it again";
@@ -397,7 +396,7 @@ export class Page {
     if (status.role === "driving" && this.role !== "driving") [this.levers.letGo(), this.focus()];
     this.role = status.role;
     write(this.at("take"), TAKE[status.role]);
-    this.at("take").disabled = !alive || !status.drives || !(status.modes.length || this.source.data?.inputs.length);
+    this.at("take").disabled = !alive || !(status.modes.length || this.source.data?.inputs.length);
     write(this.at("asked"), status.asked && status.role === "driving" ? "another page requests the controls" : "");
     if (this.sliders) this.sliders.disabled = !driving;
     if (this.source.data) this.choices();
@@ -458,7 +457,7 @@ export class Page {
     this.sliders?.show();
     this.choices();
     if (!this.shared) this.levers.show(this.mode === "drive" ? this.levers.last.sticks : REST, false);
-    const status = this.shared ? source.info.task : this.sources.drive?.task.status();
+    const status = (this.sources.drive ?? source).task?.status();
     this.task?.show(status);
     this.scene?.mark(this.task?.open && status ? rings(this.data.task, status) : []);
     this.times();
@@ -479,7 +478,6 @@ export class Page {
     const goes = ["running", "starting"].includes(this.shared ? source.state : state);
     write(this.at("pause"), goes ? "Pause" : this.began || this.shared ? "Go on" : "Start");
     if (!this.shared) this.at("save").disabled = this.mode === "replay" || !source.simulation.frames;
-    if (this.shared) this.at("time").hidden = !source.span;
     if (this.shared && document.activeElement !== this.at("speed")) this.at("speed").value = String(source.info.factor ?? 1);
     if (source.span && !this.at("seek").matches(":active")) this.at("seek").value = (source.time - source.span[0]) / (source.span[1] - source.span[0]);
   }

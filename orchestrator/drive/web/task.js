@@ -1,11 +1,28 @@
-// The training task: progress and score of a run in this browser, by the rules and definitions of score.py, and the
-// panel that shows them or those of a server.
+// The training task: progress and score of an attempt, from the samples that this page sees, and the panel that shows them.
+//
+// Progress: ready -> moving -> holding -> moving -> ... -> done. The clock starts when the tip has moved by `start` from
+// its first position. A target is done when the tip has been within `radius` of it and slower than `slow` for `hold`
+// without interruption. From then to the next one the machine carries the load of the target.
+//
+// Score, from the start of the clock to the end of the attempt; integrals by the trapezoidal rule:
+//
+//   cycle_time     s   to the last target done                     reach_time   s   to the first target entered
+//   path_length    m   path of the tip, sum of the distances between samples, as the tip distance of Polowy and
+//                      Rutkowski, Forests 15:1277, 2024
+//   simultaneous   1   share of time with two or more functions moving (faster than MOVING)
+//   functions      1   mean number of moving functions while any moves
+//   energy         J   supply pressure times supply flow           peak_pressure   Pa   of the lines
+//   smoothness     1   spectral arc length of the speed of the tip
+//
+// The speed of the tip is the norm of its velocities and of the turning speed times the distance from the axis.
 import { make, write } from "drive/panels.js";
 
-const RATE = 50; // Hz; sampling rate for the spectrum, and the next constants, as in score.py
-const HIGHEST = 10; // Hz
-const SMALLEST = 0.05;
-const PADDING = 4;
+const MOVING = 0.02; // rad/s; a tenth of an ordinary speed, far above the leakage of a closed valve
+const LONGEST = 600; // s; a longer attempt is given up, to limit memory
+const RATE = 50; // Hz; sampling rate for the spectrum
+const HIGHEST = 10; // Hz; upper limit of the frequency
+const SMALLEST = 0.05; // smallest amplitude relative to that at zero frequency
+const PADDING = 4; // zero padding by this power of two, for a smooth arc
 const [NEXT, LATER] = ["#d55e00", "#0072b2"]; // Okabe and Ito: distinct with any colour blindness
 const MINUTE = 1e-9; // s, for rounding: the time of a frame is a multiple of the step
 const COLUMNS = [ // key of a score, heading with unit, factor from SI, digits
@@ -27,8 +44,9 @@ export function way(tip, at) {
 }
 
 export class Attempts {
-  constructor(rules) {
-    [this.rules, this.exercise, this.table, this.open] = [rules, rules.exercises[0], [], false];
+  // table: of earlier attempts
+  constructor(rules, table = []) {
+    [this.rules, this.exercise, this.table, this.open] = [rules, rules.exercises[0], table, false];
     this.clear();
   }
 
@@ -78,17 +96,18 @@ export class Attempts {
     this.samples.push(sample);
     this.advance(sample);
     if (this.phase === "done") this.keep();
-    else if (this.started !== null && t - this.started > this.rules.longest) this.again();
+    else if (this.started !== null && t - this.started > LONGEST) this.again();
   }
 
   advance({ t, tip, speed }) {
     const { radius, slow, hold, start } = this.exercise;
+    if (!tip.every(Number.isFinite)) return (this.inside = null);
     [this.origin, this.now] = [this.origin ?? tip, t];
     if (this.started === null) {
       if (distance(tip, this.origin) <= start) return;
       this.started = t;
     }
-    const within = distance(tip, this.target.at) <= radius; // never with NaN
+    const within = distance(tip, this.target.at) <= radius;
     if (within && this.reached.length === this.done.length) this.reached.push(t);
     if (!within || !(speed <= slow)) this.inside = null;
     else if (this.inside === null) this.inside = t;
@@ -108,7 +127,7 @@ export class Attempts {
     const finished = this.phase === "done";
     const end = finished ? this.done[this.done.length - 1] : this.now;
     const part = this.samples.filter(({ t }) => t >= this.started && t <= end);
-    const moving = part.map(({ functions }) => functions.filter((v) => Math.abs(v) > this.rules.moving).length);
+    const moving = part.map(({ functions }) => functions.filter((v) => Math.abs(v) > MOVING).length);
     const time = part.map(({ t }) => t);
     const mean = (values) => (time.length < 2 ? 0 : integral(time, values) / (time[time.length - 1] - time[0]));
     const known = (value) => (Number.isFinite(value) ? value : null);
@@ -125,6 +144,11 @@ export class Attempts {
     };
   }
 
+  // mass that the head holds after the targets that are done [kg]
+  get load() {
+    return this.open && this.done.length ? this.exercise.targets[this.done.length - 1].load : 0;
+  }
+
   status() {
     const [target, { hold, radius }] = [this.target ?? null, this.exercise];
     return {
@@ -132,12 +156,10 @@ export class Attempts {
       way: this.tip && target ? way(this.tip, target.at) : null,
       held: this.inside === null ? 0 : (this.now - this.inside) / hold,
       time: this.started === null ? null : this.now - this.started,
-      load: this.done.length ? this.exercise.targets[this.done.length - 1].load : 0,
-      problem: "", table: this.table,
+      load: this.load, table: this.table,
     };
   }
 
-  // as training.csv of `harvester view`
   csv() {
     const rows = this.table.map((row) => Object.values(row).map((value) => value ?? "").join());
     return [Object.keys(this.table[0]).join(), ...rows].join("\n") + "\n";
@@ -147,7 +169,13 @@ export class Attempts {
 const integral = (time, values) =>
   time.slice(1).reduce((sum, t, k) => sum + ((t - time[k]) * (values[k] + values[k + 1])) / 2, 0);
 
-// spectral arc length of a speed, as `spectral_arc_length` in score.py; null without motion
+// Spectral arc length of a speed over time; null without motion or with too few samples.
+//
+//   S = - int_0^w sqrt((1 / w)^2 + (dV / dw)^2) dw,   V(f) = |FFT v(f)| / |FFT v(0)|
+//
+// w is the largest frequency up to HIGHEST at which V is at least SMALLEST. A single bell-shaped movement has -1.4 to
+// -1.6; each further start and stop makes the value more negative. It does not depend on the amplitude of the movement,
+// and hardly on its duration. Balasubramanian, Melendez-Calderon, Roby-Brami, Burdet, J. NeuroEng. Rehabil. 12:112, 2015.
 export function smoothness(time, speed) {
   const span = time[time.length - 1] - time[0];
   if (!(span >= 5 / RATE)) return null;
@@ -207,7 +235,6 @@ export function directions([out, up, left]) {
 
 // the state of an attempt in one line
 export function summary(status) {
-  if (status.problem) return status.problem;
   if (status.phase === "done") return `done in ${status.time.toFixed(1)} s`;
   const far = status.way ? `: ${directions(status.way)}` : "";
   const time = status.time === null ? ": the clock starts as you move" : `, ${status.time.toFixed(1)} s`;

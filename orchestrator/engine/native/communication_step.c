@@ -1,4 +1,4 @@
-/* One communication step of length h, as the plan of a master (orchestrator/engine/masters.py) describes it.
+/* One communication step of length h, as the plan of a master (orchestrator/ssp/masters.py) describes it.
  *
  *     Jacobi               jacobi_pass: all components step with inputs that are extrapolated from the start of the step
  *     Gauss-Seidel         gauss_seidel_pass: each component steps with the new outputs of those before it
@@ -120,7 +120,6 @@ static void set_polynomial(const Simulation *sim, CouplingInput *s, int n, Real 
         input_interpolate(s, sim->degree, h, sim->length);
     } else {
         input_extrapolate(s, h, sim->length);
-        if (sim->corrected && s->requested_degree) input_correct(s, h, sim->length);
     }
 }
 
@@ -211,6 +210,10 @@ static Real largest_mismatch(const Simulation *sim, Real h) {
 }
 
 int communication_step(Simulation *sim, Real h, int *passes) {
+#if WIDTH == 1
+    *passes = 1;
+    if (sim->in_python) return sim->call_python(MASTER, 0, sim->t, h);
+#endif
     sim->computed = sim->moving;
     set_driven_polynomials(sim, h);
     for (int n = 0; n < sim->passes && any(sim->computed); n++) {
@@ -235,23 +238,8 @@ Real step_error(const Simulation *sim, Real h) {
     Real worst = 0.0;
     for (int32_t i = 0; i < sim->input_count; i++) {
         const CouplingInput *s = &sim->inputs[i];
-        const int by_mean = sim->corrected && s->source_component != DRIVEN;
-        const Real deviation = by_mean ? input_mean_error(s, h) : input_deviation(s, h, sim->passes > 1);
+        const Real deviation = input_deviation(s, h, sim->passes > 1);
         worst = worse(worst, input_relative(s, deviation));
-    }
-    return worst;
-}
-
-Real power_error(const Simulation *sim, Real h) {
-    Real worst = 0.0;
-    for (int32_t i = 0; i < sim->bond_count; i++) {
-        const CouplingInput *effort = &sim->inputs[sim->bonds[2 * i]], *flow = &sim->inputs[sim->bonds[2 * i + 1]];
-        const int repeated = sim->passes > 1;
-        const Real power =
-            effort->value_end * input_deviation(flow, h, repeated) -
-            flow->value_end * input_deviation(effort, h, repeated);
-        const Real magnitude = input_magnitude(effort) * input_magnitude(flow);
-        worst = worse(worst, where(magnitude > 0.0, fabs(power) / magnitude, 0.0));
     }
     return worst;
 }

@@ -74,7 +74,6 @@ void input_extrapolate(CouplingInput *s, Real h, Real length) {
     extrapolate(s, s->order, length, s->c);
     s->expected = polynomial_value(s->c, h);
     s->weight = 1.0;
-    s->correction = 0.0;
 }
 
 /* The cubic through the predicted changes at h/3, 2h/3 and h. The error of the prediction grows with the third power of
@@ -85,7 +84,6 @@ void input_predict(CouplingInput *s, Real v1, Real v2, Real v3, Real h) {
           (27.0 * v1 - 27.0 * v2 + 9.0 * v3) / (2.0 * h * h * h));
     s->expected = polynomial_value(s->c, h);
     s->weight = 0.25;
-    s->correction = 0.0;
 }
 
 /* Moves the end of a predicted input to the value that its source has reached. */
@@ -111,7 +109,6 @@ static void interpolate_all(CouplingInput *s, int degree, Real h, Real length) {
     s->expected = polynomial_value(past, h);
     s->weight = 0.25;
     for (int i = 1; i < degree; i++) s->weight *= h / (h + length);
-    s->correction = 0.0;
 }
 
 /* Interpolates between both ends of the step, along a straight line where the source is one. */
@@ -131,18 +128,6 @@ void input_interpolate(CouplingInput *s, int32_t degree, Real h, Real length) {
     memcpy((void *)line, s->c, sizeof line);
     interpolate_all(s, degree, h, length);
     input_replace_polynomial(s, line, straight);
-}
-
-/* Corrects the mean of the input by its deficit over the previous step. The deficit of an extrapolation of order k is
- * proportional to the length of the step to the power k + 1. The correction is related to NEPCE (Sadjina and Pedersen
- * 2020, Eng. Comput. 36, doi 10.1007/s00366-019-00783-4), but treats each signal separately: if the means of effort and
- * flow are right, the energy is too. */
-void input_correct(CouplingInput *s, Real h, Real length) {
-    if (!any(length > 0.0)) return;
-    Real scaling = h / length;
-    for (int i = 0; i < s->order; i++) scaling *= h / length;
-    s->correction = where(length > 0.0, scaling * s->deficit, 0.0);
-    s->c[0] = s->c[0] + s->correction;
 }
 
 /* ---- the source at communication points ---------------------------------------------------------------- */
@@ -177,15 +162,6 @@ void input_set_end(CouplingInput *s, Real value, Real slope, Real h, Real length
 /* The source over the step, along the computed solution: the cubic through both ends. */
 void input_true_course(const CouplingInput *s, Real h, Real c[]) {
     interpolate(s, any(is_straight(s, h)) ? 1 : DEGREE, h, c);
-}
-
-static Real true_mean(const CouplingInput *s, Real h) {
-    return 0.5 * (s->value + s->value_end) + h * (s->slope - s->slope_end) / 12.0;
-}
-
-/* The mean of the source less the mean of the input without its correction, which the next step is corrected by. */
-void input_find_deficit(CouplingInput *s, Real h) {
-    s->deficit = true_mean(s, h) - (polynomial_mean(s->c, h) - s->correction);
 }
 
 /* The end of this step is the beginning of the next one. If the slope at its beginning was not known, the past becomes
@@ -241,6 +217,3 @@ Real input_deviation(const CouplingInput *s, Real h, int32_t repeated) {
     const Real at_end = polynomial_value(s->c, h) - s->value_end;
     return where(fabs(at_end) > fabs(deviation), at_end, deviation);
 }
-
-/* The mean of the source less the mean of the input. */
-Real input_mean_error(const CouplingInput *s, Real h) { return true_mean(s, h) - polynomial_mean(s->c, h); }

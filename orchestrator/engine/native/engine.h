@@ -50,9 +50,9 @@ enum { REAL, INTEGER };                                           /* arrays of v
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of values in an FMU */
 enum { ACCESS, COPY, LOOP, PYTHON, EXCHANGE };                    /* types of instructions */
 enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of calls in Model Exchange */
-enum { DRIVEN = -1, LINE = 1, DEGREE = 3, POLYNOMIAL = 7 }; /* POLYNOMIAL: Reals of a coupling input from c on */
+enum { DRIVEN = -1, LINE = 1, DEGREE = 3, POLYNOMIAL = 6 }; /* POLYNOMIAL: Reals of a coupling input from c on */
 enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
-enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python; also numbers of FMI functions */
+enum { CALL, STEP, SAVE, RESTORE, MASTER };                        /* requests to Python; also numbers of FMI functions */
 enum { OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* further statuses: an integer that the other type cannot
                                     hold; a step that is repeated, so that its messages do not count; an FMU has changed
                                     the floating-point environment, which was restored */
@@ -167,11 +167,11 @@ typedef struct StateSpace { /* views of `matrices` */
 
 typedef struct LinearPrediction { /* see linear_prediction.c */
     LinearSystem system;
-    Program rate_reads, state_reads; /* read the time derivatives of the states into f, the states into x */
+    Program rate_reads; /* read the time derivatives of the states into f */
     const int32_t *kinds, *inputs; /* of each input: PREDICTED, ...; its coupling input, or -1: the FMU moves it */
-    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *response, *forcing, *v, *stages, *factors;
-    int32_t leading_count, lag, age;
-    double age_seconds, last_step, factors_step;
+    double *f, *w, *course, *response, *forcing, *v, *stages, *factors;
+    int32_t leading_count, valid; /* valid: it is of this communication point */
+    double factors_step;
 } LinearPrediction;
 
 /* A component of the error propagation. copies: errors of inputs that influence no state, from indices in y to indices
@@ -222,10 +222,8 @@ typedef struct CouplingInput {
     Real middle;            /* of the source in the middle of the step, if its component is `halved` */
     Real slope_before;      /* at the beginning of the previous step */
     Real chord_before, chord_earlier; /* mean slopes in the previous step and the one before */
-    Real deficit;           /* mean of the source less mean of the input over the last step */
     Real scale;             /* magnitude: the nominal value (1 if none is declared), or the largest if larger */
     Real c[DEGREE + 1];     /* coefficients of the polynomial over the step */
-    Real correction;        /* part of c[0] that compensates the deficit */
     Real expected, weight;  /* value at the end that the past lets expect, and weight of the difference to it */
     const Real *source_slope; /* slope of the source: a slope that its FMU gives, or the value of an output that is the
                                  slope; NULL: computed from values */
@@ -365,14 +363,11 @@ typedef struct Simulation {
     /* the plan of the master */
     const int32_t *order; /* indices of the components in the order in which they step */
     uint8_t *has_stepped; /* in this pass, by component */
-    int32_t degree, sequential, passes, corrected;
+    int32_t degree, sequential, passes, in_python; /* in_python: a function of Python takes the components over a step */
     double tolerance;
-    const int32_t *bonds; /* the coupling inputs of effort and flow of each bond */
-    int32_t bond_count;
     /* the loop over steps */
     StepSize *step_size; /* of each machine; NULL: all steps are equal */
     double error_tolerance;
-    int32_t by_energy; /* the tolerance applies to power */
     int32_t free;      /* every communication point is recorded */
     int32_t saves;     /* states are saved at the beginning of each step, if the FMUs can */
     int32_t rollback;  /* all components can go back, so that a shorter step can be tried */
@@ -448,8 +443,6 @@ EXPORT void loop_substitute(const double *a, const int32_t *pivots, double *b, i
 
 /* linear_prediction.c */
 int predict_inputs(Simulation *, Real h);
-void prediction_accept(LinearPrediction *, Real h);
-EXPORT void prediction_find_drift(const LinearPrediction *);
 EXPORT void prediction_prepare(LinearPrediction *, double h);
 EXPORT void prediction_solve(const LinearPrediction *);
 
@@ -480,16 +473,13 @@ EXPORT void input_extrapolate(CouplingInput *, Real h, Real length);
 EXPORT void input_predict(CouplingInput *, Real v1, Real v2, Real v3, Real h);
 EXPORT void input_end_at_source(CouplingInput *, Real h);
 EXPORT void input_interpolate(CouplingInput *, int32_t degree, Real h, Real length);
-EXPORT void input_correct(CouplingInput *, Real h, Real length);
 EXPORT void input_set_end(CouplingInput *, Real value, Real slope, Real h, Real length, Real before);
 EXPORT void input_true_course(const CouplingInput *, Real h, Real c[]);
-EXPORT void input_find_deficit(CouplingInput *, Real h);
 EXPORT void input_accept(CouplingInput *, Real h);
 EXPORT void input_replace(CouplingInput *, const CouplingInput *by, Mask);
 EXPORT void input_replace_polynomial(CouplingInput *, const Real by[], Mask);
 EXPORT Real input_mismatch(const CouplingInput *, Real h);
 EXPORT Real input_deviation(const CouplingInput *, Real h, int32_t repeated);
-EXPORT Real input_mean_error(const CouplingInput *, Real h);
 EXPORT Real input_magnitude(const CouplingInput *);
 EXPORT Real input_relative(const CouplingInput *, Real deviation);
 EXPORT void polynomial_shift(const Real c[], Real by, Real shifted[]);
@@ -509,7 +499,6 @@ int component_set_inputs(Simulation *, Component *, Real begin, Real length, int
 int component_advance(Simulation *, int k, Real h, double *counter);
 void set_source_ends(Simulation *, Real h);
 Real step_error(const Simulation *, Real h);
-Real power_error(const Simulation *, Real h);
 
 /* threads.c; `threads` includes the caller's */
 Pool *pool_start(Simulation *, int threads);

@@ -2,15 +2,12 @@
  *
  * With the changes d of all states and v of all inputs since the linearisation (linear_system.c),
  *
- *     d' = f + (A + B K C) d + B K w(s) + drift,     v = K (C d + w(s)),     d(0) = 0
+ *     d' = f + (A + B K C) d + B K w(s),     v = K (C d + w(s)),     d(0) = 0
  *
  * where w(s) are the changes of the inputs whose course over the step is given. The system
  * is solved up to h/3, 2h/3 and h by one step each of the L-stable Runge-Kutta method of order 3 whose three stages
  * have the same diagonal element (Alexander 1977, SIAM J. Numer. Anal. 14(6) 1006-1021). All stages use the triangular
  * factors of  1 - gamma h/3 (A + B K C),  which are kept as long as the linearisation and h.
- *
- * The drift is the error of an old linearisation. Until now it has grown in proportion to the age T of the
- * linearisation, and it is assumed to do so over the step: drift(s) = q (T s + s^2/2).
  *
  * There are four kinds of inputs, by their source:
  *
@@ -19,10 +16,9 @@
  *     LEADING        a component that has stepped already, because it depends on no other: the course is interpolated
  *     EXTRAPOLATED   a component without directional derivatives: the extrapolated course is taken as given
  *
- * In LinearPrediction: f, x: derivatives and values of the states. w: given inputs, course: their coefficients of s, s^2
- * and s^3, shape (3, m); response: K times course; forcing: B times response. v: changes of all inputs until h/3, 2h/3
- * and h. f0, x0, w0: values at the previous communication point. age: steps since the linearisation, age_seconds: time
- * since then [s]. last_step: length of the previous step [s], factors_step: of the one that the factors are made for.
+ * In LinearPrediction: f: derivatives of the states. w: given inputs, course: their coefficients of s, s^2 and s^3,
+ * shape (3, m); response: K times course; forcing: B times response. v: changes of all inputs until h/3, 2h/3 and h.
+ * factors_step: length of the step that the factors are made for [s].
  */
 
 #include <math.h>
@@ -38,20 +34,6 @@ static const double WEIGHTS[][2] = { /* of the earlier stages, for the second an
     {(1.0 - GAMMA) / 2.0},
     {-1.5 * GAMMA * GAMMA + 4.0 * GAMMA - 0.25, 1.5 * GAMMA * GAMMA - 5.0 * GAMMA + 1.25},
 };
-
-void prediction_find_drift(const LinearPrediction *p) {
-    double *dx = p->stages, *response = p->response, *before = p->response + p->system.m_padded;
-    vector_zero(p->q, p->system.n_padded);
-    if (p->age_seconds == 0.0) return;
-    for (int32_t i = 0; i < p->system.n_padded; i++) dx[i] = p->x[i] - p->x0[i];
-    matrix_add_product(p->system.closed_loop, dx, p->q, p->system.n, p->system.n_padded);
-    linear_system_respond(&p->system, p->w, response);
-    linear_system_respond(&p->system, p->w0, before);
-    for (int32_t i = 0; i < p->system.m_padded; i++) response[i] -= before[i];
-    matrix_add_product(state_space(&p->system).b, response, p->q, p->system.m, p->system.n_padded);
-    const double divisor = p->last_step * (p->age_seconds - 0.5 * p->last_step);
-    for (int32_t i = 0; i < p->system.n_padded; i++) p->q[i] = (p->f[i] - p->f0[i] - p->q[i]) / divisor;
-}
 
 void prediction_prepare(LinearPrediction *p, double h) {
     if (!p->system.usable || fabs(h - p->factors_step) <= SAME_STEP * h) return;
@@ -79,14 +61,14 @@ void prediction_solve(const LinearPrediction *p) {
     }
     for (int32_t third = 0; third < 3; third++) {
         for (int k = 0; k < 3; k++) {
-            const double s = delta * (third + NODES[k]), drift = p->age_seconds * s + 0.5 * s * s;
+            const double s = delta * (third + NODES[k]);
             vector_copy(base, d, n_padded);
             for (int j = 0; j < k; j++) {
                 const double weight = delta * WEIGHTS[k - 1][j];
                 for (int32_t i = 0; i < n_padded; i++) base[i] += weight * rates[j][i];
             }
             for (int32_t i = 0; i < n_padded; i++)
-                stage[i] = base[i] + diagonal * (p->f[i] + drift * p->q[i] + polynomial_at(p->forcing, i, n_padded, s));
+                stage[i] = base[i] + diagonal * (p->f[i] + polynomial_at(p->forcing, i, n_padded, s));
             matrix_solve(p->factors, p->system.pivots, stage, p->system.n, n_padded);
             for (int32_t i = 0; i < n_padded; i++) rates[k][i] = (stage[i] - base[i]) / diagonal;
         }
@@ -119,27 +101,16 @@ int predict_inputs(Simulation *sim, double h) {
     for (int32_t i = 0; i < p->system.m; i++)
         if (p->inputs[i] >= 0 && p->kinds[i] != PREDICTED) set_given_course(sim, p, i, h);
     int verdict = execute(sim, &p->rate_reads);
-    if (!verdict && p->lag > 1) verdict = execute(sim, &p->state_reads);
     if (verdict) return verdict;
-    if (p->age >= p->lag || !p->system.usable) {
+    if (!p->valid || !p->system.usable) {
         verdict = linear_system_evaluate(sim, &p->system);
         if (verdict) return verdict;
         linear_system_join(&p->system);
-        p->factors_step = 0.0, p->age = 0, p->age_seconds = 0.0;
+        p->factors_step = 0.0, p->valid = 1;
     }
-    if (p->lag > 1) prediction_find_drift(p);
     prediction_prepare(p, h);
     if (p->system.usable) prediction_solve(p);
     for (int32_t i = 0; i < p->system.m; i++)
         if (p->inputs[i] >= 0 && p->kinds[i] == PREDICTED) set_predicted_course(sim, p, i, h);
     return CONTINUE;
-}
-
-void prediction_accept(LinearPrediction *p, double h) {
-    vector_copy(p->f0, p->f, p->system.n_padded);
-    vector_copy(p->x0, p->x, p->system.n_padded);
-    vector_copy(p->w0, p->w, p->system.m_padded);
-    p->age++;
-    p->age_seconds += h;
-    p->last_step = h;
 }

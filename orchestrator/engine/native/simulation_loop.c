@@ -103,7 +103,7 @@ static int retry_discarded(Simulation *sim, double h) {
  * that have failed. */
 static Mask accepted(Simulation *sim, Real h) {
     if (!sim->step_size) return EVERY_MACHINE;
-    const Real error = (sim->by_energy ? power_error(sim, h) : step_error(sim, h)) / sim->error_tolerance;
+    const Real error = step_error(sim, h) / sim->error_tolerance;
     Mask machines = sim->moving;
     for (int i = 0; i < WIDTH; i++)
         if (chosen(machines, i) && !step_size_accepts(&sim->step_size[i], machine(error, i), machine(h, i)))
@@ -124,11 +124,8 @@ static void accept_input(CouplingInput *s, Real h, Mask machines) {
 static int accept(Simulation *sim, Real h, Mask machines) {
     const int verdict = sim->errors ? error_propagate(sim, h) : CONTINUE;
     if (verdict) return verdict;
-    for (int32_t i = 0; i < sim->input_count; i++) {
-        if (sim->corrected) input_find_deficit(&sim->inputs[i], h);
-        accept_input(&sim->inputs[i], h, machines);
-    }
-    if (sim->prediction) prediction_accept(sim->prediction, h);
+    for (int32_t i = 0; i < sim->input_count; i++) accept_input(&sim->inputs[i], h, machines);
+    if (sim->prediction) sim->prediction->valid = 0;
     add_energy(sim, h, machines);
     sim->length_before = where(machines, sim->length, sim->length_before);
     sim->length = where(machines, h, sim->length);

@@ -35,7 +35,6 @@ double ticks() { return 0.0; }
 void environment_restore(Simulation *, int) {}
 int loop_solve(Simulation *, AlgebraicLoop *) { return CONTINUE; }
 int predict_inputs(Simulation *, Real) { return CONTINUE; }
-void prediction_accept(LinearPrediction *, Real) {}
 int error_begin(Simulation *) { return CONTINUE; }
 int error_propagate(Simulation *, Real) { return CONTINUE; }
 int pool_step(Pool *, Real) { return CONTINUE; }

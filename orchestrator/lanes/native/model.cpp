@@ -181,6 +181,7 @@ static void outputs_now(Instance *self) {
 
 static void derivatives_now(Instance *self) {
     Own *s = own(self);
+    if (prepare_again(s)) model_observe_states(states(s), parameters(s), s->c, outputs(s), s->z);
     model_derivatives(states(s), inputs_of(s), parameters(s), s->c, s->z, derivatives(s));
 }
 

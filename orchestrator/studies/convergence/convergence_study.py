@@ -156,7 +156,7 @@ def _columns(run: SettingRun) -> dict[str, Any]:
     coupling = run.setting.cases.get(run.case, run.setting.coupling)
     return {
         "setting": run.setting.label,
-        "master": coupling.master,
+        "master": coupling.method.name,
         "extrapolation order": coupling.extrapolation,
         "most passes": coupling.max_passes,
         "without rate connections": run.setting.without_rates,

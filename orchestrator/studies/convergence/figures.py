@@ -17,18 +17,13 @@ from scipy.optimize import isotonic_regression
 
 from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.plotting import new_figure, style_axes
+from orchestrator.ssp.masters import MASTERS
 from orchestrator.studies.convergence.runs import ConvergenceStudy, SettingRun
 
 SIZE = (8.4, 5.2)  # [in]
 # One colour for each family, different in hue and in lightness (Okabe and Ito, darkened).
-COLOURS = {
-    "plain": "#c2341d",
-    "jacobi": "#c98500",
-    "gauss-seidel": "#00735a",
-    "hermite": "#0b5fa5",
-    "interface-jacobian": "#333333",
-    "adaptive": "#8f3f8f",
-}
+DARK = ("#c2341d", "#c98500", "#00735a", "#0b5fa5", "#333333", "#8f3f8f")
+COLOURS = dict(zip(("plain", *MASTERS, "adaptive"), DARK, strict=True))
 # Line style and marker tell the curves of a family apart.
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
 MARKERS = ("o", "s", "^", "D")

@@ -13,7 +13,8 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import seconds
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.run import ScenarioSource, attempt, run
-from orchestrator.ssp.coupling import MASTERS, Coupling, Master
+from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.swap import used_ports
 from orchestrator.ssp.system import System
 from orchestrator.studies.convergence.reference_solution import ReferenceSolution, SignalDeviation
@@ -42,15 +43,15 @@ class Setting:
     @property
     def family(self) -> str:
         """The settings that are drawn in one colour."""
-        return "plain" if self.without_rates else "adaptive" if self.cases else self.coupling.master
+        return "plain" if self.without_rates else "adaptive" if self.cases else self.coupling.method.name
 
     def matches(self, pattern: str) -> bool:
         """Is the pattern the name of the master, or does the label match it?"""
-        return pattern == self.coupling.master or fnmatchcase(self.label, pattern)
+        return pattern == self.coupling.method.name or fnmatchcase(self.label, pattern)
 
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
-EXTRAPOLATING: tuple[Master, ...] = ("jacobi", "gauss-seidel")
+EXTRAPOLATING = tuple(master.name for master in MASTERS.values() if not master.guarded)
 SETTINGS = (
     *(Setting(f"{master} plain", Coupling(master, 0), without_rates=True) for master in EXTRAPOLATING),
     *(Setting(f"{m} order {order}", Coupling(m, order)) for m in EXTRAPOLATING for order in range(3)),

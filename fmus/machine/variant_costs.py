@@ -1,25 +1,19 @@
-"""`harvester variants`: cost of each variant of a component, and its effect on the results.
+"""Cost of each variant of a component, and its effect on the results.
 
 The cost is the time inside an FMU: from setting its inputs to the end of its fmi2DoStep or fmi3DoStep, as
 measured by the simulation loop in C. The minimum of several runs counts, as it is the least disturbed.
 Compare only times that were measured on one computer in one session.
-
-Every combination of variants is run once. Its row contains the time reached, cost and change.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import prod
 from pathlib import Path
 from typing import Unpack
 
-import numpy as np
-
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder, write_rows
 from orchestrator.base.signals import rms, span
 from orchestrator.data.trace import Trace
 from orchestrator.engine.arguments import RunArguments
@@ -104,63 +98,13 @@ def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
     return max((rms(a - b) / size for a, b in pairs if (size := span(b))), default=0.0)
 
 
-# Attribute of a combination, headings on the terminal and in the CSV file, and how its value is printed
-COLUMNS = (
-    ("reached", "reached s", "reached [s]", "{:.6g}", 1),
-    ("inside", "us per ms", "inside all FMUs [us per ms]", "{:.2f}", 1),
-    ("factor", "x real time", "times real time", "{:.1f}", 1),
-    ("residual", "residual", "residual [1]", "{:.2g} %", 100),
-    ("change", "change", "change [1]", "{:.2f} %", 100),
-    ("warnings", "warnings", "warnings", "{}", 1),
-)
 STEP = 1e-3  # communication step [s]
 LENGTH, REPEATS = 4.0, 2  # duration [s] and number of the runs that measure the cost of a variant
-RUN: RunArguments = {"step": STEP, "record_step": 0.02}  # options of all runs [s]
 
 
 def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, str], float]:
     """(component, variant) -> time [us] per step inside its FMU, with the default variants of the others."""
-    default, options = load(system), RUN | {"stop": LENGTH}
-    spent = inside([with_swaps(default, {p: v}) for p, v in variants], REPEATS, **options)
+    default = load(system)
+    swapped = [with_swaps(default, {part: variant}) for part, variant in variants]
+    spent = inside(swapped, REPEATS, step=STEP, record_step=0.02, stop=LENGTH)
     return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
-
-
-def table(
-    system: Path,
-    variants: Mapping[str, Sequence[str]],
-    watch: Sequence[str],
-    out: Path,
-    report: Callable[[str], object],
-) -> bool:
-    """Run every combination, report a table and write it to `out`; True if all came to the end.
-
-    Each row is written at once, so the file contains all finished rows if the user interrupts.
-    """
-    make_folder(out.parent)
-    widths = [max(map(len, (part, *names))) for part, names in variants.items()]
-    total, done, complete = prod(map(len, variants.values())), 0, True
-    count = len(f"{total}/{total}")
-
-    def show(index: str, names: Iterable[str], cells: Iterable[str], failure: str) -> None:
-        padded = "  ".join(n.ljust(w) for n, w in zip(names, widths, strict=True))
-        report(" ".join((index.rjust(count), padded, *(f"{cell:>12}" for cell in cells), failure)))
-
-    show("", variants, (head for _, head, *_ in COLUMNS), "")
-    rows = [[*variants, *(head for _, _, head, *_ in COLUMNS), "failure"]]
-    try:
-        for done, row in enumerate(combinations(load(system), variants, watch, **RUN), 1):
-            chosen, values = list(row.variants.values()), [getattr(row, name) for name, *_ in COLUMNS]
-            printed = (f.format(k * v) for v, (*_, f, k) in zip(values, COLUMNS, strict=True))
-            show(f"{done}/{total}", chosen, printed, row.failure)
-            cells = ("" if np.isnan(value) else f"{value:.6g}" for value in values)
-            rows.append([*chosen, *cells, row.failure])
-            write_rows(out, rows)
-            complete = complete and not row.failure
-    except KeyboardInterrupt:
-        report(f"\n{done} of {total} combinations, in {out}")
-        raise
-    report(
-        f"\n{out}: change is that of {', '.join(watch)} against the first row, RMS over range;"
-        " us per ms is the time in the steps of all FMUs, calls from Python included"
-    )
-    return complete

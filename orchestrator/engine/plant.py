@@ -75,8 +75,9 @@ class PlantComponent:
         """Bind the calls of the component to the arrays of the plant."""
         slave = cast(Slave, self.slave)
         v, y = plant.v[self.v], plant.y[self.y]
-        linear = Linearisation(slave, self.inputs, self.outputs, plant.f[self.x], plant.x[self.x])
-        self.starts = [*linear.state_reads, *calls_by_type(slave, self.inputs, v, slave.reader)]
+        linear = Linearisation(slave, self.inputs, self.outputs, plant.f[self.x])
+        states = calls_by_type(slave, linear.states, plant.x[self.x], slave.reader)
+        self.starts = [*states, *calls_by_type(slave, self.inputs, v, slave.reader)]
         self.writes = calls_by_type(slave, self.inputs, v, slave.writer)
         self.reads = calls_by_type(slave, self.outputs, y, slave.reader)
         self.rates, self.columns = linear.rate_reads, linear.columns
@@ -111,6 +112,7 @@ class Plant:
     inlets                    external inputs, each with its targets, the inputs of components
     connections, input_map    the matrices L and M
     constant                  constant part of v
+    external                  part of v that does not come from outputs
     connected                 True for inputs with a connection or an external input
     nominal                   nominal values of the states
     indicator_count           number of event indicators of all components
@@ -118,14 +120,18 @@ class Plant:
     ended                     name of the component that requested the end of the simulation; empty if none
     """
 
-    def __init__(self, system: System, inlets: Sequence[Inlet] = ()) -> None:
+    def __init__(
+        self, system: System, inlets: Sequence[Inlet] = (), running: Mapping[str, ExchangeFmu] | None = None
+    ) -> None:
+        """running: its components, if they are instantiated."""
         self.system, self.inlets = system, inlets
         self.next_event, self.ended = np.inf, ""
-        self.slaves: dict[str, ExchangeFmu] = {}
+        self.slaves = dict(running or {})
         self.members: list[PlantComponent] = []
         try:
             for name, component in self.system.components.items():
-                self.slaves[name] = open_exchange(name, component.source)
+                if name not in self.slaves:
+                    self.slaves[name] = open_exchange(name, component.source)
         except BaseException:
             self.close()
             raise
@@ -193,7 +199,7 @@ class Plant:
         """Fill `Plant` of engine.h."""
         binding, h, at = self._binding, self._binding.h, self._binding.at
         n = len(self.v)
-        self._time, self._external, self._inverse = np.zeros(1), np.zeros(n), np.zeros((n, n))
+        self._time, self.external, self._inverse = np.zeros(1), np.zeros(n), np.zeros((n, n))
         self._jacobian = np.zeros((len(self.x) + len(self.y), len(self.x) + n))
         self._indicators, self._completed = np.zeros(self.indicator_count), np.zeros((len(self.members), 2))
         self._residual = np.zeros(n)
@@ -211,8 +217,8 @@ class Plant:
             factors=at(self.connections[rows, sources]),
             effective=at(np.array([*map(self._may_have_effect, self.inputs)], np.uint8)),
             stale=at(np.zeros(len(self.members), np.int32)),
-            **{name: at(getattr(self, name)) for name in ("v", "y")},
-            **{name: at(getattr(self, f"_{name}")) for name in ("time", "external", "inverse", "jacobian")},
+            **{name: at(getattr(self, name)) for name in ("v", "y", "external")},
+            **{name: at(getattr(self, f"_{name}")) for name in ("time", "inverse", "jacobian")},
             residual=at(self._residual),
             results=at(self._completed),
             **{name: at(np.zeros(n)) for name in ("expected", "magnitude")},
@@ -295,15 +301,26 @@ class Plant:
         driven   input -> value at the start, for inputs that a scenario drives
         """
         initialise(self.system, cast(Mapping[str, Slave], self.slaves), driven or {}, span)
+        self.begin(span[0])
+
+    def begin(self, time: float) -> None:
+        """Begin at a time [s] with components that are initialised."""
         self._bind()
         for member in self.members:
             for call in member.starts:
                 call()
-        self._time[:] = span[0]
+        self._time[:] = time
         self.constant[~self.connected] = self.v[~self.connected]
         self.nominal = np.array([self.system.variable(p).nominal or 1.0 for p in self.states])
-        self._external[:] = self.input_map @ self.u + self.constant
+        self.external[:] = self.input_map @ self.u + self.constant
         self._update_discrete_states()
+
+    def read(self) -> None:
+        """Read states and inputs of components without connections, which keep these inputs."""
+        for member in self.members:
+            for call in member.starts:
+                call()
+        self.external[:] = self.v
 
     def drive(self, scenario: Scenario) -> None:
         """Let a scenario drive its continuous inputs from now on, whenever the plant is settled."""
@@ -326,7 +343,7 @@ class Plant:
 
     def settle(self, x: Array, u: Array) -> None:
         """Set states and external inputs, and solve the connections v = L y + M u + constant for v."""
-        self._external[:] = self.input_map @ u + self.constant
+        self.external[:] = self.input_map @ u + self.constant
         self.settle_at(float(self._time[0]), x)
 
     def settle_at(self, time: float, x: Array) -> None:
@@ -452,7 +469,7 @@ class Plant:
             value = type(value)(c.map(float(value)))
             if c.target in at:
                 changed |= bool(self.constant[at[c.target]] != value)
-                self.constant[at[c.target]] = self._external[at[c.target]] = value
+                self.constant[at[c.target]] = self.external[at[c.target]] = value
             elif self.slaves[c.target.component].get(c.target.variable) != value:
                 self.slaves[c.target.component].set(c.target.variable, value)
                 changed = True

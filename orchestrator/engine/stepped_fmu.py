@@ -1,0 +1,237 @@
+"""An FMU for Model Exchange as a component of a co-simulation: a solver integrates it over each step.
+
+Its continuous inputs are polynomials of time inside a step; the master gives their values and derivatives, or
+the inputs that the FMU declares as their time derivatives do.
+The method restarts at each step, and at the events of the FMU. When an input that is not continuous changes,
+at a communication point, there is an event, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import factorial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Ended, Problem
+from orchestrator.base.files import Location
+from orchestrator.data.table import Array
+from orchestrator.engine.integration import Integration, Solver
+from orchestrator.engine.plant import Plant
+from orchestrator.engine.radau import Radau
+from orchestrator.fmi.calls import Buffer, Call
+from orchestrator.fmi.interface import CAPABILITIES
+from orchestrator.fmi.model_exchange import ExchangeFmu, check_states
+from orchestrator.ssp.system import Component, System
+
+DEGREE = 3  # of the polynomial of an input, at most
+TOLERANCE = 1e-8  # of the solver, relative, if neither the user nor the FMU has one
+SAME_TIME = 1e-9  # of a step: an event that is closer to its end takes place there
+
+
+@dataclass
+class SavedState:
+    """What an FMU goes back to.
+
+    fmu      its own saved state; None if it has no function for that
+    events   of the run so far
+    sides    see `_Stepped`
+    """
+
+    fmu: Any
+    time: float
+    x: Array
+    v: Array
+    next_event: float
+    events: int
+    sides: NDArray[np.bool_]
+
+
+class SteppedFmu(ExchangeFmu):
+    """A running FMU for Model Exchange that masters step like one for Co-Simulation."""
+
+    def __init__(self, component: Component, fmu: Location) -> None:
+        face = component.interface
+        check_states(component.name, fmu, face)
+        super().__init__(component.name, face, fmu)
+        self._plant = Plant(System(component.name, {component.name: component}), running={self.name: self})
+        self._saves = face.model.interfaces[face.kind].declares(*CAPABILITIES["rollback"])
+        self._course = np.zeros((DEGREE + 1, len(self._plant.inputs)))  # coefficients of the inputs
+        self._row = {port.variable: i for i, port in enumerate(self._plant.inputs)}
+        self._rates = [*self._declared_rates()]
+        self._integration: _Stepped | None = None
+
+    def setup(self, start: float, stop: float, tolerance: float | None) -> None:
+        """Announce the experiment; times in [s]."""
+        super().setup(start, stop, tolerance)
+        self._start, self._tolerance = start, tolerance or TOLERANCE
+
+    def exit(self) -> None:
+        """Leave initialisation mode, with the first event; ends in continuous-time mode."""
+        super().exit()
+        self._plant.begin(self._start)
+        self._time, self._integration = self._start, _Stepped(self._plant, self._tolerance, self._course)
+
+    # ---- variables
+
+    def _declared_rates(self) -> Iterator[tuple[int, int, int]]:
+        """Order of a derivative, its input, and the input that is the derivative."""
+        rate_of = self.interface.rate_inputs
+        for name, row in self._row.items():
+            rate, order = rate_of.get(name), 1
+            while rate in self._row and order <= DEGREE:
+                yield order, row, self._row[rate]
+                rate, order = rate_of.get(rate), order + 1
+
+    def writer(self, variables: Sequence[str], values: Buffer) -> Call:
+        """A call that sets the variables; those that are not continuous in event mode, if they change."""
+        continuous = np.array([self.interface.variables[v].is_continuous for v in variables])
+        if continuous.all():
+            return super().writer(variables, values)
+        moving, held = np.flatnonzero(continuous), np.flatnonzero(~continuous)
+        buffers = [np.zeros(len(part), values.dtype) for part in (moving, held, held)]
+        names = [[variables[i] for i in part.tolist()] for part in (moving, held)]
+        write_moving = super().writer(names[0], buffers[0]) if len(moving) else None
+        write, read = super().writer(names[1], buffers[1]), self.reader(names[1], buffers[2])
+
+        def set_all() -> None:
+            buffers[0][:], buffers[1][:] = values[moving], values[held]
+            if write_moving:
+                write_moving()
+            read()
+            if not np.array_equal(buffers[1], buffers[2]):
+                self._jump(write)
+
+        return set_all
+
+    def input_degree(self, variable: str, degree: int) -> int:
+        """The highest degree, up to `degree`, of a polynomial that the FMU accepts as input."""
+        return degree if variable in self._row else 0
+
+    def outputs_with_derivatives(self, outputs: Sequence[str]) -> Sequence[str]:
+        """None: masters take differences."""
+        return outputs[:0]
+
+    def input_derivative_writer(
+        self, variables: Sequence[str], derivatives: Buffer, orders: Sequence[int] = ()
+    ) -> Call:
+        """A call that sets time derivatives of inputs from the next step on; orders: default all 1."""
+        orders = orders or [1] * len(variables)
+        places = np.array(orders), np.array([self._row[v] for v in variables])
+        divisors = np.array([factorial(order) for order in orders])
+        self._rates = [rate for rate in self._rates if rate[1] not in places[1]]
+
+        def set_derivatives() -> None:
+            self._course[places] = derivatives / divisors
+
+        return set_derivatives
+
+    # ---- steps
+
+    def step(self, t: float, h: float) -> None:
+        """Advance from t to t + h [s]; raises Ended with the time at which the FMU ends the simulation."""
+        assert self._integration is not None
+        self._begin_course()
+        # an event may have taken place a rounding error after the end of the last step
+        self._time = self._integration.over(max(t, self._time), t, h)
+        self._raise_ended()
+
+    def _begin_course(self) -> None:
+        """Read the inputs, which masters set in the FMU."""
+        self._plant.read()
+        self._course[0] = self._plant.v
+        for order, of, rate in self._rates:
+            self._course[order, of] = self._plant.v[rate] / factorial(order)
+
+    def _jump(self, write: Call) -> None:
+        """Set variables in event mode."""
+        assert self._integration is not None
+        self._plant.read()
+        self._plant.event(write)
+        self._integration.counts["events"] += 1
+        self._raise_ended()
+
+    def _raise_ended(self) -> None:
+        if self._plant.ended:
+            text = f"is the last one: the FMU requests the end of the simulation at t = {self._time:.9g} s"
+            ended = Ended(self.log.error_message("the step", text))
+            ended.reached = self._time
+            raise ended
+
+    # ---- rollback
+
+    def save(self, state: SavedState | None = None) -> SavedState:
+        """Save the state, over an earlier one if there is one; free it with `free_state`."""
+        assert self._integration is not None
+        plant, before = self._plant, state.fmu if state else None
+        plant.read()
+        return SavedState(
+            self.fmu.save(before) if self._saves else None,
+            *(self._time, plant.x.copy(), plant.v.copy()),
+            *(plant.next_event, self._integration.counts["events"], self._integration.sides),
+        )
+
+    def restore(self, state: SavedState) -> None:
+        """Restore a saved state."""
+        assert self._integration is not None
+        if self._saves:
+            self.fmu.restore(state.fmu)
+        elif self._integration.counts["events"] != state.events:
+            expected = "expected an FMU that can save its state, to repeat a step with an event"
+            raise Problem(self.log.error_message("going back", expected))
+        self._time, self._plant.next_event = state.time, state.next_event
+        self._integration.sides = state.sides
+        self._course[0], self._course[1:] = state.v, 0.0
+        self._integration.evaluate(state.time, state.x)
+
+    def free_state(self, state: Any) -> None:
+        """Free a saved state."""
+        if self._saves:
+            super().free_state(state.fmu)
+
+
+class _Stepped(Integration):
+    """Integration over one step after the other.
+
+    sides   event indicators that were positive at the end of the last step
+    """
+
+    def __init__(self, plant: Plant, tolerance: float, course: Array) -> None:
+        """course: coefficients of the inputs, by power of time since the start of the step."""
+        super().__init__(plant, tolerance, 0.0)
+        self._course, self._begin = course, 0.0
+        self._radau: Radau | None = None
+        self.sides = self._sides_now()
+
+    def evaluate(self, t: float, x: Array) -> None:
+        """Evaluate the plant at a time [s] and a state, with the inputs of that time."""
+        self.plant.external[:] = (t - self._begin) ** np.arange(DEGREE + 1) @ self._course
+        self.plant.settle_at(t, x)
+
+    def solver(self, t: float, x: Array, target: float) -> Solver:
+        """A solver that begins at a time [s] and a state."""
+        self._radau = self._radau or Radau(self)
+        return self._radau.toward(target, t, x)
+
+    def event(self, t: float, x: Array) -> Array:
+        """Event mode at a time; the states after it. The FMU may change magnitudes there."""
+        self._radau = None
+        return super().event(t, x)
+
+    def over(self, t: float, begin: float, h: float) -> float:
+        """Integrate from t to the end of the step [s]; returns the time there, that of the end at most."""
+        self._begin, self.same, self._at = begin, SAME_TIME * h, (np.nan, b"")
+        x = self.plant.x.copy()
+        if len(self.sides):  # an input may have jumped over a state event
+            self.settle(t, x)
+            x = self.event(t, x) if (self._sides_now() != self.sides).any() else x
+        t, x = self.run(t, x, begin + h)
+        self.settle(t, x)
+        self.sides = self._sides_now()
+        return t
+
+    def _sides_now(self) -> NDArray[np.bool_]:
+        return self.plant.indicators() > 0.0

@@ -1,0 +1,178 @@
+"""FMUs for Model Exchange as components of a co-simulation, alone and beside those for Co-Simulation."""
+
+from contextlib import closing
+from math import exp
+
+import numpy as np
+import pytest
+from kit import shards
+from scipy.integrate import solve_ivp
+
+from monolithic.test_reference import height
+from orchestrator import reference, run
+from orchestrator.base.errors import Problem
+from orchestrator.engine.job import open_slave
+from orchestrator.ssp.load import assemble, load
+
+VERSIONS = (2, 3)
+
+
+def begun(fmu, **start: float):
+    """The component of an FMU, at the beginning of its first step."""
+    (component,) = load(fmu).components.values()
+    slave = open_slave(component)
+    slave.setup(0.0, 10.0, None)
+    for name, value in start.items():
+        slave.set(name, value)
+    slave.enter()
+    slave.exit()
+    return slave
+
+
+# ---- alone
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_an_oscillator_is_that_of_another_solver(fmu, version):
+    """Van der Pol's, in 100 communication steps, against an explicit Runge-Kutta method of order 8."""
+    result = run(fmu("swing", version), stop=5.0, step=0.05)
+    exact = solve_ivp(
+        lambda _, x: [x[1], (1 - x[0] ** 2) * x[1] - x[0]],
+        *((0.0, 5.0), [2.0, 0.0], "DOP853"),
+        t_eval=result.trace.time,
+        rtol=1e-13,
+        atol=1e-14,
+    ).y
+    found = [result[f"swing{version}.{name}"] for name in ("x", "v")]
+    # the tolerance of the solver is 1e-8
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_state_events_are_at_their_times_inside_of_steps(fmu, version):
+    """19 impacts of a ball that then rests; the last of them are several in one step."""
+    result = run(fmu("ball", version), stop=3.0, step=0.05)
+    exact = [height(t) for t in result.trace.time]
+    # flights are parabolas, which the method solves exactly; rounding of 19 impact times
+    assert np.abs(result[f"ball{version}.h"] - exact).max() < 1e-9
+    assert result[f"ball{version}.h"][-1] == result[f"ball{version}.v"][-1] == 0.0
+
+
+@pytest.mark.parametrize(("version", "step"), [(2, 0.3), (3, 0.5)])
+def test_time_events_are_at_their_times_and_may_end_the_simulation(fmu, version, step):
+    """Inside a step, at its end, and at the end of the run."""
+    name = f"counter{version}"
+    result = run(fmu("counter", version), stop=9.0, step=step, set={f"{name}.last": 3})
+    assert result[f"{name}.count"].tolist() == np.floor(result.trace.time + 1e-9).tolist()
+    assert result.trace.time[-1] == 3.0
+    assert "the FMU requests the end of the simulation at t = 3 s" in result.card.notes[-1]
+
+
+def test_a_step_event_is_that_of_the_fmu(fmu):
+    """x' = 1 - x; after a solver's step to x > 0.3 the FMU sets x to 0."""
+    result = run(fmu("lag", 2), stop=1.0, step=0.01, set={"lag2.u": 1.0, "lag2.limit": 0.3})
+    t, x = result.trace.time, result["lag2.x"]
+    assert x.max() < 0.31
+    assert (np.diff(x) < 0).sum() == 2  # it takes log(1 / 0.7) = 0.36 s each time
+    # before the first event
+    np.testing.assert_allclose(x[t < 0.35], 1 - np.exp(-t[t < 0.35]), atol=1e-7)
+
+
+# ---- inputs
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_an_input_is_a_cubic_inside_of_a_step(fmu, version):
+    """x' = u - x with u = 1 + 2 t + 3 t^2 + 4 t^3: x = P(t) - P(0) e^-t with P = u - u' + u'' - u'''."""
+    with closing(begun(fmu("lag", version))) as slave:
+        slave.writer(["u"], np.ones(1))()
+        orders = np.array([2.0, 6.0, 24.0])
+        slave.input_derivative_writer(["u"] * 3, orders, [1, 2, 3])()
+        for t, h in ((0.0, 0.25), (0.25, 0.75)):
+            slave.step(t, h)
+            orders[:] = [2 + 6 * 0.25 + 12 * 0.25**2, 6 + 24 * 0.25, 24]  # of the second step
+            slave.input_derivative_writer(["u"] * 3, orders, [1, 2, 3])()
+        end, start = 10 - 20 + 30 - 24, 1 - 2 + 6 - 24
+        # the tolerance of the solver is 1e-8
+        assert slave.get("x") == pytest.approx(end - start * exp(-1), abs=1e-7)
+        assert slave.get("u") == pytest.approx(10.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_thermostat_switches_a_room(fmu, version):
+    """Its state events follow from its input, and its output is set in event mode: one step late at most."""
+    fmus = {"room": fmu("room", version), "thermo": fmu("thermo", version)}
+    system = assemble(fmus, ["room.T -> thermo.y", "thermo.on -> room.on"])
+    exact = reference(system, stop=2.0, record_step=0.01)["room.T"]
+    for step in (0.01, 0.002):
+        found = run(system, stop=2.0, step=step, record_step=0.01, master="gauss-seidel")["room.T"]
+        # the temperature changes by at most 0.6 per second; 4 switches, each up to two steps late
+        assert np.abs(found - exact).max() < 0.6 * 4 * 2 * step
+
+
+# ---- steps that are repeated
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_step_can_be_repeated(fmu, version):
+    """From a saved state it has the same result, whatever the solver has learnt since."""
+    with closing(begun(fmu("swing", version))) as slave:
+        slave.step(0.0, 0.1)
+        saved, found = slave.save(), []
+        for _ in range(2):
+            slave.restore(saved)
+            slave.step(0.1, 0.1)
+            found.append((slave.get("x"), slave.get("v")))
+        # the tolerance of the solver is 1e-8
+        assert found[0] == pytest.approx(found[1], rel=1e-8)
+
+
+def test_a_step_with_an_event_needs_the_state_of_the_fmu(fmu):
+    """The ball keeps nothing but its states, but nobody knows; so masters do not repeat its steps."""
+    with closing(begun(fmu("ball", 2))) as slave:
+        assert not slave.interface.rollback
+        saved = slave.save()
+        slave.step(0.0, 0.5)  # the impact is at 0.45 s
+        with pytest.raises(Problem, match="expected an FMU that can save its state, to repeat a step"):
+            slave.restore(saved)
+
+
+# ---- beside components in Co-Simulation
+
+
+COMMAND = {"time": [0.0, 0.05], "boom_command": [0.0, 5.0], "swing_command": [0.0, 3.0]}
+STEPS = {"jacobi": 5e-6, "gauss-seidel": 1e-5, "hermite": 2e-4}
+TIMES = {"stop": 0.05, "record_step": 5e-3}
+
+
+def differences(found, truth):
+    """The largest difference of each signal over its range, or if that is less, over 0.1 % of nominal."""
+    names = [n for n in found.trace.signals if n in truth.trace.signals]
+    assert len(names) > 40
+    nominals = truth.system.nominals
+    scales = {n: max(np.ptp(truth[n]), 1e-3 * (nominals.get(n) or 1.0)) for n in names}
+    return {n: np.abs(found[n] - truth[n]).max() / scale for n, scale in scales.items()}
+
+
+@pytest.mark.parametrize("master", STEPS)
+def test_model_exchange_has_the_coupling_error_of_co_simulation(fmu_dir, master):
+    """The manipulator beside the other parts, integrated here or by the method inside its FMU, at 1 ms."""
+    system = load(fmu_dir / "harvester.ssp")
+    mixed = system.in_kind("ModelExchange", "manipulator")
+    assert [c.interface.kind for c in mixed.components.values()].count("ModelExchange") == 1
+    options = {**TIMES, "step": 1e-3, "master": master, "tolerance": 1e-10}
+    found = differences(run(mixed, COMMAND, **options), run(system, COMMAND, **options))
+    # errors of both solvers; those of the coupling, the same for both, are above 1e-5
+    assert max(found.values()) < 1e-6, max(found, key=found.get)
+
+
+@pytest.mark.parametrize(
+    ("master", "step"), [pytest.param(*case, marks=shards.machine) for case in STEPS.items()]
+)
+def test_a_mixed_system_is_the_monolithic_solution(fmu_dir, master, step):
+    """The steps are those at which the masters are so exact."""
+    system = load(fmu_dir / "harvester.ssp").in_kind("ModelExchange", "manipulator")
+    truth = reference(system, COMMAND, **TIMES)
+    found = run(system, COMMAND, **TIMES, step=step, master=master, tolerance=1e-10)
+    # errors of the coupling, up to 7e-7 at these steps, which have to be below 1e-6
+    assert max(differences(found, truth).values()) < 1e-6

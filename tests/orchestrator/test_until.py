@@ -1,0 +1,121 @@
+"""Runs that end at a condition, and functions that hear of each row."""
+
+import numpy as np
+import pytest
+from kit.mistakes import problem
+
+from orchestrator import Coupling, RunFailed, read_trace, run, write_ssp
+from orchestrator.__main__ import main
+
+STEPS = {"step": 1e-2, "stop": 2.0}
+EACH = pytest.mark.parametrize("isolate", [True, False])
+
+
+@pytest.fixture(scope="module")
+def whole(oscillator):
+    """The run without a condition."""
+    return run(oscillator, **STEPS).trace
+
+
+def first(whole, holds):
+    """The number of rows up to the first one where a condition on a.x holds."""
+    return int(np.flatnonzero(holds(whole["a.x"]))[0]) + 1
+
+
+@EACH
+@pytest.mark.parametrize(
+    ("until", "holds"),
+    [
+        ("a.x < -0.5", lambda x: x < -0.5),
+        ("a.x<=-50cm", lambda x: x <= -0.5),
+        ("a.x > 1e-1 m", lambda x: x > 0.1),
+        ("a.x >= 0.1", lambda x: x >= 0.1),
+    ],
+)
+def test_a_run_ends_at_the_first_row_where_the_condition_holds(oscillator, whole, isolate, until, holds):
+    """Complete, with the rows of the whole run until then, and a note."""
+    result = run(oscillator, until=until, isolate=isolate, **STEPS)
+    n = first(whole, holds)
+    assert result.complete
+    np.testing.assert_array_equal(result.trace["a.x"], whole["a.x"][:n])
+    end = whole.time[n - 1]
+    assert result.card.notes[-1] == f"the run ends at t = {end:.6g} s: {until}"
+    assert result.card.simulated == pytest.approx(end, rel=1e-12)  # rounding
+
+
+@EACH
+def test_a_function_hears_of_each_row_and_may_end_the_run(oscillator, whole, isolate):
+    """In order, with the recorded signals; the row at which it returns True is the last."""
+    heard = []
+
+    def below(time, row):
+        heard.append((time, row["a.x"]))
+        return row["a.x"] < -0.5
+
+    result = run(oscillator, until=below, isolate=isolate, **STEPS)
+    n = first(whole, lambda x: x < -0.5)
+    assert heard == list(zip(whole.time[:n], whole["a.x"][:n], strict=True))
+    assert result.complete
+    assert len(result.trace.time) == n
+
+
+@EACH
+def test_a_function_that_returns_nothing_hears_of_all_rows(oscillator, whole, isolate):
+    """The run is that without it."""
+    heard = []
+    result = run(oscillator, until=lambda time, _: heard.append(time), isolate=isolate, **STEPS)
+    np.testing.assert_array_equal(heard, whole.time)
+    np.testing.assert_array_equal(result.trace["a.x"], whole["a.x"])
+
+
+@EACH
+def test_an_error_of_the_function_keeps_the_rows(oscillator, whole, isolate):
+    """It is named with its time."""
+
+    def wrong(time, _):
+        if time > 0.495:
+            raise ValueError("no such thing")
+
+    with pytest.raises(RunFailed, match=r"until: the function failed at t = 0\.5 s: ValueError") as failed:
+        run(oscillator, until=wrong, isolate=isolate, **STEPS)
+    np.testing.assert_array_equal(failed.value.result.trace["a.x"], whole["a.x"][:51])
+
+
+def test_the_signal_of_a_condition_is_recorded(oscillator):
+    """Beside those that are asked for; with adaptive steps and an estimate of errors too."""
+    options = {"record": ["b.x"], "until": "a.x < -0.5", "stop": 2.0}
+    result = run(oscillator, master=Coupling("hermite", adaptive=1e-4), error_estimate=True, **options)
+    assert set(result.trace.signals) == {"a.x", "b.x"}
+    assert result.trace["a.x"][-1] < -0.5 < result.trace["a.x"][-2]
+    assert "no error estimate: the run ended before its stop time" in result.card.notes
+
+
+def test_an_accuracy_and_a_condition(open_oscillator):
+    """The last run of the search ends there, as accurate as it was asked."""
+    result = run(open_oscillator, accuracy=1e-4, until="a.x < -0.5", stop=2.0)
+    assert result.trace["a.x"][-1] < -0.5 <= result.trace["a.x"][:-1].min()
+    assert any(note.startswith("accuracy 0.0001") for note in result.card.notes)
+
+
+def test_the_command_ends_with_status_0(oscillator, tmp_path, capsys):
+    """And writes a complete file."""
+    system, out = write_ssp(oscillator, tmp_path / "pair.ssp"), tmp_path / "o.csv"
+    command = ["run", str(system), "--until", "a.x < -0.5", "--stop", "2", "--out", str(out)]
+    assert main(command) == 0
+    assert "note: the run ends at t = " in capsys.readouterr().out
+    assert read_trace(out)["a.x"][-1] < -0.5
+
+
+@pytest.mark.parametrize(
+    ("until", "message"),
+    [
+        ("a.x", "until: expected SIGNAL < NUMBER, such as arm.height < -1.5 m, got 'a.x'"),
+        ("a.y < 1", "until a.y < 1: expected one signal, got none"),
+        ("x < 1", "until x < 1: expected one signal, got a.x, b.x"),
+        ("a.x < one", "until a.x < one: expected a number behind <, got 'one'"),
+        ("a.x < 1 bar", "until a.x < 1 bar: expected a unit like m, got 'bar'"),
+    ],
+)
+def test_what_is_no_condition_is_told(oscillator, until, message):
+    """In one line, before the run."""
+    assert problem(lambda: run(oscillator, until=until)).startswith(message)
