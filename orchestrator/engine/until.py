@@ -74,6 +74,7 @@ class Until(TraceSink):
         self.keeps_errors = sink.keeps_errors
         self.reached: float | None = None
         self.failure: Problem | None = None
+        self._told = False
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Receive the signals."""
@@ -110,8 +111,9 @@ class Until(TraceSink):
         return n + 1
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt if the run is to end."""
-        if self.reached is not None or self.failure:
+        """Raise KeyboardInterrupt, once, if the run is to end: a second one would kill its process."""
+        if not self._told and (self.reached is not None or self.failure):
+            self._told = True
             raise KeyboardInterrupt
 
     def ended(self, end: RunEnd) -> RunEnd:

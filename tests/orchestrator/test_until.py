@@ -41,6 +41,7 @@ def test_a_run_ends_at_the_first_row_where_the_condition_holds(oscillator, whole
     end = whole.time[n - 1]
     assert result.card.notes[-1] == f"the run ends at t = {end:.6g} s: {until}"
     assert result.card.simulated == pytest.approx(end, rel=1e-12)  # rounding
+    assert result.card.inside  # the process has ended the run itself, and was not killed
 
 
 @EACH
