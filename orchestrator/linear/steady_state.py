@@ -148,11 +148,11 @@ LONG_STEP = 10.0  # [s], shortest step after which Newton's method is tried
 MAX_TIME = 1e9  # [s], length of the transient
 RAMP_TIME = 0.5  # [s] until the joints have their speeds
 # [s], inputs change by nominal / lag at full acceleration of their joints. Pairs of lags, of joints that move
-# and at rest, are tried in turn, each with a number of steps: the second to fourth for slow spools, the last
-# ones for oil behind check valves, which leaks away in hours.
+# and at rest, are tried in turn, each with a number of steps: the second to fifth for slow spools and pressure
+# compensators, the last ones for oil behind check valves, which leaks away in hours.
 LAGS = {
-    **dict.fromkeys(((0.005, 0.005), (0.05, 0.05), (0.1, 0.1), (0.05, 0.005)), 3000),
-    **dict.fromkeys(((0.005, 1e3), (0.005, 1e4)), 1200),
+    **dict.fromkeys(((0.005, 0.005), (0.05, 0.05), (0.1, 0.1), (0.05, 0.005), (10.0, 10.0)), 3000),
+    **dict.fromkeys(((10.0, 1e3), (0.005, 1e3), (0.005, 1e4)), 1200),
 }
 JERK_TIME = 0.005  # [s], T of the control law of the inputs
 # relative to nominal, [s], number of steps: step of an input to find its sign
@@ -161,6 +161,9 @@ MAX_INPUT_STEP = 0.05  # relative to nominal, largest change of an input in one 
 # Norm of the next correction over the norm of the step: a step is repeated above the first value, and the
 # following step is longer below the second one.
 MAX_NONLINEARITY, SMALL_NONLINEARITY = 0.5, 0.05
+# A step is also repeated if the terms of a rate shrink below this share: the rates vanish in a large cavity, where
+# a step that is too long would end as if it were at rest.
+MAX_SHRINK = 0.1
 
 
 class Search(SteadyEquations):
@@ -212,23 +215,29 @@ class Search(SteadyEquations):
         """
         x, u, h, t = self.plant.x.copy(), self.plant.u, FIRST_STEP, 0.0
         limit = self.nominal[len(self.states) :]
+        law, jacobian, scale = self._law(push)
         for _ in range(steps):
-            law, jacobian = self._law(push)
             implicit = np.eye(len(jacobian)) / h - jacobian
             change = np.asarray(np.linalg.solve(implicit, law @ self.residual), np.float64)
             next_x, next_u = self.shifted(x, u, change)
             next_u[self.inputs] = np.clip(next_u[self.inputs], -limit, limit)
             for index, speed in speeds.items():
                 next_x[index] = speed * min((t + h) / RAMP_TIME, 1.0)
-            nonlinearity = np.inf
+            nonlinearity, size = np.inf, np.linalg.norm(change) + STEP_TOLERANCE
             if (np.abs(change[len(self.states) :]) <= MAX_INPUT_STEP).all() and self.evaluate(next_x, next_u):
                 correction = np.linalg.solve(implicit, law @ self.residual - change / h)
-                nonlinearity = float(np.linalg.norm(correction) / (np.linalg.norm(change) + STEP_TOLERANCE))
-            if nonlinearity > MAX_NONLINEARITY and h > SHORTEST_STEP:
+                nonlinearity = float(np.linalg.norm(correction) / size)
+            shortest = h <= SHORTEST_STEP
+            if nonlinearity <= MAX_NONLINEARITY or shortest:
+                next_law, next_jacobian, next_scale = self._law(push)
+                if (next_scale < MAX_SHRINK * scale).any():
+                    nonlinearity = np.inf
+            if nonlinearity > MAX_NONLINEARITY and not shortest:
                 h *= 0.25
                 self.evaluate(x, u)
                 continue
             x, u, t = next_x, next_u, t + h
+            law, jacobian, scale = next_law, next_jacobian, next_scale
             if h > LONG_STEP:
                 yield t
             if t >= until:
@@ -236,7 +245,7 @@ class Search(SteadyEquations):
             factor = 1.5 if nonlinearity < MAX_NONLINEARITY / 2 else 0.8
             h = min(h * (5.0 if nonlinearity < SMALL_NONLINEARITY else factor), until)
 
-    def _law(self, push: Array) -> tuple[Array, Array]:
+    def _law(self, push: Array) -> tuple[Array, Array, Array]:
         """The matrix from time derivatives to relative rates of the unknowns, and the Jacobian of the rates.
 
         The control law of the inputs is u' = -k (a + T a') with the acceleration a of the joint. Without the
@@ -249,7 +258,7 @@ class Search(SteadyEquations):
         gains = -push / scale[n:]
         law[n:, n:] = np.diag(gains)
         law[n:, :n] = gains[:, None] * (JERK_TIME * jacobian[n:, :n] / self.nominal[:n])
-        return law, law @ jacobian
+        return law, law @ jacobian, scale
 
 
 NOTE_DECIMALS = 12  # decimals of an input in a note

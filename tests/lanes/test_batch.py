@@ -61,7 +61,8 @@ def test_a_limit_of_time_ends_the_machines_that_are_not_done(built, lanes):
     options = {"stop": 1e4, "record": "manipulator.boom_angle", "record_step": 10.0, "lanes": lanes}
     result = batch(built / "harvester.ssp", MASSES, **options, time_limit=0.3, workers=1)
     assert result.status.tolist() == ["failed"] * 3
-    assert "not done within 0.3 s" in result.reasons[0]  # in a step, or before the first one of a slow start
+    # in a step, before the first one, or, where FMUs are unpacked slowly, before the run
+    assert re.search("not (done|begun) within 0.3 s", result.reasons[0])
     problem(
         lambda: batch(built / "harvester.ssp", MASSES, **options, time_limit=0.0),
         "time_limit: expected a positive number",
