@@ -148,7 +148,7 @@ LONG_STEP = 10.0  # [s], shortest step after which Newton's method is tried
 MAX_TIME = 1e9  # [s], length of the transient
 RAMP_TIME = 0.5  # [s] until the joints have their speeds
 # [s], inputs change by nominal / lag at full acceleration of their joints. Pairs of lags, of joints that move
-# and at rest, are tried in turn, each with a number of steps: the second to fifth for slow spools and pressure
+# and at rest, are tried in turn, each with a number of steps: the second to fifth for slow spools and
 # compensators, the last ones for oil behind check valves, which leaks away in hours.
 LAGS = {
     **dict.fromkeys(((0.005, 0.005), (0.05, 0.05), (0.1, 0.1), (0.05, 0.005), (10.0, 10.0)), 3000),
@@ -161,8 +161,8 @@ MAX_INPUT_STEP = 0.05  # relative to nominal, largest change of an input in one 
 # Norm of the next correction over the norm of the step: a step is repeated above the first value, and the
 # following step is longer below the second one.
 MAX_NONLINEARITY, SMALL_NONLINEARITY = 0.5, 0.05
-# A step is also repeated if the terms of a rate shrink below this share: the rates vanish in a large cavity, where
-# a step that is too long would end as if it were at rest.
+# A step is also repeated if the terms of a rate shrink below this share: the rates vanish in a large cavity,
+# where a step that is too long would end as if it were at rest.
 MAX_SHRINK = 0.1
 
 
