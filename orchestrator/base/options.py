@@ -222,6 +222,12 @@ def chosen(group: Any, options: Mapping[str, Any], function: str) -> dict[str, A
     return values
 
 
+def taken(given: dict[str, Any], *names: str, **renamed: str) -> dict[str, Any]:
+    """The options with these names, taken out of those of a call; renamed: name -> name in the result."""
+    renamed = dict.fromkeys(names, "") | renamed
+    return {new or name: given.pop(name) for name, new in renamed.items() if name in given}
+
+
 def _checked(name: str, option: Declared, value: Any) -> Any:
     try:
         return option.read(value)

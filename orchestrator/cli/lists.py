@@ -91,12 +91,11 @@ def signals(
     json   Print them as JSON.
     """
     from orchestrator.base.files import require_system
-    from orchestrator.ssp.load import load
-    from orchestrator.ssp.swap import with_swaps
+    from orchestrator.ssp.load import configured
 
     if kind not in (None, *KINDS):
         raise Problem(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
-    found = with_swaps(load(require_system(system_file(system))), swap or {})
+    found = configured(require_system(system_file(system)), swap=swap)
     print(dumps([*rows(found, kind)], indent=1) if json else "\n".join(lines(found, kind)))
 
 

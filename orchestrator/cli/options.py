@@ -164,11 +164,10 @@ def _value(name: str, option: Declared, value: Any) -> Any:
 def tell_built(system: Path, swapped: Mapping[str, str | Path]) -> None:
     """Print which file of parameters the FMUs of a system were built with, if they were."""
     from orchestrator.base.files import require_system
-    from orchestrator.ssp.load import load
+    from orchestrator.ssp.load import configured
     from orchestrator.ssp.provenance import built_notes
-    from orchestrator.ssp.swap import with_swaps
 
-    for note in built_notes(with_swaps(load(require_system(system)), swapped)):
+    for note in built_notes(configured(require_system(system), swap=swapped)):
         print(note, flush=True)
 
 

@@ -78,15 +78,14 @@ def _default_system(swapped: Mapping[str, str]) -> Path:
     if not control.exists():
         return SYSTEM
     if swapped:
-        from orchestrator.ssp.load import load
-        from orchestrator.ssp.swap import with_swaps
+        from orchestrator.ssp.load import configured
 
         try:
-            with_swaps(load(control), swapped)
+            configured(control, swap=swapped)
         except Problem as problem:
             other, words = control.with_name(SYSTEM.name), (f"--swap {n}={f}" for n, f in swapped.items())
             with suppress(Problem):
-                with_swaps(load(other), swapped)
+                configured(other, swap=swapped)
                 advice = f"{other} has no controller and accepts it: harvester view {other}"
                 problem = Problem(f"{problem}; {advice} {' '.join(words)}")
             raise problem from None

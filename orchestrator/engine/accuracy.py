@@ -160,7 +160,7 @@ class AccuracySearch:
         coupling, steps = next((c, n) for least, c, n in FIRST if self.accuracy >= least or self._jumping)
         return Settings(self._guarded(coupling), min(steps * self._base, self._longest), self._tolerance)
 
-    def sources_alone(self, job: Job, times: Grid) -> tuple[Job, Grid] | None:
+    def sources_alone(self, job: Job) -> Job | None:
         """A run of the components without inputs that influence others, by short steps; None without any."""
         driven = {port.component for port in job.scenario.columns} if job.scenario else set()
         fed = driven | {c.target.component for c in job.system.connections}
@@ -169,12 +169,13 @@ class AccuracySearch:
         if not ports or self.runs:
             return None
         slopes = all(component.interface.output_derivatives for component in components.values())
+        times = job.times
         span, unit = times.stop - times.start, self._base / GOLDEN
         looks = max(min(LOOKS_WITH_SLOPES if slopes else LOOKS, MOST_LOOKS * unit / span), 1.0)
         execution = replace(job.execution, error_estimate=False, until=None)
         system, record = System(job.system.name, components), Record([str(port) for port in ports])
-        alone = Job(system, None, Coupling("jacobi"), record, execution)
-        return alone, Grid(times.start, unit / looks, math.ceil(span / unit * looks))
+        close = Grid(times.start, unit / looks, math.ceil(span / unit * looks))
+        return Job(system, None, close, Coupling("jacobi"), record, execution)
 
     def heed(self, end: RunEnd, looks: TraceSink) -> None:
         """Take no steps that would not see what sources do, before the first run; see `sources_alone`."""

@@ -29,7 +29,6 @@ from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_fil
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
     from orchestrator.engine.job import Job, RunEnd
-    from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel
 
@@ -67,7 +66,6 @@ class RunTask:
     """
 
     job: Job
-    times: Grid
     number: int
     directory: str
     path: list[str]
@@ -97,7 +95,6 @@ def _contents() -> Mapping[str, Any]:
 
 def run_isolated(
     job: Job,
-    times: Grid,
     sink: TraceSink,
     between: Callable[[float], None] = lambda _: None,
     check: Callable[[], None] = lambda: None,
@@ -116,7 +113,7 @@ def run_isolated(
     outcome: RunEnd | None = None
     try:
         with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
-            supervision = _Supervision(worker, job, times, sink, between, cores or os.cpu_count() or 1)
+            supervision = _Supervision(worker, job, sink, between, cores or os.cpu_count() or 1)
             outcome = supervision.outcome((interrupts.check, check))
     except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
         if outcome is None:
@@ -154,13 +151,12 @@ class _Supervision:
         self,
         worker: Worker,
         job: Job,
-        times: Grid,
         sink: TraceSink,
         between: Callable[[float], None],
         cores: int,
     ) -> None:
         execution = job.execution
-        self._worker, self._times, self._sink, self._between = worker, times, sink, between
+        self._worker, self._times, self._sink, self._between = worker, job.times, sink, between
         self._limits, self._command_began = execution.worker_limits, execution.began
         worker.fmus = job.system.fmus
         self._outputs = {str(port) for port in job.system.ports("output")}
@@ -168,7 +164,7 @@ class _Supervision:
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
-        task = RunTask(job, times, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, cores)
+        task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, cores)
         worker.put(task)
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
@@ -413,4 +409,4 @@ def _run(channel: Channel, task: RunTask) -> None:
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
     job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
-    run_job(job, task.times, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)
+    run_job(job, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)

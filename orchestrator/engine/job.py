@@ -170,20 +170,21 @@ class RunEnd:
         return self.problem is None and not self.interrupted
 
 
-@dataclass
+@dataclass(frozen=True)
 class Job:
-    """A system and all choices for a run except the time grid; provenance: of its files and values."""
+    """A run: a system, its communication points and all other choices; provenance: of files and values."""
 
     system: System
     scenario: Scenario | None
+    times: Grid
     coupling: Coupling
     record: Record = Record()
     execution: Execution = Execution()
     provenance: Provenance = field(default_factory=Provenance)
 
-    def card(self, times: Grid, end: RunEnd, sink: TraceSink, trace: Trace) -> Card:
+    def card(self, end: RunEnd, sink: TraceSink, trace: Trace) -> Card:
         """The accuracy card of a run that has ended, with this trace."""
-        adaptive, simulated = self.coupling.adaptive, end.t - times.start
+        times, adaptive, simulated = self.times, self.coupling.adaptive, end.t - self.times.start
         interfaces = {name: component.interface for name, component in self.system.components.items()}
         left_out = (f"{n}: {i.unsupported_note}" for n, i in interfaces.items() if i.unsupported)
         same = ("steps", "passes", "repeated", "lengths", "wall", "bonds", "inside")

@@ -42,7 +42,6 @@ FEWEST_STEPS = 2  # between two evaluations of the estimated errors
 
 def run_job(
     job: Job,
-    times: Grid,
     sink: TraceSink,
     between: Callable[[float], None] = lambda _: None,
     at_end: Callable[[RunEnd], None] = lambda _: None,
@@ -55,7 +54,7 @@ def run_job(
     at_end     called before the FMUs are closed
     allocate   see `Binding`
     """
-    with opened(job, times, sink, allocate) as loop:
+    with opened(job, sink, allocate) as loop:
         began = time.perf_counter()
         problem, interrupted = None, False
         try:
@@ -82,7 +81,7 @@ def run_job(
             errors=loop.errors.errors() if loop.errors else {},
             inside=loop.inside,
             logs=tuple(copy(s.log) for s in network.slaves.values()),
-            notes=network.notes + times.notes + loop.notes,
+            notes=network.notes + job.times.notes + loop.notes,
             problem=problem,
             interrupted=interrupted,
         )
@@ -119,9 +118,7 @@ def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
 
 
 @contextmanager
-def opened(
-    job: Job, times: Grid, sink: TraceSink, allocate: Allocate = in_process
-) -> Iterator[SimulationLoop]:
+def opened(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.record.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]
@@ -139,14 +136,14 @@ def opened(
                 _restore_environment(binding, slaves[name])
         network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
         stack.callback(network.free_saved_states)
-        loop = SimulationLoop(job, times, network, sink, selected)
+        loop = SimulationLoop(job, network, sink, selected)
         stack.callback(loop.close)
         yield loop
 
 
-def step_control(job: Job, times: Grid) -> StepControl | None:
+def step_control(job: Job) -> StepControl | None:
     """Parameters of adaptive steps, or of the divided steps of a guarded run; None: equal steps."""
-    c = job.coupling
+    c, times = job.coupling, job.times
     if c.adaptive is None:
         if not guarded(job.system, c):
             return None
@@ -246,11 +243,9 @@ class SimulationLoop:
 
     errors: ErrorPropagation | None = None
 
-    def __init__(
-        self, job: Job, times: Grid, network: Network, sink: TraceSink, selected: Sequence[Port] | None
-    ) -> None:
+    def __init__(self, job: Job, network: Network, sink: TraceSink, selected: Sequence[Port] | None) -> None:
         """selected: the recorded signals; None: all."""
-        self.network, self.times = network, times
+        self.network, self.times = network, job.times
         self._binding, self.state = network.binding, network.binding.simulation
         master = job.coupling.method
         estimate, plan = job.execution.error_estimate, master.planned(job.system, job.coupling)
@@ -262,13 +257,13 @@ class SimulationLoop:
         prediction = LinearPrediction(network, inputs, plan, plan.prediction) if plan.prediction else None
         self._initialise(job)
         self.energy = EnergyMonitor(network, inputs.varying, bonds_of(job, network))
-        self.recorder = Recorder(network, times, sink, selected)
-        self._control = step_control(job, times)
+        self.recorder = Recorder(network, job.times, sink, selected)
+        self._control = step_control(job)
         self._components = [*network.components.values()]
         self._threads_undecided = not (plan.sequential or master.step) and len(self._components) > 1
         self._fill(prediction)
         if estimate and not master.step:
-            errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
+            errors = ErrorPropagation(network, inputs, max(job.times.every, FEWEST_STEPS))
             if not errors.missing:
                 errors.fill(self._binding)
                 self.errors = errors

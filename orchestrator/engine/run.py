@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar, Unpack
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once, write_whole
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import chosen, documented
+from orchestrator.base.options import chosen, declarations, documented, taken
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.base.signals import matching
@@ -24,7 +24,7 @@ from orchestrator.data.table import READABLE
 from orchestrator.data.trace import SAME_TIME, Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
-from orchestrator.engine.arguments import RunArguments
+from orchestrator.engine.arguments import RunArguments, SystemArguments
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import (
     Execution,
@@ -56,9 +56,8 @@ from orchestrator.engine.time_grid import (
 from orchestrator.engine.until import Comparison, Until, condition
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, take_coupling
-from orchestrator.ssp.load import load
+from orchestrator.ssp.load import configured
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
-from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import (
     doubtful_columns,
     doubtful_starts,
@@ -67,7 +66,6 @@ from orchestrator.ssp.plausible import (
     with_doubts,
 )
 from orchestrator.ssp.provenance import built_notes, provenance
-from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
 FIRST_SHARE = 0.001  # of a run, from which on the time that it will take is estimated
@@ -109,7 +107,7 @@ def run(
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
     request = requested(system, scenario, record, execution, options)
-    return co_simulate(request, lambda *_: TraceInMemory())[0]
+    return co_simulate(request, lambda _: TraceInMemory())[0]
 
 
 def attempt(
@@ -172,8 +170,8 @@ class Request:
         """The system with the coupling that is asked for."""
         return self.system.coupled(self.coupling) if self.coupling else self.system
 
-    def job(self) -> tuple[Job, Grid]:
-        """The job of a run, and its communication points."""
+    def job(self) -> Job:
+        """The job of a run."""
         system, scenario, record, execution = self.coupled, self.scenario, self.record, self.execution
         if system.coupling and system.coupling.method.own:  # its functions are in this process
             execution = replace(execution, isolate=False)
@@ -181,7 +179,6 @@ class Request:
         if execution.isolated:
             start_process()
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
-        system = with_sets(system, self.parameters).with_start(self.set)
         system = replace(system, notes=system.notes + built_notes(system))
         (scenario, trace, label), driving = scenario_trace(scenario), None
         columns = trace.signals if trace is not None else ()
@@ -213,7 +210,7 @@ class Request:
             record = replace(record, signals=tuple(dict.fromkeys(wanted)))
         ssv = [s for s in self.parameters if str(s).endswith(SSV)]
         files = [*ssv, *([scenario] if isinstance(scenario, Path | Location) else [])]
-        return Job(system, driving, coupling, record, execution, provenance(system, files)), times
+        return Job(system, driving, times, coupling, record, execution, provenance(system, files))
 
 
 def scenario_trace(scenario: ScenarioSource) -> tuple[ScenarioSource, Trace | None, str]:
@@ -236,12 +233,12 @@ def requested(
     given = chosen(RunArguments, options, "run")
     if not isinstance(record, Record):
         record = Record((record,) if isinstance(record, str) else record and tuple(record))
-    of_record = {"record_step": "step", "bonds": "bonds"}
-    record = replace(record, **{of_record[name]: given.pop(name) for name in of_record.keys() & given.keys()})
-    names = {f.name for f in fields(Execution)} & given.keys()
-    execution = replace(execution or Execution(), **{name: given.pop(name) for name in names})
-    coupling, opened_system = take_coupling(given), opened(system, given)
-    return Request(opened_system, scenario, record, execution.begun(), coupling, **given)
+    record = replace(record, **taken(given, record_step="step", bonds="bonds"))
+    execution = replace(execution or Execution(), **taken(given, *(f.name for f in fields(Execution))))
+    coupling, of_system = take_coupling(given), taken(given, *declarations(SystemArguments))
+    values = {name: v for name, v in of_system.items() if name in ("parameters", "set")}
+    system = configured(system, **of_system)
+    return Request(system, scenario, record, execution.begun(), coupling, **values, **given)
 
 
 Sink = TypeVar("Sink", bound=TraceSink)
@@ -249,7 +246,7 @@ Sink = TypeVar("Sink", bound=TraceSink)
 
 def co_simulate(
     request: Request,
-    new_sink: Callable[[Job, Grid], Sink],
+    new_sink: Callable[[Job], Sink],
     keep: Callable[[Result, Sink, Callable[[], None]], None] = lambda *_: None,
 ) -> tuple[Result, Sink]:
     """The result of the run that is asked for, or of the last of those of a search, and its sink.
@@ -260,18 +257,18 @@ def co_simulate(
     """
     search = request.search()
     while True:
-        job, times = (request.next_of(search) if search else request).job()
-        if search and (alone := search.sources_alone(job, times)):
+        job = (request.next_of(search) if search else request).job()
+        if search and (alone := search.sources_alone(job)):
             looks = TraceInMemory()
-            search.heed(simulate(*alone, looks), looks)
-            job, times = request.next_of(search).job()
+            search.heed(simulate(alone, looks), looks)
+            job = request.next_of(search).job()
         if search and search.runs and request.execution.progress:
-            tell_once(f"note: {search.cost(times.stop - times.start)}")
-        sink = new_sink(job, times)
+            tell_once(f"note: {search.cost(job.times.stop - job.times.start)}")
+        sink = new_sink(job)
         try:
-            end = simulate(job, times, sink)
+            end = simulate(job, sink)
             with DeferredInterrupts(second_at_once=False) as interrupts:
-                result: Result | None = finished(job, times, end, sink)
+                result: Result | None = finished(job, end, sink)
                 if search and result is not None:
                     result = search.judge(result)
                 if result is not None:  # one without signals is false
@@ -284,13 +281,7 @@ def co_simulate(
             sink.close()
         if result is not None:
             estimate = request.execution.error_estimate and not search
-            return with_error_estimate(job, times, result) if estimate else result, sink
-
-
-def opened(system: System | str | Path, given: dict[str, Any]) -> System:
-    """The system with the connections and FMUs of the options, which are taken out of those of a run."""
-    system = system if isinstance(system, System) else load(system)
-    return with_swaps(system.without(*given.pop("cut", ())), given.pop("swap", {}))
+            return with_error_estimate(job, result) if estimate else result, sink
 
 
 def prepare(
@@ -299,15 +290,16 @@ def prepare(
     record: Record | str | Sequence[str] | None = None,
     execution: Execution | None = None,
     **options: Unpack[RunArguments],
-) -> tuple[Job, Grid]:
-    """The job of a run and its communication points; arguments of `run`."""
+) -> Job:
+    """The job of a run; arguments of `run`."""
     return requested(system, scenario, record, execution, options).job()
 
 
-def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
+def simulate(job: Job, sink: TraceSink) -> RunEnd:
     """Run a job, in a process of its own or in this one; the rows go to `sink`."""
     until = Until(job.execution.until, sink) if job.execution.until is not None else None
     job = replace(job, execution=replace(job.execution, until=None))  # functions stay in this process
+    times = job.times
     with ProgressBar(times.stop - times.start, job.execution.progress) as bar, doubts_told(job.system):
 
         def between(t: float) -> None:
@@ -319,19 +311,19 @@ def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
 
         check = until.check if until else lambda: None
         if job.execution.isolated:
-            end = run_isolated(job, times, until or sink, between, check)
+            end = run_isolated(job, until or sink, between, check)
         else:
             from orchestrator.engine.open_job import run_job  # a process that only supervises needs it not
 
-            end = run_job(job, times, until or sink, in_this_process)
+            end = run_job(job, until or sink, in_this_process)
         return until.ended(end) if until else end
 
 
-def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
+def finished(job: Job, outcome: RunEnd, sink: TraceSink) -> Result:
     """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
     trace = sink.trace
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
-    card = job.card(times, outcome, sink, trace)
+    card = job.card(outcome, sink, trace)
     result = Result(
         job.system,
         trace,
@@ -351,7 +343,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
     return result
 
 
-def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
+def with_error_estimate(job: Job, result: Result) -> Result:
     """A complete run with error estimates on its card, or with a note if a further run fails.
 
     If the run itself has estimated its errors, there are no further runs.
@@ -359,10 +351,11 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
     if result.card.errors_of_inputs:
         return result
 
-    def repeated(job: Job, times: Grid) -> Result:
+    def repeated(job: Job) -> Result:
         sink = TraceInMemory()
-        return finished(job, times, simulate(job, times, sink), sink)
+        return finished(job, simulate(job, sink), sink)
 
+    times = job.times
     short = result.card.simulated < (1.0 - SAME_TIME) * (times.stop - times.start)
     if short and job.execution.until is not None:
         return result.noted("no error estimate: the run ended before its stop time")
@@ -371,11 +364,11 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
         return result.noted(f"no error estimate: {reason}")
     adaptive = job.coupling.adaptive is not None
     try:
-        fine_job, fine_times = (job.stricter(), times) if adaptive else (job, times.finer())
-        fine, coarse = repeated(fine_job, fine_times), None
+        fine = repeated(job.stricter() if adaptive else replace(job, times=times.finer()))
+        coarse = None
         if not adaptive and times.steps >= 4:
             with suppress(RunFailed):
-                coarse = repeated(job, times.coarser())
+                coarse = repeated(replace(job, times=times.coarser()))
     except Problem as failed:
         setting = "a tenth of the tolerance" if adaptive else "half the step"
         return result.noted(f"no error estimate, the run at {setting} failed: {failed}")
@@ -475,10 +468,11 @@ class _Output:
         self._complete: Result | None = None
         self.line = ""
 
-    def begun(self, job: Job, times: Grid) -> TraceFile:
+    def begun(self, job: Job) -> TraceFile:
         """The file of a run, which says before the first step what a long run will take."""
 
         def accept(layout: RowLayout) -> None:
+            times = job.times
             if times.steps >= MANY_STEPS:
                 rows = size_text(times.rows, len(layout.names), self._file.number_size)
                 tell_once(f"note: {times.steps:.3g} steps of {times.step:g} s up to {times.stop:g} s, {rows}")

@@ -121,8 +121,9 @@ def batch(
     limits = {name: given.pop(name) for name in ("time_limit", "memory_limit") if name in given}
     execution = Execution(**limits).begun()
     execution.check()
-    job, times = prepare(system, scenario, record, Execution(isolate=False), **given)
+    job = prepare(system, scenario, record, Execution(isolate=False), **given)
     job = replace(job, execution=replace(execution, isolate=False, tolerance=job.execution.tolerance))
+    times = job.times
     if times.free:
         raise Problem(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
@@ -151,14 +152,14 @@ def batch(
     try:
         if lanes is not False:
             try:
-                together = Lanes(job, times, ports)
+                together = Lanes(job, ports)
                 return result(run_in_lanes(together, arrays_in, count, rows, workers), ())
             except NotInLanes as reason:
                 if lanes:
                     raise
                 notes = (f"the machines ran one by one: {reason}",)
         points = recorded_times(times)
-        return result(run_one_by_one(job, times, arrays_in, count, ports, rows, points, workers), notes)
+        return result(run_one_by_one(job, arrays_in, count, ports, rows, points, workers), notes)
     except KeyboardInterrupt:
         stopped = dict.fromkeys(unfinished(rows), Ended("interrupted", "by the user", np.nan))
         raise Interrupted(result(stopped, ())) from None

@@ -28,7 +28,6 @@ from orchestrator.engine.open_job import bonds_of, step_control
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import BondEnergy, energies_above, unreliable_energies
 from orchestrator.engine.scenario import DrivenInputs
-from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, Model, NotInLanes, compiled_model, header, machines_library
 from orchestrator.ssp.masters import Plan
 from orchestrator.ssp.system import Component, Connection, Port, System
@@ -128,10 +127,10 @@ class Lanes:
     models    compiled, by component; index: component -> its number
     """
 
-    def __init__(self, job: Job, times: Grid, signals: Sequence[Port]) -> None:
+    def __init__(self, job: Job, signals: Sequence[Port]) -> None:
         """Raises NotInLanes if the system or its coupling is not supported."""
-        self.job, self.system, self.times, self.signals = job, job.system, times, signals
-        _check_coupling(job, times)
+        self.job, self.system, self.times, self.signals = job, job.system, job.times, signals
+        _check_coupling(job)
         self.models = _compiled(self.system.components.values())
         self.index = {name: k for k, name in enumerate(self.system.components)}
         with ExitStack() as stack:
@@ -151,7 +150,7 @@ class Lanes:
             }
             self.plan = job.coupling.method.planned(self.system, job.coupling)
             self._inputs = CouplingInputs(self._network, self.plan)
-            self.control = step_control(job, times)
+            self.control = step_control(job)
             self.bonds = bonds_of(job, self._network)
             monitor = EnergyMonitor(self._network, self._inputs.varying, self.bonds)
             ends = np.array([self._input(p)[1] for b in self.bonds for p in (b.effort, b.flow)], np.int64)
@@ -321,13 +320,13 @@ class Lanes:
         return program + [h.Instruction(h.DERIVATIVES, k) for k in sorted(rates)], ordered
 
 
-def _check_coupling(job: Job, times: Grid) -> None:
+def _check_coupling(job: Job) -> None:
     """Raise NotInLanes for settings of the master that lanes do not have."""
     c = job.coupling
     reasons = {
         f"the master {c.method.name}": not c.method.lanes,
         "several steps of a component in a communication step": any(n > 1 for n in c.factors.values()),
-        "adaptive steps without a record step": times.free,
+        "adaptive steps without a record step": job.times.free,
     }
     if found := next((reason for reason, applies in reasons.items() if applies), None):
         raise NotInLanes(found)

@@ -52,10 +52,10 @@ class Machines:
         held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
         given = chosen(MachinesArguments, options, "Machines")
         workers = given.pop("workers", None)
-        self._job, times = prepare(system, held, signals, Execution(isolate=False), stop=FOREVER, **given)
+        self._job = prepare(system, held, signals, Execution(isolate=False), stop=FOREVER, **given)
         self.system = self._job.system
-        lanes = Lanes(self._job, times, [self._job.system.port(name) for name in signals])
-        self.count, self.step = count, times.step
+        lanes = Lanes(self._job, [self._job.system.port(name) for name in signals])
+        self.count, self.step = count, self._job.times.step
         self.commands, self.signals = tuple(commands), tuple(signals)
         self._rows = np.full((len(signals), count, 1), np.nan)
         self._groups = [Group(lanes) for _ in range(0, count, LANES)]

@@ -14,14 +14,12 @@ from orchestrator.engine.c_library import library
 from orchestrator.engine.isolated import run_isolated
 from orchestrator.engine.job import ENDS_EARLY, Job, Record
 from orchestrator.engine.run import finished
-from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.group import EARLY, FAILED, NOT_RELIABLE, Ended
 from orchestrator.ssp.system import Port, System
 
 
 def run_one_by_one(
     job: Job,
-    times: Grid,
     values: Mapping[Port, Array],
     count: int,
     signals: Sequence[Port],
@@ -53,32 +51,30 @@ def run_one_by_one(
                     return
                 if job.execution.late:
                     late = f"not begun within {job.execution.time_limit:g} s"
-                    ended[machine] = Ended(FAILED, late, times.start)
+                    ended[machine] = Ended(FAILED, late, job.times.start)
                     continue
                 own = _with_values(system, {port: float(array[machine]) for port, array in values.items()})
                 own_job, own_rows = replace(job, system=own, record=record), [row[machine] for row in rows]
-                if end := _simulate(own_job, times, own_rows, points, check):
+                if end := _simulate(own_job, own_rows, points, check):
                     ended[machine] = replace(end, reason=with_originals(end.reason, originals))
 
         in_threads([work] * max(1, min(workers, count)), stopped.set)
     return ended
 
 
-def _simulate(
-    job: Job, times: Grid, rows: Sequence[Array], points: Array, check: Callable[[], None]
-) -> Ended | None:
+def _simulate(job: Job, rows: Sequence[Array], points: Array, check: Callable[[], None]) -> Ended | None:
     """Run a machine, and fill its rows, shape (points,), up to its end; returns why it ended early."""
     sink = TraceInMemory()
     sink.rows = 0  # until the run begins
     try:
-        outcome = run_isolated(job, times, sink, check=check, cores=1)
-        result = finished(job, times, outcome, sink)
+        outcome = run_isolated(job, sink, check=check, cores=1)
+        result = finished(job, outcome, sink)
     except Problem as problem:
-        return Ended(FAILED, " ".join(str(problem).split()), sink.last if sink.rows else times.start)
+        return Ended(FAILED, " ".join(str(problem).split()), sink.last if sink.rows else job.times.start)
     finally:
         if sink.rows:
             trace, count = sink.trace, min(sink.rows, len(points))
-            recorded = times.aligned(trace.time[:count]) == points[:count]
+            recorded = job.times.aligned(trace.time[:count]) == points[:count]
             for row, name in zip(rows, job.record.signals or (), strict=True):
                 row[:count][recorded] = trace[name][:count][recorded]
     if reason := early_end(result.card.notes):

@@ -8,17 +8,17 @@ from typing import Unpack
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import chosen, documented
+from orchestrator.base.options import chosen, documented, taken
 from orchestrator.data.table import Array
 from orchestrator.data.trace import rounding
 from orchestrator.engine.arguments import LinearArguments
-from orchestrator.engine.run import ScenarioSource, opened, run, scenario_trace
+from orchestrator.engine.run import ScenarioSource, run, scenario_trace
 from orchestrator.engine.scenario import drive
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
 from orchestrator.linear.steady_state import find_steady_state, moving_positions
-from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.load import configured
 from orchestrator.ssp.plausible import doubtful_starts, doubts_told, with_doubts
 from orchestrator.ssp.provenance import built_notes
 from orchestrator.ssp.system import Port, System
@@ -123,7 +123,7 @@ def linearize(
     given = chosen(LinearArguments, options, "linearize")
     time, steady, speeds = given.get("time"), given.get("steady", False), given.get("speeds")
     step, start_values = given.get("step"), given.get("set", {})
-    full = with_sets(opened(system, given), given.get("parameters", ()))
+    full = configured(system, **taken(given, "cut", "swap", "parameters"))
     if time is None and (scenario is not None or step is not None):
         raise Problem(
             "--scenario, --step: expected --time as well; without --time the operating point is the start"

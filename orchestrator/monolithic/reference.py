@@ -24,7 +24,7 @@ import numpy as np
 from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import chosen, documented
+from orchestrator.base.options import chosen, documented, taken
 from orchestrator.base.processes import check_room
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
@@ -32,12 +32,13 @@ from orchestrator.engine.arguments import ReferenceArguments
 from orchestrator.engine.integration import Integration, Solver
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.result import Card, Result
-from orchestrator.engine.run import ProgressBar, ScenarioSource, opened, prepare, run
+from orchestrator.engine.run import ProgressBar, ScenarioSource, prepare, run
 from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.monolithic.tight import FMU_TOLERANCE, first_step, tightened
 from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.load import configured
 from orchestrator.ssp.plausible import doubts_told
 from orchestrator.ssp.system import Inlet, System
 
@@ -85,9 +86,7 @@ def reference(
         raise Problem(f"record step: expected a positive time, got {record_step:g} s")
     require("reference", "the reference solution", "sksundae")
 
-    rest = {name: value for name, value in given.items() if name not in ("cut", "swap")}
-    rest |= {"progress": progress}
-    other = opened(system, dict(given))
+    other, rest = configured(system, **taken(given, "cut", "swap")), {**given, "progress": progress}
     try:
         return _solve(other, scenario, record_step, tolerance, rest)
     except NotExchangeable as problem:
@@ -104,7 +103,8 @@ def _solve(
     system: System, scenario: ScenarioSource, record_step: float, tolerance: float, options: dict[str, Any]
 ) -> Result:
     """The monolithic solution."""
-    job, times = prepare(system, scenario, step=record_step, isolate=False, **options)
+    job = prepare(system, scenario, step=record_step, isolate=False, **options)
+    times = job.times
     plant = Plant(job.system, [*_inlets(job.system, job.scenario)])
     try:
         with ProgressBar(times.stop - times.start, job.execution.progress) as bar:

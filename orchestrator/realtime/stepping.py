@@ -35,10 +35,8 @@ from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_pr
 from orchestrator.realtime.setup import Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, SharedState, attach
 from orchestrator.ssp.coupling import Coupling
-from orchestrator.ssp.load import load
-from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.load import configured
 from orchestrator.ssp.plausible import doubtful_starts, with_doubts
-from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 from orchestrator.worker.main import Channel
 
@@ -243,8 +241,7 @@ class FrameStepper:
     def __init__(self, setup: Setup) -> None:
         """Raises Problem for a mistake in the setup."""
         setup.check()
-        system = with_sets(with_swaps(load(setup.system), setup.swap), setup.parameters)
-        system = system.with_start(setup.set)
+        system = configured(setup.system, swap=setup.swap, parameters=setup.parameters, set=setup.set)
         system = with_default_guard(with_doubts(system, doubtful_starts(system)), setup.step)
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
@@ -260,10 +257,10 @@ class FrameStepper:
             system = driven.released(system)
         self._times = times
         self.units = _units(system, setup)
-        job = Job(system, driven, coupling, Record(setup.signals), Execution())
+        job = Job(system, driven, times, coupling, Record(setup.signals), Execution())
         latest = LatestValues()
         with ExitStack() as stack:
-            self._loop = stack.enter_context(opened(job, times, latest))
+            self._loop = stack.enter_context(opened(job, latest))
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
             self.notes = (*system.notes, *system.warnings, *suggested, *self._loop.network.notes)

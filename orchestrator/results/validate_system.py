@@ -42,11 +42,10 @@ from orchestrator.results.validation import (
     validate,
     without_repetitions,
 )
-from orchestrator.ssp.load import load
-from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.load import configured, load
 from orchestrator.ssp.plausible import doubtful_end, doubtful_signals, refuse_long, with_doubts
 from orchestrator.ssp.provenance import built_notes, checksum, chosen_note, other_values
-from orchestrator.ssp.swap import missing_after_swap, with_swaps
+from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Component, Port, System, coerce
 
 POSITIONS = ("rad", "m")
@@ -190,8 +189,8 @@ def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str,
     shipped   the reference that comes with the system, which was computed with the shipped numbers
     options   parameters and start values of the run
     """
-    loaded = with_swaps(load(require_system(system)), options.get("swap") or {})
-    chosen = with_sets(loaded, options.get("parameters") or ()).with_start(options.get("set") or {})
+    loaded = configured(require_system(system), swap=options.get("swap"))
+    chosen = configured(loaded, parameters=options.get("parameters") or (), set=options.get("set"))
     built, own = built_notes(loaded), chosen_note(chosen)
     if shipped is None:
         return "\n".join(built)

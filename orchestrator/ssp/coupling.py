@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, TypedDict
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole, declarations
+from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole, declarations, taken
 from orchestrator.ssp.masters import MASTERS, Master
 
 MAX_PASSES = 8  # default of hermite
@@ -204,8 +204,7 @@ GROUPS.append(CouplingArguments)
 
 def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
     """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run."""
-    names = [name for name in declarations(CouplingArguments) if name in given]
-    choices = {FIELDS.get(name, name): given.pop(name) for name in names}
+    choices = taken(given, **{name: FIELDS.get(name, name) for name in declarations(CouplingArguments)})
     whole = choices.get("master")
     return {**vars(whole), **choices, "master": whole.master} if isinstance(whole, Coupling) else choices
 

@@ -18,7 +18,8 @@ from orchestrator.fmi.description import Value
 from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
 from orchestrator.ssp.coupling import Coupling, Suggestion
-from orchestrator.ssp.parameter_sets import bound_values
+from orchestrator.ssp.parameter_sets import bound_values, with_sets
+from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import (
     Component,
     Connection,
@@ -48,6 +49,19 @@ def load(path: str | Path) -> System:
     """
     with archive_kept_open():
         return _load(Location(require_system(path)))
+
+
+def configured(
+    system: System | str | Path,
+    *,
+    cut: Iterable[str] = (),
+    swap: Mapping[str, str | Path] | None = None,
+    parameters: Sequence[str | Path] = (),
+    set: Mapping[str, Value | str] | None = None,
+) -> System:
+    """The system with the choices of `SystemArguments`: connections, then FMUs, sets and start values."""
+    system = system if isinstance(system, System) else load(system)
+    return with_sets(with_swaps(system.without(*cut), swap or {}), parameters).with_start(set or {})
 
 
 def _load(file: Location) -> System:

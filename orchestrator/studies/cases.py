@@ -20,14 +20,12 @@ from orchestrator.data.trace import Trace, read_trace, rounding
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
 from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.run import chooses_freely, run
-from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, grid
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, Suggestion
-from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.load import configured
 from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts, refuse_long
-from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.studies.study import Factor, Output, Study
 
@@ -96,7 +94,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
 
 def opened(study: Study) -> dict[Options, StudyCase]:
     """A case for every combination of options, with the master of the study, but without its fixed values."""
-    system = open_system(study.system_file, {"cut": study.options.get("cut", ())})
+    system = configured(study.system_file, cut=study.options.get("cut", ()))
     system = system.coupled(study.coupling) if study.coupling else system
     return {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
 
@@ -108,7 +106,7 @@ def _case(study: Study, system: System, options: Options) -> StudyCase:
             chosen[name] = find(option, (*READABLE, ".ssv", ".fmu"), study.folder)
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
-    system = with_sets(with_swaps(system, chosen), sets)
+    system = configured(system, swap=chosen, parameters=sets)
     trace = None if scenario is None else read_trace(scenario)
     if trace is not None:
         drive(system, trace, str(scenario))

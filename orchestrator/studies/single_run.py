@@ -95,9 +95,9 @@ def group_size(study: Study, case: StudyCase) -> int:
 def _lane_group(study: Study, case: StudyCase) -> tuple[Group, Grid]:
     """A group of machines of a case, and their communication points; raises Problem if that is impossible."""
     if id(case) not in _groups:
-        job, times = prepare(case.system, case.scenario, **_options(study, case))
-        lanes = Lanes(job, times, [job.system.port(name) for name in job.record.signals or ()])
-        _groups[id(case)] = case, Group(lanes), times
+        job = prepare(case.system, case.scenario, **_options(study, case))
+        lanes = Lanes(job, [job.system.port(name) for name in job.record.signals or ()])
+        _groups[id(case)] = case, Group(lanes), job.times
     return _groups[id(case)][1:]
 
 

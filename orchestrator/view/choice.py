@@ -10,8 +10,7 @@ from orchestrator.base.files import VARIANTS
 from orchestrator.drive.scene import Values, parameters, pose_names
 from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.realtime.setup import Axis, Setup
-from orchestrator.ssp import parameter_sets
-from orchestrator.ssp.load import load
+from orchestrator.ssp.load import configured, load
 from orchestrator.ssp.swap import with_swaps
 
 USUAL = "usual"  # label of the FMU in the system
@@ -62,16 +61,15 @@ def plan(choice: MachineChoice) -> ViewPlan:
     if choice.pose and choice.pose not in names:
         hint = suggest(choice.pose, names) or f"; there are {', '.join(names) or 'none'}"
         raise Problem(f"{choice.system}: no pose {choice.pose!r}{hint}")
-    system = with_swaps(loaded, choice.swap)
     sets = (choice.pose,) if choice.pose else ()
-    posed = parameter_sets.with_sets(system, sets).with_start(choice.set)
+    system = configured(loaded, swap=choice.swap, parameters=sets, set=choice.set)
     description = view_description(loaded)
     scene = description.scene
-    driven = description.driven(posed).items()
+    driven = description.driven(system).items()
     axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven)
     setup = Setup(str(choice.system), axes, description.watched(system), choice.swap, sets, choice.set)
     return ViewPlan(
-        choice, setup, description, parameters(scene, posed) if scene else None, loaded.start or 0.0
+        choice, setup, description, parameters(scene, system) if scene else None, loaded.start or 0.0
     )
 
 

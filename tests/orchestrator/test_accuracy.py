@@ -141,16 +141,16 @@ def looked_at(system, stop, scenario=None):
     options = {"accuracy": 1e-2, "stop": stop, "isolate": False}
     request = engine_run.requested(system, scenario, None, None, options)
     search = request.search()
-    return search, search.sources_alone(*request.next_of(search).job())
+    return search, search.sources_alone(request.next_of(search).job())
 
 
 @pytest.mark.parametrize(("stop", "step"), [(1.0, 61.80340e-6), (123.6068, 123.6068e-6), (1e4, 618.0340e-6)])
 def test_sources_are_looked_at_a_million_times_at_most(fmus, stop, step):
     """Ten times in 0.618 ms, less often in a long run, and at least once."""
-    _, (job, times) = looked_at(fed_mass(fmus, "plain", "pulses", **PWM), stop)
+    _, job = looked_at(fed_mass(fmus, "plain", "pulses", **PWM), stop)
     assert list(job.system.components) == ["s"]
-    assert times.step == pytest.approx(step, rel=1e-6)  # as printed above
-    assert stop <= times.stop < stop + 1.01 * step
+    assert job.times.step == pytest.approx(step, rel=1e-6)  # as printed above
+    assert stop <= job.times.stop < stop + 1.01 * step
 
 
 def test_what_a_scenario_drives_is_no_source(fmus):

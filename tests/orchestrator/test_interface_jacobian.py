@@ -71,9 +71,9 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator):
 
     def ends(rejected):
         coupling = Coupling("interface-jacobian", adaptive=1e-3)
-        job = Job(open_oscillator, None, coupling)
+        job = Job(open_oscillator, None, Grid(0.0, 0.5, 1, first=1e-2, free=True), coupling)
         sink = TraceInMemory()
-        with opened_job(job, Grid(0.0, 0.5, 1, first=1e-2, free=True), sink) as opened:
+        with opened_job(job, sink) as opened:
             state, tries = opened.state, 0
             size = engine_h().StepSize.from_address(state.step_size)
             state.patience = 0.0  # one step at a time

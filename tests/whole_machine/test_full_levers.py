@@ -107,9 +107,9 @@ def test_energies_in_lanes_are_those_of_a_run(today, master):
     """Each bond of an unguarded run, to rounding."""
     options = {"stop": 0.5, "record_step": 0.01, "master": master, **RAW}
     single = run(today, FULL, record=SPEEDS, **options)
-    job, times = prepare(today, FULL, SPEEDS, Execution(isolate=False), **options)
-    group = Group(Lanes(job, times, [job.system.port(name) for name in SPEEDS]))
-    group.run(0, {}, [np.full((1, times.rows), np.nan) for _ in SPEEDS], 1)
+    job = prepare(today, FULL, SPEEDS, Execution(isolate=False), **options)
+    group = Group(Lanes(job, [job.system.port(name) for name in SPEEDS]))
+    group.run(0, {}, [np.full((1, job.times.rows), np.nan) for _ in SPEEDS], 1)
     for bond, other in zip(single.card.bonds, group.energies(0), strict=True):
         # other inner steps of the FMUs: 1e-8 of what is exchanged
         assert other.residual == pytest.approx(bond.residual, abs=1e-8 * bond.exchanged), bond.name
@@ -122,9 +122,9 @@ def test_energies_of_machines_with_steps_of_their_own_are_those_of_runs(today):
     """The guard divides the steps of two machines at different times; a machine that waits adds nothing."""
     options = {"stop": 0.7, "record_step": 0.01}
     masses = [300.0, 330.0]
-    job, times = prepare(today, FULL, SPEEDS, Execution(isolate=False), **options)
-    group = Group(Lanes(job, times, [job.system.port(name) for name in SPEEDS]))
-    rows = [np.full((2, times.rows), np.nan) for _ in SPEEDS]
+    job = prepare(today, FULL, SPEEDS, Execution(isolate=False), **options)
+    group = Group(Lanes(job, [job.system.port(name) for name in SPEEDS]))
+    rows = [np.full((2, job.times.rows), np.nan) for _ in SPEEDS]
     group.run(0, {job.system.port("manipulator.head_mass"): np.array(masses)}, rows, 2)
     for lane, mass in enumerate(masses):
         single = run(today, FULL, record=SPEEDS, set={"manipulator.head_mass": mass}, **options)

@@ -56,7 +56,7 @@ COLUMNS = [
 
 def warnings(system: System, *arguments, **options) -> tuple[str, ...]:
     """What a run would warn of before its first step."""
-    return prepare(system, *arguments, isolate=False, **options)[0].system.warnings
+    return prepare(system, *arguments, isolate=False, **options).system.warnings
 
 
 @pytest.fixture(scope="module")
@@ -203,8 +203,8 @@ def test_a_scenario_in_ms_is_refused(systems, built, tmp_path, capsys):
     path = write_trace(replace(line, time=1000 * line.time), tmp_path / "line_in_ms.csv")
     told = refused(capsys, ["track", built / "harvester_control.ssp", "--path", path, "--out", tmp_path])
     assert "path line_in_ms: scenario: time = 21800 s" in told
-    job, times = prepare(systems[""], file, yes=True, isolate=False)
-    assert (times.stop, doubt in job.system.warnings) == (8000.0, True)
+    job = prepare(systems[""], file, yes=True, isolate=False)
+    assert (job.times.stop, doubt in job.system.warnings) == (8000.0, True)
     arguments = ["--scenario", str(file), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
     assert main(["run", system, *arguments]) == 0
     assert capsys.readouterr().out.count(doubt) == 1

@@ -15,15 +15,15 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system, write_rows, write_whole
-from orchestrator.base.options import chosen, seconds
+from orchestrator.base.options import chosen, seconds, taken
 from orchestrator.base.text import TextTable, error_display_unit
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.recording import read_recording
 from orchestrator.engine.arguments import CaseArguments
-from orchestrator.engine.run import opened
 from orchestrator.pages.html_page import json_values, write_json
 from orchestrator.pages.plotting import png
 from orchestrator.results.validate_system import another_model
+from orchestrator.ssp.load import configured
 from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
 from orchestrator.studies.convergence.reference_solution import default_signals, finest_run, from_recording
 from orchestrator.studies.convergence.runs import (
@@ -70,7 +70,7 @@ def convergence(
     settings, step_list = choose(_items(masters)), read_steps(steps)
     given = chosen(CaseArguments, options, "convergence")
     other_run = any(given.get(name) for name in OTHER_RUN) or scenario is not None
-    coupled = opened(require_system(system), given)
+    coupled = configured(require_system(system), **taken(given, "cut", "swap"))
     if not coupled.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     make_folder(out)
