@@ -37,7 +37,7 @@ from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, Units, check_suffix, read_trace
 
 Array = NDArray[np.float64]
-Points = tuple[Array, Array, NDArray[np.int32]]  # times, Real and Integer values
+Points = tuple[Array, Array, NDArray[np.int64]]  # times, Real and Integer values
 ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a Parquet file
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
@@ -75,7 +75,7 @@ class RowLayout:
         each = inside.shape == (len(self.names),) and bool(inside.all())
         return scaled and valid and each
 
-    def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
+    def values(self, reals: Array, integers: NDArray[np.int64]) -> Array:
         """The signals at some points, shape (points, signals)."""
         points = np.hstack([reals, integers]) if self.integers else reals
         values = np.take(points, self.columns, axis=1)
@@ -101,7 +101,7 @@ class TraceSink:
         del rows
         self.layout, self.rows, self.last = layout, 0, float("nan")
 
-    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
+    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int64]) -> None:
         """Receive points of a run: times [s], shape (n,), Real and Integer values, shape (n, ...)."""
         self.append(times, self.layout.values(reals, integers))
 

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
 from orchestrator.base.errors import Discarded, Problem
 from orchestrator.base.units import LinearTransformation
-from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall
+from orchestrator.fmi.calls import WHOLE, Access, Call, DirectionalDerivative, ExchangeCall
 
 FOLDER = Path(__file__).parent / "native"
-LARGEST = 2**31 - 1  # integer
 FLAGS = (
     *("-std=gnu11", "-O2", "-g0", "-s", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"),
@@ -257,11 +256,10 @@ class Binding:
     def value_table(self, maps: Iterable[tuple[int, int, LinearTransformation]]) -> int | None:
         """The address of a `ValueTable`; maps: indices of source and target, and the map between them."""
         rows = [(*ends, *entry) for *ends, linear in maps for entry in linear.table]
-        rows = [row for row in rows if row[2] == int(row[2]) and abs(row[2]) <= LARGEST]
-        if any(abs(after) > LARGEST for *_, after in rows):
-            raise Problem(f"a mapping of values: expected whole numbers of at most {LARGEST}")
-        kinds = (np.int64, np.int64, np.int32, np.int32)
-        arrays = [self.at(np.array(c, kind)) for c, kind in zip(zip(*rows, strict=True), kinds, strict=False)]
+        rows = [row for row in rows if row[2] == int(row[2]) and abs(row[2]) <= WHOLE]
+        if any(abs(after) > WHOLE for *_, after in rows):
+            raise Problem(f"a mapping of values: expected whole numbers of at most {WHOLE}")
+        arrays = [self.at(np.array(column, np.int64)) for column in zip(*rows, strict=True)]
         return self.pointer(self.h.ValueTable(*arrays, len(rows))) if rows else None
 
     def array_of(self, values: NDArray[Any]) -> int:

@@ -2,7 +2,7 @@
 
 A component is an FMU with the calls that step it, set its inputs and read its outputs. All Real variables
 that are exchanged or recorded are in one float64 array, all Integer, Enumeration and Boolean variables in one
-int32 array. A component's variables that are read (or set) together are contiguous, so that each get or set
+int64 array. A component's variables that are read (or set) together are contiguous, so that each get or set
 is one call into the FMU on a slice. The exchange at a communication point runs through the stages of
 `dependencies.output_order`: read the outputs of the stage, copy them along the connections, set the inputs
 that they feed. `initialise` makes the values consistent before the run.
@@ -179,7 +179,8 @@ class Block:
 class SignalArray:
     """An array of signal values, and the index of each port in it."""
 
-    def __init__(self, dtype: Any) -> None:
+    def __init__(self, name: str, dtype: Any) -> None:
+        self.name = name
         self.blocks: list[Block] = []
         self.index: dict[Port, int] = {}
         self.values: Buffer = np.zeros(0, dtype)
@@ -246,7 +247,7 @@ class Network:
         }
         self._influential = influential_inputs(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
-        self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
+        self.reals, self.integers = SignalArray("reals", np.float64), SignalArray("integers", np.int64)
         self.rates = scenario.rates(system) if scenario else {}
         driven = [*scenario.columns, *self.rates] if scenario else []
         self.order: OutputOrder = output_order(system, driven)
@@ -308,27 +309,27 @@ class Network:
         return self.slaves[block.component].writer([p.variable for p in block.ports], array.slice(block))
 
     def _copies(self, connections: Iterable[Connection]) -> list[Any]:
-        by_type = grouped(connections, lambda c: not self.system.variable(c.source).is_real)
-        arrays = {False: self.reals, True: self.integers}
-        return [self._copy(arrays[whole], by_type[whole]) for whole in sorted(by_type)]
+        by_types = grouped(connections, lambda c: (self._array(c.source).name, self._array(c.target).name))
+        return [self._copy(by_types[types]) for types in sorted(by_types, reverse=True)]
 
-    def _copy(self, array: SignalArray, connections: Sequence[Connection]) -> Any:
+    def _copy(self, connections: Sequence[Connection]) -> Any:
         """The instruction that copies values along connections, without factors and offsets of identities."""
-        binding, at, dtype = self.binding, self.binding.at, array.values.dtype
+        source, target = self._array(connections[0].source), self._array(connections[0].target)
+        binding, at, dtype = self.binding, self.binding.at, target.values.dtype
         maps = {
             "factor": np.array([c.map.factor for c in connections]).astype(dtype),
             "offset": np.array([c.map.offset for c in connections]).astype(dtype),
         }
         identity = np.all(maps["factor"] == 1) and np.all(maps["offset"] == 0)
         struct = binding.h.ConnectionCopy(
-            source=at(array.indices(c.source for c in connections)),
-            target=at(array.indices(c.target for c in connections)),
+            source=at(source.indices(c.source for c in connections)),
+            target=at(target.indices(c.target for c in connections)),
             **({} if identity else {name: at(values) for name, values in maps.items()}),
             table=binding.value_table(
-                (array.index[c.source], array.index[c.target], c.map) for c in connections
+                (source.index[c.source], target.index[c.target], c.map) for c in connections
             ),
             count=len(connections),
-            array=binding.array_of(array.values),
+            array=binding.array_of(target.values) if source is target else binding.h.WIDENED,
         )
         return binding.h.Instruction(binding.h.COPY, 0, binding.pointer(struct))
 
@@ -485,5 +486,6 @@ def _copy(slaves: Mapping[str, Slave], source: Port, connections: list[Connectio
     if isinstance(value, str) or math.isnan(value):
         raise Problem(f"{source}: expected a number in initialisation mode, got {value!r}")
     for c in connections:
-        slaves[c.target.component].set(c.target.variable, type(value)(c.map(value)))
+        target = slaves[c.target.component]
+        target.set(c.target.variable, c.carried(value, target.interface.variables[c.target.variable]))
     return value

@@ -81,7 +81,7 @@ def run_job(
             errors=loop.errors.errors() if loop.errors else {},
             inside=loop.inside,
             logs=tuple(copy(s.log) for s in network.slaves.values()),
-            notes=network.notes + job.times.notes + loop.notes,
+            notes=network.notes + job.times.notes + loop.notes + loop.recorder.notes,
             problem=problem,
             interrupted=interrupted,
         )

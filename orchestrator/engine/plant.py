@@ -466,7 +466,7 @@ class Plant:
         changed, at = False, self._index
         for c in self._discrete:
             value = self.slaves[c.source.component].get(c.source.variable)
-            value = type(value)(c.map(float(value)))
+            value = c.carried(value, self.system.variable(c.target))
             if c.target in at:
                 changed |= bool(self.constant[at[c.target]] != value)
                 self.constant[at[c.target]] = self.external[at[c.target]] = value

@@ -15,20 +15,21 @@ the step.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from itertools import groupby
+from itertools import compress, groupby
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY
 from orchestrator.data.trace_writer import Points, RowLayout, TraceSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import BondEnergy
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.calls import Call, calls_by_type
+from orchestrator.fmi.calls import WHOLE, Call, calls_by_type
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.power_bonds import Bond
 from orchestrator.ssp.system import Port
@@ -44,13 +45,13 @@ class PointBlock:
         self.time = np.frombuffer(memory, np.float64, BLOCK)
         reals, integers, first = BLOCK * layout.reals, BLOCK * layout.integers, 8 * BLOCK
         self.reals = np.frombuffer(memory, np.float64, reals, first).reshape(BLOCK, layout.reals)
-        flat = np.frombuffer(memory, np.int32, integers, first + 8 * reals)
+        flat = np.frombuffer(memory, np.int64, integers, first + 8 * reals)
         self.integers = flat.reshape(BLOCK, layout.integers)
 
     @staticmethod
     def size(layout: RowLayout) -> int:
         """Size of its memory [bytes]."""
-        return BLOCK * (8 + 8 * layout.reals + 4 * layout.integers)
+        return BLOCK * (8 + 8 * (layout.reals + layout.integers))
 
     def points(self, rows: slice | NDArray[np.intp]) -> Points:
         """Times, Real and Integer values of some points; views of the memory for a slice."""
@@ -90,6 +91,7 @@ class Recorder:
         self.block = PointBlock(self.layout, network.binding.allocate("rows", PointBlock.size(self.layout)))
         self._between: Points | None = None  # the latest point, if it is not on the grid
         self._struct: Any = None
+        self._rounded: set[Port] = set()
         sink.begin(self.layout, times.rows + 1)
 
     def _layout(self, ports: Sequence[Port], every: int) -> RowLayout:
@@ -137,6 +139,8 @@ class Recorder:
         """Pass on the points before the first one with a value that is not finite; returns their number."""
         n = self.block.finite_rows(self._struct.filled)
         if n:
+            large = np.abs(self.block.integers[:n]).max(axis=0) > WHOLE
+            self._rounded.update(compress(self._integers, large.tolist()))
             rows = recorded_rows(self._struct.collected, n, self.layout.every)
             self._sink.append_points(*self.block.points(slice(n) if len(rows) == n else rows))
             is_recorded = len(rows) and rows[-1] == n - 1
@@ -153,13 +157,19 @@ class Recorder:
             self._sink.append_points(*self._between)
             self._between = None
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A note on values that the numbers of a trace cannot hold."""
+        names = first_names(sorted(map(str, self._rounded)))
+        return (f"{names}: whole numbers above 2^53 are rounded where they are recorded",) if names else ()
+
     def end_at(self, t: float, driven: Mapping[Port, Value]) -> None:
         """Make a last point at t [s] from the values that the FMUs have now, and those of driven inputs."""
         driven = {**self._network.passed, **driven}
         values = {p: driven[p] if p in driven else self._network.slaves[p.component].get(p.variable)
                   for p in (*self._reals, *self._integers)}  # fmt: skip
         reals = np.array([[values[p] for p in self._reals]], float)
-        self._between = np.array([t]), reals, np.array([[values[p] for p in self._integers]], np.int32)
+        self._between = np.array([t]), reals, np.array([[values[p] for p in self._integers]], np.int64)
 
 
 def _is_applied(network: Network, port: Port) -> bool:

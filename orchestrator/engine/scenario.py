@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, Unsupported, suggest
 from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
 from orchestrator.data.trace import Trace
+from orchestrator.fmi.calls import WHOLE
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.system import Port, System
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.calls import Call
 
-MAX_INTEGER = 2**31 - 1
 # Change of slope at a sample, times the shorter interval next to it, over the range of the column:
 ALWAYS_CORNER = 1e-3  # above this value the sample is a corner
 NEVER_CORNER = 1e-6  # below this value the sample is not a corner
@@ -185,11 +185,11 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
 
 
 def _check_integers(variable: FmuVariable, values: NDArray[np.float64], context: str) -> None:
-    """Refuse values for an Integer, Enumeration or Boolean variable that do not fit into 32 bits."""
-    too_large = ~((values >= -MAX_INTEGER - 1) & (values <= MAX_INTEGER))
+    """Refuse values for an Integer, Enumeration or Boolean variable that a float64 cannot hold exactly."""
+    too_large = ~(np.abs(values) <= WHOLE)
     if not variable.is_real and too_large.any():
         value = values[np.argmax(too_large)]
-        raise Problem(f"{context}: expected whole numbers up to {MAX_INTEGER}, got {value:.17g}")
+        raise Problem(f"{context}: expected whole numbers up to {WHOLE}, got {value:.17g}")
 
 
 def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearTransformation], ...]:
@@ -267,7 +267,7 @@ class DrivenInputs:
         maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete, others)]
         self.factor, self.discrete_factor, factors = (np.array([m.factor for m in group]) for group in maps)
         self.offset, self.discrete_offset, offsets = (np.array([m.offset for m in group]) for group in maps)
-        self.integer_factor, self.integer_offset = factors.astype(np.int32), offsets.astype(np.int32)
+        self.integer_factor, self.integer_offset = factors.astype(np.int64), offsets.astype(np.int64)
         self.mapped = [(columns[p][0], integers[p], columns[p][1]) for p in others]
         self.at_end, self.at_midpoint = np.zeros(len(self.continuous)), np.zeros(len(self.continuous))
 

@@ -21,7 +21,8 @@ from orchestrator.fmi.interface import FmuInterface
 from orchestrator.fmi.messages import Log
 from orchestrator.worker.calls import CallSlot
 
-Buffer = NDArray[Any]  # float64 for floating-point types; int32 for integers, Enumeration and Boolean
+WHOLE = 2**53  # all whole numbers up to here are numbers of a trace, which are float64
+Buffer = NDArray[Any]  # float64 for floating-point types; int64 for integers, Enumeration and Boolean
 Call = Callable[[], None]
 
 
@@ -201,7 +202,7 @@ class StepCalls:
 
 def compatible_buffer(values: Buffer, count: int, ctype: Any) -> Buffer:
     """`values` if an FMU can access it directly as values of a ctypes type, or else a new array."""
-    if len(values) < count or not values.flags.c_contiguous or values.dtype not in (np.float64, np.int32):
+    if len(values) < count or not values.flags.c_contiguous or values.dtype not in (np.float64, np.int64):
         raise ValueError(f"expected {count} contiguous values, got shape {values.shape} of {values.dtype}")
     return values[:count] if values.dtype == np.dtype(ctype) else np.zeros(count, ctype)
 

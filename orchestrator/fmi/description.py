@@ -154,6 +154,14 @@ class FmuVariable(Entry):
         """The type of the values: Real, Integer, Boolean or String; those of enumerations are integers."""
         return "Integer" if self.kind == "Enumeration" else self.kind
 
+    def typed(self, value: Value) -> Value:
+        """A value of another variable as one of this variable; neither is a String."""
+        if self.is_real:
+            return float(value)
+        if self.kind == "Boolean":
+            return bool(value)
+        return round(value) if isinstance(value, float) else int(value)
+
     @property
     def function_type(self) -> str:
         """The type in the names of the FMI functions that get and set it, such as Real or Float64."""

@@ -197,7 +197,7 @@ class LatestValues(TraceSink):
         super().begin(layout, rows)
         self.values = np.zeros(len(layout.names))
 
-    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
+    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int64]) -> None:
         """Keep the last of the points."""
         if len(times):
             self.values[:] = self.layout.values(reals[-1:], integers[-1:])[0]

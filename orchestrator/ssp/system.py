@@ -106,6 +106,10 @@ class Connection:
     def __str__(self) -> str:
         return f"{self.source} -> {self.target}"
 
+    def carried(self, value: Value, to: FmuVariable) -> Value:
+        """The value of the target if that of the source is `value`."""
+        return to.typed(value if self.map == IDENTITY else self.map(float(value)))
+
 
 @dataclass(frozen=True)
 class Inlet:
@@ -540,12 +544,16 @@ def open_component(name: str, fmu: Location, kind: str = "") -> Component:
     return Component(name, read_interface(fmu, kind), fmu)
 
 
+# type of an output -> types of the inputs that take it
+WIDER = {"Real": ("Real",), "Integer": ("Integer", "Real"), "Boolean": ("Boolean", "Integer", "Real")}
+
+
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
     """A connection; raises Problem if causalities or types do not fit."""
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     if y.causality not in SOURCES or u.causality not in TARGETS:
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
-    if y.value_type != u.value_type or y.kind == "String":
+    if u.value_type not in WIDER.get(y.value_type, ()):
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
     check_map(str(connection), u, linear)
     return connection

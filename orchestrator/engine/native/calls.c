@@ -59,11 +59,11 @@ typedef int SetState(void *, void *);
                 if (a->sets) fmu[i] = (TYPE)values[i];                  \
                 else values[i] = (double)fmu[i];                        \
         } else {                                                        \
-            int32_t *values = a->values;                                \
+            int64_t *values = a->values;                                \
             for (int32_t i = 0; i < a->count; i++) {                    \
                 if (a->sets) fmu[i] = (TYPE)values[i];                  \
-                else values[i] = (int32_t)fmu[i];                       \
-                if ((int64_t)fmu[i] != (int64_t)values[i]) return 0;    \
+                else values[i] = (int64_t)fmu[i];                       \
+                if ((int64_t)fmu[i] != values[i]) return 0;             \
                 if (is_unsigned && values[i] < 0) return 0;             \
             }                                                           \
         }                                                               \
@@ -76,13 +76,13 @@ static int convert(const Access *a) {
     case U8: CONVERT(uint8_t); break;
     case I16: CONVERT(int16_t); break;
     case U16: CONVERT(uint16_t); break;
+    case I32: CONVERT(int32_t); break;
     case U32: CONVERT(uint32_t); break;
-    case I64: CONVERT(int64_t); break;
     case U64: CONVERT(uint64_t); break;
     case LOGICAL:
         for (int32_t i = 0; i < a->count; i++) {
             _Bool *fmu = a->fmu_values;
-            int32_t *values = a->values;
+            int64_t *values = a->values;
             if (a->sets) fmu[i] = values[i] != 0;
             else values[i] = fmu[i];
         }
@@ -137,20 +137,21 @@ static int exchange_call(Simulation *sim, const ExchangeCall *e) {
     return status ? sim->check_status(e, 0, status) : CONTINUE;
 }
 
-#define COPY_VALUES(TYPE, ARRAY)                                                                            \
+#define COPY_VALUES(TYPE, TO, FROM)                                                                            \
     do {                                                                                                    \
-        TYPE *values = ARRAY;                                                                               \
+        TYPE *to = TO;                                                                                      \
         const TYPE *factor = copy->factor, *offset = copy->offset;                                          \
         const int64_t *source = copy->source, *target = copy->target, count = copy->count;                  \
         if (factor)                                                                                         \
-            for (int64_t i = 0; i < count; i++) values[target[i]] = values[source[i]] * factor[i] + offset[i]; \
+            for (int64_t i = 0; i < count; i++) to[target[i]] = (TYPE)FROM[source[i]] * factor[i] + offset[i]; \
         else                                                                                                \
-            for (int64_t i = 0; i < count; i++) values[target[i]] = values[source[i]];                      \
+            for (int64_t i = 0; i < count; i++) to[target[i]] = (TYPE)FROM[source[i]];                      \
     } while (0)
 
 static void copy_values(Simulation *sim, const ConnectionCopy *copy) {
-    if (copy->array == REAL) COPY_VALUES(double, sim->reals);
-    else COPY_VALUES(int32_t, sim->integers);
+    if (copy->array == REAL) COPY_VALUES(double, sim->reals, sim->reals);
+    else if (copy->array == WIDENED) COPY_VALUES(double, sim->reals, sim->integers);
+    else COPY_VALUES(int64_t, sim->integers, sim->integers);
     const ValueTable *table = copy->table;
     for (int32_t i = 0; table && i < table->count; i++)
         if (sim->integers[table->source[i]] == table->from[i]) sim->integers[table->target[i]] = table->to[i];
@@ -261,7 +262,7 @@ int values_set(Simulation *sim) {
 void record(Simulation *sim) {
     Recorder *r = &sim->recorder;
     double *reals = r->reals + (size_t)r->filled * (size_t)r->real_count;
-    int32_t *integers = r->integers + (size_t)r->filled * (size_t)r->integer_count;
+    int64_t *integers = r->integers + (size_t)r->filled * (size_t)r->integer_count;
     r->time[r->filled] = sim->t;
     const double *from = sim->reals;
     const int64_t *indices = r->real_indices, count = r->real_count;

@@ -46,7 +46,7 @@ static inline void remove_machine(Mask *machines, int i) { *machines = 0, (void)
 static inline void set_machine(Real *a, int i, int count, double value) { *a = value, (void)i, (void)count; }
 #endif
 
-enum { REAL, INTEGER };                                           /* arrays of values; INTEGER: all but Real values */
+enum { REAL, INTEGER, WIDENED };          /* arrays of values; INTEGER: all but Real values; WIDENED: from it to REAL */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of values in an FMU */
 enum { ACCESS, COPY, LOOP, PYTHON, EXCHANGE };                    /* types of instructions */
 enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of calls in Model Exchange */
@@ -89,12 +89,11 @@ typedef struct ExchangeCall { /* one FMI call in Model Exchange */
 } ExchangeCall;
 
 typedef struct ValueTable { /* values of integers that a mapping of SSP takes off the straight line */
-    const int64_t *source, *target;
-    const int32_t *from, *to;
+    const int64_t *source, *target, *from, *to;
     int32_t count;
 } ValueTable;
 
-typedef struct ConnectionCopy { /* copies values of outputs to the inputs that they feed, within one array */
+typedef struct ConnectionCopy { /* copies values of outputs to the inputs that they feed, of one type */
     const int64_t *source, *target;
     const void *factor, *offset; /* NULL if all factors are 1 and all offsets 0 */
     const ValueTable *table;     /* NULL: none */
@@ -274,7 +273,7 @@ typedef struct Scenario { /* a table of columns over time, linear between the sa
     const double *factor, *offset, *discrete_factor, *discrete_offset;
     const int64_t *rate_columns, *rates; /* rate inputs of continuous inputs, which get the slope of their column */
     const double *rate_factor;
-    const int32_t *integer_factor, *integer_offset;
+    const int64_t *integer_factor, *integer_offset;
     const ValueTable *table; /* source: a column; NULL: none */
     const int64_t *passed_columns, *passed; /* inputs of the system that its outputs pass on */
     Real *at_end, *at_midpoint;   /* continuous inputs at the end and at the middle of the step */
@@ -297,7 +296,7 @@ typedef struct EnergyMonitor { /* of power bonds: efforts and flows alternate in
 typedef struct Recorder { /* a block of rows; Python collects them between two calls of simulation_advance */
     const int64_t *real_indices, *integer_indices; /* real_indices NULL: all Real values */
     double *time, *reals;
-    int32_t *integers;
+    int64_t *integers;
     int32_t real_count, integer_count, filled, capacity;
     int64_t collected; /* communication points before the block */
 } Recorder;
@@ -346,7 +345,7 @@ typedef struct Simulation {
     Mask computed; /* those that compute the present pass */
     Real *reals, *saved_reals;
     Real *input_ends; /* shape (2, real_count): coupling inputs at both ends of the step */
-    int32_t *integers, *saved_integers;
+    int64_t *integers, *saved_integers;
     int64_t real_count, integer_count;
     Program first_reads; /* of outputs that depend on no input directly, before inputs are set: FMI 2.0, 4.2.4 */
     Program exchange;

@@ -68,10 +68,10 @@ int scenario_set_inputs(Simulation *sim, Real t) {
     for (int32_t i = 0; i < d->discrete_count; i++)
         sim->reals[d->discrete[i]] = base[d->discrete_columns[i]] * d->discrete_factor[i] + d->discrete_offset[i];
     for (int32_t i = 0; i < d->integer_count; i++) {
-        const int32_t value = (int32_t)rint(base[d->integer_columns[i]]);
+        const int64_t value = (int64_t)rint(base[d->integer_columns[i]]);
         sim->integers[d->integers[i]] = value * d->integer_factor[i] + d->integer_offset[i];
     }
     for (int32_t i = 0; d->table && i < d->table->count; i++)
-        if (rint(base[d->table->source[i]]) == d->table->from[i]) sim->integers[d->table->target[i]] = d->table->to[i];
+        if ((int64_t)rint(base[d->table->source[i]]) == d->table->from[i]) sim->integers[d->table->target[i]] = d->table->to[i];
     return execute(sim, &d->input_writes);
 }
