@@ -512,7 +512,7 @@ def _variable(
         initial=attributes.get("initial", allowed[0] if allowed else ""),
         unit=unit,
         starts=starts if starts or "start" in attributes else None,
-        shape=tuple(parse_int(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
+        shape=tuple(parse_int(d.get("start", lengths.get(d.get("valueReference")))) for d in dimensions),
         aliases=tuple(map(_entry, children(e, "Alias"))),
     )
 

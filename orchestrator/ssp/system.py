@@ -563,7 +563,8 @@ def check_map(where: str, variable: FmuVariable, linear: LinearTransformation) -
     """Raise Problem if values of a variable cannot be transformed so."""
     if linear != IDENTITY and (variable.kind == "String" or (variable.is_real and linear.table)):
         expected = "a LinearTransformation" if variable.is_real else "no transformation"
-        raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {linear}")
+        got = "a mapping of values" if linear.table else f"{linear.factor:g} x + {linear.offset:g}"
+        raise Problem(f"{where}: expected {expected} of a {variable.kind}, got {got}")
     if not (variable.is_real or (linear.factor.is_integer() and linear.offset.is_integer())):
         got = f"{linear.factor:g} and {linear.offset:g}"
         raise Problem(f"{where}: expected integer factor and offset, got {got}")

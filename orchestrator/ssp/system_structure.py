@@ -34,7 +34,9 @@ FMU, SSD, PACKAGE = (
     f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")
 )
 SOURCE, SINK = "source", "sink"
-OPAQUE = {"Annotation", "SimulationInformation", "MetaData", "Signature"}  # with elements of others inside
+INFORMATIVE = ("MetaData", "Signature", "SimulationInformation")
+OPAQUE = {"Annotation", *INFORMATIVE}  # with elements of others inside
+INOUT = "inout"
 NAMES = """
     SystemStructureDescription System Elements Component SignalDictionaryReference Connectors Connector
     Dimension Connections Connection ElementGeometry ConnectorGeometry ConnectionGeometry SystemGeometry
@@ -55,6 +57,11 @@ class ConnectorType(NamedTuple):
     array: bool = False
     type: str = ""
     items: Items = MappingProxyType({})
+
+    @property
+    def unsupported(self) -> str:
+        """What it is, if it cannot be connected; else empty."""
+        return "an array" if self.array else f"a {self.type}" if self.type in ("Binary", "Clock") else ""
 
 
 class IncomingConnection(NamedTuple):
@@ -118,6 +125,11 @@ def read_structure(file: Location) -> FlatStructure:
         flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
         flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
     _SsdReader(flat, root, (), {}).read("")
+    for connector, declared in flat.connectors.items():
+        if declared.unsupported:
+            flat.notes.append(f"{connector}: left out, {declared.unsupported}")
+        elif declared.kind == INOUT:
+            flat.notes.append(f"{connector}: of kind {INOUT}, its connections tell the direction")
     return flat
 
 
@@ -145,6 +157,8 @@ class _SsdReader:
             if local_name(e) not in KNOWN and OPAQUE.isdisjoint(map(local_name, e.iterancestors())):
                 unknown = XmlElement(self._root.file, e).problem("left out, no element of SSP")
                 self._flat.notes.append(str(unknown))
+        for name in sorted({local_name(e) for e in self._root.element.iter()} & {*INFORMATIVE}):
+            self._flat.notes.append(f"{self._root.file}: {name}: left out, it does not affect a run")
         system = self._root.child("System")
         if system is None:
             raise Problem(f"{self._root.file}: expected a System inside {self._root.name}, got none")
@@ -270,8 +284,8 @@ class _SsdReader:
             raise Problem(f"{context} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
         end = Port(path if name is None else owners[name], connector)
         declared = self._flat.declared(end)
-        if declared.array or element.get(f"{side}Indices"):
-            raise Problem(f"{context} {end}: expected a scalar, got an array")
+        if unsupported := declared.unsupported or ("an array" if element.get(f"{side}Indices") else ""):
+            raise Problem(f"{context} {end}: expected a scalar number, got {unsupported}")
         if declared.kind is None and end.component in self._flat.systems:
             names = [c.variable for c in self._flat.connectors if c.component == end.component]
             label = end.component or self._flat.name

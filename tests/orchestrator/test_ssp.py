@@ -315,7 +315,7 @@ def test_arrays_of_ssp_2_are_told_where_they_are_connected(fmus3, zip_ssp):
 
     for kind, index in ((sized, ""), ("<ssc:Float64/>", 'endIndices="2"')):
         path = written("u", kind, [wire("command", "a.u", extra=index)])
-        problem(partial(load, path), r"connection to a.u: expected a scalar, got an array")
+        problem(partial(load, path), r"connection to a.u: expected a scalar number, got an array")
     assert run(written("t", sized, []), step=0.5, set={"a.offset": 2.0}).trace["a.y"][-1] == 2.0
 
 

@@ -1,0 +1,140 @@
+"""What is read of FMI 3.0 and of SSP, element by element: the table in orchestrator/README.md is made here.
+
+python tests/orchestrator/test_standards.py    prints the table
+"""
+
+import re
+import sys
+import zipfile
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).parents[1])]  # as a script
+
+from kit.any_fmu.models import Workshop  # noqa: E402
+from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402
+
+from orchestrator import Problem, load, run  # noqa: E402
+
+PAGE = Path(__file__).parents[2] / "orchestrator/README.md"
+ONE = 'valueReference="400" causality="output" variability="discrete"'
+ANNOTATED = "<ssd:Annotations><ssc:Annotation type='org.any'><any/></ssc:Annotation></ssd:Annotations>"
+DATA = '<ssc:MetaData kind="general"><ssc:Content><a/></ssc:Content></ssc:MetaData>'
+MAPPED = (
+    '<ssc:{0}MappingTransformation><ssc:MapEntry source="{1}" target="{2}"/></ssc:{0}MappingTransformation>'
+)
+# (element, XML of one more variable of an FMU)
+FMI = [
+    ("numbers of 8 to 64 bits, Boolean, Enumeration", ""),
+    ("String", '<String name="s" valueReference="400" causality="parameter"><Start value="a"/></String>'),
+    (
+        "structural parameter",
+        '<UInt64 name="n" valueReference="400" causality="structuralParameter" start="2"/>',
+    ),
+    ("Binary", f'<Binary name="b" {ONE}/>'),
+    ("array", f'<Float64 name="a" {ONE}><Dimension start="3"/></Float64>'),
+    ("array of a size that may be 0", f'<Float64 name="a" {ONE}><Dimension start="0"/></Float64>'),
+    ("Clock", '<Clock name="c" valueReference="400" causality="local" intervalVariability="triggered"/>'),
+    (
+        "variable with clocks",
+        f'<Float64 name="x" {ONE} clocks="401"/>'
+        '<Clock name="c" valueReference="401" causality="local" intervalVariability="triggered"/>',
+    ),
+]
+
+
+def part(connectors="", more="", tag="Component", attributes='source="g.fmu"'):
+    """A component with what one probe adds to its connectors and to itself."""
+    ends = '<ssd:Connector name="u" kind="input"/><ssd:Connector name="y" kind="output"/>' + connectors
+    return f'<ssd:{tag} name="a" {attributes}><ssd:Connectors>{ends}</ssd:Connectors>{more}</ssd:{tag}>'
+
+
+def typed(kind, dimension="", name="t", way="input"):
+    """A connector that the FMU does not have."""
+    return f'<ssd:Connector name="{name}" kind="{way}"><ssc:{kind}/>{dimension}</ssd:Connector>'
+
+
+SIZED = '<ssc:Dimension size="3"/>'
+INLET = connector("command", "input")
+
+
+def one(*wires, **more):
+    """A file with one component."""
+    return ssd(system([part(**more)], wires, INLET))
+
+
+EXCEL = 'source="p.xlsx" type="application/vnd.ms-excel"'
+TIMES_TWO = '<ssc:LinearTransformation factor="2"/>'
+ARRAY, BINARY = typed("Float64", SIZED), typed("Binary")
+VALUES = ('<ssv:Float64 value="1 2"/>', '<ssv:Binary value="ff"/>')
+# (element, text of the .ssd)
+SSP = [
+    ("FMU, inner system, SSP or .ssd as a component", one()),
+    ("ParameterBinding, ParameterMapping", one(more=inline(real("offset", 2)))),
+    ("LinearTransformation", one(wire("command", "a.u", TIMES_TWO))),
+    ("mapping of values, at a Real", one(wire("command", "a.u", MAPPED.format("Integer", 1, 2)))),
+    ("geometry", one(more='<ssd:ElementGeometry x1="0" y1="0" x2="1" y2="1"/>')),
+    ("Annotation of an unknown tool", ssd(system([part()], []), ANNOTATED)),
+    ("MetaData, Signature", one(more=DATA)),
+    ("connector of kind `inout`", one(connectors=typed("Float64", way="inout"))),
+    ("connector with Dimension, not connected", one(connectors=ARRAY)),
+    ("the same, connected", one(wire("command", "a.t"), connectors=ARRAY)),
+    ("`startIndices`, `endIndices`", one(wire("command", "a.u", extra='endIndices="2"'))),
+    ("connector of type Binary or Clock, not connected", one(connectors=BINARY)),
+    ("the same, connected", one(wire("command", "a.t"), connectors=BINARY)),
+    ("array as a parameter's value", one(more=inline(("offset", VALUES[0])))),
+    ("Binary as a parameter's value", one(more=inline(("offset", VALUES[1])))),
+    ("parameters in another format", one(more=bound(EXCEL))),
+    ("component of another type", one(attributes='source="g.jar" type="application/java"')),
+    ("`ScheduledExecution`", one(attributes='source="g.fmu" implementation="ScheduledExecution"')),
+    ("element of no SSP", one(more="<ssd:Banana/>")),
+    ("version 3.0", one()),
+]
+
+
+def outcome(path):
+    """What a user sees: the line of a refusal, or the notes; without paths and numbers of lines."""
+    try:
+        result = run(load(path), step=0.5, stop=1.5, isolate=False)
+    except Problem as problem:
+        return f"refused: {line(problem)}"
+    told = [line(note) for note in (*result.card.warnings, *result.card.notes)]
+    return "; ".join(f"note: {text}" for text in dict.fromkeys(told)) or "read"
+
+
+def line(said):
+    """Its first line without the names of files and parts."""
+    text = re.sub(r"\S*/", "", str(said).splitlines()[0])
+    text = text.replace("|", "\\|").removeprefix("system.ssp: ").replace("SystemStructure.ssd: ", "")
+    text = re.sub(r"^(p\d+\.fmu|p\d+|a|system|top): ", "", text)
+    return re.sub(r"^line \d+: ", "", text)
+
+
+def table(folder):
+    """The rows of the table, from a run of every probe."""
+    workshop = Workshop(folder).other(3)
+    rows = ["|standard|element|what happens|", "|---|---|---|"]
+    for n, (element, more) in enumerate(FMI):
+        rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
+    for n, (element, text) in enumerate(SSP):
+        path = folder / f"{n}" / "system.ssp"
+        path.parent.mkdir()
+        edition = second(text).replace(
+            'version="2.0" name', f'version="{3 if "version 3" in element else 2}.0" name', 1
+        )
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("SystemStructure.ssd", edition)
+            archive.write(workshop["gain"], "g.fmu")
+        rows.append(f"|SSP 2.0|{element}|{outcome(path)}|")
+    return "\n".join(rows)
+
+
+def test_the_table_of_the_page_is_what_happens(tmp_path):
+    """Each element is read, left out with a note, or refused in one line that names it."""
+    assert table(tmp_path) in PAGE.read_text("utf-8")
+
+
+if __name__ == "__main__":
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as place:
+        print(table(Path(place)))
