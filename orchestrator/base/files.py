@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import csv
 import errno
 import hashlib
@@ -202,15 +203,34 @@ def archive_kept_open() -> Iterator[None]:
 
 @dataclass
 class SharedFolder:
-    """A temporary folder with an unpacked archive: what removes it, and the number of its users."""
+    """A temporary folder with an unpacked archive: what removes it, its files, the number of its users."""
 
     folder: Path
     removal: ExitStack
+    files: frozenset[tuple[str, int, int]]
     users: int = 0
 
+    @property
+    def unchanged(self) -> bool:
+        """Has nothing in the folder changed since the archive was unpacked?"""
+        return self.files == files_in(self.folder)
 
-# process (a fork has its own folders), SHA-256 and what stays packed -> folder
+
+def files_in(folder: Path) -> frozenset[tuple[str, int, int]]:
+    """Path, size [bytes] and time of the last change [ns] of all that a folder contains."""
+    found = set[tuple[str, int, int]]()
+    for place, folders, names in os.walk(folder):
+        for name in (*folders, *names):
+            path = os.path.join(place, name)
+            about = os.lstat(path)
+            found.add((path, about.st_size, about.st_mtime_ns))
+    return frozenset(found)
+
+
+# process (a fork has its own folders), SHA-256 and what stays packed -> folder, those used last at the end
 _unpacked: dict[tuple[int, str, tuple[str, ...]], SharedFolder] = {}
+_checksums: dict[tuple[object, ...], str] = {}  # stamp of a file -> its SHA-256
+MOST_KEPT, LARGEST_KEPT = 16, 64e6  # folders without users, and bytes of such a folder: for the next run
 _unpacking = Lock()
 
 # ---- locations ---------------------------------------------------------------------------------------------
@@ -394,28 +414,39 @@ class Location:
 
     @contextmanager
     def unpacked(self, without: tuple[str, ...] = ()) -> Iterator[Path]:
-        """This folder, or a temporary folder with the unpacked archive, which is removed at the end.
+        """This folder, or a temporary folder with the unpacked archive.
 
         Equal archives in use at the same time share a folder, so that the library of an FMU is loaded once.
+        The last folders stay for the next run, until this process ends, unless a run has changed them.
 
         without   as in `extract`
         """
         if self.is_folder:
             yield self.path.resolve()
             return
-        with self.opened() as file:
-            key = os.getpid(), _sha256(file), without
-            with _unpacking:
-                shared = _unpacked.get(key) or _unpacked.setdefault(key, self._shared(file, without))
-                shared.users += 1
+        with _unpacking:
+            stamp = self._stamp()
+            shared = _kept_folder((os.getpid(), _checksums.get(stamp, ""), without))
+            if not shared:
+                with self.opened() as file:
+                    key = os.getpid(), _checksums.setdefault(stamp, _sha256(file)), without
+                    shared = _unpacked[key] = _kept_folder(key) or self._shared(file, without)
+            shared.users += 1
         try:
             yield shared.folder
         finally:
             with _unpacking:
                 shared.users -= 1
-                if not shared.users:
-                    del _unpacked[key]
-                    shared.removal.close()
+                _remove_unused()
+
+    def _stamp(self) -> tuple[object, ...]:
+        """What changes when the file on disk is written again."""
+        try:
+            about = os.stat(self.path)
+        except OSError:
+            return ()
+        stamp = about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns
+        return *stamp, os.path.abspath(self.path), self.members
 
     def _shared(self, file: IO[bytes], without: tuple[str, ...]) -> SharedFolder:
         """A new folder with this archive, which is open."""
@@ -423,7 +454,9 @@ class Location:
             folder = stack.enter_context(temporary_folder("fmu-", str(self)))
             with self._as_zip(file) as archive:
                 self._extract(archive, folder, without)
-            return SharedFolder(folder, stack.pop_all())
+            if not _unpacked:
+                atexit.register(_remove_unused, 0)
+            return SharedFolder(folder, stack.pop_all(), files_in(folder))
 
     @property
     def sha256(self) -> str:
@@ -433,6 +466,26 @@ class Location:
                 return _sha256(file)
         lines = (f"{name} {self.member(name).sha256}\n" for name in self.names())
         return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
+
+
+def _kept_folder(key: tuple[int, str, tuple[str, ...]]) -> SharedFolder | None:
+    """The folder of this archive, now the one used last; one that a run has changed is removed instead."""
+    found = _unpacked.pop(key, None)
+    if found and not found.users and not found.unchanged:
+        found.removal.close()
+        return None
+    if found:
+        _unpacked[key] = found
+    return found
+
+
+def _remove_unused(most: int = MOST_KEPT) -> None:
+    """Remove folders of this process that nobody uses: large ones, and the oldest of more than `most`."""
+    unused = {key: s for key, s in _unpacked.items() if not s.users and key[0] == os.getpid()}
+    large = {k for k, s in unused.items() if sum(size for _, size, _ in s.files) > LARGEST_KEPT}
+    others = [key for key in unused if key not in large]
+    for key in (*large, *others[: max(len(others) - most, 0)]):
+        _unpacked.pop(key).removal.close()
 
 
 def _sha256(file: IO[bytes]) -> str:

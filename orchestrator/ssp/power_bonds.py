@@ -54,12 +54,13 @@ def find_bonds(system: System) -> list[Bond]:
     several prefixes are equally long there is no bond. Ports with one of the words `SIGNALS` in their names,
     such as `load_sensing_pressure`, carry no power.
     """
-    between = grouped(system.connections, lambda c: (c.source.component, c.target.component))
+    of = {c: dimension for c in system.connections if (dimension := _dimension(system, c))}
+    between = grouped(of, lambda c: (c.source.component, c.target.component))
     candidates = [
         _Candidate(_common_prefix(effort, flow), effort, flow)
-        for effort in system.connections
+        for effort in of
         for flow in between.get((effort.target.component, effort.source.component), ())
-        if _opposite(effort, flow) and _is_power(system, effort, flow)
+        if (of[effort], of[flow]) in PAIRS and _opposite(effort, flow)
     ]
     of_input = defaultdict[Port, list[_Candidate]](list)
     for candidate in candidates:
@@ -111,11 +112,11 @@ def _opposite(effort: Connection, flow: Connection) -> bool:
     )
 
 
-def _is_power(system: System, effort: Connection, flow: Connection) -> bool:
-    if any(SIGNALS & set(_words(port)) for c in (effort, flow) for port in (c.source, c.target)):
-        return False
-    e, f = (system.variable(c.target).unit for c in (effort, flow))
-    return e is not None and f is not None and (e.dimension, f.dimension) in PAIRS
+def _dimension(system: System, c: Connection) -> tuple[int, ...] | None:
+    """The dimension of a connection that may carry power; None for signals."""
+    unit = system.variable(c.target).unit
+    signal = any(not SIGNALS.isdisjoint(_words(port)) for port in (c.source, c.target))
+    return unit.dimension if unit and not signal else None
 
 
 def _common_prefix(effort: Connection, flow: Connection) -> tuple[str, ...]:
