@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kit.any_fmu.models import HIGHEST, RATES, Workshop, oscillator_of, telling
+from kit.any_fmu.models import HIGHEST, RATES, Workshop, oscillation, oscillator_of, telling
 from kit.any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 
@@ -119,13 +119,7 @@ def bounce(fmus: Workshop) -> Callable[[bool], System]:
 @pytest.fixture(scope="session")
 def exact() -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """Exact positions of the oscillator's two masses at times from 0, shape (n, 2)."""
-
-    def solution(time: NDArray[np.float64]) -> NDArray[np.float64]:
-        squares, modes = np.linalg.eigh(np.array([[110.0, -100.0], [-100.0, 1100.0]]))  # N/m, masses of 1 kg
-        frequencies, speeds = np.sqrt(squares), modes.T @ np.array([100.0, -100.0])
-        return (np.sin(np.outer(time, frequencies)) / frequencies * speeds) @ modes.T
-
-    return solution
+    return oscillation
 
 
 @pytest.fixture(scope="session")

@@ -7,12 +7,14 @@ from dataclasses import fields
 import pytest
 import typer
 from kit.mistakes import problem
+from kit.ssp import gain, ssd, system
 
 from orchestrator import Coupling, batch, linearize, reference, run
 from orchestrator.__main__ import main
 from orchestrator.base.options import option_texts
 from orchestrator.cli import app
 from orchestrator.engine import arguments
+from orchestrator.engine.job import open_slave
 from orchestrator.ssp.coupling import FIELDS, CouplingArguments
 
 GROUPS = {
@@ -37,6 +39,46 @@ def test_the_docstring_of_a_function_has_its_options(function):
         assert text
         assert f"    {name} " in function.__doc__
         assert text in " ".join(function.__doc__.split())
+
+
+DEFAULTS = {
+    "start": "default: the start time in the system, else 0.",
+    "stop": "default: the end of the scenario, else the stop time in the system or its FMUs.",
+    "step": "default: the step in the system or its FMUs, 1e-3 for the harvester.",
+    "record_step": "default: every step.",
+    "tolerance": "else the tolerance in the DefaultExperiment of each FMU.",
+}
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_the_default_that_a_text_states_is_what_happens(fmus, zip_ssp, name):
+    """Of a file with a start time, with and without a scenario, and of an FMU with a DefaultExperiment."""
+    assert DEFAULTS[name] in option_texts(arguments.RunArguments)[name]
+    experiment = 'startTime="0.25" stopTime="1.25" stepSize="0.125" tolerance="1e-4"'
+    fmu = fmus.make("gain", "timed", experiment=experiment)
+    ssp = zip_ssp(ssd(system([gain("g", source="g.fmu")], [])), {"g.fmu": fmu})  # from 0.5 to 1.5 s
+    times, alone = run(ssp).trace.time, run(fmus["gain"], stop=1.0, step=0.5).trace.time
+    if name == "start":
+        assert (times[0], alone[0]) == (0.5, 0.0)
+    if name == "stop":
+        driven = run(ssp, {"time": [0.0, 2.0], "g.u": [0.0, 1.0]}).trace.time
+        assert (times[-1], driven[-1], run(fmu).trace.time[-1]) == (1.5, 2.0, 1.25)
+    if name == "step":
+        assert run(ssp).card.step == 0.125
+    if name == "record_step":
+        assert len(alone) == 3
+    if name == "tolerance":
+        given = []
+
+        def noted(component):
+            slave = open_slave(component)
+            setup = slave.setup
+            slave.setup = lambda *span: given.append(span[2]) or setup(*span)
+            return slave
+
+        run(ssp, isolate=False, open=noted)
+        run(ssp, isolate=False, open=noted, tolerance=1e-6)
+        assert given == [1e-4, 1e-6]
 
 
 def test_the_options_of_a_coupling_are_its_fields():
