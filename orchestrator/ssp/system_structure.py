@@ -34,8 +34,8 @@ FMU, SSD, PACKAGE = (
     f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")
 )
 SOURCE, SINK = "source", "sink"
-INFORMATIVE = ("MetaData", "Signature", "SimulationInformation")
-OPAQUE = {"Annotation", *INFORMATIVE}  # with elements of others inside
+INFORMATIVE = ("MetaData", "Signature")
+OPAQUE = {"Annotation", "SimulationInformation", *INFORMATIVE}  # with elements of others inside
 INOUT = "inout"
 NAMES = """
     SystemStructureDescription System Elements Component SignalDictionaryReference Connectors Connector

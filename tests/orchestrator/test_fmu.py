@@ -1,6 +1,10 @@
 """One FMU: instances, failures, messages, rollback, slopes, clean-up."""
 
 import ctypes
+import os
+import shutil
+import subprocess
+import sys
 import tempfile
 import zipfile
 from pathlib import Path
@@ -8,21 +12,68 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from kit.any_fmu.description import packed
 from kit.mistakes import problem, table
 
 from orchestrator import Problem
+from orchestrator.base import files as base_files
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import compatible_buffer
 from orchestrator.fmi.interface import read_interface
 from orchestrator.fmi.library import load_library
 
+USES = """
+import sys, tempfile
+from pathlib import Path
+from orchestrator.base.files import Location, _unpacked
+from orchestrator.fmi.cosimulation import UNUSED
 
-def test_unpacked_files_are_removed(each, tmp_path, monkeypatch, opened, started):
-    """Nothing is left in the temporary folder, not even after a failed start."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # other processes unpack files too
-    started(each["gain"]).close()
-    problem(lambda: opened(each.make("gain", "stranger", guid="nobody knows me")))
-    assert list(tmp_path.glob("fmu-*")) == []
+def unpacked(path):
+    with Location(Path(path)).unpacked(UNUSED) as folder:
+        return folder
+
+first, other = sys.argv[1:]
+folder = unpacked(first)
+assert unpacked(first) == folder
+(folder / "left by a run").touch()
+again = unpacked(first)
+assert again != folder and not folder.exists()
+Path(first).write_bytes(Path(other).read_bytes())
+assert unpacked(first) != again
+assert len([*Path(tempfile.gettempdir()).glob("fmu-*")]) == 2
+"""
+
+
+def test_unpacked_files_stay_for_the_next_run_only(each, tmp_path):
+    """Unless a run has changed them or the file is another one; the end of the process removes them."""
+    files = [shutil.copy(each[name], tmp_path / f"{name}.fmu") for name in ("gain", "types")]
+    environment = {**os.environ, "TMPDIR": str(tmp_path), "TEMP": str(tmp_path), "TMP": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", USES, *files], env=environment, check=True)
+    assert [*tmp_path.glob("fmu-*")] == []
+
+
+def test_large_archives_and_old_ones_do_not_stay(tmp_path, monkeypatch):
+    """Sixteen at most, of 64 MB at most."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(base_files, "_unpacked", {})
+
+    def used(name, content):
+        packed(tmp_path / name, {"a": content})
+        with Location(tmp_path / name).unpacked():
+            pass
+        return len([*tmp_path.glob("fmu-*")])
+
+    assert [used(f"{k}.zip", f"{k}") for k in range(18)] == [*range(1, 17), 16, 16]
+    assert used("large.zip", bytes(64_000_001)) == 16
+
+
+def test_a_failed_start_leaves_nothing_open(each, tmp_path, monkeypatch, opened):
+    """The next start of the same file works in the same folder."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    stranger = each.make("gain", "stranger", guid="nobody knows me")
+    for _ in range(2):
+        problem(lambda: opened(stranger))
+    assert len([*tmp_path.glob("fmu-*")]) == 1
 
 
 def test_a_number_that_is_none_is_named(tmp_path):
