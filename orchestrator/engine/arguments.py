@@ -67,7 +67,7 @@ class StepArguments(TypedDict, total=False):
     record_step: Seconds
 
 
-DEFAULT_ACCURACY = {"run": 1e-3, "validate": 1e-4}  # of the commands
+DEFAULT_ACCURACY = {"run": 1e-3, "sweep": 1e-3, "validate": 1e-4}  # of the commands
 
 
 class AccuracyArguments(TypedDict, total=False):

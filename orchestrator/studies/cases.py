@@ -18,7 +18,7 @@ from orchestrator.base.units import factor_and_offset
 from orchestrator.data.table import READABLE
 from orchestrator.data.trace import Trace, read_trace, rounding
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
-from orchestrator.engine.arguments import RunArguments
+from orchestrator.engine.arguments import DEFAULT_ACCURACY, RunArguments
 from orchestrator.engine.run import chooses_freely, run
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, grid
@@ -30,7 +30,6 @@ from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.studies.study import Factor, Output, Study
 
 SCENARIO, PARAMETERS = "scenario", "parameters"  # names of choices that are not components
-ACCURACY = 1e-3  # default
 SAFETY = 0.5  # over the accuracy: the error at the start values, because it varies with the samples
 
 Options = tuple[str, ...]  # one option of each choice, in the order of the choices
@@ -307,7 +306,7 @@ def _accurate(study: Study, case: StudyCase) -> StudyCase:
     """The case with coupling, step and tolerance that are accurate enough for the signals of the study."""
     system, accuracy = case.system, study.accuracy
     if accuracy is None and chooses_freely(system, study.step, study.coupling):
-        accuracy = ACCURACY
+        accuracy = DEFAULT_ACCURACY["sweep"]
     if accuracy is None:
         return case
     outputs = set(decisive_signals(system, ["*"]))
