@@ -152,7 +152,7 @@ def test_a_flow_through_opening_and_hose_has_the_drops_of_both(
 ) -> None:
     """Of a 3/4 in hose in series; all of the iteration's error is in the drop, worst around Re 2700.
 
-    Measured: less than 0.1, 0.3 and 2 % with 40, 140 and 260 mm2; one iteration has up to 8 and 29 %.
+    Measured: less than 0.1, 0.4 and 2.1 % with 40, 140 and 260 mm2; without the last step up to 12 and 39 %.
     """
     area, length, tolerance = case
     warm, flow = Warm(temperature), litres / 60000
