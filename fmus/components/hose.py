@@ -224,9 +224,10 @@ Law: TypeAlias = Friction | ShortLine
 def flow_in_series(edge: Edge, area: Scalar, drop: Scalar, oil: Liquid, line: Law) -> Scalar:
     """Flow [m3/s] through an opening [m2] of a valve and a line, with the sign of the drop [Pa].
 
-    With b and a of the line at a flow Q_k, dp = (C_R + a) Q_{k+1} |Q_{k+1}| + (C_R Q_t + b) Q_{k+1}, which is
-    exact where b and a are constant. Twice this, and a step of Newton's method follows. Around Re 2700 with an
-    opening of 40 mm2, 140 mm2, 260 mm2 and 4 m of 3/4 in hose the drop is off by less than 0.1, 0.4 and 2.1 %.
+    With b and a of the line at a flow Q_k, dp = (C_R + a) Q_{k+1} |Q_{k+1}| + (C_R Q_t + b) Q_{k+1}, which
+    is exact where b and a are constant. Twice this, and a step of Newton's method follows. Around Re 2700
+    with an opening of 40 mm2, 140 mm2, 260 mm2 and 4 m of 3/4 in hose the drop is off by less than 0.1, 0.4
+    and 2.1 %.
     """
     square, laminar = edge.square(area, oil), edge.transition_flow(area, oil)
     y = square * drop

@@ -1,12 +1,6 @@
 """Flow through sharp-edged orifices and pressure-controlled valves, from the pressure difference.
 
-    q = C_d A sqrt(2 / rho) r(dp)        r(dp) = dp / (dp^2 + dp_t^2)^(1/4)
-
-The textbook has r = sign(dp) sqrt(|dp|) with an infinite derivative at dp = 0 (Merritt, Hydraulic Control
-Systems, 1967, eq. 3-17). This r is odd and increasing, and its derivative at zero is dp_t^(-1/2). It is below
-the square root by the fraction (dp_t / dp)^2 / 4 at most: 1 % at 5 dp_t, 3e-8 at 3000 dp_t.
-
-**The edges of valves** turn from turbulent to laminar flow at a Reynolds number:
+The edges of valves turn from turbulent to laminar flow at a Reynolds number:
 
     dp = C_R Q (|Q| + Q_t)        C_R = rho / (2 C_d^2 A^2)        Q_t = Re_t nu sqrt(pi A) / 2
 
@@ -87,29 +81,6 @@ def flow_gain(area: Scalar, discharge_coefficient: Scalar, density: Scalar) -> S
 def root(y: Scalar, linear: Scalar, square: Scalar = 1) -> Scalar:
     """The Q with square Q |Q| + linear Q = y. No difference of nearly equal values occurs."""
     return 2 * y / (linear + ca.sqrt(linear**2 + 4 * square * ca.fabs(y)))
-
-
-def regular_root(dp: Scalar, transition: Scalar) -> Scalar:
-    """r(dp) [Pa^(1/2)], the signed square root, differentiable within `transition` [Pa] around zero."""
-    return dp / (dp**2 + transition**2) ** 0.25
-
-
-def flow(area: Scalar, dp: Scalar, density: Scalar, discharge: Scalar, transition: Scalar) -> Scalar:
-    """Volume flow [m3/s] at a pressure difference dp [Pa], with the sign of dp, so that dp q >= 0."""
-    return discharge * area * ca.sqrt(2 / density) * regular_root(dp, transition)
-
-
-def one_way_flow(area: Scalar, dp: Scalar, density: Scalar, discharge: Scalar, transition: Scalar) -> Scalar:
-    """Volume flow [m3/s] of an orifice behind an ideal check valve: zero for dp < 0.
-
-    Continuous; the derivative jumps at dp = 0 from zero to that of `flow`.
-    """
-    return flow(area, ca.fmax(dp, 0), density, discharge, transition)
-
-
-def loss(volume_flow: Scalar, dp: Scalar) -> Scalar:
-    """Dissipated power [W], dp q; never negative for the flows above."""
-    return volume_flow * dp
 
 
 class PressureValve(Group):

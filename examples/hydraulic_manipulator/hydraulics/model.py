@@ -7,7 +7,8 @@
     F = A (p_2 - p_1)                                   of the states alone: no feed-through of s1_dot
 
 All four edges of the valve are open at once, kappa divides their areas. A square root counts as
-zero when its difference is negative; near zero it is regularised (fmus.components.orifice).
+zero when its difference is negative. Near zero it is r(dp) = dp / (dp^2 + dp_t^2)^(1/4), which has a
+finite derivative and is below the root by the share (dp_t / dp)^2 / 4 at most: 1 % at 5 dp_t.
 
 Signs: flows q_i are positive into a chamber; s1 is the length of the actuator, the force is
 positive when it extends; chamber 2 grows with s1.
@@ -19,7 +20,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmus.components import orifice
+import casadi as ca
+
 from fmus.contract import Group, Quantity, Scalar, Subsystem
 
 
@@ -92,6 +94,16 @@ class Edges:
         return self.flows[0] - self.flows[1], self.flows[2] - self.flows[3]
 
 
+def regular_root(dp: Scalar, transition: Scalar) -> Scalar:
+    """r(dp) [Pa^(1/2)], the signed square root, differentiable within `transition` [Pa] around zero."""
+    return dp / (dp**2 + transition**2) ** 0.25
+
+
+def one_way_flow(area: Scalar, dp: Scalar, density: Scalar, discharge: Scalar, transition: Scalar) -> Scalar:
+    """Volume flow [m3/s] at a pressure difference dp [Pa]: zero for dp < 0."""
+    return discharge * area * ca.sqrt(2 / density) * regular_root(ca.fmax(dp, 0), transition)
+
+
 def edges(x: HydraulicsState, u: HydraulicsInputs, p: HydraulicsParameters) -> Edges:
     """The four edges of the valve."""
     drops = (
@@ -102,9 +114,7 @@ def edges(x: HydraulicsState, u: HydraulicsInputs, p: HydraulicsParameters) -> E
     )
     shares = (u.kappa, 1 - u.kappa, 1 - u.kappa, u.kappa)
     rest = (p.density, p.discharge_coefficient, p.transition_pressure)
-    flows = [
-        orifice.one_way_flow(share * p.valve_area, dp, *rest) for share, dp in zip(shares, drops, strict=True)
-    ]
+    flows = [one_way_flow(share * p.valve_area, dp, *rest) for share, dp in zip(shares, drops, strict=True)]
     return Edges(drops, (flows[0], flows[1], flows[2], flows[3]))
 
 
@@ -140,8 +150,7 @@ def observe(x: HydraulicsState, u: HydraulicsInputs, p: HydraulicsParameters) ->
     q_1, q_2 = valve.into_chambers
     p_1, _ = standing_pressures(u.holding_force, p)
     from_supply, to_tank = (
-        orifice.regular_root(dp, p.transition_pressure)
-        for dp in (p.supply_pressure - p_1, p_1 - p.tank_pressure)
+        regular_root(dp, p.transition_pressure) for dp in (p.supply_pressure - p_1, p_1 - p.tank_pressure)
     )
     return HydraulicsOutputs(
         **vars(x),
@@ -151,7 +160,7 @@ def observe(x: HydraulicsState, u: HydraulicsInputs, p: HydraulicsParameters) ->
         flow_2=q_2,
         supply_flow=valve.flows[0] + valve.flows[2],
         return_flow=valve.flows[1] + valve.flows[3],
-        dissipated_power=sum(orifice.loss(q, dp) for q, dp in zip(valve.flows, valve.drops, strict=True)),
+        dissipated_power=sum(q * dp for q, dp in zip(valve.flows, valve.drops, strict=True)),
         holding_kappa=to_tank / (from_supply + to_tank),
     )
 
