@@ -193,13 +193,13 @@ class Friction:
         return self.drop_and_slope(flow)[0]
 
     def drop_and_slope(self, flow: Scalar) -> tuple[Scalar, Scalar]:
-        """Pressure drop [Pa] at a flow [m3/s], with its sign, and its derivative [Pa.s/m3]."""
+        """Drop [Pa] at a flow [m3/s], with its sign; its derivative [Pa.s/m3], at least drop/flow."""
         share, half = self._shares(flow)
         scale = self.turbulent * (REFERENCE_FLOW / self.critical) ** 0.25 * self.critical
         more = share * (scale * half * ca.sqrt(half) - self.laminar)  # s (T - R)
         resistance = self.laminar + more
         slope = resistance + 8 * (1 - share) * more + 0.75 * (more + share * self.laminar)
-        return flow * resistance, slope
+        return flow * resistance, ca.fmax(slope, resistance)
 
 
 @dataclass(frozen=True)

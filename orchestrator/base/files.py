@@ -213,7 +213,10 @@ class SharedFolder:
     @property
     def unchanged(self) -> bool:
         """Has nothing in the folder changed since the archive was unpacked?"""
-        return self.files == files_in(self.folder)
+        try:
+            return self.files == files_in(self.folder)
+        except OSError:  # another program cleans the folder
+            return False
 
 
 def files_in(folder: Path) -> frozenset[tuple[str, int, int]]:
@@ -230,7 +233,8 @@ def files_in(folder: Path) -> frozenset[tuple[str, int, int]]:
 # process (a fork has its own folders), SHA-256 and what stays packed -> folder, those used last at the end
 _unpacked: dict[tuple[int, str, tuple[str, ...]], SharedFolder] = {}
 _checksums: dict[tuple[object, ...], str] = {}  # stamp of a file -> its SHA-256
-MOST_KEPT, LARGEST_KEPT = 16, 64e6  # folders without users, and bytes of such a folder: for the next run
+MOST_KEPT = 64e6  # bytes of all folders without users
+_PROCESS = os.getpid()  # forks end without removing what they keep
 _unpacking = Lock()
 
 # ---- locations ---------------------------------------------------------------------------------------------
@@ -417,7 +421,8 @@ class Location:
         """This folder, or a temporary folder with the unpacked archive.
 
         Equal archives in use at the same time share a folder, so that the library of an FMU is loaded once.
-        The last folders stay for the next run, until this process ends, unless a run has changed them.
+        On Linux the last folders stay for the next run until this process ends, 64 MB together, unless a run
+        has changed them or has left its library loaded.
 
         without   as in `extract`
         """
@@ -429,7 +434,8 @@ class Location:
             shared = _kept_folder((os.getpid(), _checksums.get(stamp, ""), without))
             if not shared:
                 with self.opened() as file:
-                    key = os.getpid(), _checksums.setdefault(stamp, _sha256(file)), without
+                    key = os.getpid(), _sha256(file), without
+                    _checksums.update({stamp: key[1]} if stamp else {})
                     shared = _unpacked[key] = _kept_folder(key) or self._shared(file, without)
             shared.users += 1
         try:
@@ -445,7 +451,7 @@ class Location:
             about = os.stat(self.path)
         except OSError:
             return ()
-        stamp = about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns
+        stamp = about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns
         return *stamp, os.path.abspath(self.path), self.members
 
     def _shared(self, file: IO[bytes], without: tuple[str, ...]) -> SharedFolder:
@@ -455,7 +461,7 @@ class Location:
             with self._as_zip(file) as archive:
                 self._extract(archive, folder, without)
             if not _unpacked:
-                atexit.register(_remove_unused, 0)
+                atexit.register(_remove_unused, -1.0)
             return SharedFolder(folder, stack.pop_all(), files_in(folder))
 
     @property
@@ -479,13 +485,28 @@ def _kept_folder(key: tuple[int, str, tuple[str, ...]]) -> SharedFolder | None:
     return found
 
 
-def _remove_unused(most: int = MOST_KEPT) -> None:
-    """Remove folders of this process that nobody uses: large ones, and the oldest of more than `most`."""
-    unused = {key: s for key, s in _unpacked.items() if not s.users and key[0] == os.getpid()}
-    large = {k for k, s in unused.items() if sum(size for _, size, _ in s.files) > LARGEST_KEPT}
-    others = [key for key in unused if key not in large]
-    for key in (*large, *others[: max(len(others) - most, 0)]):
-        _unpacked.pop(key).removal.close()
+def _remove_unused(most: float = MOST_KEPT) -> None:
+    """Remove folders of this process that nobody uses, except the last ones, of `most` bytes together.
+
+    A folder whose library is still loaded goes: the next run would get it with the values of its variables.
+    """
+    loaded = _mapped_files()
+    for key, shared in reversed([*_unpacked.items()]):
+        if shared.users or key[0] != os.getpid():
+            continue
+        size = sum(size for _, size, _ in shared.files)
+        if loaded is None or str(shared.folder) in loaded or os.getpid() != _PROCESS or size > most:
+            _unpacked.pop(key).removal.close()
+        else:
+            most -= size
+
+
+def _mapped_files() -> str | None:
+    """The files whose code is in this process; None if the system does not tell."""
+    try:
+        return Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
 
 
 def _sha256(file: IO[bytes]) -> str:

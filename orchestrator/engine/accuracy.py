@@ -255,7 +255,8 @@ class AccuracySearch:
     def cost(self, span: float) -> str:
         """What the next run will take at most, and why there is one; span: to simulate [s]."""
         step = self.settings.step or SHORTEST * self._base
-        before = f"the least error of {self.runs} runs is {self._least:.1e}"
+        runs = "1 run" if self.runs == 1 else f"{self.runs} runs"
+        before = f"the least error of {runs} is {self._least:.1e}"
         return f"accuracy {self.accuracy:g}: {before}; {self.settings.text}, up to {span / step:.2g} steps"
 
     def _next(self, error: float) -> None:
@@ -329,6 +330,7 @@ def _jumps(trace: Trace, name: str) -> bool:
     """Does a signal change in one step by much more than in the steps around it would do?"""
     changes, lengths = np.abs(np.diff(trace[name])), np.diff(trace.time)
     rates = np.pad(changes / lengths, 1)
+    rates[-1] = rates[-2]  # a stroke may begin in the last step
     around = np.maximum(rates[:-2], rates[2:]) * lengths
     return bool((changes > np.maximum(JUMP * around, LEAST_JUMP * np.ptp(trace[name]))).any())
 

@@ -372,6 +372,8 @@ class ErrorPropagation:
                 if port.component != name or not network.system.variable(port).is_continuous:
                     continue
                 c = sources.get(port)
+                if c and not network.system.variable(c.source).is_continuous:  # held over a step
+                    c = None
                 source_component = components.index(c.source.component) if c else -1
                 source, factor = (c.source, c.map.factor) if c else (None, 0.0)
                 yield LinearInput(port, source, factor, source_component, coupling.get(port))

@@ -251,7 +251,7 @@ class SimulationLoop:
         estimate, plan = job.execution.error_estimate, master.planned(job.system, job.coupling)
         self._plan = plan = plan.with_estimate(fast=estimate == "fast") if estimate else plan
         if master.step:
-            network.binding.master = partial(master.step, Components(network))
+            network.binding.master = partial(Components(network).over, master)
             self.state.in_python = True
         self._inputs = inputs = CouplingInputs(network, plan)
         prediction = LinearPrediction(network, inputs, plan, plan.prediction) if plan.prediction else None

@@ -9,25 +9,38 @@
     3. the engine exchanges all values at the end of the step, sets inputs of the scenario, records
 
 Between 3 and the next 2 nothing is called. Inputs hold their values until something sets them. An exception
-ends the run, with what it has recorded.
+ends the run, with what it has recorded; so does a component that is not at the end of the step after 2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from ctypes import c_double
+from functools import cache, partial
 
+import numpy as np
+
+from orchestrator.base.errors import Problem, suggest
+from orchestrator.data.table import Array
+from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.network import Network
-from orchestrator.fmi.calls import Slave
+from orchestrator.fmi.calls import Call, Slave, calls_by_type
+from orchestrator.ssp.masters import Master
+from orchestrator.ssp.system import Connection
 
 
 class Components(Mapping[str, Slave]):
     """The running components of a system by name, for the function of a master; see `Slave`."""
 
     def __init__(self, network: Network) -> None:
-        self._network = network
+        self._network, self._reached = network, dict.fromkeys(network.slaves, -np.inf)
+        self._sending = cache(self._sends)
+        for name, slave in network.slaves.items():
+            slave.step = partial(self._step, name, slave.step)  # type: ignore[method-assign]
 
     def __getitem__(self, name: str) -> Slave:
+        if name not in self._network.slaves:
+            raise KeyError(f"no component {name!r}{suggest(name, self._network.slaves)}")
         return self._network.slaves[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -38,12 +51,53 @@ class Components(Mapping[str, Slave]):
 
     def send(self, name: str) -> None:
         """Set the inputs that the outputs of one component feed."""
-        for c in self._network.connections:
-            if c.source.component == name:
-                value = self[name].get(c.source.variable)
-                assert not isinstance(value, str)  # texts are not connected
-                self[c.target.component].set(c.target.variable, type(value)(c.map(value)))
+        for call in self._sending(self[name].name):
+            call()
 
     def exchange(self, time: float) -> None:
         """Set all connected inputs in the order of their dependence, as the engine does at a point [s]."""
         self._network.binding.call("simulation_exchange", c_double(time))
+
+    def over(self, master: Master, time: float, length: float) -> None:
+        """Take a step with the function of a master; raises Problem if it fails or leaves a component out."""
+        assert master.step is not None
+        end, where = time + length, f"master {master.name}: the function"
+        try:
+            master.step(self, time, length)
+        except Problem:
+            raise
+        except Exception as error:  # of the user's function: the rows are kept
+            raise Problem(f"{where} failed at t = {time:.9g} s: {error!r}") from error
+        late = [n for n, reached in self._reached.items() if abs(reached - end) > SAME_TIME * length]
+        if late:
+            raise Problem(f"{where}: expected steps of all components to t = {end:.9g} s, not of {late[0]}")
+
+    def _step(self, name: str, step: Callable[[float, float], None], time: float, length: float) -> None:
+        step(time, length)
+        self._reached[name] = time + length
+
+    def _sends(self, name: str) -> list[Call]:
+        """Calls that read the connected outputs of a component, and set the inputs that they feed."""
+        slaves, calls = self._network.slaves, list[Call]()
+        wires = [c for c in self._network.connections if c.source.component == name]
+        for target in dict.fromkeys(c.target.component for c in wires):
+            of_target = [c for c in wires if c.target.component == target]
+            real = [c for c in of_target if self._network.system.variable(c.source).is_real]
+            read, sent = np.zeros((2, len(real)))
+            factor, offset = np.array([[c.map.factor, c.map.offset] for c in real]).reshape(-1, 2).T
+            calls += calls_by_type(slaves[name], [c.source.variable for c in real], read, slaves[name].reader)
+            calls.append(partial(_transform, read, factor, offset, sent))
+            writer = slaves[target].writer
+            calls += calls_by_type(slaves[target], [c.target.variable for c in real], sent, writer)
+            calls += [partial(self._carry, c) for c in of_target if c not in real]
+        return calls
+
+    def _carry(self, c: Connection) -> None:
+        """Copy one value that is no floating-point number."""
+        value = self[c.source.component].get(c.source.variable)
+        to = self[c.target.component]
+        to.set(c.target.variable, c.carried(value, to.interface.variables[c.target.variable]))
+
+
+def _transform(values: Array, factor: Array, offset: Array, into: Array) -> None:
+    into[:] = values * factor + offset

@@ -161,7 +161,7 @@ class Recorder:
     def notes(self) -> tuple[str, ...]:
         """A note on values that the numbers of a trace cannot hold."""
         names = first_names(sorted(map(str, self._rounded)))
-        return (f"{names}: whole numbers above 2^53 are rounded where they are recorded",) if names else ()
+        return (f"{names}: whole numbers above 2^53 may be rounded where they are recorded",) if names else ()
 
     def end_at(self, t: float, driven: Mapping[Port, Value]) -> None:
         """Make a last point at t [s] from the values that the FMUs have now, and those of driven inputs."""
@@ -169,7 +169,11 @@ class Recorder:
         values = {p: driven[p] if p in driven else self._network.slaves[p.component].get(p.variable)
                   for p in (*self._reals, *self._integers)}  # fmt: skip
         reals = np.array([[values[p] for p in self._reals]], float)
-        self._between = np.array([t]), reals, np.array([[values[p] for p in self._integers]], np.int64)
+        whole = [int(values[p]) for p in self._integers]
+        for port, value in zip(self._integers, whole, strict=True):
+            if not -(2**63) <= value < 2**63:
+                raise Problem(f"{port.variable}: expected a value in the range of int64, got {value}")
+        self._between = np.array([t]), reals, np.array([whole], np.int64)
 
 
 def _is_applied(network: Network, port: Port) -> bool:

@@ -57,6 +57,7 @@ from orchestrator.engine.until import Comparison, Until, condition
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, take_coupling
 from orchestrator.ssp.load import configured
+from orchestrator.ssp.masters import Master
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.plausible import (
     doubtful_columns,
@@ -150,7 +151,10 @@ class Request:
         accuracy = self.execution.accuracy
         if accuracy is None:
             return None
-        for name, value in {"step": self.step, **self.coupling}.items():
+        given = {"step": self.step, **self.coupling}
+        if isinstance(master := given.get("master"), Master):
+            given["master"] = master.name
+        for name, value in given.items():
             if value is not None:
                 asked = f"accuracy {accuracy:g}"
                 raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")

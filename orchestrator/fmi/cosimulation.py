@@ -86,7 +86,7 @@ class RunningFmu:
         self._stepping = True
 
     def close(self) -> None:
-        """Terminate and free the instance, unload the library, remove the unpacked files. May be repeated."""
+        """Terminate and free the instance, unload the library. May be repeated."""
         if self._stepping and self.fmu.worst < ERROR:
             self._stepping = False
             with suppress(Problem):
@@ -248,7 +248,7 @@ class CoSimulationFmu(RunningFmu):
         super().setup(start, stop, tolerance)
 
     def close(self) -> None:
-        """Terminate and free the instance, unload the library, remove the unpacked files. May be repeated."""
+        """Terminate and free the instance, unload the library. May be repeated."""
         self._end_spare()
         super().close()
 

@@ -215,7 +215,7 @@ class Search(SteadyEquations):
         """
         x, u, h, t = self.plant.x.copy(), self.plant.u, FIRST_STEP, 0.0
         limit = self.nominal[len(self.states) :]
-        law, jacobian, scale = self._law(push)
+        law, jacobian, sizes = self._law(push)
         for _ in range(steps):
             implicit = np.eye(len(jacobian)) / h - jacobian
             change = np.asarray(np.linalg.solve(implicit, law @ self.residual), np.float64)
@@ -229,15 +229,15 @@ class Search(SteadyEquations):
                 nonlinearity = float(np.linalg.norm(correction) / size)
             shortest = h <= SHORTEST_STEP
             if nonlinearity <= MAX_NONLINEARITY or shortest:
-                next_law, next_jacobian, next_scale = self._law(push)
-                if (next_scale < MAX_SHRINK * scale).any():
+                next_law, next_jacobian, next_sizes = self._law(push)
+                if (next_sizes < MAX_SHRINK * sizes).any():
                     nonlinearity = np.inf
             if nonlinearity > MAX_NONLINEARITY and not shortest:
                 h *= 0.25
                 self.evaluate(x, u)
                 continue
             x, u, t = next_x, next_u, t + h
-            law, jacobian, scale = next_law, next_jacobian, next_scale
+            law, jacobian, sizes = next_law, next_jacobian, next_sizes
             if h > LONG_STEP:
                 yield t
             if t >= until:
@@ -247,6 +247,8 @@ class Search(SteadyEquations):
 
     def _law(self, push: Array) -> tuple[Array, Array, Array]:
         """The matrix from time derivatives to relative rates of the unknowns, and the Jacobian of the rates.
+
+        Third, the sums of the magnitudes of the terms of each time derivative.
 
         The control law of the inputs is u' = -k (a + T a') with the acceleration a of the joint. Without the
         second term the inputs would oscillate, because a pressure is the integral of the flow that an input
@@ -258,7 +260,7 @@ class Search(SteadyEquations):
         gains = -push / scale[n:]
         law[n:, n:] = np.diag(gains)
         law[n:, :n] = gains[:, None] * (JERK_TIME * jacobian[n:, :n] / self.nominal[:n])
-        return law, law @ jacobian, scale
+        return law, law @ jacobian, np.where(jacobian.any(axis=1), scale, 0.0)
 
 
 NOTE_DECIMALS = 12  # decimals of an input in a note

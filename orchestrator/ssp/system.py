@@ -108,7 +108,12 @@ class Connection:
 
     def carried(self, value: Value, to: FmuVariable) -> Value:
         """The value of the target if that of the source is `value`."""
-        return to.typed(value if self.map == IDENTITY else self.map(float(value)))
+        if self.map == IDENTITY:
+            return to.typed(value)
+        if to.is_real:
+            return self.map(float(value))
+        whole, table = int(value), dict(self.map.table)  # 64 bits, which a float64 does not have
+        return to.typed(table.get(whole, int(self.map.factor) * whole + int(self.map.offset)))
 
 
 @dataclass(frozen=True)
@@ -553,7 +558,8 @@ def check_connection(system: System, source: Port, target: Port, linear: LinearT
     connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     if y.causality not in SOURCES or u.causality not in TARGETS:
         raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
-    if u.value_type not in WIDER.get(y.value_type, ()):
+    items = u.kind == "Enumeration" and y.value_type == "Boolean"
+    if items or u.value_type not in WIDER.get(y.value_type, ()):
         raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
     check_map(str(connection), u, linear)
     return connection

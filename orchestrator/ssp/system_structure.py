@@ -13,6 +13,7 @@ from urllib.parse import unquote
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.text import first_names, grouped
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion, differences
 from orchestrator.base.xml import XmlElement, local_name, read_xml
 from orchestrator.fmi.description import FLOATS, TYPES, FmuVariable
@@ -125,11 +126,11 @@ def read_structure(file: Location) -> FlatStructure:
         flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
         flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
     _SsdReader(flat, root, (), {}).read("")
-    for connector, declared in flat.connectors.items():
-        if declared.unsupported:
-            flat.notes.append(f"{connector}: left out, {declared.unsupported}")
-        elif declared.kind == INOUT:
-            flat.notes.append(f"{connector}: of kind {INOUT}, its connections tell the direction")
+    left_out = grouped(flat.connectors, lambda c: flat.declared(c).unsupported)
+    for what, connectors in left_out.items():
+        flat.notes += [f"{first_names(map(str, connectors))}: left out, {what}"] if what else []
+    if both := [str(c) for c, declared in flat.connectors.items() if declared.kind == INOUT]:
+        flat.notes.append(f"{first_names(both)}: of kind {INOUT}, the connections tell the direction")
     return flat
 
 
@@ -157,7 +158,8 @@ class _SsdReader:
             if local_name(e) not in KNOWN and OPAQUE.isdisjoint(map(local_name, e.iterancestors())):
                 unknown = XmlElement(self._root.file, e).problem("left out, no element of SSP")
                 self._flat.notes.append(str(unknown))
-        for name in sorted({local_name(e) for e in self._root.element.iter()} & {*INFORMATIVE}):
+        own = (e for e in self._root.element.iter() if OPAQUE.isdisjoint(map(local_name, e.iterancestors())))
+        for name in sorted({*map(local_name, own)} & {*INFORMATIVE}):
             self._flat.notes.append(f"{self._root.file}: {name}: left out, it does not affect a run")
         system = self._root.child("System")
         if system is None:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -164,3 +165,17 @@ def test_a_flow_through_opening_and_hose_has_the_drops_of_both(
     found = float(hose.flow_in_series(edge, area, drop, warm, line))
     both = found * (found + laminar) / square + float(line.drop(found))
     assert both == pytest.approx(drop, rel=tolerance)
+
+
+@given(st.floats(0.02, 1.0), st.floats(-10, 80), st.floats(1, 600), st.sampled_from([-1, 1]))
+def test_a_smooth_hose_takes_no_flow_against_the_drop(
+    roughness: float, temperature: float, area: float, side: int
+) -> None:
+    """Also with a C_R far below that of Blasius, where the drop of the hose falls around Re 2300."""
+    warm, edge = Warm(temperature), orifice.Edge(discharge_coefficient=0.65, transition_reynolds=10.0)
+    size = hose.HoseSize(length=4.0, bore=0.01905)
+    line = hose.Friction.of(size, 3.2e10 * roughness, warm)
+    for drop in np.logspace(2, 7.5, 60):
+        flow = side * float(hose.flow_in_series(edge, area * 1e-6, side * drop, warm, line))
+        assert flow > 0
+        assert float(edge.square(area * 1e-6, warm)) * drop >= 0.2 * flow**2

@@ -153,6 +153,15 @@ def test_sources_are_looked_at_a_million_times_at_most(fmus, stop, step):
     assert stop <= job.times.stop < stop + 1.01 * step
 
 
+@pytest.mark.parametrize(("last", "jumps"), [(0.0, False), (0.02, False), (5.0, False)])
+def test_a_stroke_that_begins_in_the_last_look_is_no_jump(last, jumps):
+    """Nothing after it tells whether it goes on; a jump before it is seen."""
+    values = np.array([0.0, 0.0, 0.1, 0.2, 0.2, 0.2, 0.2 + last])
+    trace = Trace(np.arange(7.0), {"s.y": values})
+    assert accuracy_search._jumps(trace, "s.y") is jumps
+    assert accuracy_search._jumps(Trace(np.arange(7.0), {"s.y": np.where(values > 0.1, 9.0, 0.0)}), "s.y")
+
+
 def test_what_a_scenario_drives_is_no_source(fmus):
     """Its course is that of the scenario."""
     system = assemble({"g": fmus["gain"], "d": fmus["drift"]}, ["g.y -> d.u"])
@@ -255,7 +264,7 @@ def test_the_error_inside_the_fmus_counts(open_oscillator):
     card = Card("any", search.settings.step, 0.0, 10, 1.0, 1.0, errors_of_inputs=True)
     assert search.judge(Result(open_oscillator, Trace(np.zeros(1), {}), card)) is None
     assert search.cost(10.0).startswith(
-        "accuracy 1e-06: the least error of 1 runs is 5.0e-06; hermite, adaptive"
+        "accuracy 1e-06: the least error of 1 run is 5.0e-06; hermite, adaptive"
     )
 
 
@@ -334,7 +343,7 @@ def test_the_default_accuracy(fmu_dir, system, tmp_path, monkeypatch, suggested,
     """A default applies only if neither the user nor the system chooses; an accuracy overrides the system."""
     suggestion = Suggestion(Coupling("gauss-seidel"), 1e-3) if suggested else Suggestion()
     system = replace(system, suggestion=suggestion)
-    monkeypatch.setattr("orchestrator.engine.run.load", lambda *_: system)
+    monkeypatch.setattr("orchestrator.ssp.load.load", lambda *_: system)
     out = tmp_path / "trace.csv"
     options = {"stop": 0.2, "default_accuracy": 1e-3, "isolate": False} | choices
     result, _ = run_to_file(fmu_dir / "harvester.ssp", None, out, **options)
@@ -356,7 +365,7 @@ def test_failed_runs_leave_no_file(open_oscillator, tmp_path, monkeypatch):
 
     monkeypatch.setattr(accuracy_search.AccuracySearch, "judge", fail_once)
     monkeypatch.setattr("orchestrator.data.trace_writer.MAX_KEPT", 0)  # the rows are only in the file
-    monkeypatch.setattr("orchestrator.engine.run.load", lambda *_: open_oscillator)
+    monkeypatch.setattr("orchestrator.ssp.load.load", lambda *_: open_oscillator)
     out = tmp_path / "trace.csv"
     result, summary = run_to_file(tmp_path, None, out, stop=1.0, accuracy=1e-2, isolate=False)
     assert " in run " in result.card.notes[-1]

@@ -1,5 +1,7 @@
 """Variables of all types, in connections and scenarios, with every master, called by C and by Python."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from kit.any_fmu.models import WIDTHS
@@ -7,8 +9,10 @@ from kit.any_fmu.outcome import CIRCLE, HERMITE, MASTERS, TURNS, circle
 from kit.mistakes import problem
 
 from orchestrator import Trace, assemble, run
+from orchestrator.base.units import LinearTransformation
 from orchestrator.engine.run import prepare
 from orchestrator.ssp.coupling import Coupling
+from orchestrator.ssp.system import Connection
 
 
 @pytest.mark.parametrize("master", MASTERS)
@@ -75,12 +79,29 @@ def test_wires_keep_all_64_bits(fmus3, both, kind):
     result = both(system, set={f"p.{name}_in": 2**53 + 1}).result
     np.testing.assert_array_equal(result.trace["q.int64_in"], 1)
     assert (
-        f"p.{name}_in, p.{name}_out: whole numbers above 2^53 are rounded where they are recorded"
+        f"p.{name}_in, p.{name}_out: whole numbers above 2^53 may be rounded where they are recorded"
         in result.card.notes
     )
     far = Trace(np.array([0.0, 1.0]), {f"p.{name}_in": np.array([0.0, 2.0**54])})
     message = problem(lambda: run(assemble({"p": wide}), far, step=0.5))
     assert message.endswith(f"column 'p.{name}_in': expected whole numbers up to {LARGE}, got {2**54}")
+
+
+def test_a_transformation_of_whole_numbers_keeps_all_64_bits(fmus3):
+    """Also where Python computes it: at the initialisation, and in Model Exchange."""
+    system = assemble({"p": fmus3["wide"]})
+    wide, real = (system.variable(system.port(f"p.{name}_in")) for name in ("int64", "float32"))
+    wire = LinearTransformation(1.0, -(2.0**53), table=((7.0, 2.0**53),))
+    connection = Connection(system.port("p.int64_out"), system.port("p.int64_in"), wire)
+    assert [connection.carried(value, wide) for value in (2**53 + 1, 7, True)] == [1, 2**53, 1 - 2**53]
+    assert replace(connection, map=LinearTransformation(0.5, 1.0)).carried(3, real) == 2.5
+
+
+def test_no_boolean_feeds_an_enumeration(each):
+    """Which need not have an item 0."""
+    files = {"p": each["types"], "q": each["types"]}
+    message = problem(lambda: assemble(files, ["p.bool_out -> q.enum_in"]))
+    assert "variables of type Boolean and Enumeration cannot be connected" in message
 
 
 def test_what_64_bits_with_a_sign_do_not_hold_is_refused(fmus3, both):

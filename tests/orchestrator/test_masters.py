@@ -259,6 +259,64 @@ def test_an_error_in_a_function_ends_the_run_with_its_rows(oscillators):
     np.testing.assert_allclose(failed.value.result.trace.time, [0.0, 0.01, 0.02, 0.03], rtol=1e-12)
 
 
+def test_a_mistake_in_a_function_is_told_with_the_rows(oscillators):
+    """An exception of any kind, and a component that was not stepped, or too far."""
+
+    def divides(components, time, length):
+        stepping(components, time, length)
+        if time > 0.025:
+            raise ZeroDivisionError
+
+    def names(components, time, length):
+        stepping(components, time, length)
+        components.send("c")
+
+    def forgets(components, time, length):
+        components["a"].step(time, length)
+
+    def hurries(components, time, length):
+        stepping(components, time, 2 * length)
+
+    for function, text in (
+        (divides, r"failed at t = 0\.03 s: ZeroDivisionError\(\)"),
+        (names, r"failed at t = 0 s: KeyError\(\"no component 'c'"),
+        (forgets, r": expected steps of all components to t = 0\.01 s, not of b"),
+        (hurries, r": expected steps of all components to t = 0\.01 s, not of a"),
+    ):
+        with pytest.raises(
+            RunFailed, match=f"^master mine: the function{' ' * (text[0] == 'f')}{text}"
+        ) as failed:
+            run(oscillators(), master=Master("mine", step=function), step=1e-2, stop=1.0)
+        assert len(failed.value.result.trace.time) == (4 if function is divides else 1)
+
+
+def test_send_takes_all_types(each):
+    """Reals with a transformation, and narrower types to wider ones: the inputs have what the outputs say."""
+    sent = []
+
+    def sending(components, time, length):
+        stepping(components, time, length)
+        components.send("p")
+        p, q, r = components["p"].get, components["q"].get, components["r"].get
+        assert q("real_in") == 0.5 * p("int_out") + 1
+        assert q("int_in") == 3 * p("bool_out") - 1
+        assert q("enum_in") == p("enum_out")
+        assert r("real_in") == 2 * p("real_out") + 1
+        sent.append((p("int_out"), p("bool_out"), p("enum_out"), p("real_out")))
+
+    wires = [
+        ("p.int_out", "q.real_in", 0.5, 1.0),
+        ("p.bool_out", "q.int_in", 3, -1),
+        "p.enum_out -> q.enum_in",
+        ("p.real_out", "r.real_in", 2.0, 1.0),
+    ]
+    moved = {"time": [0, 0.25, 0.5], "p.int_in": [3, 5, 5], "p.bool_in": [0, 1, 1], "p.real_in": [1, 2, 3]}
+    system = assemble(dict.fromkeys("pqr", each["types"]), wires)
+    run(system, {**moved, "p.enum_in": [1, 2, 2]}, master=Master("m", step=sending), step=0.25, stop=0.75)
+    assert len(sent) == 3
+    assert all(len({*values}) > 1 for values in zip(*sent, strict=True))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
