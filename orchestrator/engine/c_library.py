@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
 from orchestrator.base.errors import Discarded, Problem
 from orchestrator.base.units import LinearTransformation
-from orchestrator.fmi.calls import WHOLE, Access, Call, DirectionalDerivative, ExchangeCall
+from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall
+from orchestrator.fmi.description import WHOLE
 
 FOLDER = Path(__file__).parent / "native"
 FLAGS = (

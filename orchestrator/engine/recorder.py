@@ -29,8 +29,8 @@ from orchestrator.engine.c_library import Binding
 from orchestrator.engine.network import Network
 from orchestrator.engine.result import BondEnergy
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.calls import WHOLE, Call, calls_by_type
-from orchestrator.fmi.description import Value
+from orchestrator.fmi.calls import Call, calls_by_type
+from orchestrator.fmi.description import WHOLE, Value
 from orchestrator.ssp.power_bonds import Bond
 from orchestrator.ssp.system import Port
 

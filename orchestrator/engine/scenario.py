@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, Unsupported, suggest
 from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
 from orchestrator.data.trace import Trace
-from orchestrator.fmi.calls import WHOLE
-from orchestrator.fmi.description import FmuVariable, Value
+from orchestrator.fmi.description import WHOLE, FmuVariable, Value
 from orchestrator.ssp.system import Port, System
 
 if TYPE_CHECKING:

@@ -21,7 +21,6 @@ from orchestrator.fmi.interface import FmuInterface
 from orchestrator.fmi.messages import Log
 from orchestrator.worker.calls import CallSlot
 
-WHOLE = 2**53  # all whole numbers up to here are numbers of a trace, which are float64
 Buffer = NDArray[Any]  # float64 for floating-point types; int64 for integers, Enumeration and Boolean
 Call = Callable[[], None]
 

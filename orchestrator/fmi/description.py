@@ -16,6 +16,7 @@ from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import Element, attributes_of, child, children, local_name
 
 Value = float | int | bool | str
+WHOLE = 2**53  # all whole numbers up to here are numbers of a trace, which are float64
 
 FLOATS = ("Real", "Float64", "Float32")
 SIGNED = {"Integer": 32, "Int8": 8, "Int16": 16, "Int32": 32, "Int64": 64}  # type -> bits

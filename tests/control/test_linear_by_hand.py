@@ -84,5 +84,5 @@ def test_the_matrices_are_those_made_by_hand(fmu_dir, tmp_path, speeds):
     for found, wanted in zip(
         (linear.a, linear.b, linear.c, linear.d), (a[i][:, i], b[i], c[j][:, i], d[j]), strict=True
     ):
-        # sums in another order: rounding; by hand a zero is the product of two roundings, below 1e-40
-        np.testing.assert_allclose(found, wanted, rtol=1e-14, atol=1e-40)
+        # sums in another order: rounding; below 1e-30 are products of openings that underflow
+        np.testing.assert_allclose(found, wanted, rtol=1e-14, atol=1e-30)

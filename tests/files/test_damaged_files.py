@@ -22,6 +22,7 @@ from kit.any_fmu.models import Workshop
 
 from fmus.machine.ssp import VIEW
 from orchestrator import load
+from orchestrator.base import files
 from orchestrator.base.errors import Problem
 from orchestrator.check.checking import DEFECT, check
 from orchestrator.check.ls_ref import FOLDER, cases, parameter_set, table
@@ -135,6 +136,7 @@ def watched(folder: Path) -> Iterator[None]:
     inside = (str(temporary), "None")
     outside = [p for p in paths if os.path.isabs(p) and not p.startswith(inside) and "__pycache__" not in p]
     assert not outside, outside
+    files._remove_unused(-1.0)  # of the unpacked archives
     assert not list(temporary.iterdir())
 
 

@@ -238,6 +238,7 @@ def test_many_components_of_one_fmu_share_its_library(
         (folder,) = {stack.enter_context(fmu.unpacked()) for fmu in fmus}
         stack.enter_context(Location(gain).unpacked(("binaries/",)))
         assert (folder / "binaries").is_dir()
+    files._remove_unused(-1.0)
     assert not folder.exists()
     sizes = []
     monkeypatch.setattr(files, "overlap", lambda members: sizes.append(len(members)) or "")

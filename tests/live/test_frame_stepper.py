@@ -9,9 +9,9 @@ import pytest
 from kit.mistakes import problem
 
 from orchestrator import Coupling, Problem, Trace, run
-from orchestrator.realtime import stepping
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.stepping import FrameStepper
+from orchestrator.ssp import load as loading
 
 COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
 SHOWN = ("manipulator.swing_angle", "manipulator.stick_angle", "swing.swing_pressure_a")
@@ -78,7 +78,7 @@ MASTERS = {
 def test_masters_that_a_system_suggests(system, monkeypatch, label):
     """A quarter of a second under each of them, steps of their own choice included."""
     suggested = system.coupled(MASTERS[label])
-    monkeypatch.setattr(stepping, "load", lambda _: suggested)
+    monkeypatch.setattr(loading, "load", lambda _: suggested)
     setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
     live = played(setup, 25, random_walk(2, 3))
     same_as_run(setup, live, suggested)
