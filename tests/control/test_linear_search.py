@@ -134,7 +134,7 @@ def test_steps_grow_on_straight_paths_and_are_repeated_on_bent_ones(ratio, facto
 
 
 def test_a_search_ends_after_3000_steps():
-    """A plant that cannot be evaluated: its matrices are asked for before the first step and after each taken.
+    """A plant that cannot be evaluated: its matrices are asked for at first and after each step taken.
 
     The first nine shorten it to 1e-9 s, below which a step is taken as it is.
     """
