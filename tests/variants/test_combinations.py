@@ -93,7 +93,7 @@ def test_every_combination_runs_the_work_cycle(system):
         assert row.reached == pytest.approx(42.0), row.variants
         drives = (row.variants["swing"], row.variants["boom_stick"])
         # without its rate port a bond makes up percents; with load sensing the bond of pump and swing is of
-        # order one, 1.45e-4 at 1 ms, which is four times the suggested step; elsewhere a tenth of 1e-4 at most
+        # order one, 1.45e-4 at 1 ms, four times the suggested step; elsewhere a tenth of 1e-4 at most
         if row.residual >= (2e-4 if row.variants["supply"] == "load_sensing" else 1e-4):
             # an open anti-cavitation valve and the return line have a time constant of 0.7 ms: up to 4.5e-3
             # if several are open, and at most 1.4e-5 at half the step
