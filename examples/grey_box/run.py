@@ -20,16 +20,12 @@ START |= dict(friction=1.0, stiffness=2.0, inertia=10.0)
 STATES = ["pressure", "spool", "force", "speed"]
 
 
-def root(drop):
-    """The square root of a pressure drop, with its sign; linear below 0.01."""
-    return drop / (drop**2 + 0.01**2) ** 0.25
-
-
 def rates(x, u, p):
     """Times in samples, signals in their peaks, volumes in what raises the chamber by one peak."""
     up = p.area_up * spool_valve.opening(x.spool, 0, p.full_up, 2 * p.dead_band)
     down = p.area_down * spool_valve.opening(-x.spool, 0, p.full_down, 2 * p.dead_band)
-    flow = up * root(p.supply - x.pressure) - down * root(p.supply + x.pressure)
+    drops = p.supply - x.pressure, p.supply + x.pressure  # roots, which are linear below 0.01
+    flow = up * drops[0] / (drops[0] ** 2 + 1e-4) ** 0.25 - down * drops[1] / (drops[1] ** 2 + 1e-4) ** 0.25
     joint = (x.pressure - x.force) / p.friction  # speed at which the arm is driven
     pressure = chamber.pressure_rate(x.pressure, flow - joint, 1)
     force, speed = p.stiffness * (joint - x.speed), x.force / p.inertia  # the arm bends and swings

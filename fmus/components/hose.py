@@ -41,7 +41,7 @@ REFERENCE_LENGTH, REFERENCE_BORE = 4.0, 0.01905  # [m], hose from which all resi
 # Q_0 [m3/s] and mu_0 [Pa.s]: the paper states neither. Blasius gives its C_R at 170 L/min with 8 mPa.s
 REFERENCE_FLOW, REFERENCE_VISCOSITY = 170 / 60000, 8e-3
 CRITICAL = 2300  # Reynolds number
-LEAST = 1e-9  # added to |Q|/Q_c, so that its root has a derivative at 0, where s is 0
+LEAST = 1e-12  # added to |Q|/Q_c, so that its root has a derivative at 0, where s is 0
 BANDWIDTH = 75.0  # Hz: highest mode of a line that recordings at the paper's 200 Hz show
 FREQUENCY_ERROR = 0.05  # largest relative error of the frequencies of modes up to BANDWIDTH
 

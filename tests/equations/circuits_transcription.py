@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from math import pi, sqrt
 from types import SimpleNamespace as Group
 
+from equations.transcription import drop as friction_drop
 from equations.transcription import friction, laminar, oil, opening, ramp, velocity, void, warmed
 
 Numbers = Mapping[str, float]
@@ -50,10 +51,19 @@ def through(p: Group, area: float, drop: float, of: str = "") -> float:
     if not of:
         return root(square * drop, edge)
     b, a = friction(p, of, 0.0)[0], getattr(p, f"{of}{'_turbulent' * (of == 'line')}_resistance")
-    for _ in range(4):
-        flow = root(square * drop, edge + square * b, 1 + square * a)
-        b, a = friction(p, of, flow)
-    return flow
+    flow = root(square * drop, edge + square * b, 1 + square * a)
+    if of == "line" or not flow:
+        return flow
+    b, a = friction(p, of, flow)
+    flow = root(square * drop, edge + square * b, 1 + square * a)
+    size, hose = abs(flow), friction_drop(p, of, flow)
+    # H' by differences of order four: 1e-12
+    near, far = (
+        friction_drop(p, of, flow * (1 + k)) - friction_drop(p, of, flow * (1 - k)) for k in (1e-4, 2e-4)
+    )
+    slope = (8 * near - far) / (12e-4 * flow)
+    missing = flow * (size + edge) + square * (hose - drop)
+    return flow - missing / (2 * size + edge + square * max(slope, hose / flow))
 
 
 def part(p: Numbers, prefix: str) -> Group:

@@ -119,7 +119,7 @@ def friction(p: Group, of: str, flow: float) -> tuple[float, float]:
         return laminar, p.line_turbulent_resistance
     critical = 2300 * pi / 4 * p.viscosity / p.density * bore
     z = (flow / critical) ** 8
-    blasius = (170 / 60e3 / critical) ** 0.25 / (abs(flow / critical) + 1e-9) ** 0.25
+    blasius = (170 / 60e3 / critical) ** 0.25 / (abs(flow / critical) + 1e-12) ** 0.25
     return laminar / (1 + z), getattr(p, f"{of}_resistance") * blasius * z / (1 + z)
 
 
