@@ -10,10 +10,10 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[1])]  # as a script
 
-from kit.any_fmu.models import Workshop  # noqa: E402
-from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402
+from kit.any_fmu.models import Workshop  # noqa: E402  # after the path of a script
+from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402  # as above
 
-from orchestrator import Problem, load, run  # noqa: E402
+from orchestrator import Problem, load, run  # noqa: E402  # as above
 
 PAGE = Path(__file__).parents[2] / "orchestrator/README.md"
 ONE = 'valueReference="400" causality="output" variability="discrete"'
