@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
@@ -21,7 +20,7 @@ import numpy as np
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES
-from fmus.machine.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP
+from fmus.machine.work_cycle import WORK_CYCLE
 from orchestrator import Problem, Trace, linearize, load, run
 from orchestrator.base.files import VARIANTS
 
@@ -76,12 +75,10 @@ def pauses(sampled: np.ndarray) -> np.ndarray:
 
 def measure(folder: Path, chosen: Mapping[str, str]) -> dict[str, Any]:
     """One work cycle with these variants."""
-    began = time.perf_counter()
     try:
         trace = run(load(folder / "harvester.ssp"), swap=swaps(folder, chosen), step=STEP).trace
     except Problem as problem:
         return {"failure": str(problem).splitlines()[0]}
-    spent = time.perf_counter() - began
     t = trace.time
     pressure = {
         part: max(float(trace[f"{part}.{n}"].max()) for n in names if f"{part}.{n}" in trace.signals)
@@ -100,7 +97,6 @@ def measure(folder: Path, chosen: Mapping[str, str]) -> dict[str, Any]:
         "boom_stick_pressure": pressure["boom_stick"],
         "swing_pressure": pressure["swing"],
         "ringing": float(np.sqrt(np.mean(ringing**2))),
-        "cost": spent / WORK_CYCLE_STOP * STEP,
     }
 
 
@@ -214,7 +210,6 @@ SUMMARY = (
     ("energy", 1e-3, "energy from the supply line [kJ]"),
     ("boom_stick_pressure", 1e-5, "highest pressure, boom and stick [bar]"),
     ("swing_pressure", 1e-5, "highest pressure, swing [bar]"),
-    ("cost", 1e6, "cost [us per step of 1 ms, whole run]"),
     ("frequency", 1, "frequency of the boom mode [Hz]"),
     ("damping", 100, "its damping ratio [%]"),
     ("ringing", 1e3, "ringing [mrad/s]"),
