@@ -68,7 +68,7 @@ class Component:
 
     __repr__ = brief
 
-    def chosen(self, values: Mapping[str, Value], origin: str) -> Component:
+    def with_start(self, values: Mapping[str, Value], origin: str) -> Component:
         """The component with other start values; origin: where they come from, if a user chose them."""
         if not origin:
             return replace(self, start={**self.start, **values})
@@ -425,7 +425,7 @@ class System:
 
     def started(self, start: Mapping[str, Mapping[str, Value]], origin: str) -> System:
         """The system with start values by component; the component "" has inputs that are passed on."""
-        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
+        components = {n: c.with_start(start[n], origin) for n, c in self.components.items()}
         inputs = {n: replace(i, start=start[""].get(n, i.start)) for n, i in self.inputs.items()}
         return replace(self, components=components, inputs=inputs)
 
