@@ -101,8 +101,8 @@ def of_line(lines: Lines, label: str, steps: ValveSteps, c: Known, drift: float)
         draws[:, above] = at_last + random.uniform(0.0, 2.0, (DRAWS, 1)) * slope[:, None] * (
             grid[above] - last
         )
-    slope, start, width = lines.line(label)
-    middle = slope * straight(grid - start + width / 2, width)
+    best, start, width = lines.line(label)
+    middle = best * straight(grid - start + width / 2, width)
     starts = lines.draws[f"start{label}"] - lines.draws["rounding"] / 2
     return _banded(grid, draws, middle, start - width / 2, starts, (first, last), drift, monotone=True)
 

@@ -86,7 +86,7 @@ def _zero(recording: Recording, name: str) -> tuple[float, float]:
 
 
 def subtracted(recordings: Sequence[Recording], result: ProcedureResult) -> list[Recording]:
-    """The recordings without these zeros; the limits of zeros then are those of the estimates' standard deviations.
+    """The recordings without these zeros, whose limits follow from the errors of the estimates.
 
     A sensor of the machine that declares no limit has none afterwards, because its zero is not estimated.
     """

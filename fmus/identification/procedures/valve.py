@@ -35,12 +35,14 @@ from fmus.identification.procedures.valve_fit import (
     ValveFit,
     ValveSteps,
     fit,
+    free_offset,
     offset,
     require_nodes,
 )
-from fmus.identification.recordings.masks import steady
+from fmus.identification.recordings.masks import in_dead_zone, steady
 from fmus.identification.results import (
     BAR,
+    CONFIDENCE,
     LITRES_PER_MINUTE,
     Curve,
     Estimate,
@@ -61,6 +63,7 @@ MIN_VOLTAGES = 3  # different commands at which the flow must be measured
 COMMAND_SIGN = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
 SAME_OIL = 0.01  # relative difference of two densities of one oil
+MOST = 0.5  # share of the samples of a step that show its scatter
 COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
 Test = tuple[float, str]  # probability and sentence of a finding
 
@@ -179,8 +182,10 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
     """All steps of a recording; a reading in the dead zone of the meter is one, too."""
     edge, command, steps = _stretches(recording, c)
     # samples would look stuck with a noise that is much too large, a dead zone certain with one too small
-    sensors = {n: replace(recording.sensor(n), noise=data.noise_sd(recording, n)) for n in STEP_SIGNALS}
-    recording = replace(recording, sensors={**recording.sensors, **sensors})
+    scatter, sensors = _scatter(recording, c), dict(recording.sensors)
+    for name in STEP_SIGNALS:
+        sensors[name] = replace(recording.sensor(name), noise=data.noise_sd(scatter, name))
+    recording = replace(recording, sensors=sensors)
     means, meter = data.step_means(recording, steps), recording.sensor("flow")
     highest = (np.sign(means.drop) * means.flow + CERTAIN * means.flow_error)[means.good]  # along the drop
     wrong_way = int(np.count_nonzero(highest < 0))
@@ -215,6 +220,20 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
         closed=np.zeros(len(steps), dtype=bool),
         idle_flow=np.where(means.dead, meter.dead_zone + CERTAIN * meter.noise, np.nan),
     )
+
+
+def _scatter(recording: Recording, c: Known) -> Recording:
+    """The recording less its means over the steps; gaps elsewhere, and in the dead zone of the meter."""
+    signals, sensors = dict(recording.signals), dict(recording.sensors)
+    steps = _stretches(recording, c)[2]
+    for name in STEP_SIGNALS:
+        sensor = recording.sensor(name)
+        read = np.where(in_dead_zone(recording[name], sensor), np.nan, recording[name])
+        signals[name], sensors[name] = np.full_like(read, np.nan), replace(sensor, dead_zone=0.0)
+        for step in steps:
+            if np.isfinite(read[step]).mean() > MOST:
+                signals[name][step] = read[step] - np.nanmean(read[step])
+    return replace(recording, signals=signals, sensors=sensors)
 
 
 def _classified(steps: ValveSteps, c: Known) -> ValveSteps:
@@ -256,7 +275,10 @@ def _closed(steps: ValveSteps, c: Known) -> tuple[Mask, float]:
 def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Finding]:
     """One finding per assumption: the edge that contradicts it most, for as many edges as were tested."""
     fitted, label = found.fit, "valve"
-    yield from data.signal_findings(recordings, STEP_SIGNALS, label)
+    scatters = [_scatter(r, fitted.known) for r in recordings]
+    for every, noise in ((scatters, True), (recordings, False)):
+        found_in = data.signal_findings(every, STEP_SIGNALS, label)
+        yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, fitted)
     yield balance.model_finding(next(iter(fitted.nodes.values())).solution, label)
     drift = fitted.effects.get("drift", (0.0, 0.0))
@@ -292,13 +314,13 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
 def _zeros(recordings: Sequence[Recording], fitted: ValveFit) -> Iterator[Finding]:
     """The zeros of the pressures, and that of the meter, against what is declared."""
     declared = data.zero_limits(recordings, PRESSURES)
-    zero, sd = offset(fitted.solution)
+    zero, sd = free_offset(fitted.solution)
     limit, (unit, one) = sum(declared.values()), BAR
     yield Finding(
         "zero of a pressure sensor",
         probability(zero, sd, limit),
-        f"valve: the data fit best if the zeros of the two pressures differ by {zero / one:.3g} +- {sd / one:.2g} "
-        f"{unit}; declared are {limit / one:.3g} {unit}",
+        f"valve: the data fit best if the zeros of the two pressures differ by {zero / one:.3g} +- "
+        f"{sd / one:.2g} {unit}; declared are {limit / one:.3g} {unit}",
     )
     if fitted.steps.closed.any():
         zero, sd, (unit, one) = (
@@ -370,18 +392,23 @@ def _of_line(found: Openings, edge: str) -> Iterator[Estimate]:
     yield curve.estimate(f"valve_area{suffix}", "m2", about, curve.draws[:, -1], area)
     _, start, width = lines.line(label)
     told = "" if lines.told else f", rounding {width:.3g} V as known; the interval is that of any rounding"
-    band = np.maximum(curve.start, 0.0)
-    yield _shortest(f"valve_dead_band{suffix}", max(start - width / 2, 0.0), band, f"{note}{told}")
+    rounding = _shortest(f"valve_command_rounding{suffix}", width, lines.draws["rounding"], note)
+    name, band = f"valve_dead_band{suffix}", np.maximum(curve.start, 0.0)
+    found_band = _shortest(name, max(start - width / 2, 0.0), band, f"{note}{told}")
+    if rounding.low <= lines.widths[0]:  # a sharp start is not excluded
+        sharp = float(np.quantile(lines.draws[f"start{label}"], (1 + CONFIDENCE) / 2))
+        found_band = replace(found_band, high=max(found_band.high, sharp))
+    yield found_band
     if lines.told:
-        yield _shortest(f"valve_command_rounding{suffix}", width, lines.draws["rounding"], note)
+        yield rounding
     elif width < found.fit.known.rounding.value:
         note = "twice the start of the straight opening, so that the dead band is not negative"
         yield Estimate(f"valve_command_rounding{suffix}", width, "V", width / 12**0.5, 0.0, width, note)
 
 
 def _shortest(name: str, value: float, draws: Array, note: str) -> Estimate:
-    """An estimate in V with the shortest interval that holds 95 % of the draws: a bound may be the likeliest."""
-    ordered, count = np.sort(draws), math.ceil(0.95 * draws.size)
+    """An estimate in V with the shortest interval of the draws: a bound may be the likeliest value."""
+    ordered, count = np.sort(draws), math.ceil(CONFIDENCE * draws.size)
     first = int(np.argmin(ordered[count - 1 :] - ordered[: draws.size - count + 1]))
     low, high = float(ordered[first]), float(ordered[first + count - 1])
     return Estimate(name, value, "V", float(draws.std()), min(low, value), max(high, value), note)
@@ -498,8 +525,9 @@ def _remarks(found: Openings, zero: Estimate) -> Iterator[str]:
         yield f"A straight line with a dead band suffices ({test})."
         if not found.fit.lines.told:
             yield (
-                "The data determine the zero of the extrapolated straight part, not the rounding of its start. The "
-                f"dead band is this zero minus half the known rounding of {found.fit.lines.line(edge)[2]:.3g} V."
+                "The data determine the zero of the extrapolated straight part, not the rounding of its "
+                f"start. The dead band is this zero minus half the known rounding of "
+                f"{found.fit.lines.line(edge)[2]:.3g} V."
             )
     else:
         yield (
@@ -516,7 +544,8 @@ def _remarks(found: Openings, zero: Estimate) -> Iterator[str]:
     if len(edges) < 2:
         yield f"Only the edge {edges[0]} was tested; the other three are taken to be like it."
     elif found.fit.equal > UNLIKELY:
-        yield f"The {len(edges)} edges do not differ significantly (chi-square test, p = {found.fit.equal:.2g})."
+        chance = f"chi-square test, p = {found.fit.equal:.2g}"
+        yield f"The {len(edges)} edges do not differ significantly ({chance})."
     else:
         by_edge = ", ".join(f"{e} {curve.areas[-1] * 1e6:.4g} mm2" for e, curve in found.curves.items())
         yield f"The edges differ significantly (chi-square test, {_chance(found.fit.equal)}): {by_edge}."
@@ -527,8 +556,8 @@ def _remarks(found: Openings, zero: Estimate) -> Iterator[str]:
         limit = found.fit.limits.get("flow", 0.0) / LITRES_PER_MINUTE[1]
         covered = f"cover {limit:.2g} L/min, not more" if limit else "do not cover it (`zero_error`)"
         yield (
-            f"No reading shows the zero of the flow meter: the intervals {covered}. A recording at rest shows "
-            "it, unless the meter has a dead zone."
+            f"No reading shows the zero of the flow meter: the intervals {covered}. A recording at rest "
+            "shows it, unless the meter has a dead zone."
         )
 
 

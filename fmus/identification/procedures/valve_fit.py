@@ -38,11 +38,12 @@ from scipy import stats
 from fmus.components.chamber import Liquid
 from fmus.components.orifice import Edge
 from fmus.identification import balance
-from fmus.identification.balance import UNLIKELY, Law, Samples, Solution, probability
+from fmus.identification.balance import UNLIKELY, Law, Normal, Samples, Solution, probability
 from fmus.identification.procedures.experiment_data import StepMeans, parameter, parameter_value
 from fmus.parameters import Number
 from fmus.smooth import ramp
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
 
 SAME = 2e-3  # of the full command: steps that are closer have one command
@@ -139,7 +140,7 @@ class ValveSteps(StepMeans):
     change: Array
     density: Array
     edge: Array
-    closed: Array
+    closed: Mask
     idle_flow: Array
 
     @property
@@ -414,8 +415,7 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     """
     found, wide = _fit(steps, c, limits), {n: x * FURTHER ** (n in PRESSURES) for n, x in limits.items()}
     largest = FURTHER * sum(limits[n] for n in PRESSURES)
-    by_nodes = balance.zero_findings(next(iter(found.nodes.values())).solution, "")
-    seen = any("pressure" in f.fault and f.p < UNLIKELY for f in by_nodes)
+    seen = _outside(found.solution, largest / FURTHER)
     if not (seen or found.straight):  # a line bends with a zero
         lines = _lines(steps, c, wide, found.freed, found.lines.scatter)
         seen = replace(found, lines=lines).straight and abs(offset(lines.solution)[0]) < largest
@@ -423,9 +423,27 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     return other if abs(offset(other.solution)[0]) < largest else found
 
 
+def _outside(solution: Solution, limit: float) -> bool:
+    """Whether the data want a zero of the pressures outside its limit."""
+    return probability(*free_offset(solution), limit) < UNLIKELY
+
+
 def offset(solution: Solution) -> tuple[float, float]:
     """Pressure difference without flow [Pa], and its standard deviation."""
     return solution.every.combination({"pressure_in": 1.0, "pressure_out": -1.0})
+
+
+def free_offset(solution: Solution) -> tuple[float, float]:
+    """`offset` by the data alone, without the priors of the two zeros."""
+    normal, names = solution.normal, list(solution.every.names)
+    k, other = (names.index(n) for n in PRESSURES)
+    kept = np.arange(len(names)) != other  # both zeros have the same effect but for its sign
+    alone = Normal(normal.columns[kept], np.where(np.arange(len(names)) == k, 0.0, normal.prior)[kept])
+    e, row = solution.residual, k - (other < k)
+    step = alone.step(e, solution.every.values[kept])
+    left = e + step @ alone.columns
+    scatter = max(1.0, float(left @ left) / max(solution.fit.freedom, 1))
+    return offset(solution)[0] + float(step[row]), math.sqrt(alone.inverse[row, row] * scatter)
 
 
 def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:

@@ -141,7 +141,7 @@ def test_oil_that_warms_is_named():
     result = valve.identify([changed(recording, {"flow": warm * recording["flow"]})], bench.KNOWN)
     assert faults(result) == ["oil temperature"]
     (sentence,) = (f.sentence for f in result.findings if f.fault == "oil temperature")
-    # from the middle of the first step to that of the last, 70.5 of 72 s: 0.98 % of the first, 0.97 % of the mean
+    # from the middle of the first step to that of the last, 70.5 of 72 s: 0.97 % of the mean
     assert float(sentence.split("time by ")[1].split()[0]) == pytest.approx(0.97, abs=0.05)
     # which temperature is that of the machine is not known: the interval has both ends
     area = named(result)["valve_area"]
