@@ -197,7 +197,7 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
         )
     middle = np.array([command[step].mean() for step in steps])
     size = np.sqrt([step.stop - step.start for step in steps])
-    density = data.stated(recording, "density") or c.density
+    oil = {n: data.stated(recording, n) or getattr(c, n) for n in ("density", "viscosity")}
     largest = means.drop[np.nanargmax(np.abs(means.drop))] if np.isfinite(means.drop).any() else 0.0
     of_dead = np.array([np.nanstd(recording["flow"][step]) for step in steps]) / size
     flow_error = np.where(means.dead, np.maximum(of_dead, meter.resolution / 12**0.5), means.flow_error)
@@ -215,7 +215,7 @@ def _steps_of(recording: Recording, c: Known) -> ValveSteps:
         supply_drop=np.full(len(steps), largest),
         course=(along - along.mean()) / (float(np.ptp(along)) or 1.0),
         change=np.sign(np.diff(middle, prepend=middle[:1])),
-        density=np.full(len(steps), density),
+        **{n: np.full(len(steps), value) for n, value in oil.items()},
         edge=np.full(len(steps), edge),
         closed=np.zeros(len(steps), dtype=bool),
         idle_flow=np.where(means.dead, meter.dead_zone + CERTAIN * meter.noise, np.nan),
@@ -550,8 +550,9 @@ def _remarks(found: Openings, zero: Estimate) -> Iterator[str]:
         by_edge = ", ".join(f"{e} {curve.areas[-1] * 1e6:.4g} mm2" for e, curve in found.curves.items())
         yield f"The edges differ significantly (chi-square test, {_chance(found.fit.equal)}): {by_edge}."
     yield from data.pressure_offset_remark(zero)
-    density = ", ".join(f"{x:.4g}" for x in np.unique(steps.density))
-    yield f"Known: C_d = {c.discharge_coefficient:.4g}, density {density} kg/m3."
+    oil = ("density", steps.density, "kg/m3"), ("viscosity", steps.viscosity, "Pa.s")
+    used = (f"{n} {', '.join(f'{x:.4g}' for x in np.unique(values))} {unit}" for n, values, unit in oil)
+    yield f"Known: C_d = {c.discharge_coefficient:.4g}, {', '.join(used)}."
     if not steps.closed.any():
         limit = found.fit.limits.get("flow", 0.0) / LITRES_PER_MINUTE[1]
         covered = f"cover {limit:.2g} L/min, not more" if limit else "do not cover it (`zero_error`)"

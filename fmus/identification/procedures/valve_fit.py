@@ -57,7 +57,7 @@ FURTHER = 10.0  # limits of a zero up to which it may be a fault of a sensor
 DRAWS = 2000  # of lines: the 2.5 % quantile has an error of a tenth of a standard deviation
 PRESSURES = ("pressure_in", "pressure_out")
 SENSORS = (*PRESSURES, "flow")
-CHANNELS = (*SENSORS, "command", "supply drop", "change", "course", "density")
+CHANNELS = (*SENSORS, "command", "supply drop", "change", "course", "density", "viscosity")
 OF_EDGE = ("slope", "start", "square", "cube")  # unknowns of one opening; lag and drift are those of all
 EFFECTS = ("lag", "share", "drift")
 
@@ -85,7 +85,7 @@ class Known:
 
     def constants(self, width: float = SHARP, slope: float = 0.0, command: float = 0.0) -> tuple[float, ...]:
         """The known constants of the laws."""
-        valve = self.discharge_coefficient, self.transition_reynolds, self.leakage, self.viscosity
+        valve = self.discharge_coefficient, self.transition_reynolds, self.leakage
         return *valve, self.full_command, width, slope, command
 
     def resistance(self, area: Array) -> Array:
@@ -97,9 +97,9 @@ class Known:
 @lru_cache(maxsize=1)
 def laws() -> Mapping[str, Law]:
     """The laws of a closed edge, of a node, and of a straight line that may be bent."""
-    z, known = ca.SX.sym("z", len(CHANNELS)), ca.SX.sym("known", 8)
-    p_in, p_out, flow, command, supply_drop, change, course, density = ca.vertsplit(z)
-    coefficient, reynolds, leakage, viscosity, full, width, slope, at = ca.vertsplit(known)
+    z, known = ca.SX.sym("z", len(CHANNELS)), ca.SX.sym("known", 7)
+    p_in, p_out, flow, command, supply_drop, change, course, density, viscosity = ca.vertsplit(z)
+    coefficient, reynolds, leakage, full, width, slope, at = ca.vertsplit(known)
     u = {name: ca.SX.sym(name) for name in ("area", *OF_EDGE, *EFFECTS)}
     x, drop = command - u["lag"] * change / 2, p_in - p_out
     line = u["slope"] * ramp(x - u["start"] + width / 2, width)
@@ -127,7 +127,7 @@ class ValveSteps(StepMeans):
     supply_drop              pressure drop from supply to tank [Pa]: the largest over an edge, nearly closed
     course                   oil temperature, or time from the start, from its mean, over its range
     change                   1 if the command was lower before, -1 if it was higher, 0 for the first step
-    density                  of the tested oil [kg/m3]
+    density, viscosity       of the tested oil [kg/m3], [Pa.s]
     edge                     "P-A", "P-B", "A-T" or "B-T"
     closed                   a closed edge: its reading is the zero of the flow meter and the leakage
     idle_flow                flow [m3/s] that the reading allows at most, if a flow is not certain; else NaN
@@ -139,6 +139,7 @@ class ValveSteps(StepMeans):
     course: Array
     change: Array
     density: Array
+    viscosity: Array
     edge: Array
     closed: Mask
     idle_flow: Array
@@ -168,7 +169,7 @@ class ValveSteps(StepMeans):
         flow = np.abs(self.flow)
         net = np.abs(self.flow - c.leakage * (2 * self.drop - self.supply_drop))
         gain = c.discharge_coefficient * np.sqrt(2 / self.density)
-        laminar = c.transition_reynolds * c.viscosity / self.density * math.sqrt(math.pi / 4)
+        laminar = c.transition_reynolds * self.viscosity / self.density * math.sqrt(math.pi / 4)
         area = np.zeros_like(flow)
         for _ in range(4):  # an error of (Q_t/2Q)^4
             area = np.sqrt(net * (flow + laminar * np.sqrt(area)) / np.abs(self.drop)) / gain
@@ -187,6 +188,7 @@ class ValveSteps(StepMeans):
             "change": (self.change, none),
             "course": (self.course, none),
             "density": (self.density, none),
+            "viscosity": (self.viscosity, none),
         }
         raw, noise = (np.array([columns[n][k] for n in CHANNELS]) for k in (0, 1))
         found = balance.samples_of(laws()[law], CHANNELS, raw, noise, c.constants(*constants))
@@ -329,9 +331,9 @@ class Lines:
         return p
 
     def line(self, label: str) -> tuple[float, float, float]:
-        """Slope [m2/V], start V_t [V] and rounding [V]; one that is not told is that known, up to 2 V_t."""
+        """Slope [m2/V], start V_t [V] and rounding [V]; one that is not told is as known, up to 2 V_t."""
         slope, start = (self.solution.fit[f"{n}{label}"] for n in ("slope", "start"))
-        width = float(self.widths[self.best]) if self.told else min(self.known, 2 * start)
+        width = self.rounding[0] if self.told else min(self.known, 2 * start)
         return slope, start, max(width, SHARP)
 
     def area(self, label: str, command: float) -> tuple[float, float]:

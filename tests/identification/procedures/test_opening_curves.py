@@ -219,6 +219,21 @@ def test_a_sharp_start_is_named_if_it_is_seen_and_else_in_the_interval(monkeypat
     assert seen.low <= 0.7 <= seen.high
 
 
+@pytest.mark.parametrize("start", [0.8, 0.5])
+def test_the_interval_of_a_dead_band_holds_sharp_and_rounded_starts(monkeypatch, start):
+    """Steps of 0.25 V and a meter without a dead zone: the known rounding once put 0.6 V in place of 0.8 V."""
+    meter = replace(bench.SENSORS["flow"], dead_zone=0.0, resolution=0.01 * bench.LITRES)
+    monkeypatch.setitem(bench.SENSORS, "flow", meter)
+    monkeypatch.setattr(bench, "STEPS", tuple(np.arange(0.0, 10.01, 0.25)))
+    estimates = named(found(bench.power(1.0, start)))
+    band, rounding = (estimates[f"valve_{n}"] for n in ("dead_band", "command_rounding"))
+    assert band.low < band.value < band.high
+    assert band.low <= start <= band.high
+    # the step below the start has no flow: a rounding of 0.5 V would begin there
+    assert band.high - band.low < 0.25
+    assert rounding.low < 0.01 < rounding.high < 0.5
+
+
 def test_an_edge_in_the_dead_zone_is_not_idle(monkeypatch):
     """Of two equal edges one meter reads nothing at 1.5 V, 3 % below its dead zone, where the other does."""
     at = bench.power(1.3)(np.array([1.5]))[0] * bench.C_D * bench.AREA * np.sqrt(2 / bench.DENSITY)
