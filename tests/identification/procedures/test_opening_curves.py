@@ -221,7 +221,7 @@ def test_a_sharp_start_is_named_if_it_is_seen_and_else_in_the_interval(monkeypat
 
 @pytest.mark.parametrize("start", [0.8, 0.5])
 def test_the_interval_of_a_dead_band_holds_sharp_and_rounded_starts(monkeypatch, start):
-    """Steps of 0.25 V and a meter without a dead zone: the known rounding once put 0.6 V in place of 0.8 V."""
+    """Steps of 0.25 V, a meter without a dead zone: the known rounding once made 0.6 V of 0.8 V."""
     meter = replace(bench.SENSORS["flow"], dead_zone=0.0, resolution=0.01 * bench.LITRES)
     monkeypatch.setitem(bench.SENSORS, "flow", meter)
     monkeypatch.setattr(bench, "STEPS", tuple(np.arange(0.0, 10.01, 0.25)))
