@@ -139,7 +139,7 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
         limits["flow"] = max(limits.get("flow", 0.0), 2 * float(seen.max()))
     found = fit(steps, c, limits)
     drift = abs(found.effects["drift"][0]) / 2 if "drift" in found.freed else 0.0
-    edges = steps.edges
+    edges, steps = steps.edges, found.corrected
     if not found.straight:
         rises = {e: nodes.falling()[0] >= UNLIKELY for e, nodes in found.nodes.items()}
         if found.equal > UNLIKELY:
@@ -353,7 +353,7 @@ def _start(edge: str, found: Openings) -> Iterator[Test]:
     )
     # steps at which the meter reads nothing, from the highest command on, although the opening is open;
     # below the lowest node the least area is that of the steepest start
-    command, bound = fitted.steps.of(edge).idle(c)
+    command, bound = fitted.corrected.of(edge).idle(c)
     lowest, latest = nodes.command[0], float(found.curves[edge].start.max())
     steep = np.clip((command - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
     least = np.where(
@@ -568,7 +568,7 @@ def _chance(p: float) -> str:
 
 def panels(found: Openings) -> tuple[Panel, ...]:
     """C_R with the fit, K = Q/sqrt(dp) with masked steps, residual."""
-    steps, c = found.fit.steps.without_zero(offset(found.fit.solution)[0]), found.fit.known
+    steps, c = found.fit.corrected, found.fit.known
     good, dead = steps[steps.good], steps[steps.dead & (steps.drop != 0)]
     # K is straight above the foot of a straight opening, so it also shows the dead band
     root, gain = np.sqrt(np.abs(good.drop)), c.discharge_coefficient * math.sqrt(2 / c.density)

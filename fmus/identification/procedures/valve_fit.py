@@ -383,6 +383,13 @@ class ValveFit:
     freed: tuple[str, ...]
 
     @cached_property
+    def corrected(self) -> ValveSteps:
+        """The steps without the zero of the pressures, at the commands that they would have without a lag."""
+        lag = self.effects["lag"][0] if "lag" in self.freed else 0.0
+        command = np.maximum(self.steps.command - lag * self.steps.change / 2, 0.0)
+        return replace(self.steps.without_zero(offset(self.solution)[0]), command=command)
+
+    @cached_property
     def p(self) -> Mapping[str, float]:
         """Edge -> probability that its opening is a straight line."""
         return {edge: self.lines.p(edge) for edge in self.nodes}
@@ -415,7 +422,11 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
 
     A zero far outside its limit is estimated where the data contradict all zeros within.
     """
-    found, wide = _fit(steps, c, limits), {n: x * FURTHER ** (n in PRESSURES) for n, x in limits.items()}
+    wide = {n: x * FURTHER ** (n in PRESSURES) for n, x in limits.items()}
+    try:
+        found = _fit(steps, c, limits)
+    except Problem:  # no zero within its limit is near the data
+        return _fit(steps, c, wide)
     largest = FURTHER * sum(limits[n] for n in PRESSURES)
     seen = _outside(found.solution, largest / FURTHER)
     if not (seen or found.straight):  # a line bends with a zero
@@ -450,10 +461,14 @@ def free_offset(solution: Solution) -> tuple[float, float]:
 
 def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     freed: tuple[str, ...] = ()
-    nodes = _nodes(steps, c, limits, freed, own=True)
+    try:
+        nodes = _nodes(steps, c, limits, freed, own=True)
+    except Problem:  # residuals are too large without
+        freed = ("lag",)
+        nodes = _nodes(steps, c, limits, freed, own=True)
     solution = next(iter(nodes.values())).solution
-    effects = _effects(solution)
-    freed = tuple(n for n, (value, sd) in effects.items() if probability(value, sd) < UNLIKELY)
+    effects = _effects(solution, freed)
+    freed += tuple(n for n, (value, sd) in effects.items() if probability(value, sd) < UNLIKELY)
     if freed:
         nodes = _nodes(steps, c, limits, freed, own=True)
         solution = next(iter(nodes.values())).solution
@@ -466,17 +481,22 @@ def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     return ValveFit(steps, c, limits, nodes, pooled, lines, line, effects, freed)
 
 
-def _effects(solution: Solution) -> dict[str, tuple[float, float]]:
-    """Hysteresis, in the form that the residuals of the nodes show best, and drift, with each other free."""
+def _effects(solution: Solution, freed: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Hysteresis, in the form that the residuals of the nodes show best, and drift, with each other free.
+
+    Those that are estimated already are left out.
+    """
     found = []
     for form in ("lag", "share"):
-        names = [n for n in (form, "drift") if np.any(solution.column(n))]
+        names = [n for n in (form, "drift") if n not in freed and np.any(solution.column(n))]
+        if not names or (freed and form == "share"):
+            continue
         columns = np.array([solution.column(n) for n in names])
         values, covariance = solution.effects(columns)
         left = solution.residual + values @ columns
         pairs = zip(names, values, np.diag(covariance), strict=True)
         found.append((float(left @ left), {n: (float(v), math.sqrt(s)) for n, v, s in pairs}))
-    return min(found, key=lambda tried: tried[0])[1]
+    return min(found, key=lambda tried: tried[0], default=(0.0, {}))[1]
 
 
 def _grouped(steps: ValveSteps, own: bool) -> Iterator[tuple[str, ValveSteps]]:
