@@ -142,7 +142,7 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
     edges, steps = steps.edges, found.corrected
     if not found.straight:
         rises = {e: nodes.falling()[0] >= UNLIKELY for e, nodes in found.nodes.items()}
-        if found.equal > UNLIKELY:
+        if found.pooled and found.equal > UNLIKELY:
             one = opening_curve.of_nodes(found.pooled, steps, c, drift, monotone=all(rises.values()))
             return Openings(found, dict.fromkeys(edges, one), False, {})
         curves = {
@@ -280,7 +280,7 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
         found_in = data.signal_findings(every, STEP_SIGNALS, label)
         yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, fitted)
-    yield balance.model_finding(next(iter(fitted.nodes.values())).solution, label)
+    yield balance.model_finding(fitted.by_nodes, label)
     drift = fitted.effects.get("drift", (0.0, 0.0))
     if hysteresis := _hysteresis(fitted):
         sentence = (

@@ -365,9 +365,10 @@ class ValveFit:
     """Fits of the steps of all edges: free nodes, and straight lines.
 
     nodes      edge -> its nodes; edges have the zeros in common
-    pooled     nodes of all edges together
-    lines      a straight line for each edge
-    line       one line for all edges
+    pooled     nodes of all edges together; None if they have no fit, as the following
+    each_line  a straight line for each edge
+    one_line   one line for all edges
+    scatter    residuals over the noise that steps with one command have, 1 unless it is significantly more
     effects    lag [V] or share [1], and drift [1], and their standard deviations
     freed      those of them that are estimated with the openings
     """
@@ -376,11 +377,24 @@ class ValveFit:
     known: Known
     limits: Mapping[str, float]
     nodes: Mapping[str, Nodes]
-    pooled: Nodes
-    lines: Lines
-    line: Lines
+    pooled: Nodes | None
+    each_line: Lines | None
+    one_line: Lines | None
+    scatter: float
     effects: Mapping[str, tuple[float, float]]
     freed: tuple[str, ...]
+
+    @property
+    def lines(self) -> Lines:
+        """A straight line for each edge, if there is such a fit."""
+        assert self.each_line
+        return self.each_line
+
+    @property
+    def line(self) -> Lines:
+        """One straight line for all edges, if there is such a fit."""
+        assert self.one_line
+        return self.one_line
 
     @cached_property
     def corrected(self) -> ValveSteps:
@@ -392,7 +406,7 @@ class ValveFit:
     @cached_property
     def p(self) -> Mapping[str, float]:
         """Edge -> probability that its opening is a straight line."""
-        return {edge: self.lines.p(edge) for edge in self.nodes}
+        return {edge: self.lines.p(edge) if self.each_line else 0.0 for edge in self.nodes}
 
     @property
     def straight(self) -> bool:
@@ -402,7 +416,12 @@ class ValveFit:
     @property
     def solution(self) -> Solution:
         """The fit whose zeros and residuals are those of the procedure."""
-        return self.lines.solution if self.straight else next(iter(self.nodes.values())).solution
+        return self.lines.solution if self.straight else self.by_nodes
+
+    @property
+    def by_nodes(self) -> Solution:
+        """The fit of the nodes."""
+        return next(iter(self.nodes.values())).solution
 
     @property
     def equal(self) -> float:
@@ -410,11 +429,13 @@ class ValveFit:
         edges = len(self.nodes)
         if edges == 1:
             return 1.0
-        if self.straight:
+        if self.straight and self.one_line:
             return float(stats.chi2.sf(self.line.cost - self.lines.cost, 2 * (edges - 1)))
-        own = next(iter(self.nodes.values())).solution
+        if self.straight or not self.pooled:
+            return 0.0
         more = sum(n.command.size for n in self.nodes.values()) - self.pooled.command.size
-        return float(stats.chi2.sf((self.pooled.solution.cost - own.cost) / self.lines.scatter**2, more))
+        further = self.pooled.solution.cost - self.by_nodes.cost
+        return float(stats.chi2.sf(further / self.scatter**2, more))
 
 
 def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
@@ -430,8 +451,9 @@ def fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
     largest = FURTHER * sum(limits[n] for n in PRESSURES)
     seen = _outside(found.solution, largest / FURTHER)
     if not (seen or found.straight):  # a line bends with a zero
-        lines = _lines(steps, c, wide, found.freed, found.lines.scatter)
-        seen = replace(found, lines=lines).straight and abs(offset(lines.solution)[0]) < largest
+        lines = _lines(steps, c, wide, found.freed, found.scatter)
+        straight = lines is not None and replace(found, each_line=lines).straight
+        seen = straight and lines is not None and abs(offset(lines.solution)[0]) < largest
     other = _fit(steps, c, wide) if seen else found
     return other if abs(offset(other.solution)[0]) < largest else found
 
@@ -475,10 +497,13 @@ def _fit(steps: ValveSteps, c: Known, limits: Mapping[str, float]) -> ValveFit:
         effects = {**effects, **{n: (solution.fit[n], solution.fit.sd(n)) for n in freed}}
     scatter = solution.fit.times_noise if solution.fit.misfit else 1.0
     one = len(nodes) == 1
-    pooled = next(iter(nodes.values())) if one else _nodes(steps, c, limits, freed, own=False)[""]
+    pooled = next(iter(nodes.values())) if one else None
+    if not one:
+        with suppress(Problem):  # edges that differ much
+            pooled = _nodes(steps, c, limits, freed, own=False)[""]
     lines = _lines(steps, c, limits, freed, scatter)
-    line = lines if one else _lines(steps, c, limits, freed, scatter, lines)
-    return ValveFit(steps, c, limits, nodes, pooled, lines, line, effects, freed)
+    line = lines if one or not lines else _lines(steps, c, limits, freed, scatter, lines)
+    return ValveFit(steps, c, limits, nodes, pooled, lines, line, scatter, effects, freed)
 
 
 def _effects(solution: Solution, freed: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -539,8 +564,8 @@ def _lines(
     freed: Sequence[str],
     scatter: float,
     own: Lines | None = None,
-) -> Lines:
-    """A line for each edge, or with these one for all, at their roundings."""
+) -> Lines | None:
+    """A line for each edge, or with these one for all, at their roundings; None if they have no fit."""
     start, groups = dict[str, float](), list[tuple[str, ValveSteps]]()
     for label, group in _grouped(steps, own is None):
         s = group[group.good]
@@ -574,7 +599,7 @@ def _lines(
     elif c.rounding.sd:
         tried = np.linspace(max(value - 4 * sd, SHARP), value + 4 * sd, 2 * WIDTHS + 1)
     costs = np.array([cost(float(w)) for w in tried])
-    for _ in range(ZOOMS):
+    for _ in range(ZOOMS if np.isfinite(costs.min()) else 0):
         likely = np.flatnonzero(costs < costs.min() - 2 * math.log(UNLIKELY_WIDTH))
         if own or c.rounding.sd or likely.size >= FEWEST_WIDTHS:
             break
