@@ -69,7 +69,7 @@ class Room:
 
 @pytest.fixture
 def room(monkeypatch: pytest.MonkeyPatch) -> Room:
-    monkeypatch.setattr(live, "chosen", lambda _, asked: asked)
+    monkeypatch.setattr(live, "next_choice", lambda _, asked: asked)
     found = Room()
     found.pages.session.plan.choice = None
     return found
