@@ -255,7 +255,7 @@ def valve(m: Machine, folder: Path, fixed: Mapping[str, Any]) -> None:
         "area": m.draw(22e-6, 42e-6),
         "start": 0.9 if late else 0.7 if sharp else m.draw(0.3, 0.9),
         "groups": [(0.0, 1e-6, 1.0)] if late or sharp else groups,
-        "edges": ["P-A"] if m.has("one measured edge") else ["P-A", m.pick("A-T", "P-B")],
+        "edges": ["P-A", m.pick("A-T", "P-B")],
         "supplies": [25.0, 90.0] if m.has("zero of a pressure sensor") else [m.draw(110, 210)],  # bar
         "last": 2.0 if late else 10.0,  # V
     } | dict(fixed)

@@ -37,7 +37,7 @@ ENDS = {
     "limit": "at a limit of the command",
     "Ctrl-C": "the command has no limit",
 }
-LIMIT = SILENT = 4.0  # [s] of wall time; of a machine that does not answer, more than 5000 folders take
+LIMIT = SILENT = 4.0  # [s] of wall time; of a machine that does not answer, more than 1500 folders take
 NO_LIMIT = 12.0  # [s] until Ctrl-C for a command without a limit of time
 MOST_DELAY = 1.0  # [s] from the misuse to Ctrl-C
 SEED = 37

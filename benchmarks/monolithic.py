@@ -34,7 +34,7 @@ from fmus.machine.machine import wiring
 from fmus.machine.parts import FAMILIES, FERIC, OTHER_CIRCUITS
 from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
-from orchestrator.engine.result import SignalError, changes, compare
+from orchestrator.engine.result import SignalError, changes, signal_errors
 from orchestrator.monolithic.tight import estimated_error, master
 from orchestrator.ssp.load import load
 
@@ -95,7 +95,7 @@ def differences(truth: Result, other: Trace) -> dict[str, SignalError]:
     """Difference of each signal that is not constant, over its range."""
     common = [n for n in truth.trace.signals if n in other.signals]
     nominals = {str(p): truth.system.variable(p).nominal for p in truth.system.ports("output")}
-    found = compare(truth.trace.select(common), other.select(common), None, nominals)
+    found = signal_errors(truth.trace.select(common), other.select(common), None, nominals)
     return {e.name: e for e in found if e.name in nominals}
 
 

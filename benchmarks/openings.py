@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from fmus.identification.procedures.valve import identify_openings, zero_of
+from fmus.identification.procedures.valve import identify_openings
+from fmus.identification.procedures.valve_fit import offset
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording, Sensor
 
@@ -167,7 +168,7 @@ def trials(valve: str, seed: int) -> list[Trial]:
                 edge=name,
                 inside=float(inside.mean()),
                 area=float(curve.areas[-1] / true[-1] - 1),
-                zero=abs(zero_of(found).value) / (2 * ZERO_ERROR),
+                zero=abs(offset(found.fit.solution)[0]) / (2 * ZERO_ERROR),
                 start=bool(ends[0] <= start_of(share) + 2e-3 and start_of(share) <= ends[1] + 2e-3),
                 straight=found.straight,
                 half_band=float(np.median((high - low)[measured] / 2 / true[measured])),

@@ -65,8 +65,8 @@ MASS = "manipulator.head_mass"
 # whether a step is divided
 CHANGES = (-3e-12, -2e-12, -1e-12, 1e-12, 2e-12, 3e-12)
 # bars of the distance of lanes to a run: ten times what stops and cavities make of rounding; above it,
-# a multiple of what a change makes, which occurs once, while rounding occurs in each operation
-ROUNDING, TIMES = 1e-10, 10.0
+# a multiple of what a change makes, which occurs once, while rounding occurs in each operation: 11 at most
+ROUNDING, TIMES = 1e-10, 20.0
 COUPLINGS = {  # with their steps [s]; None: adaptive
     "jacobi": (Coupling("jacobi"), 1e-3),
     "jacobi, order 1": (Coupling("jacobi", order=1), 1e-3),

@@ -112,6 +112,7 @@ NAVIGATION = {
         "examples/hydraulic_manipulator/README.md",
         "examples/grey_box/README.md",
         "examples/measured_cylinder/README.md",
+        "examples/paper_section_4/README.md",
         "examples/swing_peaks/README.md",
         "examples/first_parameters/README.md",
     ],

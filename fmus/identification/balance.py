@@ -9,9 +9,10 @@ A steady balance, f = 0, is one sample per steady stretch and phi = 1. z are sig
 a filter. With G = de/d(samples of a sensor), sd its noise and z_0 the zeros of the sensors,
 
     e(y) = G (noise + z_0)        S = cov(e) = sum over sensors of sd^2 G G'
-    minimise  e' S^-1 e + sum (2 z_0 / limit)^2        with de/dz_0 = G 1
+    minimise  e' S^-1 e + sum 3 (z_0 / limit)^2        with de/dz_0 = G 1
 
-The zeros are columns of the regression; the limit of a data sheet is two standard deviations of their prior.
+The zeros are columns of the regression. A data sheet bounds them and tells no more, so that all zeros up to
+its limit are equally likely: the standard deviation of their prior is limit / sqrt(3) (`zero_sd`).
 e and its derivatives are taken at the estimated true signals y - z_0 - sd^2 G' S^-1 e, so noise in regressors
 does not bias theta (H. I. Britt and R. H. Luecke, The estimation of parameters in nonlinear, implicit models,
 Technometrics 15, 1973, 233-247). A window has far more samples than balances, so most of the noise stays in
@@ -148,6 +149,11 @@ class Samples:
         return self.channels[0][1].size
 
     @property
+    def steady(self) -> bool:
+        """Whether each sample is a balance of its own."""
+        return self.taps == self.bump.size == 1
+
+    @property
     def centres(self) -> Indices:
         """Filtered sample at the centre of each window, shape (m,)."""
         return self.starts + self.bump.size // 2
@@ -159,10 +165,14 @@ class Samples:
 
     def filtered(self, raw: Array) -> Array:
         """z, shape (channels, n - taps + 1), of samples (k, n)."""
+        if self.steady:
+            return raw
         return np.array([np.correlate(raw[s], kernel, "valid") for s, kernel in self.channels])
 
     def integral(self, force: Array, momentum: Array) -> Array:
         """sum phi f - sum (-phi') h over each window, for terms (..., n) the shape is (..., m)."""
+        if self.steady:
+            return force[..., self.starts]
         size = self.bump.size
         f, h = (sliding_window_view(x, size, axis=-1)[..., self.starts, :] for x in (force, momentum))
         return np.asarray(f @ self.bump - h @ self.slope)
@@ -236,6 +246,9 @@ def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
     both, by_z, by_theta = (x.full() for x in s.law.terms(z, theta, s.known))
     by_z, by_theta = (x.reshape(-1, 2 * r, z.shape[1]) for x in (by_z, by_theta))
     g = np.zeros((len(s.sensors), r, s.starts.size, size + s.taps - 1))
+    if s.steady:
+        g[..., 0] = by_z[:, :r, s.starts]
+        return Linear(s.integral(both[:r], both[r:]), s.integral(by_theta[:, :r], by_theta[:, r:]), g)
     for (sensor, kernel), derivative in zip(s.channels, by_z, strict=True):
         if derivative.any():
             by_force, by_momentum = sliding_window_view(derivative, size, axis=-1)[:, s.starts].reshape(
@@ -252,7 +265,8 @@ def squares_of_noise(s: Samples, true: Array, theta: Array) -> Array:
     A value and a slope of one sensor have no common noise: one filter is even, the other odd.
     """
     variance = np.broadcast_to(s.sd**2, true.shape)
-    sds = np.sqrt([np.correlate(variance[sensor], kernel**2, "valid") for sensor, kernel in s.channels])
+    kernels = ((variance[sensor], kernel**2) for sensor, kernel in s.channels)
+    sds = np.sqrt(variance if s.steady else [np.correlate(*both, "valid") for both in kernels])
     mean, r = s.law.by_squares(s.filtered(true), theta, s.known, sds).full(), s.law.rows
     return s.integral(mean[:r], mean[r:])
 
@@ -458,6 +472,12 @@ class Solution:
         names, values, covariance = self.every.names[own], self.every.values[own], self.every.covariance
         return replace(self.every, names=names, values=values, covariance=covariance[own, own])
 
+    @property
+    def cost(self) -> float:
+        """Chi-square with the zeros by their priors."""
+        zeros = sum((self.every[n] / zero_sd(limit)) ** 2 for n, limit in self.limits.items())
+        return self.fit.chi_square + zeros
+
     @cached_property
     def residual(self) -> Array:
         """Whitened residual of all recordings."""
@@ -518,13 +538,19 @@ def solve(
     limits = {n: limit for n, limit in (limits or {}).items() if limit > 0}
     fitted = tuple(n for n in start if n not in tested)
     free, x = (*fitted, *limits), {**start, **dict.fromkeys(limits, 0.0)}
-    sds = {n: limit / 2 for n, limit in limits.items()} | dict(priors or {})
+    sds = {n: zero_sd(limit) for n, limit in limits.items()} | dict(priors or {})
     prior = np.array([sds.get(n, math.inf) ** -2.0 for n in free])
     bound = np.array([limits.get(n, math.inf) for n in free])
     moved = np.zeros(len(free))  # since the start
     measured = true = [s.raw for s in samples]
     for iteration in range(ITERATIONS):
-        parts = [whitened(s, t, y, x) for s, t, y in zip(samples, true, measured, strict=True)]
+        try:
+            parts = [whitened(s, t, y, x) for s, t, y in zip(samples, true, measured, strict=True)]
+        except (
+            ValueError,
+            np.linalg.LinAlgError,
+        ):  # terms that are not finite, or without an effect of noise
+            break
         normal = Normal(np.concatenate([p.columns[[n in free for n in x]] for p in parts], axis=1), prior)
         e = np.concatenate([p.e for p in parts])
         if not (np.isfinite(normal.columns).all() and np.isfinite(e).all()):
@@ -550,6 +576,16 @@ def solve(
         share = 0.5 if iteration > ALTERNATING else 1.0
         true = [t + share * (p.most_probable(y, s.sd**2 / k_square) - t) for s, p, y, t in every]
     raise Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
+
+
+def zero_sd(limit: float) -> float:
+    """Standard deviation of a zero that is anywhere up to a limit: that of a uniform distribution."""
+    return limit / math.sqrt(3)
+
+
+def zero_limit(sd: float) -> float:
+    """The limit whose `zero_sd` is a standard deviation."""
+    return sd * math.sqrt(3)
 
 
 def probability(value: float, sd: float, tolerance: float = 0.0, *, sides: int = 2) -> float:

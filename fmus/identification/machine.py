@@ -12,6 +12,7 @@ import numpy as np
 
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
+from fmus.identification.balance import zero_sd
 from fmus.identification.recordings.reading import MACHINE, add
 from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.problem import (
@@ -40,7 +41,6 @@ FREE = (
     *("column_inertia", "boom_mass", "stick_mass", "stick_inertia", "head_mass"),
     *("swing_damping", "boom_piston_damping", "stick_piston_damping"),
 )
-PRIOR_SHARE = 0.5  # of the largest error of a zero: one in twenty sensors of a data sheet is that far off
 PRIOR_SD = 0.3  # relative, of a value that was not measured: the scatter of the literature
 COMMANDS = {name: FERIC.inputs[name][0] for name in ("swing_command", "boom_command", "stick_command")}
 # s, less if it would remove more than the noise of the sensor
@@ -177,7 +177,7 @@ def _zeros(recordings: Sequence[Recording], signals: Mapping[str, str]) -> Itera
         declared = [r.sensor(name).zero_error or 0.0 for r in recordings if name in r.signals]
         if (most := max(declared, default=0.0)) > 0:
             unit = quantities(HARVESTER.outputs)[output].unit
-            yield FreeParameter(zero_of(output), 0.0, unit, PRIOR_SHARE * most, -most, most, scale=most)
+            yield FreeParameter(zero_of(output), 0.0, unit, zero_sd(most), -most, most, scale=most)
 
 
 def _measured_outputs(training: Sequence[Recording]) -> tuple[str, ...]:

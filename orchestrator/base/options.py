@@ -206,7 +206,7 @@ OF_FMPY = {
 }  # fmt: skip
 
 
-def chosen(group: Any, options: Mapping[str, Any], function: str) -> dict[str, Any]:
+def checked(group: Any, options: Mapping[str, Any], function: str) -> dict[str, Any]:
     """The options of a call that are not None, in SI units.
 
     Raises TypeError for a name that is not in the group, and Problem for a wrong value.

@@ -173,7 +173,7 @@ class ExperimentComparison:
     late: bool = False  # the run was stopped because its time was over
 
 
-def compare(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
+def compare_experiment(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
     """Run an experiment and compare; raises Problem if a file cannot be read."""
     model, kind, result = subject.model, first_run(subject).kinds[0], ExperimentComparison()
     time, columns = table(case.reference)
@@ -273,7 +273,7 @@ def _findings(subject: Subject, case: ShippedExperiment) -> Iterator[Finding]:
         yield note(f"{name} was not run: {reason}")
         return
     try:
-        result = compare(subject, case)
+        result = compare_experiment(subject, case)
     except Problem as problem:
         yield warning(f"{name}: {_inside(subject.folder, problem)}")
         return

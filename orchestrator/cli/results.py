@@ -132,7 +132,7 @@ def plot(
 
     chosen, (first, *others) = _runs(files, out)
     title = ", ".join(run.label for run in (first, *others))
-    names = first.trace.window(start, stop).chosen(signals or ())
+    names = first.trace.window(start, stop).matching(signals or ())
     beside = {run.label: run.trace for run in others}
     figure = first.trace.plot(
         *(signals or ()), title=title, start=start, stop=stop, others=beside, label=first.label

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require, tell_once, write_columns
-from orchestrator.base.units import convert, parse_unit, si_unit
+from orchestrator.base.units import convert, number_and_unit, parse_unit, si_unit
 from orchestrator.data.corrections import corrected, log_faults
 from orchestrator.data.description import (
+    Condition,
     Description,
     Origin,
     SignalDescription,
@@ -243,10 +244,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
             told = f"in {unit}, but read in {spec.unit}, as {description_file.name} states"
             tell_once(f"{file}: column {column[name]!r}: {told}")
-    conditions = {
-        name: value if isinstance(value, str) else float(_si(value.value, value.unit))
-        for name, value in description.experiment.items()
-    }
+    conditions = {name: _condition(value) for name, value in description.experiment.items()}
     time = _seconds(columns, description)
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     signals = {n: _si(corrected(columns.values[column[n]], time, s), s.unit) for n, s in specs}
@@ -334,6 +332,14 @@ def _seconds(columns: Columns, description: Description) -> Array:
             f"{columns.location(k + 1)}: column {spec.column!r}: expected increasing times, got {got}"
         )
     return time_axis(columns, spec.column, spec.unit, spec.offset)
+
+
+def _condition(value: str | Condition) -> float | str:
+    """A condition in SI units: a table with value and unit, a text such as "870 kg/m3", or any other text."""
+    if isinstance(value, str):
+        number, unit = number_and_unit(value)
+        return float(_si(float(number), unit)) if unit and is_unit(unit) else value
+    return float(_si(value.value, value.unit))
 
 
 def _si(value: Any, unit: str) -> Any:

@@ -101,7 +101,7 @@ class Trace(Mapping[str, Array]):
         for name in names:
             if not isinstance(name, str):
                 raise UnknownSignal(name, self.signals, hint=", or a list of names and patterns")
-        return self._with({name: self.signals[name] for name in (self.chosen(names) if names else ())})
+        return self._with({name: self.signals[name] for name in (self.matching(names) if names else ())})
 
     def _only(self, variable: str) -> str:
         """The one signal of this variable; raises UnknownSignal."""
@@ -192,7 +192,7 @@ class Trace(Mapping[str, Array]):
         runs = {label or "1": self} | {n: getattr(t, "trace", t) for n, t in (others or {}).items()}
         units = {n: u for trace in reversed(runs.values()) for n, u in trace.units.items()}
         windows = {name: trace.window(start, stop) for name, trace in runs.items()}
-        names = windows[label or "1"].chosen(flat)
+        names = windows[label or "1"].matching(flat)
         left_out = not flat and len(names) < len(self.signals)
         below = f"{len(names)} of {len(self.signals)} signals" if left_out else ""
         curves = {
@@ -202,8 +202,8 @@ class Trace(Mapping[str, Array]):
         around = band.at(windows[label or "1"].time).signals if band else {}
         return shown_at_end(draw(signal_figure(curves, units, title, below, around)))
 
-    def chosen(self, patterns: Sequence[str] = ()) -> list[str]:
-        """The signals that names and patterns select, see `matching`; default: those of a figure.
+    def matching(self, patterns: Sequence[str] = ()) -> list[str]:
+        """The signals that names and patterns select, see `base.signals`; default: those of a figure.
 
         Raises Problem if a pattern names none.
         """

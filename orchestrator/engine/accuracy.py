@@ -29,7 +29,7 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.job import Execution, Job, Record, RunEnd
-from orchestrator.engine.result import Result, RunFailed, SignalError, compare
+from orchestrator.engine.result import Result, RunFailed, SignalError, signal_errors
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.ssp.coupling import LARGEST_STEP, Coupling
 from orchestrator.ssp.dependencies import influential_inputs
@@ -233,7 +233,7 @@ class AccuracySearch:
 
     def _changes(self, result: Result, previous: Result | None) -> Iterator[SignalError]:
         """The errors by the changes since the run before: at order 1; at higher orders they are smaller."""
-        for e in compare(result.trace.at(previous.trace.time), previous.trace) if previous else ():
+        for e in signal_errors(result.trace.at(previous.trace.time), previous.trace) if previous else ():
             yield replace(e, rms=e.rms / (RATIO - 1.0))
 
     def _continue(self, error: float, result: Result) -> None:

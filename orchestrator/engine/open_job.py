@@ -54,7 +54,7 @@ def run_job(
     at_end     called before the FMUs are closed
     allocate   see `Binding`
     """
-    with opened(job, sink, allocate) as loop:
+    with simulation(job, sink, allocate) as loop:
         began = time.perf_counter()
         problem, interrupted = None, False
         try:
@@ -118,7 +118,7 @@ def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
 
 
 @contextmanager
-def opened(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> Iterator[SimulationLoop]:
+def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> Iterator[SimulationLoop]:
     """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
     signals = job.record.signals
     selected = None if signals is None else [job.system.port(name) for name in signals]

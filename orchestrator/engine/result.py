@@ -417,7 +417,7 @@ def unreliable_errors(errors: Sequence[SignalError], system: System) -> list[str
     ]
 
 
-def compare(
+def signal_errors(
     fine: Trace,
     trace: Trace,
     coarse: Trace | None = None,
@@ -444,7 +444,7 @@ def changes(coarse: Result | None, run: Result, fine: Result) -> tuple[SignalErr
     """Changes of the outputs from a run to one at half the step; orders, if there is one at twice."""
     nominals = run.system.nominals
     outputs = run.trace.select(name for name in nominals if name in run.trace.signals)
-    return compare(fine.trace, outputs, None if coarse is None else coarse.trace, nominals)
+    return signal_errors(fine.trace, outputs, None if coarse is None else coarse.trace, nominals)
 
 
 def relative_errors(

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar, Unpack
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once, write_whole
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import chosen, declarations, documented, taken
+from orchestrator.base.options import checked, declarations, documented, taken
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.base.signals import matching
@@ -234,7 +234,7 @@ def requested(
     options: Mapping[str, Any],
 ) -> Request:
     """What is asked for by the arguments of `run`."""
-    given = chosen(RunArguments, options, "run")
+    given = checked(RunArguments, options, "run")
     if not isinstance(record, Record):
         record = Record((record,) if isinstance(record, str) else record and tuple(record))
     record = replace(record, **taken(given, record_step="step", bonds="bonds"))
@@ -439,7 +439,7 @@ def run_to_file(
                   have; a Problem that it raises ends the run
     """
     start_process()
-    given = chosen(RunArguments, options, "run")
+    given = checked(RunArguments, options, "run")
     request = requested(require_system(system), scenario, None, Execution(progress=True), given)
     execution, record = request.execution, request.record
     free = execution.accuracy is None and chooses_freely(request.system, request.step, request.coupling)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import in_threads
-from orchestrator.base.options import chosen, documented
+from orchestrator.base.options import checked, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.signals import completions, found
 from orchestrator.base.text import first_names
@@ -116,7 +116,7 @@ def batch(
         result = batch("build/harvester.ssp", masses, stop=10.0, record=["manipulator.swing_angle"])
         print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
-    given = chosen(BatchArguments, options, "batch")
+    given = checked(BatchArguments, options, "batch")
     workers = given.pop("workers", None) or available_cores()
     limits = {name: given.pop(name) for name in ("time_limit", "memory_limit") if name in given}
     execution = Execution(**limits).begun()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import chosen
+from orchestrator.base.options import checked
 from orchestrator.base.processes import available_cores
 from orchestrator.data.table import Array
 from orchestrator.engine.arguments import MachinesArguments
@@ -50,7 +50,7 @@ class Machines:
             got = f"{count} machines, {len(commands)} commands and {len(signals)} signals"
             raise Problem(f"machines: expected at least one machine, command and signal, got {got}")
         held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
-        given = chosen(MachinesArguments, options, "Machines")
+        given = checked(MachinesArguments, options, "Machines")
         workers = given.pop("workers", None)
         self._job = prepare(system, held, signals, Execution(isolate=False), stop=FOREVER, **given)
         self.system = self._job.system

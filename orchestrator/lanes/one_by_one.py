@@ -122,5 +122,5 @@ def _with_values(system: System, values: Mapping[Port, float]) -> System:
     components = dict(system.components)
     for port, value in values.items():
         start = {port.variable: value if system.variable(port).is_real else round(value)}
-        components[port.component] = components[port.component].chosen(start, "")
+        components[port.component] = components[port.component].with_start(start, "")
     return replace(system, components=components)

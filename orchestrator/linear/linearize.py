@@ -8,7 +8,7 @@ from typing import Unpack
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import chosen, documented, taken
+from orchestrator.base.options import checked, documented, taken
 from orchestrator.data.table import Array
 from orchestrator.data.trace import rounding
 from orchestrator.engine.arguments import LinearArguments
@@ -120,7 +120,7 @@ def linearize(
 
     Raises Problem for a mistake, and for an FMU without Model Exchange.
     """
-    given = chosen(LinearArguments, options, "linearize")
+    given = checked(LinearArguments, options, "linearize")
     time, steady, speeds = given.get("time"), given.get("steady", False), given.get("speeds")
     step, start_values = given.get("step"), given.get("set", {})
     full = configured(system, **taken(given, "cut", "swap", "parameters"))

@@ -24,7 +24,7 @@ import numpy as np
 from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import chosen, documented, taken
+from orchestrator.base.options import checked, documented, taken
 from orchestrator.base.processes import check_room
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
@@ -78,7 +78,7 @@ def reference(
 
     Raises Problem for a mistake and if the solver fails.
     """
-    given = chosen(ReferenceArguments, options, "reference")
+    given = checked(ReferenceArguments, options, "reference")
     record_step, tolerance = given.pop("record_step", RECORD_STEP), given.pop("tolerance", TOLERANCE)
     if not 1e-14 <= tolerance <= 1e-2:
         raise Problem(f"tolerance {tolerance:g}: expected 1e-14 to 1e-2")

@@ -26,7 +26,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
 from orchestrator.engine.job import Execution, Job, Record, with_default_guard
-from orchestrator.engine.open_job import opened
+from orchestrator.engine.open_job import simulation
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import SMALL_EXCHANGE, UNRELIABLE, energies_above
 from orchestrator.engine.scenario import ScenarioTable, drive
@@ -260,7 +260,7 @@ class FrameStepper:
         job = Job(system, driven, times, coupling, Record(setup.signals), Execution())
         latest = LatestValues()
         with ExitStack() as stack:
-            self._loop = stack.enter_context(opened(job, latest))
+            self._loop = stack.enter_context(simulation(job, latest))
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
             self.notes = (*system.notes, *system.warnings, *suggested, *self._loop.network.notes)

@@ -136,7 +136,7 @@ class Comparison:
         from orchestrator.pages.plotting import shown_at_end
         from orchestrator.results.comparison_report import draw
 
-        return shown_at_end(draw(self, self.reference.trace.chosen(patterns) if patterns else None))
+        return shown_at_end(draw(self, self.reference.trace.matching(patterns) if patterns else None))
 
     def _repr_html_(self) -> str:
         from orchestrator.results.comparison_report import worst_tables

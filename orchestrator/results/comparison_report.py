@@ -62,7 +62,7 @@ EQUAL = "equal"
 SAME_CURVE = 0.01  # relative to the range: curves that are closer cannot be distinguished in the figure
 
 
-def chosen(comparison: Comparison) -> list[str]:
+def drawn_signals(comparison: Comparison) -> list[str]:
     """The signals of the figure: of each quantity those with the largest differences, in their order."""
     rows = _different(comparison) or _shown(comparison)
     groups = grouped(rows, lambda row: row.group)
@@ -115,7 +115,7 @@ def traces(comparison: Comparison, signals: Sequence[str] | None = None) -> Trac
     shown: list[tuple[Run, str, Style]] = [(reference, f"{reference.label} (reference)", broad)]
     for i, run in enumerate(run for run in comparison.runs if run.label in comparison.against):
         shown.append((run, run.label, {**curve_style(i, i), "linewidth": 1.2}))
-    names = chosen(comparison) if signals is None else signals
+    names = drawn_signals(comparison) if signals is None else signals
     panels = [_panel(comparison, shown, name) for name in names]
     return TraceFigure(panels, comparison.window, key=[(label, style) for _, label, style in shown])
 

@@ -25,6 +25,7 @@ from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
+TYPED = 12  # characters of a number below which somebody has typed it
 MAX_NAMES = 4  # in a message
 ROUNDING = 1e-12  # relative difference of equal values after a conversion of units; messages show 13 digits
 WRITTEN = 1e-6  # relative difference of equal values that tools have written with 6 to 9 digits
@@ -68,7 +69,7 @@ class Component:
 
     __repr__ = brief
 
-    def chosen(self, values: Mapping[str, Value], origin: str) -> Component:
+    def with_start(self, values: Mapping[str, Value], origin: str) -> Component:
         """The component with other start values; origin: where they come from, if a user chose them."""
         if not origin:
             return replace(self, start={**self.start, **values})
@@ -425,7 +426,7 @@ class System:
 
     def started(self, start: Mapping[str, Mapping[str, Value]], origin: str) -> System:
         """The system with start values by component; the component "" has inputs that are passed on."""
-        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
+        components = {n: c.with_start(start[n], origin) for n, c in self.components.items()}
         inputs = {n: replace(i, start=start[""].get(n, i.start)) for n, i in self.inputs.items()}
         return replace(self, components=components, inputs=inputs)
 
@@ -530,7 +531,8 @@ def coerce(
     try:
         if variable.kind == "Real":
             value = linear(real(text))
-            return float(f"{value:.15g}") if linear.offset else value  # -30 degC is 243.15 K
+            typed = len(text) < TYPED  # -30 degC is 243.15 K; what was computed keeps its last digit
+            return float(f"{value:.15g}") if linear.offset and typed else value
         if variable.kind == "String":
             return str(value)
         if variable.kind == "Boolean":

@@ -66,7 +66,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
     """
     with study.located():
         study.check()
-        cases = opened(study)
+        cases = prepared_cases(study)
         systems = [case.system for case in cases.values()]
         fixed = {name: _fixed(systems, name, value) for name, value in study.fixed.items()}
         factors = tuple(_factor(systems, factor) for factor in study.factors)
@@ -91,7 +91,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
     return study, cases
 
 
-def opened(study: Study) -> dict[Options, StudyCase]:
+def prepared_cases(study: Study) -> dict[Options, StudyCase]:
     """A case for every combination of options, with the master of the study, but without its fixed values."""
     system = configured(study.system_file, cut=study.options.get("cut", ()))
     system = system.coupled(study.coupling) if study.coupling else system

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Literal, get_args
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import SYSTEMS, find, require
-from orchestrator.base.options import chosen, declarations, seconds
+from orchestrator.base.options import checked, declarations, seconds
 from orchestrator.base.text import brief
 from orchestrator.base.toml import Rule, Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
@@ -212,8 +212,8 @@ class Study:
     def __post_init__(self) -> None:
         for name in ("factors", "choices", "outputs"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(self, "options", chosen(CoupledArguments, self.options, "Study"))
-        given = chosen(RunArguments, {name: getattr(self, name) for name in RUN}, "Study")
+        object.__setattr__(self, "options", checked(CoupledArguments, self.options, "Study"))
+        given = checked(RunArguments, {name: getattr(self, name) for name in RUN}, "Study")
         for name, value in (given | {"band_step": seconds(self.band_step, "band_step")}).items():
             expected = "finite" if name == "stop" else "positive"
             if name != "master" and not (isfinite(value) and (value > 0 or name == "stop")):

@@ -333,7 +333,7 @@ class OpenPage:
             await self.change(self.authority.halt, machine.play)
 
     async def start(self, asked: Asked) -> None:
-        choice = await asyncio.to_thread(chosen, self.session.plan.choice, asked)
+        choice = await asyncio.to_thread(next_choice, self.session.plan.choice, asked)
         await self.change(self.authority.stop, self.session.start, choice)
         self.answers.append({"done": True})
 
@@ -400,7 +400,7 @@ def offered(now: MachineChoice) -> dict[str, Any]:
     }
 
 
-def chosen(now: MachineChoice, asked: Asked) -> MachineChoice:
+def next_choice(now: MachineChoice, asked: Asked) -> MachineChoice:
     """What a page chooses; a `Problem` for what was not offered, such as a file elsewhere."""
     offer = offered(now)
     system, pose, swap = asked.get("system"), asked.get("pose"), asked.get("swap")

@@ -41,7 +41,7 @@ from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from fmus.valve_actuation import ACTUATION
-from orchestrator.check.ls_ref import EXPERIMENT, ExperimentComparison, cases, compare, table
+from orchestrator.check.ls_ref import EXPERIMENT, ExperimentComparison, cases, compare_experiment, table
 from orchestrator.check.ls_ref import parameter_set as read_parameters
 from orchestrator.check.probe_process import probe_limits, use_probe_limits
 from orchestrator.check.subject import parse_unpacked
@@ -70,7 +70,7 @@ def compared(path: Path, folder: Path) -> ExperimentComparison:
         archive.extractall(folder)
     found, texts = cases(folder)
     assert texts == []
-    return compare(parse_unpacked(path, folder), found[0])
+    return compare_experiment(parse_unpacked(path, folder), found[0])
 
 
 @pytest.fixture(autouse=True)

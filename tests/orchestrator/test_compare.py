@@ -13,7 +13,7 @@ from orchestrator import Problem, Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
 from orchestrator.engine.result import read_metadata
 from orchestrator.results.comparison import compare, quantity
-from orchestrator.results.comparison_report import WIDTH, chosen, draw, text
+from orchestrator.results.comparison_report import WIDTH, draw, drawn_signals, text
 
 TIME = np.linspace(0.0, 10.0, 1001)
 SPEED, PRESSURE = np.sin(TIME), 1e7 + 1e6 * np.cos(TIME)
@@ -199,7 +199,7 @@ def test_the_picture_shows_what_differs_most():
     signals["s9"], units["s9"] = signals["s4"] + 1e-3, "rad/s"  # lies on another one
     worse = {name: 1.01 * values for name, values in signals.items()}
     found = compare({"one": Trace(TIME, signals, units), "two": Trace(TIME, worse, units)})
-    assert chosen(found) == ["s2", "s3", "s9", "p2", "p3", "p4"]
+    assert drawn_signals(found) == ["s2", "s3", "s9", "p2", "p3", "p4"]
     figure = draw(found)
     assert len(figure.axes) == 12
     curves, errors = figure.axes[0], figure.axes[1]

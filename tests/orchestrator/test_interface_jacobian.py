@@ -10,7 +10,7 @@ from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_system import Linearisation
-from orchestrator.engine.open_job import opened as opened_job
+from orchestrator.engine.open_job import simulation
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.interface import read_interface
 from orchestrator.ssp.masters import interface_jacobian_plan
@@ -73,7 +73,7 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator):
         coupling = Coupling("interface-jacobian", adaptive=1e-3)
         job = Job(open_oscillator, None, Grid(0.0, 0.5, 1, first=1e-2, free=True), coupling)
         sink = TraceInMemory()
-        with opened_job(job, sink) as opened:
+        with simulation(job, sink) as opened:
             state, tries = opened.state, 0
             size = engine_h().StepSize.from_address(state.step_size)
             state.patience = 0.0  # one step at a time

@@ -90,7 +90,7 @@ def test_a_pattern_without_a_dot_does_not_see_the_component(result):
     assert list(result[["*"]]) == list(result)
     bare = Trace(np.arange(2.0), {"boom_u": np.zeros(2), "boom.v": np.zeros(2), "x[1]": np.ones(2)})
     assert list(bare[["boom*", "x[1]"]]) == ["boom_u", "x[1]"]
-    for chosen in (compare({"a": bare, "b": bare}, signals="boom*").signals, bare.chosen(["boom*"])):
+    for chosen in (compare({"a": bare, "b": bare}, signals="boom*").signals, bare.matching(["boom*"])):
         assert list(chosen) == ["boom_u"]
 
 

@@ -60,9 +60,9 @@ def test_what_shows_nothing_is_left_out_unless_it_is_chosen():
     trace = waves(a__y="m", b__z="m")
     more = {"a.const": np.full(101, 3.0), "b.u": trace["a.y"] + 1e-9}
     whole = Trace(TIME, {**trace.signals, **more}, {**trace.units, "a.const": "m", "b.u": "m"})
-    assert whole.chosen() == ["a.y", "b.z"]
-    assert whole.chosen(["a.*", "u"]) == ["a.y", "a.const", "b.u"]
-    for refused in (lambda: whole.chosen(["v"]), lambda: whole.plot("v")):
+    assert whole.matching() == ["a.y", "b.z"]
+    assert whole.matching(["a.*", "u"]) == ["a.y", "a.const", "b.u"]
+    for refused in (lambda: whole.matching(["v"]), lambda: whole.plot("v")):
         problem(refused, r"^no signal v in the run")
 
 

@@ -12,7 +12,7 @@ from orchestrator import Execution, Interrupted, Problem, Record, Trace, assembl
 from orchestrator.base.errors import Ended
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import open_job
-from orchestrator.engine.result import Card, compare
+from orchestrator.engine.result import Card, signal_errors
 from orchestrator.engine.run import ProgressBar
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.interface import FmuInterface
@@ -219,7 +219,7 @@ def estimated(nominals=None, **signals):
     runs = (
         Trace(time, {n: a * (time + 1e-3 * h**2 * time) for n, a in sizes.items()}, units) for h in (1, 2, 4)
     )
-    return compare(*runs, nominals)
+    return signal_errors(*runs, nominals)
 
 
 def test_signals_that_stand_still_have_no_error():

@@ -123,8 +123,8 @@ def test_a_moving_command_costs_one_event_at_each_kink(simulate, truth, source, 
     exact = truth(source, moving)
     for name in ANGLES:
         error = np.abs(np.interp(rows["time"], exact["time"], exact[name]) - rows[f"machine.{name}"]).max()
-        # DASSL at 1e-4 alone is wrong by 0.2 % with constant commands too
-        assert error < (5e-4 if tolerance == 1e-8 else 2e-3) * np.ptp(exact[name]), name
+        # DASSL at 1e-4 alone is wrong by 0.21 % with constant commands too; at 1e-8 it agrees
+        assert error < (5e-4 if tolerance == 1e-8 else 2.5e-3) * np.ptp(exact[name]), name
 
 
 @shards.tools

@@ -35,8 +35,8 @@ from orchestrator.view.live import (
     WINDOW,
     Credit,
     History,
-    chosen,
     extremes,
+    next_choice,
     offered,
 )
 from orchestrator.view.server import bound
@@ -187,7 +187,7 @@ def test_only_what_is_offered_is_started(fmu_dir: Path) -> None:
         "pose": "reach",
         "swap": {"swing": "usual", "manipulator": "pendulum"},
     }
-    found = chosen(now, asked)
+    found = next_choice(now, asked)
     assert (found.pose, dict(found.swap)) == ("reach", {"manipulator": "pendulum"})
     for wrong in (
         {"system": "../x.ssp"},
@@ -196,7 +196,7 @@ def test_only_what_is_offered_is_started(fmu_dir: Path) -> None:
         {"swap": {"swing": "../x.fmu"}},
         {"swap": {"x": "y"}},
     ):
-        problem(lambda wrong=wrong: chosen(now, asked | wrong))
+        problem(lambda wrong=wrong: next_choice(now, asked | wrong))
 
 
 ONE_GAUGE = 'charts = []\n[[gauges]]\ntitle = "a"\nlines = [{name = "x", text = "x", unit = "%s", high = %d}]'

@@ -16,7 +16,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.view import live
 from orchestrator.view.authority import ControlAuthority
 from orchestrator.view.choice import MachineChoice
-from orchestrator.view.live import ACTIONS, PATIENT, OpenPage, chosen
+from orchestrator.view.live import ACTIONS, PATIENT, OpenPage, next_choice
 from orchestrator.view.server import application
 
 Result = TypeVar("Result")
@@ -69,7 +69,7 @@ class Room:
 
 @pytest.fixture
 def room(monkeypatch: pytest.MonkeyPatch) -> Room:
-    monkeypatch.setattr(live, "chosen", lambda _, asked: asked)
+    monkeypatch.setattr(live, "next_choice", lambda _, asked: asked)
     found = Room()
     found.pages.session.plan.choice = None
     return found
@@ -138,7 +138,7 @@ def test_a_variant_that_is_no_name_is_refused_in_one_line(
     now = MachineChoice(Path("a.ssp"))
     asked = {"system": "a.ssp", "pose": "", "swap": {"arm": variant}}
     with pytest.raises(Problem, match=r"'arm': no variant .* is offered"):
-        chosen(now, asked)
+        next_choice(now, asked)
 
 
 def test_a_message_that_an_action_did_not_foresee_is_told_in_one_line(

@@ -131,7 +131,7 @@ static void *go_on(void *nothing) {
 }
 
 #ifdef __linux__
-enum { LEVELS = 5000 }; /* of folders; Python calls 1000 functions inside each other */
+enum { LEVELS = 1500 }; /* of folders; Python calls 1000 functions inside each other */
 
 static int is_pipe(int fd, int mode) {
     char link[32], target[8] = {0};

@@ -42,7 +42,7 @@ MISUSES = {
     "inputs": "writes to the pipe from which its process reads",
     "divert": "sends the results elsewhere, and keeps the connection open",
     "timers": "leaves timers that end the process after 1 s",
-    "nest": "makes 5000 folders inside each other",
+    "nest": "makes 1500 folders inside each other",
     "orphan": "starts a process without parent, session and environment, and crashes",
     "forge": "sends a message that only the process of the run may send",
 }

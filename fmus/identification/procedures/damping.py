@@ -5,15 +5,6 @@
 tau is that of measured pressures; M, V, G are those of the manipulator, with the known viscous friction of
 the joints. B is the unknown of the momentum balance (`momentum_balance`), without accelerations.
 
-The paper's estimator is shown for comparison (`as_printed`): B = (x'^T x')^-1 x'^T a over all samples, with
-one Savitzky-Golay filter for angles, their first and second derivatives, and pressures. The noise v of the
-speed q' enters x' = J q', which biases B towards zero through the denominator, and it enters a by df/dq':
-
-    B = (sum x' a - sd(v)^2 sum df/dq') / (sum x'^2 - sd(v)^2 sum J^2)        corrected
-
-(Fuller 1987, Measurement Error Models, section 1.2). The noise of q'' is not correlated with v, because one
-kernel is even and the other is odd. J = 1 for the swing, whose x' is its speed.
-
 Validity: viscous friction, all other parameters known. A dry friction is a further unknown if it is clear. B
 absorbs all other effects, as the paper notes; the remarks quantify them.
 """
@@ -28,16 +19,14 @@ from fmus.identification import balance
 from fmus.identification.balance import Solution
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
-from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.reading import require
-from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult, coverage_factor
+from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = momentum.SIGNALS  # of the pressures only those of the joint are needed
-FILTER_LENGTHS = (momentum.ORDER + 1, 9, 21)  # samples in the derivative filters of the paper's estimator
 SIGN_ROUNDING = 0.003  # rms speeds over which the sign of a dry friction is rounded; 0.03 biases B by 4 %
 MOVING = 3.0  # standard deviations of its noise above which a root mean square speed is a motion
 SLOWEST = 1e-6  # rad/s: a smaller speed is a rounding error
@@ -84,7 +73,6 @@ class JointDamping:
     """Damping of one joint, estimated from its recordings.
 
     speed, resistance   x' and a of (13), filtered, shape (n,)
-    printed             the paper's estimator, `as_printed`
     known_effect        effect of errors of the known parameters
     dry, dry_sd         dry friction: tested, or estimated with B if it is clear
     at_rest             names of files in which the joint does not move, which are left out
@@ -95,7 +83,6 @@ class JointDamping:
     solution: Solution
     speed: Array
     resistance: Array
-    printed: Array
     known_effect: momentum.KnownParameterEffect
     dry: float
     dry_sd: float
@@ -177,7 +164,6 @@ def joint_damping(
         solution=solution,
         speed=np.concatenate(speed),
         resistance=np.concatenate(resistance),
-        printed=as_printed([r.source for r in records], joint, theta, p),
         known_effect=momentum.known_parameter_effects(solution, parameters)[theta],
         dry=dry,
         dry_sd=dry_sd,
@@ -208,53 +194,13 @@ def _findings(joint: JointDamping) -> Iterator[Finding]:
     yield balance.model_finding(solution, label)
 
 
-def as_printed(recordings: Sequence[Recording], joint: str, theta: str, p: Array) -> Array:
-    """(13) over all recordings, theta is the name of the damping.
-
-    A row for each of the filters: its length [s], B as printed, and B corrected for the noise of the speed.
-    """
-    undamped, step = p.copy(), 1 / uniform_rate(recordings[0])
-    undamped[momentum.PARAMETERS.index(theta)] = 0.0
-    rows = []
-    for length in FILTER_LENGTHS:
-        sums = np.sum([_sums(r, joint, undamped, length) for r in recordings], axis=0)
-        rows.append([length * step, sums[0, 0] / sums[1, 0], (sums[0] @ [1, -1]) / (sums[1] @ [1, -1])])
-    return np.array(rows)
-
-
-def _sums(recording: Recording, joint: str, p: Array, length: int) -> Array:
-    """Sums of x' a and of x'^2, and in the second column the mean contribution of the noise to each."""
-    row, rate = momentum.JOINTS.index(joint), uniform_rate(recording)
-    kernel = SavitzkyGolay(rate, (length - 1) / rate, momentum.ORDER)
-    raw, _, z, good = momentum.filtered(recording, (joint,), kernel)
-    q, w, pressures = np.split(z[:, good], [3, 6])
-    acceleration = np.array([np.correlate(angle, kernel.weights[2], "valid") for angle in raw[:3]])[:, good]
-    equation, tank = momentum.equation_of_motion()[1], data.tank_pressure(recording)
-    a, by_speed, ratio = (x.full()[row] for x in equation(q, w, acceleration, pressures, tank, p))
-    variance = (kernel.gain(1) * data.noise_sd(recording, momentum.ANGLES[row])) ** 2
-    products = (w[row] @ a, variance * by_speed.sum())
-    squares = (np.sum((ratio * w[row]) ** 2), variance * np.sum(ratio**2))
-    return np.array([products, squares])
-
-
-def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
-    """Resistance over speed with the line, its residual, and B over the length of the filter."""
+def panels(joint: JointDamping) -> tuple[Panel, Panel]:
+    """Resistance over speed with the line, and its residual."""
     contact, step = joint.contact, max(1, len(joint.speed) // MAX_POINTS)
     measured = Curve("a, measured", joint.speed[::step], joint.resistance[::step])
     (speed, speed_unit), (resistance, unit) = contact.speed, contact.resistance
     units = (speed_unit, 1.0), (unit, 1.0)
-    line, residual = Panel(speed, resistance, (measured,), contact.joint, *units).with_line(
-        joint.value, "B x'"
-    )
-    windows, printed, corrected = joint.printed.T
-    half = np.full(2, coverage_factor() * joint.sd)
-    curves = (
-        Curve("(13), a at every sample", windows, printed, "compared", line=True),
-        Curve("(13), corrected for noise", windows, corrected, "corrected", line=True),
-        Curve("this estimate", windows[[0, -1]], np.full(2, joint.value), "fit", line=True, error=half),
-    )
-    length, units = f"length of the {contact.joint}'s derivative filter", (("s", 1.0), (contact.unit, 1.0))
-    return line, residual, Panel(length, "B", curves, "", *units)
+    return Panel(speed, resistance, (measured,), contact.joint, *units).with_line(joint.value, "B x'")
 
 
 def _others(joint: JointDamping) -> Iterator[Estimate]:
@@ -294,12 +240,6 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     yield (
         f"the residuals are {times:.3g} times the noise of the sensors, which alone would give a standard "
         f"deviation of {noise:.3g} {unit}. {conclusion}"
-    )
-    window, printed, corrected = joint.printed[0]
-    yield (
-        f"eq. (13) as printed, with a derivative over {window * 1e3:.3g} ms, gives "
-        f"{printed:.4g} {unit}; {corrected:.4g} without the bias by the encoders' noise, "
-        f"{100 * (printed / corrected - 1):+.2g} %."
     )
     yield from joint.known_effect.remarks
     if joint.dry < -CLEAR * joint.dry_sd:

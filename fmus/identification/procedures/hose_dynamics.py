@@ -1,6 +1,6 @@
 """Hose dynamics procedure (section 4(c), Fig. 7): inertance and capacitance from both ends of a hose.
 
-Two methods. First, the equations of a lumped hose as laws of `balance`:
+The equations of a lumped hose are laws of `balance`:
 
     I dQ/dt = P_in - P_out - R Q - dp(Q)           Q = Q_in + s (Q_out - Q_in)
     C dP/dt = Q_in - Q_out                               P = P_out + s (P_in - P_out)
@@ -9,15 +9,6 @@ dp is the friction with C_R (`hose.Friction`). In the machine s = 0: the inertan
 and the capacitance is at the outlet. If both are distributed along the hose, s = 1/2: the mean of its ends.
 The position s, R, C_R, and the zeros of the instruments are estimated together with I and C, so that they do
 not bias them. The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
-
-Second, the definitions, which the paper uses, for comparison: sample by sample, then the mean of each group
-of recordings, then the mean of these means.
-
-    I = (P_in - P_out - drop)/(dQ_in/dt)        C = (Q_in - Q_out)/(dP_out/dt)
-
-One Savitzky-Golay filter gives the derivatives and smooths the other signals. Samples with a small derivative
-are left out, because the ratio is undetermined. Noise of the derivative biases the ratio towards zero, and it
-includes what the lumped model neglects (the position s).
 
 If an equation does not fit, the delay between two loggers is searched for: signals and time with which plain
 least squares leave least of both equations. A delay that noise does not explain is taken out of the
@@ -44,7 +35,7 @@ from fmus.components.chamber import Liquid
 from fmus.identification import balance
 from fmus.identification.balance import Law, Regression, Samples, Solution, probability
 from fmus.identification.procedures import experiment_data as data
-from fmus.identification.recordings.clock import filter_for, period, uniform_rate
+from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.masks import good, good_all
 from fmus.identification.results import (
     BAR,
@@ -59,7 +50,6 @@ from fmus.identification.results import (
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
-from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = {
     "pressure_in": "Pa",
@@ -70,8 +60,6 @@ SIGNALS: Mapping[str, str] = {
 PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
 SAMPLES_PER_PERIOD = 2.5  # minimum, above Nyquist's two
 MIN_WINDOWS = 20  # per group: fewer do not determine five unknowns
-DEFINITION_WINDOW = 0.055  # s, filter for the definitions: a third of the shortest change
-DEFINITION_SAMPLES = 4  # intervals in that filter at least: more than the degree of its polynomial
 LOGGERS: tuple[Sequence[str], ...] = (  # signals that may have another logger than the others
     ("pressure_in", "pressure_out"),
     ("pressure_out", "flow_out"),
@@ -79,7 +67,6 @@ LOGGERS: tuple[Sequence[str], ...] = (  # signals that may have another logger t
 )
 DELAYS = 11  # that are tried, up to the distance of neighbouring windows
 POSITION = 1.0  # standard deviation of the prior of s, which is between 0 and 1
-CLEAR = 0.3  # derivatives above this fraction of the recording's largest one are used in the definitions
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
@@ -91,8 +78,6 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         _check(test, equations_[0])
     groups, solutions, later, delay = align(equations_, tests)
     both = [fitted(e, groups, s, later) for e, s in zip(equations_, solutions, strict=True)]
-    # for each quantity the samples of each group
-    defined = [*zip(*(by_definition(group, equations_[0]) for group in groups), strict=True)]
     sides = (
         ("dQ/dt [m3/s2]", "drop without friction", BAR),
         ("dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
@@ -110,11 +95,11 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         figure=7,
         estimates=tuple(e for fits in both for e in _lines(fits, tests, parameters)),
         panels=(
-            *map(_groups_panel, both, defined),
+            *map(_groups_panel, both),
             *(p for fits, labels in zip(both, sides, strict=True) for p in _equation_panels(fits, *labels)),
         ),
         remarks=(*_remarks(both), data.constants_remark(tests, parameters, "density", "bulk_modulus")),
-        others=tuple(_others(both, defined)),
+        others=tuple(_others(both)),
         findings=(*findings, delay, drift, *data.signal_findings(tests, SIGNALS, "hose_dynamics")),
     )
 
@@ -362,26 +347,6 @@ def fitted(
     return GroupFits(equation, tuple(alone), solution, pooled, equal)
 
 
-def by_definition(recording: Recording, equation: Equation) -> tuple[Array, Array]:
-    """Samples of I and of C; the drop is that of the flow at the inlet with the C_R that is known."""
-    window = max(DEFINITION_WINDOW, DEFINITION_SAMPLES * period(recording.time))
-    smoothing, usable = filter_for(recording, window), good_all(recording, SIGNALS)
-    signal, rate = (
-        {name: smoothing.apply(np.where(usable, recording[name], np.nan), order) for name in SIGNALS}
-        for order in (0, 1)
-    )
-    terms = equation.law.terms(np.array([*signal.values()]), [*equation.start.values()], 0.0)
-    inertial_drop = terms[0].full()[0]
-
-    def ratio(numerator: Array, denominator: Array) -> Array:
-        size = np.abs(denominator)
-        clear = size > CLEAR * np.max(size, initial=0.0, where=np.isfinite(size))
-        return np.asarray(numerator[clear] / denominator[clear])
-
-    stored = signal["flow_in"] - signal["flow_out"]
-    return ratio(inertial_drop, rate["flow_in"]), ratio(stored, rate["pressure_out"])
-
-
 def _lines(
     fits: GroupFits, groups: Sequence[Recording], parameters: Mapping[str, Number]
 ) -> Iterator[Estimate]:
@@ -403,36 +368,23 @@ def _lines(
         )
 
 
-def _others(both: Sequence[GroupFits], defined: Sequence[Sequence[Array]]) -> Iterator[Estimate]:
-    """The tested hose by both methods, and the positions s."""
-    for fits, samples in zip(both, defined, strict=True):
+def _others(both: Sequence[GroupFits]) -> Iterator[Estimate]:
+    """The tested hose, and the positions s."""
+    for fits in both:
         yield fits.pooled.estimate(fits.name, fits.equation.unit, "regression, the tested hose")
-        means = np.array([group.mean() for group in samples if group.size])
-        n, mean, sd = means.size, float("nan"), float("inf")
-        if n:
-            mean = float(means.mean())
-        if n > 1:
-            sd = float(means.std(ddof=1) / np.sqrt(n))
-        note = f"by definition, mean of {n} group means, section 4(c); the interval is their scatter"
-        yield Estimate.normal(
-            f"{fits.name} by definition", mean, fits.equation.unit, sd, note, max(n - 1, 1)
-        )  # Student's t
     for fits, signal, end in zip(both, ("flow", "pressure"), ("outlet", "inlet"), strict=True):
         note = f"position s of the {signal}; 0 lumped, 1/2 distributed"
         yield fits.pooled.estimate(f"weight of the {end}'s {signal}", "1", note, "s")
 
 
-def _groups_panel(fits: GroupFits, defined: Sequence[Array]) -> Panel:
-    """Values of each group by both methods."""
-    number, quantity = np.arange(1.0, len(defined) + 1), fits.equation.quantity
+def _groups_panel(fits: GroupFits) -> Panel:
+    """Values of each group and of all together."""
+    number, quantity = np.arange(1.0, len(fits.groups) + 1), fits.equation.quantity
     values, sds = np.array([(group[fits.name], group.sd(fits.name)) for group in fits.groups]).T
-    means, scatter = np.array([(samples.mean(), samples.std()) for samples in defined]).T
-    ends = np.array([0.5, len(defined) + 0.5])
+    ends = np.array([0.5, len(fits.groups) + 0.5])
     errors = coverage_factor() * sds
     curves = (
-        Curve("by definition: mean and scatter of samples", number - 0.1, means, "compared", error=scatter),
-        Curve("by definition: mean of means", ends, np.full(2, means.mean()), "compared", line=True),
-        Curve("regression, 95 %", number + 0.1, values, "measured", error=errors),
+        Curve("regression, 95 %", number, values, "measured", error=errors),
         Curve("regression, all groups", ends, np.full(2, fits.pooled[fits.name]), "fit", line=True),
     )
     label = f"{quantity} [{fits.equation.unit}]"
@@ -454,10 +406,6 @@ def _remarks(both: Sequence[GroupFits]) -> Iterator[str]:
     yield (
         f"The regression uses {count} windows of {len(inertances.groups)} groups; no window has a "
         "sample in the dead zone of a meter. The regression accounts for the noise of all signals."
-    )
-    yield (
-        "The values by definition follow the method of the paper: the interval is the scatter of the "
-        "group means. They are biased by the noise of the derivatives and by the position of the flow meter."
     )
     for fits in both:
         quantity, unit = fits.equation.quantity, fits.equation.unit

@@ -197,8 +197,7 @@ def zero_of(fits: Fits) -> Estimate:
 
 def _aic(solution: Solution) -> float:
     """Akaike's criterion for residuals of known standard deviation, in which a zero counts with its prior."""
-    zeros = sum((2 * solution.every[n] / limit) ** 2 for n, limit in solution.limits.items())
-    return solution.fit.chi_square + 2 * len(solution.fit.names) + zeros
+    return solution.cost + 2 * len(solution.fit.names)
 
 
 def _findings(found: Solution, flow: Array, along: tuple[Array, str]) -> Iterator[Finding]:

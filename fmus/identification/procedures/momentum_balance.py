@@ -131,27 +131,17 @@ def momentum_law(joints: tuple[str, ...], theta: tuple[str, ...]) -> Law:
 
 
 @lru_cache(maxsize=1)
-def equation_of_motion() -> tuple[ca.Function, ca.Function]:
-    """Two functions of samples, one in each column.
-
-    pistons   (q, p) -> positions and moment arms of boom and stick, each (2, n)
-    printed   (q, q', q'', pressures, tank, p) -> f - dh/dt as in (13), df_i/dq_i', x_i'/q_i', each (3, n)
-    """
-    e, a = symbolic_equations(), ca.SX.sym("a", 3)
-    damping, ratio = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.moment_arm)
-    rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, a)
-    arguments = [e.q, e.w, a, e.pressures, e.tank, e.p]
-    return (
-        ca.Function("pistons", [e.q, e.p], [e.position, e.moment_arm]),
-        ca.Function("printed", arguments, [e.force - rate, damping, ratio]),
-    )
+def pistons() -> ca.Function:
+    """(q, p) -> positions and moment arms of boom and stick, each (2, n), of samples in columns."""
+    e = symbolic_equations()
+    return ca.Function("pistons", [e.q, e.p], [e.position, e.moment_arm])
 
 
 def speed_ratio(joint: str, q: Array, p: Array) -> Array:
     """x' over the joint's speed at angles q (3, n): 1 or the moment arm of the cylinder [m], shape (n,)."""
     if joint == "swing":
         return np.ones(q.shape[1])
-    moment_arms: Array = np.array(equation_of_motion()[0](q, p)[1].full())
+    moment_arms: Array = np.array(pistons()(q, p)[1].full())
     return np.array(moment_arms[JOINTS.index(joint) - 1])
 
 
@@ -223,7 +213,7 @@ def joint_recording(
     raw, channels, z, good = filtered(recording, joints, kernel)
     used = needed_signals(joints)
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    position: Array = np.array(equation_of_motion()[0](z[:3], p)[0].full())
+    position: Array = np.array(pistons()(z[:3], p)[0].full())
     at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
     good &= ~at_end
     speed = speed_ratio(joints[0], z[:3], p) * z[3 + JOINTS.index(joints[0])]

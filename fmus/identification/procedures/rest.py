@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
+from fmus.identification import balance
 from fmus.identification.balance import METERS, probability
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
 from fmus.identification.recordings.masks import in_dead_zone, standard_error
@@ -85,7 +86,7 @@ def _zero(recording: Recording, name: str) -> tuple[float, float]:
 
 
 def subtracted(recordings: Sequence[Recording], result: ProcedureResult) -> list[Recording]:
-    """The recordings without these zeros; limits of zeros become two standard deviations of the estimate.
+    """The recordings without these zeros, whose limits follow from the errors of the estimates.
 
     A sensor of the machine that declares no limit has none afterwards, because its zero is not estimated.
     """
@@ -94,7 +95,7 @@ def subtracted(recordings: Sequence[Recording], result: ProcedureResult) -> list
         signals, sensors = dict(r.signals), dict(r.sensors)
         for e in (e for e in result.others if e.name in r.signals and r.procedure != "rest"):
             s, n = r.sensor(e.name), e.name
-            error = None if s.zero_error is None and "." in n else 2 * e.sd
+            error = None if s.zero_error is None and "." in n else balance.zero_limit(e.sd)
             signals[n] = r[n] - e.value
             sensors[n] = replace(s, low=s.low - e.value, high=s.high - e.value, zero_error=error)
         corrected.append(replace(r, signals=signals, sensors=sensors))

@@ -76,7 +76,7 @@ class Weighed:
             by_residual = contrast @ self.plain.normal.inverse @ self.plain.normal.columns
             columns = self.solution.normal.columns[len(fit.names) :]
             limits = np.array(list(self.solution.limits.values()))
-            variance += float(np.sum((limits / 2 * (columns @ by_residual)) ** 2))
+            variance += float(np.sum((balance.zero_sd(1.0) * limits * (columns @ by_residual)) ** 2))
         return value, math.sqrt(variance)
 
 

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system, write_rows, write_whole
-from orchestrator.base.options import chosen, seconds, taken
+from orchestrator.base.options import checked, seconds, taken
 from orchestrator.base.text import TextTable, error_display_unit
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.recording import read_recording
@@ -68,7 +68,7 @@ def convergence(
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
     settings, step_list = choose(_items(masters)), read_steps(steps)
-    given = chosen(CaseArguments, options, "convergence")
+    given = checked(CaseArguments, options, "convergence")
     other_run = any(given.get(name) for name in OTHER_RUN) or scenario is not None
     coupled = configured(require_system(system), **taken(given, "cut", "swap"))
     if not coupled.connections:

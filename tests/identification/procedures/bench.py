@@ -105,7 +105,8 @@ def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
     laminar = TRANSITION * VISCOSITY / DENSITY * np.sqrt(np.pi * area * opening(volts)) / 2
 
     def surplus(q, i):
-        return (q - leak[i]) * (abs(q) + laminar[i]) - gain[i] ** 2 * drop[i]
+        through = q - leak[i]
+        return through * (abs(through) + laminar[i]) - gain[i] ** 2 * drop[i]
 
     q = np.array([brentq(surplus, 0.0, 1e-2, args=(i,), xtol=1e-15) for i in range(volts.size)])
     hold = round(1.5 * RATE)

@@ -134,7 +134,7 @@ def test_an_end_stop_acts_within_two_millimetres():
     """Samples of a piston 1 mm from its end are left out, those at 3 mm are used."""
     record, p = lumped_machine.recording("boom", length=4.0), lumped_machine.P.copy()
     angles = np.array([record[n] for n in momentum_balance.ANGLES])
-    position = np.array(momentum_balance.equation_of_motion()[0](angles, p)[0])[0]
+    position = np.array(momentum_balance.pistons()(angles, p)[0])[0]
     stroke = momentum_balance.PARAMETERS.index("manipulator.boom_stroke")
     used = []
     for gap in (0.1, 3e-3, 1e-3):
@@ -149,7 +149,7 @@ def test_steps_within_two_thousandths_have_one_command():
     for second, voltages in ((3.01, 5), (3.04, 6)):
         edge = bench.edge("P-A", 1, steps=(1.5, 2.0, 3.0, second, 6.0, 10.0))
         found = valve.identify_openings([edge], bench.KNOWN)
-        assert next(iter(found.nodes.values())).command.size == voltages
+        assert found.fit.pooled.command.size == voltages
 
 
 @pytest.mark.parametrize(("factor", "refused"), [(0.008, True), (0.02, False), (1.2, False), (2.0, True)])

@@ -115,7 +115,7 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
     """5 bar between two transducers of the class 0.05 bar: the zero ends there; a hose warns."""
 
     def far_off(r):
-        return bench.with_sensors(offset(r, 5 * bench.BAR), zero_error=declared * bench.BAR)
+        return bench.with_sensors(offset(r, 5 * bench.BAR), "pressure", zero_error=declared * bench.BAR)
 
     result = result_of(name, far_off)
     zero = next(e for e in result.others if e.name == "pressures without flow")

@@ -134,7 +134,7 @@ def test_what_the_machine_knows_before() -> None:
     known = nominal()["manipulator.head_mass"]
     assert (mass.sd, mass.high) == pytest.approx((known.sd or 0.3 * known.value, 10 * known.value))
     assert mass.low == pytest.approx(known.value / 10)
-    assert (zero.value, zero.sd, zero.low, zero.high) == (0.0, 5e4, -1e5, 1e5)
+    assert (zero.value, zero.sd, zero.low, zero.high) == (0.0, 1e5 / 3**0.5, -1e5, 1e5)
     assert task.training[0].input_noise["supply_pressure"] == (1e4, 3999)
 
 
