@@ -138,7 +138,8 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
         seen = np.abs(shut.flow) + CERTAIN * shut.flow_error
         limits["flow"] = max(limits.get("flow", 0.0), 2 * float(seen.max()))
     found = fit(steps, c, limits)
-    drift = abs(found.effects["drift"][0]) / 2 if "drift" in found.freed else 0.0
+    # the machine may be as warm as the oil was at either end
+    drift = abs(found.effects["drift"][0]) if "drift" in found.freed else 0.0
     edges, steps = steps.edges, found.corrected
     if not found.straight:
         rises = {e: nodes.falling()[0] >= UNLIKELY for e, nodes in found.nodes.items()}
