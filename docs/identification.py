@@ -39,8 +39,7 @@ PROCEDURES = {  # number in the paper, name of the file
 JOINTS = {"swing": 10, "stick": 11}
 KINDS = {"angle": "joint angles", "speed": "joint speeds", "pressure": "pressures", "flow": "flows"}
 LIMITS = {"angle": "1 %", "speed": "5 %", "pressure": "10 %"}
-REPORT_ONLY = ("form for the logarithm", "nothing is left out")  # remarks of which the page needs none
-AS_IN_FIG_5 = ("by AIC", "errors of their calibration")  # of the opening curves: as below Fig. 5
+REPORT_ONLY = ("nothing is left out",)  # remarks of which the page needs none
 
 
 def main() -> None:
@@ -92,7 +91,7 @@ def opening_curve() -> None:
     result = valve.identify(openings.recordings("asymmetric 1", seed=0), openings.KNOWN)
     figure = draw_procedure(result, ["simulation"])
     (FIGURES / "fig05_opening_curve.png").write_bytes(png(figure))
-    fill("opening curve", "\n".join([estimates(result.estimates), "", *remarks(result, AS_IN_FIG_5)]))
+    fill("opening curve", "\n".join([estimates(result.estimates), "", *remarks(result, REPORT_ONLY)]))
 
 
 def remarks(result: ProcedureResult, omitted: Sequence[str]) -> list[str]:
