@@ -108,9 +108,8 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     """Area, dead band and rounding or opening curve of the valve's edges, and C_R over the command."""
     tests = data.training_recordings(recordings, "valve", SIGNALS)
     found = identify_openings(tests, parameters)
-    zero = Estimate.normal(
-        "pressures without flow", offset(found.fit.solution)[0], "Pa", offset(found.fit.solution)[1], ""
-    )
+    value, sd = offset(found.fit.solution)
+    zero = Estimate.normal("pressures without flow", value, "Pa", sd, "pressure_in - pressure_out")
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
