@@ -10,7 +10,7 @@ judged. `SEED` is the judge's: no method is tuned on it.
 
 Valve bench, one metering edge and a throttle S, solved by bisection; the spool lags its command:
 
-    (Q - L) (Q + Q_t) = (C_d A a)^2 2/rho dp        dp = p_s - p_r - S Q^2        L = G (2 dp - (p_s - p_r))
+    (Q - L) (|Q - L| + Q_t) = (C_d A a)^2 2/rho dp     dp = p_s - p_r - S Q^2     L = G (2 dp - (p_s - p_r))
 
 with the flow Q_t of Re 10 through a round opening of the same area.
 
@@ -242,7 +242,8 @@ def edge_flow(square: Array, supply: float, throttle: float) -> tuple[Array, Arr
     for _ in range(60):
         q = (low + high) / 2
         drop = supply - throttle * q**2
-        below = (q - LEAK * (2 * drop - supply)) * (q + transition) < square * drop
+        through = q - LEAK * (2 * drop - supply)  # the edge, beside the leakage
+        below = through * (np.abs(through) + transition) < square * drop
         low, high = np.where(below, q, low), np.where(below, high, q)
     return low, supply - throttle * low**2
 

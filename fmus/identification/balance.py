@@ -42,6 +42,7 @@ from statsmodels.stats.sandwich_covariance import S_hac_simple
 
 from fmus.identification.results import BAR, LITRES_PER_MINUTE, Estimate, Finding
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
 
@@ -546,18 +547,15 @@ def solve(
     for iteration in range(ITERATIONS):
         try:
             parts = [whitened(s, t, y, x) for s, t, y in zip(samples, true, measured, strict=True)]
-        except (
-            ValueError,
-            np.linalg.LinAlgError,
-        ):  # terms that are not finite, or without an effect of noise
+        except (ValueError, np.linalg.LinAlgError):  # terms that are not finite, or no noise at all
             break
         normal = Normal(np.concatenate([p.columns[[n in free for n in x]] for p in parts], axis=1), prior)
         e = np.concatenate([p.e for p in parts])
         if not (np.isfinite(normal.columns).all() and np.isfinite(e).all()):
             break
         if np.linalg.cond(normal.scaled) > SINGULAR:
-            unknown = ", ".join(fitted)
-            raise Problem(f"{label}: the {e.size} points cannot distinguish between {unknown}")
+            points = f"the {e.size} points"
+            raise Problem(f"{label}: {points} cannot distinguish between {first_names(fitted)}")
         step = normal.step(e, moved, bound)
         moved += step
         e = e + step @ normal.columns
@@ -575,7 +573,7 @@ def solve(
         every = zip(samples, parts, measured, true, strict=True)
         share = 0.5 if iteration > ALTERNATING else 1.0
         true = [t + share * (p.most_probable(y, s.sd**2 / k_square) - t) for s, p, y, t in every]
-    raise Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
+    raise Problem(f"{label}: the fit of {first_names(fitted)} did not converge")
 
 
 def zero_sd(limit: float) -> float:

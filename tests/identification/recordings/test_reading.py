@@ -111,6 +111,18 @@ def test_what_loggers_write_for_no_sample_is_a_gap(csv):
         assert np.flatnonzero(np.isnan(reading.read(csv)["pressure_in"])).tolist() == [2, 7]
 
 
+def test_a_condition_is_a_table_or_a_text_with_a_unit(csv):
+    """The text "870 kg/m3" is what { value = 870, unit = "kg/m3" } is; a text without a unit stays one."""
+    meta = csv.with_suffix(".toml")
+    text = meta.read_text(encoding="utf-8")
+    stated = 'density = "0.87 g/cm3"\nviscosity = { value = 20, unit = "mPa.s" }\nnote = "70 in winter"'
+    meta.write_text(text.replace("[experiment]", f"[experiment]\n{stated}"), encoding="utf-8")
+    read = reading.read(csv)
+    assert read.numeric_condition("density") == pytest.approx(870.0, rel=1e-12)
+    assert read.numeric_condition("viscosity") == pytest.approx(0.02, rel=1e-12)
+    assert read.text_condition("note") == "70 in winter"
+
+
 def test_only_the_part_between_start_and_stop(csv):
     """start and stop of [time] apply to the time after unit and offset."""
     meta = csv.with_suffix(".toml")
