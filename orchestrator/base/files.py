@@ -28,6 +28,7 @@ from urllib.parse import unquote, urlsplit
 
 from orchestrator.base import SHIPPED
 from orchestrator.base.errors import Problem
+from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.processes import remove_folder
 
 if TYPE_CHECKING:
@@ -167,14 +168,19 @@ def extract_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Pa
 @contextmanager
 def temporary_folder(prefix: str, archive: str) -> Iterator[Path]:
     """A temporary folder to unpack an archive into, removed at the end."""
+    folder = None
     try:
-        folder = Path(tempfile.mkdtemp(prefix=prefix))
-    except OSError as error:
-        raise Problem(f"{archive}: no temporary folder to unpack it: {_reason(error)}") from None
-    try:
+        with DeferredInterrupts():
+            folder = Path(tempfile.mkdtemp(prefix=prefix))
         yield folder
+    except OSError as error:
+        if folder:
+            raise
+        raise Problem(f"{archive}: no temporary folder to unpack it: {_reason(error)}") from None
     finally:
-        remove_folder(folder)
+        if folder:
+            with DeferredInterrupts():
+                remove_folder(folder)
 
 
 # ---- archives that are used more than once -----------------------------------------------------------------

@@ -22,7 +22,7 @@ from typing import Any
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, naming, zip_bytes
-from orchestrator.base.interrupts import in_threads
+from orchestrator.base.interrupts import DeferredInterrupts, in_threads
 from orchestrator.base.processes import machine_memory, remove_folder
 from orchestrator.base.text import first_names
 from orchestrator.engine import open_job
@@ -143,9 +143,10 @@ class RunProcesses:
 
     def close(self) -> None:
         """End all processes, and remove the FMUs; no thread calls `run` any more."""
-        while self._idle:
-            self._idle.pop().close()
-        remove_folder(self._folder)
+        with DeferredInterrupts():
+            while self._idle:
+                self._idle.pop().close()
+            remove_folder(self._folder)
 
     def run(self, unit: Unit) -> list[RunOutcome]:
         """Run samples together; if they end their process or exceed a limit, each one by itself."""

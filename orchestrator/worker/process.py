@@ -107,27 +107,29 @@ class Worker:
         descriptors: Sequence[int] = (),
         in_folder: bool = False,
     ) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-        self._child = _start(target, self.folder, environment or {}, descriptors, in_folder)
-        self.working = self._child.pid  # the process that works: this one, or a fork of it
-        _enlarge(self._child.stdout)
-        self._messages: Queue[Any] = Queue(MAX_MESSAGES)
-        self._closed_at, self._stopped = math.inf, ""  # end of the messages; why `get` has killed it
-        to_send: SimpleQueue[bytes | None] = SimpleQueue()
-        self._to_send = to_send
-        arguments = self._child.stdout, self._messages, contents
-        reader = threading.Thread(target=_read, args=arguments, daemon=True)
-        writer = threading.Thread(target=_write, args=(self._child.stdin, to_send), daemon=True)
-        reader.start()
-        writer.start()
-        self._last: list[str] = []  # `where` at the end, stored by the finalizer
-        end = os.getpid(), self._child, reader, self._messages, to_send, self.folder, grace, self._last
-        self._ends = weakref.finalize(self, _abandon, *end)
+        with DeferredInterrupts():  # until the finalizer is there, which removes the folder
+            self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
+            self._child = _start(target, self.folder, environment or {}, descriptors, in_folder)
+            self.working = self._child.pid  # the process that works: this one, or a fork of it
+            _enlarge(self._child.stdout)
+            self._messages: Queue[Any] = Queue(MAX_MESSAGES)
+            self._closed_at, self._stopped = math.inf, ""  # end of the messages; why `get` has killed it
+            to_send: SimpleQueue[bytes | None] = SimpleQueue()
+            self._to_send = to_send
+            arguments = self._child.stdout, self._messages, contents
+            reader = threading.Thread(target=_read, args=arguments, daemon=True)
+            writer = threading.Thread(target=_write, args=(self._child.stdin, to_send), daemon=True)
+            reader.start()
+            writer.start()
+            self._last: list[str] = []  # `where` at the end, stored by the finalizer
+            end = os.getpid(), self._child, reader, self._messages, to_send, self.folder, grace, self._last
+            self._ends = weakref.finalize(self, _abandon, *end)
 
     def close(self) -> None:
         """End the process and remove its files."""
-        if of := self._ends.detach():
-            _end(*of[2])
+        with DeferredInterrupts():
+            if of := self._ends.detach():
+                _end(*of[2])
 
     @property
     def pid(self) -> int:

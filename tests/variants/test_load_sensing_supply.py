@@ -120,7 +120,8 @@ def test_standby_stays_at_rest(margin, band, leakage, bleed, tank, engine, limit
     closed = tank + P["return_preload"]
     u = BENCH.row(swing_load_pressure=closed, boom_stick_load_pressure=closed)
     dx = BENCH.rates(BENCH.rest(p), u, p)
-    assert abs(dx["pump_stroke"]) < 3e-8  # rounding of a pressure, over the band, over the lag
+    # what 20 iterations leave at a torque limit of 1 N.m; 1e-7 of the stroke in a second is no motion
+    assert abs(dx["pump_stroke"]) < 1e-7
     assert max(abs(dx[f"{n}_pressure"]) for n in ("supply", "pump", "load_sensing", "tank")) < 1.0  # Pa/s
     assert abs(dx["engine_speed"]) < 1e-8
     assert abs(dx["engine_fuel_torque"]) < 1e-6
