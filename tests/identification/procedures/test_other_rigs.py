@@ -10,7 +10,8 @@ from identification.procedures import bench
 from kit.mistakes import problem, table
 
 from fmus.identification import results
-from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
+from fmus.identification.procedures import valve
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
@@ -23,8 +24,8 @@ TRUTH = {
 }
 BENCHES = {
     "valve": (valve, lambda: [bench.edge("P-A", [5, 0]), bench.edge("P-B", [5, 2])]),
-    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, bench.friction)),
-    "hose_dynamics": (hose_dynamics, lambda: bench.moving_hose(5)),
+    "hose_resistance": (HOSE_RESISTANCE, lambda: bench.steady_hose(5, bench.friction)),
+    "hose_dynamics": (HOSE_DYNAMICS, lambda: bench.moving_hose(5)),
 }
 
 
@@ -128,7 +129,7 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
 def test_residuals_far_above_the_noise_are_a_warning():
     """A hose with a check valve of 5 bar, which the law does not have."""
     recordings = bench.steady_hose(5, lambda q: bench.friction(q) + 5 * bench.BAR * np.sign(q))
-    found = results.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
+    found = results.named(HOSE_RESISTANCE.identify(recordings, bench.KNOWN).findings)
     assert {f.fault for f in found} == {"model"}
     assert any("times the noise of the sensors" in f.sentence for f in found)
 
@@ -205,4 +206,4 @@ def test_an_undetermined_quantity_is_not_estimated():
     )
     names = {e.name for e in result.estimates}
     assert "boom_stick.stick_hose_capacitance" not in names
-    assert any("do not determine the capacitance" in text for text in result.remarks)
+    assert any("do not determine C" in text for text in result.remarks)
