@@ -139,7 +139,7 @@ def joint_fit(
     dry, sd = dry_friction(fit)
     if dry > CLEAR * sd:  # else it would raise B
         fit = solve(tested=[momentum.OFFSET])
-    return fit, [r.source.name for r in recordings if r not in moving]
+    return fit, [r.source.name for r in recordings if not any(r is m for m in moving)]
 
 
 def moves(recording: Recording, s: Samples, joint: int) -> bool:

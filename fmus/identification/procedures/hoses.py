@@ -7,10 +7,10 @@ A lumped hose, at rest between steps of the flow (`hose_resistance`) and in moti
 
 dp is the friction of the machine (`hose.Friction`): laminar by the viscosity of the oil, above the critical
 flow Blasius' law, whose C_R is stated at 170 L/min (correction E10 in docs/equations.md). In steady flow the
-viscosity is an unknown if the small flows contradict the known one; in motion R takes what they add to dp. In the
-machine s = r = 0; distributed along the hose, both are 1/2. The zeros of the instruments are unknowns, and
-so is the delay of a logger if it is clear: 1 ms between the flows is half of C. The results are scaled to
-the machine's lines: C_R by eq. (10), I ~ rho l/A, C ~ A l.
+viscosity is an unknown if the small flows contradict the known one; in motion R takes what they add to dp.
+In the machine s = r = 0; distributed along the hose, both are 1/2. The zeros of the instruments are unknowns,
+and so is the delay of a logger if it is clear: 1 ms between the flows is half of C. The results are scaled
+to the machine's lines: C_R by eq. (10), I ~ rho l/A, C ~ A l.
 
 Validity: a smooth pipe up to Re 1e5, flows above the dead zone of the meter; in motion, changes below the
 frequency of eq. (3), C_0/(2 pi l), above which a hose is not a single lump. Windows of four periods of this
@@ -63,6 +63,7 @@ AXES = ("boom_stick.stick_hose", "boom_stick.boom_hose")
 STARTS = (-1.0, 0.0, 1.0, 2.0)  # of the logarithm of the viscosity over the known one, in its search
 THINNEST, THICKEST = -3.0, 3.0  # of it, in a search that diverges
 FURTHER = 12.0  # by which the chi-square of a free viscosity is less: 1 in 2000 by chance
+TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
 MIN_STEPS = 4  # fewer steps do not tell the viscosity from a zero
 LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
 PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
@@ -195,7 +196,7 @@ def _steady_fit(
 ) -> Fit:
     good = steps[steps.good]
     turbulent = good.flow * np.abs(good.flow)
-    start = float(turbulent @ good.drop / (turbulent @ turbulent))
+    start = float(np.cov(turbulent, good.drop)[0, 1] / max(np.var(turbulent, ddof=1), TINY))
     if start <= 0:
         raise Problem(
             f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "

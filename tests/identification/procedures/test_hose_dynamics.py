@@ -7,8 +7,8 @@ import pytest
 from identification.procedures import bench
 from kit.mistakes import problem
 
-from fmus.identification.balance import linearised, solve
 from fmus.components import hose
+from fmus.identification.balance import linearised, solve
 from fmus.identification.procedures import hoses
 from fmus.identification.results import named
 

@@ -65,9 +65,9 @@ def test_scaling_is_that_of_a_smooth_pipe():
     assert other == pytest.approx(blasius(q, 2.5, 0.0127), rel=1e-12)  # exact identity
 
 
-@pytest.mark.parametrize("thicker", [0.3, 2.0, 5.0])
+@pytest.mark.parametrize("thicker", [2.0, 5.0])
 def test_another_viscosity_is_estimated(thicker):
-    """Oil of 100, of 45 and of 25 degC in place of 60: its viscosity, and C_R of the machine's oil."""
+    """Oil of 45 and of 25 degC in place of 60: its viscosity, and C_R of the machine's oil."""
     recordings = bench.steady_hose(0, lambda q: bench.friction(q, thicker * bench.VISCOSITY))
     result = identify_resistance(recordings, bench.KNOWN)
     found = bench.named(result)

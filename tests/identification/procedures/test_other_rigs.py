@@ -164,16 +164,14 @@ def test_two_hoses_are_refused(name):
         procedure.identify([*own, other], bench.KNOWN)
 
 
-# exact: the same fit, another factor; with another density the critical flow differs, too
-@pytest.mark.parametrize(
-    ("name", "power", "error"), [("hose_resistance", 0.75, 1e-3), ("hose_dynamics", 1.0, 1e-12)]
-)
-def test_another_oil_is_converted(name, power, error):
+# with another density the critical flow differs, too
+@pytest.mark.parametrize(("name", "power"), [("hose_resistance", 0.75), ("hose_dynamics", 1.0)])
+def test_another_oil_is_converted(name, power):
     """I goes with the density, C_R with its power of 0.75, eq. (10): from the test's oil to the machine's."""
     light = result_of(name, lambda r: replace(r, conditions={**r.conditions, "density": bench.DENSITY / 1.1}))
     plain = result_of(name)
     ratio = light.estimates[0].value / plain.estimates[0].value
-    assert ratio == pytest.approx(1.1**power, rel=error)
+    assert ratio == pytest.approx(1.1**power, rel=1e-3)
 
 
 def test_commands_that_close_the_edge_are_left_out():
@@ -202,7 +200,7 @@ def test_an_undetermined_quantity_is_not_estimated():
     """Pressures whose changes are below their noise: no capacitance, but a remark."""
     result = result_of(
         "hose_dynamics",
-        lambda r: with_signals(r, lambda n, x: x.mean() + 0.0005 * (x - x.mean()) if n[0] == "p" else x),
+        lambda r: with_signals(r, lambda n, x: x.mean() + 0.0001 * (x - x.mean()) if n[0] == "p" else x),
     )
     names = {e.name for e in result.estimates}
     assert "boom_stick.stick_hose_capacitance" not in names

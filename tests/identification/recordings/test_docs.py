@@ -41,7 +41,7 @@ def test_the_table_of_experiments_is_that_of_the_code():
             name in rows[procedure] for name in conditions if name not in ("length", "diameter", "density")
         )
         if procedure not in MACHINE_SIGNALS:
-            assert all(f"`{name}`" in rows[procedure] for name in PROCEDURES[procedure].SIGNALS)
+            assert all(f"`{name}`" in rows[procedure] for name in PROCEDURES[procedure].signals)
     before, _, after = TEXT.partition(
         "### Limits of the work cycle"
     )  # of the machine's outputs, no experiment
