@@ -152,7 +152,6 @@ def test_advice_and_intervals_depend_on_the_information():
         covariance = sd**2 * np.eye(2)
         (one, _) = refined(statistics=Statistics(*3 * [covariance], 100, 10, 7.0)).estimates()
         assert np.isinf(one.high) == is_open
-    assert [RandomStart(np.zeros(2), apart, 1.0, 9).same for apart in (0.9, 1.1)] == [True, False]
 
 
 def test_residuals_far_above_the_noise_are_a_warning():
