@@ -585,10 +585,9 @@ def panels(found: Openings) -> tuple[Panel, ...]:
     distinct = found.distinct()
     for edge, curve in distinct.items():
         label = f": {edge}" if len(distinct) > 1 else ""
-        opened = curve.command[curve.area > 0]
-        lines.append(
-            Curve(f"fit, eq. (2){label}", opened, c.resistance(curve.area[curve.area > 0]), "fit", line=True)
-        )
+        seen = curve.command >= curve.first_measured  # towards the foot it is infinite
+        resistance = c.resistance(curve.area[seen])
+        lines.append(Curve(f"fit, eq. (2){label}", curve.command[seen], resistance, "fit", line=True))
         band = gain * curve.low, gain * curve.high
         gains.append(Curve(f"fit{label}", curve.command, gain * curve.area, "fit", line=True, band=band))
     for edge, curve in found.curves.items():
