@@ -246,20 +246,33 @@ class Fit:
         yield self.model()
         yield from data.signal_findings(self.recordings, self.signals, self.label)
 
-    def _equal(self, name: str) -> Finding:
-        """Whether one value of an unknown describes all recordings."""
+    def _differences(self, name: str) -> tuple[Array, float]:
+        """An unknown in the other recordings less that in the first one; probability of one for all."""
         column, ends = self.solution.column(name), [part.e.size for part in self.solution.parts]
         of = np.repeat(np.arange(len(ends)), ends)
-        values, covariance = self.solution.effects(
-            np.array([column * (of == k) for k in range(1, len(ends))])
-        )
+        own = np.array([column * (of == k) for k in range(1, len(ends))])
+        values, covariance = self.solution.effects(own)
         chi_square = float(values @ np.linalg.solve(covariance, values))
+        return values, float(stats.chi2.sf(chi_square, values.size))
+
+    def _equal(self, name: str) -> Finding:
+        """Whether one value of an unknown describes all recordings."""
+        values, p = self._differences(name)
         percent = ", ".join(f"{100 * x / self[name]:+.2g} %" for x in values)
-        return Finding(
-            "model",
-            float(stats.chi2.sf(chi_square, values.size)),
-            f"{self.label}: {name} differs between the recordings: {percent} from the first to the others",
-        )
+        told = f"{name} differs between the recordings: {percent} from the first to the others"
+        return Finding("model", p, f"{self.label}: {told}")
+
+    def widened(self, equal: Collection[str]) -> Fit:
+        """With standard deviations that cover unknowns which differ between the recordings."""
+        every = self.solution.every
+        scale = np.ones(len(every.names))
+        for name in equal if len(self.recordings) > 1 else ():
+            values, p = self._differences(name)
+            if p < UNLIKELY:
+                of_mean = np.append(0.0, values).std(ddof=1) / math.sqrt(len(self.recordings))
+                scale[every.names.index(name)] = max(1.0, of_mean / self.sd(name))
+        every = replace(every, covariance=every.covariance * np.outer(scale, scale))
+        return replace(self, solution=replace(self.solution, every=every))
 
     def _zeros(self) -> Iterator[Finding]:
         """For each pressure sensor and flow meter: whether the data want its zero outside its declaration."""

@@ -66,6 +66,7 @@ FURTHER = 12.0  # by which the chi-square of a free viscosity is less: 1 in 2000
 TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
 MIN_STEPS = 4  # fewer steps do not tell the viscosity from a zero
 LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
+EQUAL = ("I", "C")  # in all recordings of a hose
 PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
 SAMPLES_PER_PERIOD = 2.5  # minimum, above Nyquist's two
 MIN_WINDOWS = 20  # per recording: fewer do not determine six unknowns
@@ -304,7 +305,7 @@ def identify_dynamics(recordings: Sequence[Recording], parameters: Mapping[str, 
                 "flows, or exchange the two pressures"
             )
     wanted = list(_lines(parameters, known, data.density_ratio(tests, parameters)))
-    result = _result(fit, "hose_dynamics", 7, known, wanted, "The hose's law")
+    result = _result(fit.widened(EQUAL), "hose_dynamics", 7, known, wanted, "The hose's law")
     sides = (
         ("dQ/dt [m3/s2]", "drop without friction", BAR),
         ("dP/dt [Pa/s]", "flow stored", LITRES_PER_MINUTE),
@@ -324,7 +325,7 @@ def identify_dynamics(recordings: Sequence[Recording], parameters: Mapping[str, 
                 for n, end, x in positions
             ),
         ),
-        findings=tuple(fit.findings({"C_R": "the resistance"}, equal=("I", "C"))),
+        findings=tuple(fit.findings({"C_R": "the resistance"}, equal=EQUAL)),
     )
 
 
