@@ -59,6 +59,10 @@ ROOMS = {
         *(ORCHESTRATOR + f"test_{n}.py" for n in ("joined_system", "simulation_loop", "energy")),
         *("tests/monolithic", "tests/orchestrator"),
     )),
+    "procedures": Room("fmus/identification/procedures", "*.py", (
+        *(f"tests/identification/procedures/test_{n}.py" for n in ("decisions", "balance", "findings")),
+        "tests/identification/procedures",
+    )),
     "linear": Room("orchestrator/linear", "*.py", (
         *(f"tests/control/test_linear_{n}.py" for n in ("modes", "search", "systems", "by_hand")),
         *(f"tests/control/test_linear_{n}.py" for n in ("physics", "machine", "use")),

@@ -1,6 +1,6 @@
 """From which starts does the joint refinement converge, and how long does it take?
 
-    python -m benchmarks.starts [--starts 8] [--seconds 30] [--repeat N]
+    python -m benchmarks.starts [--starts 8] [--seconds 30]
 
 The same recording of the lumped rig and the same starts, drawn about the truth with a standard deviation of
 30 % for each parameter, by two routes:
@@ -8,9 +8,6 @@ The same recording of the lumped rig and the same starts, drawn about the truth 
     exact         multiple shooting, exact sensitivities of the compiled model: the default
     differences   single shooting, forward differences between runs of the native harvester.fmu, whose
                   states cannot be set
-
-With `--repeat 6` instead the six random starts of `harvester identify --starts 6`, in two ways: each by a
-whole refinement, as before, and by `multistart`, with their times, and the distance to the reference.
 
 Without priors on the parameters, so that only the recording can lead back. A search has converged when it
 ends within one standard deviation of the best end of its route.
@@ -33,13 +30,9 @@ from fmus.identification.recordings.reading import read, window
 from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import (
-    START_ITERATIONS,
     RefinementResult,
     compiled,
-    multistart,
-    random_start,
     refine,
-    subsampled,
 )
 from fmus.rig.experiments import experiment
 from fmus.rig.recordings import write
@@ -82,12 +75,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--starts", type=int, default=8)
     parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--repeat", type=int, default=0)
     chosen = parser.parse_args()
-    if chosen.repeat:
-        with tempfile.TemporaryDirectory() as name:
-            compare(task(Path(name), chosen.seconds), chosen.repeat)
-        return
     random = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as name:
         given = task(Path(name), chosen.seconds)
@@ -110,31 +98,6 @@ def main() -> None:
         print()
         for route, ends in found.items():
             print(f"{route}: {_sum(ends)}")
-
-
-def compare(given: EstimationProblem, count: int) -> None:
-    """Print time and results of random starts, by whole refinements and by `multistart`."""
-    refined = refine(given)
-    coarse = subsampled(given)
-    random, simulator = np.random.default_rng(0), compiled(coarse)
-    begun = time.process_time(), time.perf_counter()
-    reference = refine(coarse, simulator, iterations=START_ITERATIONS, start=refined.z)
-    whole = [
-        refine(coarse, simulator, iterations=START_ITERATIONS, start=random_start(coarse, random))
-        for _ in range(count)
-    ]
-    between = time.process_time(), time.perf_counter()
-    found = list(multistart(refined, count))
-    end = time.process_time(), time.perf_counter()
-    sd = reference.statistics.sd(reference.robust)
-    for name, first, last, apart in (
-        ("refinements", begun, between, [np.max(np.abs(w.z - reference.z) / sd) for w in whole]),
-        ("multistart", between, end, [start.apart for start in found]),
-    ):
-        cpu, wall = (b - a for a, b in zip(first, last, strict=True))
-        times = f"processor time {cpu:6.1f} s, wall time {wall:6.1f} s"
-        print(f"{name:<12} {times}, ends within {max(apart):.1e} standard deviations of the reference")
-    print(f"ratio        {(end[0] - between[0]) / (between[0] - begun[0]):.2f} of the processor time")
 
 
 def _row(one: RefinementResult | None, spent: float) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 
 from fmus.components import hose
 from fmus.components.chamber import Liquid
-from fmus.identification.procedures import hose_dynamics, hose_resistance, motor_leakage
+from fmus.identification.procedures import hoses, motor_leakage
 from fmus.identification.procedures import momentum_balance as momentum
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
@@ -121,7 +121,7 @@ def used(recording: Recording, names: Mapping[str, str]) -> Array:
 
 def squares(recording: Recording) -> tuple[Array, Array]:
     """Q|Q| and the drop of (1), Fig. 6; the flow is above the dead zone of the meter."""
-    before, after, flow = used(recording, hose_resistance.SIGNALS)
+    before, after, flow = used(recording, hoses.STEADY_SIGNALS)
     return flow * np.abs(flow), before - after
 
 
@@ -131,11 +131,10 @@ def definitions(recording: Recording, known: Known) -> tuple[Array, Array]:
     One filter gives the derivatives and smooths the other signals. Ratios with a small derivative are left
     out. The noise of a derivative biases its ratio towards zero.
     """
-    rate, usable = uniform_rate(recording), good_all(recording, hose_dynamics.SIGNALS)
+    rate, usable = uniform_rate(recording), good_all(recording, hoses.SIGNALS)
     smoothing = SavitzkyGolay(rate, max(WINDOW, 4.5 / rate))
     signal, derivative = (
-        {n: smoothing.apply(np.where(usable, recording[n], np.nan), k) for n in hose_dynamics.SIGNALS}
-        for k in (0, 1)
+        {n: smoothing.apply(np.where(usable, recording[n], np.nan), k) for n in hoses.SIGNALS} for k in (0, 1)
     )
     length, bore = (recording.numeric_condition(n) for n in ("length", "diameter"))
     own, density, viscosity, its_length, its_bore = (
@@ -200,7 +199,7 @@ def motion(recording: Recording, joint: str, known: Known, length: int) -> tuple
     row, rate, p = momentum.JOINTS.index(joint), uniform_rate(recording), momentum.parameter_vector(known)
     p[momentum.PARAMETERS.index(named(joint))] = 0.0
     kernel = SavitzkyGolay(rate, (length - 1) / rate, momentum.ORDER)
-    raw, _, z, good = momentum.filtered(recording, (joint,), kernel)
+    raw, _, z, good = momentum.filtered(recording, joint, kernel)
     q, w, pressures = np.split(z[:, good], [3, 6])
     acceleration = np.array([np.correlate(angle, kernel.weights[2], "valid") for angle in raw[:3]])[:, good]
     tank = float(np.mean(recording["swing.tank_pressure"]))

@@ -18,7 +18,9 @@ import numpy as np
 from as_printed import Known, Printed, printed
 from panels import draw
 
-from fmus.identification.procedures import damping, hose_dynamics, hose_resistance, motor_leakage
+from fmus.identification.procedures.damping import DAMPING
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.results import Estimate
 from fmus.machine.parts import FERIC
@@ -29,7 +31,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable
 from orchestrator.data.recording import Recording
 
-PROCEDURES = (hose_resistance, hose_dynamics, motor_leakage, damping)
+PROCEDURES = (HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING)
 REPEATED = ("hose_", "motor_")  # experiments of Figs. 6 to 8
 HEAD = ("Fig.", "parameter", "true", "printed", "off %", "+- %", "holds", "ours", "off %", "+- %", "holds")
 COUNTS = ("Fig.", "parameter", "off %", "by samples", "hold", "by groups", "hold", "ours", "hold")

@@ -12,7 +12,8 @@ a filter. With G = de/d(samples of a sensor), sd its noise and z_0 the zeros of 
     minimise  e' S^-1 e + sum 3 (z_0 / limit)^2        with de/dz_0 = G 1
 
 The zeros are columns of the regression. A data sheet bounds them and tells no more, so that all zeros up to
-its limit are equally likely: the standard deviation of their prior is limit / sqrt(3) (`zero_sd`).
+its limit are equally likely: the standard deviation of their prior is limit / sqrt(3) (`limit_sd`). The delay
+of a logger against the others is an unknown, too, with the column G y'.
 e and its derivatives are taken at the estimated true signals y - z_0 - sd^2 G' S^-1 e, so noise in regressors
 does not bias theta (H. I. Britt and R. H. Luecke, The estimation of parameters in nonlinear, implicit models,
 Technometrics 15, 1973, 233-247). A window has far more samples than balances, so most of the noise stays in
@@ -26,7 +27,7 @@ errors of the model.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -35,12 +36,12 @@ import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy import linalg, optimize, sparse, stats
+from scipy import linalg, ndimage, optimize, sparse, stats
 from scipy.linalg.lapack import dtbtrs
 from scipy.signal import savgol_filter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
-from fmus.identification.results import BAR, LITRES_PER_MINUTE, Estimate, Finding
+from fmus.identification.results import Estimate
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.recording import Mask
@@ -58,12 +59,8 @@ ITERATIONS = 60  # at most
 ALTERNATING = 10  # iterations from which on the signals move by half a step, because some alternate
 CONVERGED = 1e-2  # standard deviations, of the last step
 CORRELATION = 4  # lengths of a window over which residuals may be correlated
-NOISE_KNOWN = 2.0  # factor to which the noise of a sensor is known
-LAGS, CORRELATED = 5, 0.2  # windows, and correlation of whitened residuals that is no contradiction
-UNTOLD = 5.0  # limits of a zero above which its standard deviation allows no test
-SHIFT = 0.5  # sample times by which two sensors may be apart
-METERS = {"pressure": ("pressure sensor", BAR), "flow": ("flow meter", LITRES_PER_MINUTE)}  # by names
 TINY = 1e-300  # variance of a column without effect
+SLOPE = 9  # samples of the polynomials whose slopes are the effect of a delay
 SMALLEST = 1e-6  # noise of a sensor over the largest of its samples, if it is described as perfect
 
 
@@ -284,7 +281,7 @@ class Whitened:
     linear    the balance at the estimated true signals, its `e` that of the measured signals
     g         `linear.g` as a matrix
     factor    Cholesky factor of S = cov(e), in bands
-    columns   de/d(unknowns of all recordings), then -de/d(zeros), shape (unknowns + zeros, N)
+    columns   de/d(unknowns of all recordings), -de/d(zeros), de/d(delays), shape (unknowns, N)
     e         residual, shape (N,)
     """
 
@@ -305,11 +302,14 @@ class Whitened:
         return np.asarray(measured - variance * (self.g.T @ weighted).reshape(measured.shape))
 
 
-def whitened(s: Samples, true: Array, measured: Array, x: Mapping[str, float]) -> Whitened:
+def whitened(
+    s: Samples, true: Array, measured: Array, x: Mapping[str, float], delays: Mapping[str, Collection[str]]
+) -> Whitened:
     """The balance linearised at the signals `true` (k, n), and extended to the measured ones.
 
-    x          all unknowns, then zeros by the names of their sensors
-    measured   samples without these zeros
+    x          all unknowns, then zeros by the names of their sensors, and delays
+    measured   samples without these zeros and delays
+    delays     name of a delay -> sensors that have it
     """
     theta = np.array([x[n] for n in s.names])
     linear = linearised(s, true, theta)
@@ -321,6 +321,12 @@ def whitened(s: Samples, true: Array, measured: Array, x: Mapping[str, float]) -
     bands[0] *= 1 + 1e-12  # rounding
     columns = dict(zip(s.names, linear.by_theta, strict=True))
     columns |= dict(zip(s.sensors, -linear.g.sum(axis=-1), strict=True))
+    if delays:
+        width = min(SLOPE, s.raw.shape[1] - 1 | 1)
+        slopes = savgol_filter(measured, width, 3, deriv=1, delta=1 / s.rate, axis=1)
+    for name, late in delays.items():
+        by_delay = g @ (np.isin(s.sensors, list(late))[:, None] * slopes).ravel()
+        columns[name] = by_delay.reshape(-1, s.law.rows).T
     every = flat(np.array([columns.get(n, np.zeros_like(linear.e)) for n in x]))
     linear = replace(linear, e=e.reshape(-1, s.law.rows).T)
     raw = Whitened(linear, g, linalg.cholesky_banded(bands, lower=True), every, e)
@@ -476,7 +482,7 @@ class Solution:
     @property
     def cost(self) -> float:
         """Chi-square with the zeros by their priors."""
-        zeros = sum((self.every[n] / zero_sd(limit)) ** 2 for n, limit in self.limits.items())
+        zeros = sum((self.every[n] / limit_sd(limit)) ** 2 for n, limit in self.limits.items())
         return self.fit.chi_square + zeros
 
     @cached_property
@@ -507,6 +513,17 @@ class Solution:
         value, covariance = self.effects(np.array([column, *given]))
         return float(value[0]), math.sqrt(covariance[0, 0])
 
+    def free(self, sensor: str) -> tuple[float, float]:
+        """Zero of a sensor without its own prior, and its standard deviation; the others keep theirs."""
+        row, x = self.every.names.index(sensor), self.every.values
+        if not np.any(self.normal.columns[row]):
+            return float(x[row]), math.inf
+        alone = replace(self.normal, prior=np.where(np.arange(x.size) == row, 0.0, self.normal.prior))
+        step = alone.step(self.residual, x)
+        left = self.residual + step @ self.normal.columns
+        scatter = max(1.0, float(left @ left) / max(self.fit.freedom, 1))
+        return float(x[row] + step[row]), math.sqrt(alone.inverse[row, row] * scatter)
+
     def by_known(self) -> Array:
         """d estimate / d known constant, shape (estimates, constants); all recordings have the same."""
         estimates, influence = len(self.fit.names), -self.normal.inverse @ self.normal.columns
@@ -528,6 +545,7 @@ def solve(
     limits: Mapping[str, float] | None = None,
     tested: Collection[str] = (),
     priors: Mapping[str, float] | None = None,
+    delays: Mapping[str, Collection[str]] | None = None,
 ) -> Solution:
     """Fit of the laws of all recordings; Problem if it does not converge.
 
@@ -535,18 +553,20 @@ def solve(
     limits   sensor -> largest error of its zero by its data sheet; a sensor without one has no zero
     tested   unknowns that keep their initial value
     priors   unknown -> standard deviation of its initial value, which is zero
+    delays   unknown -> sensors that are late by it [s] against the others
     """
-    limits = {n: limit for n, limit in (limits or {}).items() if limit > 0}
+    limits, delays = {n: limit for n, limit in (limits or {}).items() if limit > 0}, delays or {}
+    start = {**start, **dict.fromkeys(delays, 0.0)}
     fitted = tuple(n for n in start if n not in tested)
     free, x = (*fitted, *limits), {**start, **dict.fromkeys(limits, 0.0)}
-    sds = {n: zero_sd(limit) for n, limit in limits.items()} | dict(priors or {})
+    sds = {n: limit_sd(limit) for n, limit in limits.items()} | dict(priors or {})
     prior = np.array([sds.get(n, math.inf) ** -2.0 for n in free])
     bound = np.array([limits.get(n, math.inf) for n in free])
     moved = np.zeros(len(free))  # since the start
     measured = true = [s.raw for s in samples]
     for iteration in range(ITERATIONS):
         try:
-            parts = [whitened(s, t, y, x) for s, t, y in zip(samples, true, measured, strict=True)]
+            parts = [whitened(s, t, y, x, delays) for s, t, y in zip(samples, true, measured, strict=True)]
         except (ValueError, np.linalg.LinAlgError):  # terms that are not finite, or no noise at all
             break
         normal = Normal(np.concatenate([p.columns[[n in free for n in x]] for p in parts], axis=1), prior)
@@ -569,20 +589,29 @@ def solve(
                 wider = normal.covariance(e, samples, max(1.0, found.times_noise**2))
                 found = replace(found, covariance=wider)
             return Solution(found, limits, tuple(x), normal, samples, parts)
-        measured = [s.raw - np.array([[x[n] if n in limits else 0.0] for n in s.sensors]) for s in samples]
+        measured = [_corrected(s, {n: x[n] for n in (*limits, *delays)}, delays) for s in samples]
         every = zip(samples, parts, measured, true, strict=True)
         share = 0.5 if iteration > ALTERNATING else 1.0
         true = [t + share * (p.most_probable(y, s.sd**2 / k_square) - t) for s, p, y, t in every]
     raise Problem(f"{label}: the fit of {first_names(fitted)} did not converge")
 
 
-def zero_sd(limit: float) -> float:
+def _corrected(s: Samples, x: Mapping[str, float], delays: Mapping[str, Collection[str]]) -> Array:
+    """The samples without zeros and delays x."""
+    raw: Array = s.raw - np.array([[x.get(n, 0.0)] for n in s.sensors])
+    for name, late in delays.items():
+        for row in np.flatnonzero(np.isin(s.sensors, list(late)) & (x[name] != 0)):
+            raw[row] = ndimage.shift(raw[row], -x[name] * s.rate, mode="nearest")
+    return raw
+
+
+def limit_sd(limit: float) -> float:
     """Standard deviation of a zero that is anywhere up to a limit: that of a uniform distribution."""
     return limit / math.sqrt(3)
 
 
 def zero_limit(sd: float) -> float:
-    """The limit whose `zero_sd` is a standard deviation."""
+    """The limit whose `limit_sd` is a standard deviation."""
     return sd * math.sqrt(3)
 
 
@@ -595,123 +624,3 @@ def probability(value: float, sd: float, tolerance: float = 0.0, *, sides: int =
         return 1.0
     size = abs(value) if sides == 2 else value
     return float(min(1.0, sides * stats.norm.sf((size - tolerance) / sd))) if size > tolerance else 1.0
-
-
-def misfit_remark(fit: Regression, equation: str) -> tuple[str, ...]:
-    """A sentence if the equation cannot explain the data, else nothing."""
-    if not fit.misfit:
-        return ()
-    return (
-        f"{equation} leaves residuals {fit.times_noise:.3g} times as large as the noise: the model is "
-        "incomplete. The intervals are widened by that factor.",
-    )
-
-
-def zero_findings(solution: Solution, label: str) -> Iterator[Finding]:
-    """For each pressure sensor and flow meter: whether the data want its zero outside its declaration.
-
-    The zero is estimated without its own prior; the zeros of the other sensors keep theirs.
-    """
-    normal, e, x = solution.normal, solution.residual, solution.every.values
-    for k, (sensor, limit) in enumerate(solution.limits.items(), len(solution.fit.names)):
-        kind = next((word for word in METERS if word in sensor), None)
-        if kind is None or not np.any(normal.columns[k]):
-            continue
-        alone = replace(normal, prior=np.where(np.arange(x.size) == k, 0.0, normal.prior))
-        step = alone.step(e, x)
-        left = e + step @ normal.columns
-        scatter = float(left @ left) / max(solution.fit.freedom, 1)
-        zero, sd = x[k] + step[k], math.sqrt(alone.inverse[k, k] * max(1.0, scatter))
-        if sd > UNTOLD * limit:
-            continue  # the data tell nothing about this zero
-        name, (unit, one) = METERS[kind]
-        yield Finding(
-            f"zero of a {name}",
-            probability(zero, sd, limit),
-            f"{label}: the data fit best with a zero of {sensor} of {zero / one:.3g} +- {sd / one:.2g} "
-            f"{unit}; the declared limit is {limit / one:.3g} {unit}",
-        )
-
-
-def model_finding(solution: Solution, label: str) -> Finding:
-    """Whether the residual is an effect that the law lacks: too large, or correlated beyond noise.
-
-    A noise that is known to a factor of two (`NOISE_KNOWN`) and neighbours with a correlation of
-    `CORRELATED` are no contradiction; the interval covers them. Without noise nothing is tested.
-    """
-    fit, samples = solution.fit, solution.samples
-    sentence = f"{label}: the residuals are {fit.times_noise:.3g} times the noise of the sensors"
-    exact = any(np.any(s.sd[:, 0] <= SMALLEST * np.max(np.abs(s.raw), axis=1)) for s in samples)
-    if exact or fit.freedom < 1:
-        return Finding("model", 1.0, sentence)
-    too_large = float(stats.ncx2.sf(fit.chi_square, fit.freedom, (NOISE_KNOWN**2 - 1) * fit.freedom))
-    correlated, largest = 1.0, 0.0
-    if fit.freedom >= LAGS * 10 and samples[0].bump.size > 1:
-        correlated, largest = _correlation(solution)
-    if correlated < too_large:
-        sentence += f", and neighbours in time have a correlation of {largest:.2g}"
-    return Finding("model", min(1.0, 2 * too_large, 2 * correlated), sentence)
-
-
-def _correlation(solution: Solution) -> tuple[float, float]:
-    """Probability that no neighbours are correlated by more than `CORRELATED`; the largest correlation."""
-    rows = [p.e.reshape(-1, s.law.rows) for s, p in zip(solution.samples, solution.parts, strict=True)]
-    total, least, largest = max(solution.fit.chi_square, solution.fit.freedom), 1.0, 0.0
-    for lag in range(1, LAGS + 1):
-        products = np.concatenate([(r[lag:] * r[:-lag]).ravel() for r in rows])
-        rho = float(products.sum()) / total
-        least = min(least, probability(rho, products.size**-0.5, CORRELATED))
-        largest = max(largest, abs(rho))
-    return LAGS * least, largest
-
-
-def delay(solution: Solution, sensors: Collection[str], given: Sequence[str] = ()) -> tuple[float, float]:
-    """Time [s] by which some sensors are late against the others, to first order, and its standard deviation.
-
-    given   tested unknowns that are estimated together with the delay
-    """
-    rows = []
-    for s, part in zip(solution.samples, solution.parts, strict=True):
-        late = np.isin(s.sensors, list(sensors))[:, None]
-        change = savgol_filter(s.raw, min(9, s.raw.shape[1] - 1 | 1), 3, deriv=1, delta=1 / s.rate, axis=1)
-        rows.append(part.whiten(part.g @ (late * change).ravel()))
-    value, sd = solution.effect(np.concatenate(rows), [solution.column(n) for n in given])
-    return value, sd or math.inf
-
-
-def shift_finding(
-    solution: Solution, sensors: Collection[str], label: str, given: Sequence[str] = ()
-) -> Finding:
-    """Whether some sensors are late against the others, by more than `SHIFT` samples."""
-    late_by, sd = delay(solution, sensors, given)
-    return Finding(
-        "time shift",
-        probability(late_by, sd, SHIFT / solution.samples[0].rate),
-        f"{label}: {', '.join(sensors)} would have to be {1e3 * late_by:.3g} +- {1e3 * sd:.2g} ms late",
-    )
-
-
-def drift_finding(
-    solution: Solution,
-    name: str,
-    courses: Sequence[tuple[Array, str]],
-    label: str,
-    given: Sequence[Array] = (),
-) -> Finding:
-    """Whether an unknown changes in time or with the temperature of the oil.
-
-    A change of less than the standard deviation of the unknown is no contradiction.
-
-    courses   time or temperature of each window of each recording, and the word for it
-    given     whitened columns that are estimated together, (N,) each
-    """
-    along, word = np.concatenate([values for values, _ in courses]), courses[0][1]
-    span = float(np.ptp(along))
-    along = np.repeat((along - along.mean()) / (span or 1.0), solution.samples[0].law.rows)
-    change, sd = solution.effect(solution.column(name) * along, given)
-    percent = 100 / abs(solution.fit[name])
-    return Finding(
-        "oil temperature",
-        probability(change, sd, solution.fit.sd(name)),
-        f"{label} changes with the {word} by {percent * change:+.3g} +- {percent * sd:.2g} % over all of it",
-    )

@@ -33,9 +33,7 @@ def run(
     page: Path,
     *,
     joint: bool = True,
-    inertial: bool = False,
     names: Sequence[str] = FREE,
-    starts: int = 0,
 ) -> int:
     """Read the recordings, identify, write parameters and report; prints the progress.
 
@@ -60,9 +58,7 @@ def run(
     identified = identify(
         recordings,
         joint=joint,
-        inertial=inertial,
         names=names,
-        starts=starts,
         report=print,
         activity=doing,
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
-from fmus.identification.balance import zero_sd
+from fmus.identification.balance import limit_sd
 from fmus.identification.recordings.reading import MACHINE, add
 from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.problem import (
@@ -177,7 +177,7 @@ def _zeros(recordings: Sequence[Recording], signals: Mapping[str, str]) -> Itera
         declared = [r.sensor(name).zero_error or 0.0 for r in recordings if name in r.signals]
         if (most := max(declared, default=0.0)) > 0:
             unit = quantities(HARVESTER.outputs)[output].unit
-            yield FreeParameter(zero_of(output), 0.0, unit, zero_sd(most), -most, most, scale=most)
+            yield FreeParameter(zero_of(output), 0.0, unit, limit_sd(most), -most, most, scale=most)
 
 
 def _measured_outputs(training: Sequence[Recording]) -> tuple[str, ...]:

@@ -6,30 +6,23 @@ Each procedure uses the estimates of those before it. No file is written.
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from types import ModuleType
 
 from fmus.identification import machine
 from fmus.identification.machine import Parameters, nominal, short_name, updated
-from fmus.identification.procedures import (
-    damping,
-    hose_dynamics,
-    hose_resistance,
-    inertia,
-    motor_leakage,
-    rest,
-    valve,
-    weighing,
-)
+from fmus.identification.procedures import rest
+from fmus.identification.procedures.damping import DAMPING
+from fmus.identification.procedures.fit import Procedure
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
+from fmus.identification.procedures.motor_leakage import MOTOR_LEAKAGE
+from fmus.identification.procedures.valve import VALVE
+from fmus.identification.procedures.weighing import WEIGHING
 from fmus.identification.recording_names import check_names, check_units
 from fmus.identification.recordings.reading import MACHINE
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.refine import (
-    SPREAD,
-    RandomStart,
     RefinementResult,
     advice,
     compiled,
-    multistart,
     refine,
 )
 from fmus.identification.results import Estimate, Finding, ProcedureResult
@@ -39,16 +32,10 @@ from orchestrator.base.text import first_names
 from orchestrator.data.recording import Recording
 
 # zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
-PROCEDURES: Mapping[str, ModuleType] = {
-    "rest": rest,
-    "valve": valve,
-    "hose_resistance": hose_resistance,
-    "hose_dynamics": hose_dynamics,
-    "motor_leakage": motor_leakage,
-    "damping": damping,
-    "weighing": weighing,
+PROCEDURES: Mapping[str, Procedure] = {
+    p.name: p
+    for p in (*(rest.REST, VALVE, HOSE_RESISTANCE, HOSE_DYNAMICS, MOTOR_LEAKAGE, DAMPING, WEIGHING),)
 }
-INERTIA = "inertia"
 NO_RECORDING = "no recording"
 DEAD_BAND = "valve_dead_band"
 
@@ -65,7 +52,6 @@ class Identified:
     results       of the procedures that had recordings
     skipped       procedure -> reason why it has no result
     refined       the joint refinement, None without recordings of the machine
-    starts        the refinement from other start points, if requested
     interrupted   whether an interrupt ended the identification early
     """
 
@@ -74,7 +60,6 @@ class Identified:
     results: list[ProcedureResult] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
     refined: RefinementResult | None = None
-    starts: list[RandomStart] = field(default_factory=list)
     interrupted: bool = False
 
     def __repr__(self) -> str:
@@ -120,9 +105,7 @@ def identify(
     *,
     parameters: Parameters | None = None,
     joint: bool = True,
-    inertial: bool = False,
     names: Sequence[str] = machine.FREE,
-    starts: int = 0,
     report: Report = lambda _: None,
     activity: Activity = lambda _: nullcontext(),
 ) -> Identified:
@@ -130,9 +113,7 @@ def identify(
 
     parameters   known values, `part.name`; by default those of the parameter files
     joint        refine all parameters together if there are recordings of the machine
-    inertial     also estimate the inertial parameters by their procedure; the paper took them from CAD
     names        parameters of the joint refinement
-    starts       number of random start points from which the refinement is repeated
     report       called with lines about the progress and the result of each procedure
     activity     context manager around what takes long, called with a text
     """
@@ -142,15 +123,15 @@ def identify(
         expected = ", ".join((*PROCEDURES, MACHINE))
         raise Problem(f"[experiment] procedure: expected one of {expected}, got {unknown[0]!r}")
     machine.check_free(names)
-    signals = {name: module.SIGNALS for name, module in PROCEDURES.items()}
+    signals = {name: procedure.signals for name, procedure in PROCEDURES.items()}
     check_names(recordings, signals)  # before their units
     check_units([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
     stated = [machine.with_return_line(r) if r.procedure == MACHINE else r for r in recordings]
     identified = Identified(stated, dict(parameters or nominal()))
     try:
-        _run_procedures(identified, procedures, inertial, report, activity)
+        _run_procedures(identified, procedures, report, activity)
         if joint and MACHINE in procedures:
-            _run_joint(identified, names, starts, report, activity)
+            _run_joint(identified, names, report, activity)
     except KeyboardInterrupt:  # estimates until the interrupt are kept
         if not identified.results and identified.refined is None:
             raise
@@ -170,11 +151,11 @@ def _no_result(procedures: set[str], joint: bool) -> str:
 
 
 def _run_procedures(
-    identified: Identified, recorded: Collection[str], inertial: bool, report: Report, activity: Activity
+    identified: Identified, recorded: Collection[str], report: Report, activity: Activity
 ) -> None:
     """The paper's procedures in its order; a procedure that fails does not stop the others."""
-    for name, procedure in {**PROCEDURES, **({INERTIA: inertia} if inertial else {})}.items():
-        if name not in recorded and not (name == INERTIA and {"damping", MACHINE} & set(recorded)):
+    for name, procedure in PROCEDURES.items():
+        if name not in recorded:
             identified.skipped[name] = NO_RECORDING
             continue
         try:
@@ -184,16 +165,14 @@ def _run_procedures(
             identified.skip(name, error, report)
             continue
         identified.results.append(result)
-        if procedure is rest:
+        if procedure is rest.REST:
             identified.recordings = rest.subtracted(identified.recordings, result)
         identified.parameters = updated(identified.parameters, (*result.estimates, *result.listed))
         report(str(result))
 
 
-def _run_joint(
-    identified: Identified, names: Sequence[str], starts: int, report: Report, activity: Activity
-) -> None:
-    """The joint refinement, and its repetition from other start points."""
+def _run_joint(identified: Identified, names: Sequence[str], report: Report, activity: Activity) -> None:
+    """The joint refinement."""
     recordings = [r for r in identified.recordings if r.procedure == MACHINE]
     second = [  # points of the openings of all edges, 0 of those without a table
         number.value
@@ -214,17 +193,6 @@ def _run_joint(
     identified.parameters = updated(identified.parameters, machine.estimates(refined))
     identified.recordings = machine.without_zeros(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
-    if not starts or identified.interrupted:
-        return
-    try:
-        with activity(f"refinement from {starts} random starts"):
-            for start in multistart(refined, starts):  # an interrupt keeps those that ended
-                identified.starts.append(start)
-    finally:
-        if found := identified.starts:
-            away = f"up to {100 * SPREAD:.0f} % away or twice the prior standard deviation"
-            same = f"{sum(start.same for start in found)} of {len(found)}"
-            report(f"random starts, {away}: {same} lead to the same result, on every fourth sample")
 
 
 def refine_together(

@@ -56,9 +56,7 @@ def identify(
     out: File = Path("parameters.toml"),
     report: Folder = BUILD,
     joint: bool = True,
-    inertia: bool = False,
     free: Annotated[list[str] | None, Kind("NAME")] = None,
-    starts: Annotated[int, Kind("N")] = 4,
 ) -> int:
     """Estimate the machine's parameters from recordings.
 
@@ -72,11 +70,8 @@ def identify(
     out       File for the estimated parameters (.toml).
     report    Folder of identification.html and identification.json.
     joint     Refine all parameters together, if there is a recording of the whole machine.
-    inertia   Also estimate inertial parameters, from the motion of the joints.
     free      Parameter that `joint` may change, by its name in parameters.toml; default: those that a work
               cycle excites.
-    starts    Repeat the refinement from N random starts, to check whether the result is the same; 0: no
-              repetitions.
     """
     require("identify", "harvester identify")
     from fmus.identification.command import run as run_identify
@@ -86,4 +81,4 @@ def identify(
     make_folder(out.parent)
     make_folder(report)
     names = tuple(free or FREE)
-    return run_identify(folder, out, report, joint=joint, inertial=inertia, names=names, starts=starts)
+    return run_identify(folder, out, report, joint=joint, names=names)

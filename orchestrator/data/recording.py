@@ -244,7 +244,8 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
             told = f"in {unit}, but read in {spec.unit}, as {description_file.name} states"
             tell_once(f"{file}: column {column[name]!r}: {told}")
-    conditions = {name: _condition(value) for name, value in description.experiment.items()}
+    stated = description.experiment.items()
+    conditions = {n: x if n in WORDS and isinstance(x, str) else _condition(x) for n, x in stated}
     time = _seconds(columns, description)
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     signals = {n: _si(corrected(columns.values[column[n]], time, s), s.unit) for n, s in specs}
@@ -276,6 +277,7 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
 
 
 LONGEST_GAP = 0.1  # [s]; an operator needs longer to move a lever
+WORDS = ("procedure", "use", "note")  # keys of [experiment] that are texts, also if they look like a number
 OUTSIDE = 0.05  # of the span, beyond its ends; the noise of a sensor is smaller
 
 

@@ -11,9 +11,9 @@ import pytest
 from kit import shards
 from kit.mistakes import refused, table
 
+from fmus.identification import pipeline
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
-from fmus.identification.procedures import motor_leakage
 from fmus.identification.results import Finding
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
@@ -117,7 +117,7 @@ def test_the_joint_refinement_returns_the_machine(everything, here, capsys, monk
     """All parameters of the default set at once, from 60 s: nearly all intervals cover the truth."""
     here(everything, "machine")
     monkeypatch.setattr("os.cpu_count", lambda: 2)
-    assert main(["identify", "mine", "--out", "joint.toml", "--starts", "0"]) == 0
+    assert main(["identify", "mine", "--out", "joint.toml"]) == 0
     tables = found("joint.toml")
     assert set(tables) == {short_name(name, nominal()) for name in FREE}
     assert len(tables) >= 15
@@ -134,8 +134,7 @@ def test_the_joint_refinement_returns_the_machine(everything, here, capsys, monk
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("starts", ["0", pytest.param("1", marks=shards.machine)])
-def test_swapped_levers_are_warned_of(recordings, here, capsys, starts):
+def test_swapped_levers_are_warned_of(recordings, here, capsys):
     """A model that does not follow its training data is a warning, with advice."""
     here(recordings, "machine_train_1")
     boom, stick = '[signals."boom_stick.boom_command"]', '[signals."boom_stick.stick_command"]'
@@ -145,11 +144,8 @@ def test_swapped_levers_are_warned_of(recordings, here, capsys, starts):
         (boom, f'{boom}\ncolumn = "boom_stick.stick_command"'),
         (stick, f'{stick}\ncolumn = "boom_stick.boom_command"'),
     )
-    assert main(["identify", "mine", "--starts", starts, "--free", "valve_area"]) == 1
+    assert main(["identify", "mine", "--free", "valve_area"]) == 1
     printed = capsys.readouterr().out
-    assert ("random starts, up to 25 % away or twice the prior standard deviation: " in printed) == (
-        starts == "1"
-    )
     for expected in (
         "warning: ",
         "times as large as the noise of the sensors (",
@@ -196,11 +192,12 @@ def test_a_named_fault_is_a_warning_with_a_status_of_its_own(
 ):
     """Of two tests one may be at 0.5 % [Holm]; printed, on the page and in the JSON file, with its name."""
     here(recordings, "motor_leakage")
-    identified = motor_leakage.identify
+    procedure = pipeline.PROCEDURES["motor_leakage"]
     tests = (Finding("noise", 0.9, "Never told."), Finding("saturated signal", p, "It ends at 5 <L/min>."))
-    monkeypatch.setattr(
-        motor_leakage, "identify", lambda *given: replace(identified(*given), panels=(), findings=tests)
+    changed = replace(
+        procedure, identify=lambda *given: replace(procedure.identify(*given), panels=(), findings=tests)
     )
+    monkeypatch.setitem(pipeline.PROCEDURES, "motor_leakage", changed)
     assert main(["identify", "mine"]) == status
     printed = capsys.readouterr().out
     assert ("warning: motor_leakage: It ends at 5 <L/min>.\n" in printed) == (status == 3)

@@ -19,7 +19,7 @@ def recording(procedure, names, **conditions):
 
 
 def check(*recordings):
-    check_names(recordings, {name: module.SIGNALS for name, module in PROCEDURES.items()})
+    check_names(recordings, {name: p.signals for name, p in PROCEDURES.items()})
 
 
 # each mistake once: both procedures have the signals of the machine

@@ -11,7 +11,6 @@ import pytest
 from fmus.identification import command, pipeline
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
-from fmus.identification.refinement.refine import RandomStart
 from fmus.identification.results import Estimate, ProcedureResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
@@ -31,7 +30,7 @@ def interrupt(*_: object, **__: object) -> None:
 def quick(monkeypatch):
     """Only the valve, estimated without computation."""
     found = ProcedureResult("valve", "Valve", 5, (AREA,), ())
-    procedure = SimpleNamespace(SIGNALS={}, identify=lambda *_: found)
+    procedure = SimpleNamespace(signals={}, identify=lambda *_: found)
     monkeypatch.setattr(pipeline, "PROCEDURES", {"valve": procedure})
     return monkeypatch
 
@@ -42,30 +41,20 @@ def searched(reason):
     return lambda *_: SimpleNamespace(reason=reason, problem=WITHOUT_ZEROS, estimates=lambda: better)
 
 
-def one_start(*_):
-    """The second one is interrupted."""
-    yield RandomStart(np.zeros(1), 0.0, 1.0, 5)
-    raise KeyboardInterrupt
-
-
 @pytest.mark.parametrize(
-    ("refine", "restart", "area", "starts"),
+    ("refine", "area"),
     [
-        (interrupt, None, AREA.value, 0),  # before its first iteration: the valve is left
-        (searched("interrupted"), lambda *_, **__: pytest.fail("restarted"), 3e-5, 0),
-        (searched("converged"), one_start, 3e-5, 1),
+        (interrupt, AREA.value),  # before its first iteration: the valve is left
+        (searched("interrupted"), 3e-5),
     ],
 )
-def test_an_interrupt_keeps_what_is_finished(quick, refine, restart, area, starts):
-    """In the search its best point so far, and the random starts are skipped; in these its result, and those
-    that ended."""
+def test_an_interrupt_keeps_what_is_finished(quick, refine, area):
+    """In the joint refinement the results of the procedures, or its best point so far."""
     quick.setattr(pipeline, "refine_together", refine)
-    quick.setattr(pipeline, "multistart", restart)
-    found = identify([VALVE, MACHINE], starts=4)
+    found = identify([VALVE, MACHINE])
     assert found.interrupted
     assert list(found.estimates) == ["valve_area"]
     assert found.parameters["swing.valve_area"].value == area
-    assert len(found.starts) == starts
     assert (found.refined is None) == (refine is interrupt)
     assert identify([VALVE]).interrupted is False
 

@@ -9,40 +9,40 @@ Validity: viscous friction, all other parameters known. A dry friction is a furt
 absorbs all other effects, as the paper notes; the remarks quantify them.
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from fmus.identification import balance
-from fmus.identification.balance import Solution
+from fmus.identification.balance import Samples
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance as momentum
+from fmus.identification.procedures.fit import Fit, Procedure, Quantity, fitted
 from fmus.identification.recordings.reading import require
-from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult
+from fmus.identification.results import Estimate, Finding, Panel, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
-from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = momentum.SIGNALS  # of the pressures only those of the joint are needed
 SIGN_ROUNDING = 0.003  # rms speeds over which the sign of a dry friction is rounded; 0.03 biases B by 4 %
 MOVING = 3.0  # standard deviations of its noise above which a root mean square speed is a motion
 SLOWEST = 1e-6  # rad/s: a smaller speed is a rounding error
-MAX_POINTS = 1500  # points drawn
 CLEAR = 4.0  # standard deviations above which a dry friction is reported, and estimated together with B
 
 
 @dataclass(frozen=True)
 class FrictionContact:
-    """Location of a viscous friction: its parameter, and labels and units of speed and resistance."""
+    """Location of a viscous friction: its parameter, and names and units of speed and resistance."""
 
-    joint: str
     parameter: str
     unit: str
-    speed: tuple[str, str]
-    resistance: tuple[str, str]
+    speed: str
+    speed_unit: str
+    resistance: str
+    force_unit: str
 
     @property
     def theta(self) -> str:
@@ -50,53 +50,15 @@ class FrictionContact:
         return f"manipulator.{self.parameter}"
 
 
-BY_JOINT = {
-    joint: FrictionContact(joint, f"{joint}_{parameter}", unit, (speed, speed_unit), (resistance, force_unit))
-    for joint, parameter, unit, speed, speed_unit, resistance, force_unit in (
-        ("swing", "damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"),
-        ("boom", "piston_damping", "N.s/m", "speed of the boom piston", "m/s", "force of its friction", "N"),
-        (
-            "stick",
-            "piston_damping",
-            "N.s/m",
-            "speed of the stick piston",
-            "m/s",
-            "force of its friction",
-            "N",
-        ),
-    )
-}
+def _piston(joint: str) -> FrictionContact:
+    speed = f"speed of the {joint} piston"
+    return FrictionContact(f"{joint}_piston_damping", "N.s/m", speed, "m/s", "force of its friction", "N")
 
 
-@dataclass(frozen=True)
-class JointDamping:
-    """Damping of one joint, estimated from its recordings.
-
-    speed, resistance   x' and a of (13), filtered, shape (n,)
-    known_effect        effect of errors of the known parameters
-    dry, dry_sd         dry friction: tested, or estimated with B if it is clear
-    at_rest             names of files in which the joint does not move, which are left out
-    """
-
-    contact: FrictionContact
-    records: Sequence[momentum.JointRecording]
-    solution: Solution
-    speed: Array
-    resistance: Array
-    known_effect: momentum.KnownParameterEffect
-    dry: float
-    dry_sd: float
-    at_rest: tuple[str, ...]
-
-    @property
-    def value(self) -> float:
-        """B."""
-        return float(self.solution.fit.values[0])
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation by the recordings."""
-        return self.solution.fit.sd(self.contact.theta)
+SWING = FrictionContact(
+    "swing_damping", "N.m.s/rad", "swing speed", "rad/s", "torque of the gear's friction", "N.m"
+)
+BY_JOINT = {"swing": SWING, "boom": _piston("boom"), "stick": _piston("stick")}
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
@@ -106,149 +68,127 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         joint = data.condition(recording, "joint", BY_JOINT)
         require(recording, dict.fromkeys(momentum.PRESSURES[joint], "Pa"))
         by_joint[joint].append(recording)
-    joints = [joint_damping(BY_JOINT[j], r, parameters) for j, r in by_joint.items() if r]
+    estimates, others, panels = list[Estimate](), list[Estimate](), list[Panel]()
+    remarks, findings = list[str](), list[Finding]()
+    for joint, own in ((j, own) for j, own in by_joint.items() if own):
+        contact, fit, at_rest = BY_JOINT[joint], *joint_fit(joint, own, parameters)
+        b, effect = (
+            fit[contact.theta],
+            momentum.known_parameter_effects(fit.solution, parameters)[contact.theta],
+        )
+        dry, dry_sd, note = *dry_friction(fit), f"eq. (13) by impulses and momenta{effect.note}"
+        if b > 0:
+            estimates.append(
+                Estimate.normal(contact.parameter, b, contact.unit, effect.total, note, minimum=0.0)
+            )
+        if effect.note:
+            alone, note = f"{contact.parameter}, other parameters known exactly", "by the recordings alone"
+            others.append(fit.estimate(Quantity(alone, contact.unit, contact.theta, note)))
+        if dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
+            name, note = f"dry friction next to {contact.parameter}", "as a further unknown of (13)"
+            others.append(Estimate.normal(name, dry, contact.force_unit, dry_sd, note))
+        p, units = (
+            momentum.parameter_vector(parameters),
+            ((contact.speed_unit, 1.0), (contact.force_unit, 1.0)),
+        )
+        ratios = [momentum.speed_ratio(joint, z, p)[s.centres] for s, z in filtered(fit)]
+        panel = Panel(contact.speed, contact.resistance, (), joint, *units)
+        panels += fit.line(panel, contact.theta, per=np.concatenate(ratios))
+        told = (*_remarks(contact, fit, at_rest), *effect.remarks)
+        remarks += [f"{contact.parameter}: {text}" for text in told]
+        findings += _findings(contact, fit)
     return ProcedureResult(
         procedure="damping",
         title="Viscous damping of the joints: resistance over speed",
         figure=9,
-        estimates=tuple(
-            Estimate.normal(
-                joint.contact.parameter,
-                joint.value,
-                joint.contact.unit,
-                joint.known_effect.total,
-                f"eq. (13) by impulses and momenta{joint.known_effect.note}",
-                minimum=0.0,
-            )
-            for joint in joints
-            if joint.value > 0
-        ),
-        panels=tuple(panel for joint in joints for panel in panels(joint)),
-        remarks=tuple(f"{joint.contact.parameter}: {text}" for joint in joints for text in _remarks(joint)),
-        others=tuple(estimate for joint in joints for estimate in _others(joint)),
-        findings=tuple(finding for joint in joints for finding in _findings(joint)),
+        estimates=tuple(estimates),
+        panels=tuple(panels),
+        remarks=tuple(remarks),
+        others=tuple(others),
+        findings=tuple(findings),
     )
 
 
-def joint_damping(
-    contact: FrictionContact, recordings: Sequence[Recording], parameters: Mapping[str, Number]
-) -> JointDamping:
-    """B of one contact."""
-    joint, theta, p = contact.joint, contact.theta, momentum.parameter_vector(parameters)
-    smoothed = [
-        momentum.joint_recording(r, (joint,), (theta,), p, rounding=SIGN_ROUNDING) for r in recordings
-    ]
-    index = momentum.JOINTS.index(joint)
-    records = [r for r in smoothed if _moves(r, index)]
-    if not records:
+def filtered(fit: Fit) -> Iterator[tuple[Samples, np.ndarray]]:
+    """The samples of each recording, and z: angles, speeds and pressures."""
+    return ((s, s.filtered(s.raw)) for s in fit.solution.samples)
+
+
+def joint_fit(
+    joint: str, recordings: Sequence[Recording], parameters: Mapping[str, Number]
+) -> tuple[Fit, list[str]]:
+    """The fit of one joint, and names of the files in which it does not move, which are left out."""
+    theta, index = BY_JOINT[joint].theta, momentum.JOINTS.index(joint)
+    p = momentum.parameter_vector(parameters)
+    prepare = partial(momentum.joint_samples, joint=joint, theta=(theta,), p=p, rounding=SIGN_ROUNDING)
+    moving = [r for r in recordings if moves(r, prepare(r), index)]
+    if not moving:
         files = ", ".join(str(r.source) for r in recordings)
         raise Problem(f"{files}: {momentum.ANGLES[index]}: expected a joint in motion, got one at rest")
-    start = {theta: parameters[theta].value, momentum.DRY: 0.0, momentum.OFFSET: 0.0}
-    limits = data.declared_limits(recordings, momentum.PRESSURES[joint])
-    problem = [r.samples for r in records], start, f"damping of the {joint}", limits
-    solution = balance.solve(*problem, tested=(momentum.DRY, momentum.OFFSET))
-    dry, dry_sd = solution.effect(solution.column(momentum.DRY), [solution.column(momentum.OFFSET)])
-    if dry > CLEAR * dry_sd:  # else it would raise B
-        solution = balance.solve(*problem, tested=[momentum.OFFSET])
-        dry, dry_sd = solution.fit[momentum.DRY], solution.fit.sd(momentum.DRY)
-    # the resistance is all friction plus the residual
-    speed, resistance = [], []
-    for r, part in zip(records, solution.parts, strict=True):
-        ratio = momentum.speed_ratio(joint, r.z[:3], p)[r.samples.centres]
-        by_theta = part.linear.by_theta[: len(solution.fit.values), 0]
-        speed.append(-by_theta[0] / ratio)
-        resistance.append((part.linear.e[0] - solution.fit.values @ by_theta) / ratio)
-    return JointDamping(
-        contact=contact,
-        records=records,
-        solution=solution,
-        speed=np.concatenate(speed),
-        resistance=np.concatenate(resistance),
-        known_effect=momentum.known_parameter_effects(solution, parameters)[theta],
-        dry=dry,
-        dry_sd=dry_sd,
-        at_rest=tuple(r.source.source.name for r in smoothed if not _moves(r, index)),
+    solve = partial(
+        fitted,
+        BY_JOINT[joint].parameter,
+        moving,
+        momentum.needed_signals(joint),
+        prepare,
+        {theta: parameters[theta].value, momentum.DRY: 0.0, momentum.OFFSET: 0.0},
+        data.declared_limits(recordings, momentum.PRESSURES[joint]),
+        loggers=[momentum.PRESSURES[joint]],
     )
+    fit = solve(tested=(momentum.DRY, momentum.OFFSET))
+    dry, sd = dry_friction(fit)
+    if dry > CLEAR * sd:  # else it would raise B
+        fit = solve(tested=[momentum.OFFSET])
+    return fit, [r.source.name for r in recordings if not any(r is m for m in moving)]
 
 
-def _moves(r: momentum.JointRecording, joint: int) -> bool:
+def moves(recording: Recording, s: Samples, joint: int) -> bool:
     """Whether the speed of a joint is above its noise."""
-    noise = float(np.linalg.norm(r.samples.channels[3][1]) * data.noise_sd(r.source, momentum.ANGLES[joint]))
-    return bool(np.sqrt(np.mean(r.z[3 + joint] ** 2)) > max(MOVING * noise, SLOWEST))
+    noise = float(np.linalg.norm(s.channels[3][1]) * data.noise_sd(recording, momentum.ANGLES[joint]))
+    rms = np.sqrt(np.mean(s.filtered(s.raw)[3 + joint] ** 2))
+    return bool(rms > max(MOVING * noise, SLOWEST))
 
 
-def _findings(joint: JointDamping) -> Iterator[Finding]:
-    """Tests of the residual: dry friction, a change in time, delays between sensors, zeros, the model."""
-    label, solution, recordings = joint.contact.parameter, joint.solution, [r.source for r in joint.records]
-    pressures = momentum.PRESSURES[joint.contact.joint]
+def dry_friction(fit: Fit) -> tuple[float, float]:
+    """A dry friction, tested or estimated with B, and its standard deviation."""
+    if momentum.DRY in fit.solution.fit.names:
+        return fit[momentum.DRY], fit.sd(momentum.DRY)
+    column = fit.solution.column
+    return fit.solution.effect(column(momentum.DRY), [column(momentum.OFFSET)])
+
+
+def _findings(contact: FrictionContact, fit: Fit) -> Iterator[Finding]:
+    dry, sd = dry_friction(fit)
     yield Finding(
         "dry friction",
-        balance.probability(joint.dry, joint.dry_sd, sides=1),
-        f"{label}: the residual has the sign of the speed, a dry friction of {joint.dry:.3g} +- "
-        f"{joint.dry_sd:.2g} {joint.contact.resistance[1]}",
+        balance.probability(dry, sd, sides=1),
+        f"{fit.label}: the residual has the sign of the speed, a dry friction of {dry:.3g} +- "
+        f"{sd:.2g} {contact.force_unit}",
     )
-    yield balance.drift_finding(solution, joint.contact.theta, data.courses(recordings, solution), label)
-    yield balance.shift_finding(solution, pressures, label, given=(momentum.DRY, momentum.OFFSET))
-    yield from balance.zero_findings(solution, label)
-    yield from data.signal_findings(recordings, (*momentum.ANGLES, *pressures), label)
-    yield balance.model_finding(solution, label)
+    yield from fit.findings({contact.theta: "B"}, free=(momentum.DRY, momentum.OFFSET))
 
 
-def panels(joint: JointDamping) -> tuple[Panel, Panel]:
-    """Resistance over speed with the line, and its residual."""
-    contact, step = joint.contact, max(1, len(joint.speed) // MAX_POINTS)
-    measured = Curve("a, measured", joint.speed[::step], joint.resistance[::step])
-    (speed, speed_unit), (resistance, unit) = contact.speed, contact.resistance
-    units = (speed_unit, 1.0), (unit, 1.0)
-    return Panel(speed, resistance, (measured,), contact.joint, *units).with_line(joint.value, "B x'")
-
-
-def _others(joint: JointDamping) -> Iterator[Estimate]:
-    """B by the recordings alone if its interval differs, and a dry friction."""
-    contact = joint.contact
-    if joint.known_effect.note:
-        name, note = f"{contact.parameter}, other parameters known exactly", "by the recordings alone"
-        yield Estimate.normal(name, joint.value, contact.unit, joint.sd, note)
-    if joint.dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
-        name, note = f"dry friction next to {contact.parameter}", "as a further unknown of (13)"
-        yield Estimate.normal(name, joint.dry, contact.resistance[1], joint.dry_sd, note)
-
-
-def _remarks(joint: JointDamping) -> Iterator[str]:
+def _remarks(contact: FrictionContact, fit: Fit, at_rest: Sequence[str]) -> Iterator[str]:
     """Sentences that follow the parameter's name and a colon."""
-    unit, solution = joint.contact.unit, joint.solution
-    if joint.value <= 0:
+    if fit[contact.theta] <= 0:
         yield (
-            f"{joint.value:.3g} {unit} is not a valid damping, so this estimate is not used: the "
-            "value of a known parameter must be wrong."
+            f"{fit[contact.theta]:.3g} {contact.unit} is not a valid damping, so this estimate is not used: "
+            "the value of a known parameter must be wrong."
         )
-    windows = sum(r.samples.starts.size for r in joint.records)
-    possible, at_end = (sum(getattr(r, n) for r in joint.records) for n in ("possible", "at_stroke_end"))
-    stops = f"; in {at_end} samples a piston was at an end of its stroke" if at_end else ""
-    percent = f"{100 * (1 - windows / possible):.2g} %"
-    left = f"{percent} is left out because of clipped or missing samples nearby{stops}"
-    used = f"{windows} windows of {len(joint.records)} recordings are used"
-    yield f"{used}, {left if windows != possible else 'nothing is left out'}."
-    for name in joint.at_rest:
+    yield from fit.remarks((), "Eq. (13)")
+    for name in at_rest:
         yield f"in {name} the joint is at rest, so this recording is left out."
-    times, noise = solution.fit.times_noise, math.sqrt(solution.normal.inverse[0, 0])
-    conclusion = (
-        "The model is incomplete, and the interval covers the error."
-        if solution.fit.misfit
-        else "Sensor noise explains the residuals, and the interval follows from the noise."
-    )
-    yield (
-        f"the residuals are {times:.3g} times the noise of the sensors, which alone would give a standard "
-        f"deviation of {noise:.3g} {unit}. {conclusion}"
-    )
-    yield from joint.known_effect.remarks
-    if joint.dry < -CLEAR * joint.dry_sd:
+    dry, sd = dry_friction(fit)
+    if dry < -CLEAR * sd:
         yield (
             "the resistance grows more than in proportion to the speed. The dry friction would have "
             "to be negative, which is impossible. Another cause is likely, such as a wrong known parameter."
         )
-    elif joint.dry > CLEAR * joint.dry_sd:
+    elif dry > CLEAR * sd:
         yield (
-            f"there is a dry friction of {joint.dry:.3g} +- {joint.dry_sd:.2g} "
-            f"{joint.contact.resistance[1]}. It is estimated together with B, which does not include it."
+            f"there is a dry friction of {dry:.3g} +- {sd:.2g} {contact.force_unit}. It is estimated "
+            "together with B, which does not include it."
         )
+
+
+DAMPING = Procedure("damping", SIGNALS, identify)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fmus.identification.balance import SIGNIFICANT, Solution
+from fmus.identification.balance import SIGNIFICANT
 from fmus.identification.recording_names import TEMPERATURE
 from fmus.identification.recordings import masks
 from fmus.identification.recordings.clock import filter_for, resample_uniformly
@@ -229,11 +229,6 @@ def course(recording: Recording, when: Array | Sequence[slice]) -> tuple[Array, 
     return np.interp(start + time, recording.time, values), "oil temperature"
 
 
-def courses(recordings: Sequence[Recording], solution: Solution) -> list[tuple[Array, str]]:
-    """The `course` of each recording at the centres of the windows of a balance."""
-    return [course(r, s.times) for r, s in zip(recordings, solution.samples, strict=True)]
-
-
 def concatenate(tables: Sequence[Steps]) -> Steps:
     """The steps of several recordings, one table after the other."""
     columns: dict[str, Any] = {n: np.concatenate([vars(t)[n] for t in tables]) for n in vars(tables[0])}
@@ -256,6 +251,41 @@ def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
         steady &= np.abs(rate) < STEADY * max(noise_of_rate, ripple)  # false if NaN
     cores = [slice(s.start + margin, s.stop - margin) for s in true_intervals(steady)]
     return [s for s in cores if s.stop - s.start >= shortest]
+
+
+@dataclass(frozen=True)
+class SteadyPoints:
+    """Means over steady stretches of all recordings, and their standard errors, shape (signals, n).
+
+    recording   index of the recording of each, shape (n,)
+    along       `course` of each
+    """
+
+    means: Array
+    errors: Array
+    recording: NDArray[np.intp]
+    along: tuple[Array, str]
+
+
+def steady_points(
+    recordings: Sequence[Recording], signals: Iterable[str], steady: Sequence[str], least: int
+) -> SteadyPoints:
+    """The means where the signals `steady` are; Problem if there are fewer than `least`."""
+    columns, indices, along, word = list[Array](), list[int](), list[float](), ""
+    for k, recording in enumerate(recordings):
+        if stretches := steady_stretches(recording, steady):
+            columns.append(np.concatenate(masks.averages(recording, tuple(signals), stretches)))
+            times, word = course(recording, stretches)
+            indices, along = [*indices, *[k] * times.size], [*along, *times]
+    table = np.concatenate(columns, axis=1) if columns else np.empty((2, 0))
+    told = np.isfinite(table).all(axis=0)
+    if told.sum() < least:
+        raise Problem(
+            f"{recordings[0].source}: expected {least} or more stretches of {SHORTEST_STRETCH:g} s with "
+            f"steady {', '.join(steady)}, got {told.sum()}"
+        )
+    means, errors = np.split(table[:, told], 2)
+    return SteadyPoints(means, errors, np.array(indices)[told], (np.array(along)[told], word))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ Savitzky-Golay filter smooths angles and pressures first; the speeds are its der
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
@@ -30,7 +30,6 @@ from fmus.identification.balance import Law, Samples, Solution
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
-from fmus.identification.results import Curve, Panel
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import Design
 from fmus.manipulator.model import forces
@@ -108,24 +107,18 @@ def _parameters_of(sub: Subsystem, p: ca.SX) -> Any:
 
 
 @lru_cache(maxsize=16)
-def momentum_law(joints: tuple[str, ...], theta: tuple[str, ...]) -> Law:
-    """The balance of some joints with parameters theta as unknowns; the constants are p, tank, rounding.
+def momentum_law(joint: str, theta: tuple[str, ...]) -> Law:
+    """The balance of one joint with parameters theta as unknowns; the constants are p, tank, rounding.
 
-    Of one joint it also has a dry friction and a constant force, which act on the speed of the swing or of
-    the piston: tau - J (F_c tanh(x' / rounding) + F_0).
+    Further unknowns are a dry friction and a constant force, which act on the speed of the swing or of the
+    piston: tau - J (F_c tanh(x' / rounding) + F_0).
     """
-    e = symbolic_equations()
-    rows = [JOINTS.index(j) for j in joints]
-    unknowns = {n: ca.SX.sym(n) for n in theta}
-    momentum, force, moment_arm = e.momentum[rows], e.force[rows], e.moment_arm
-    rounding = ca.SX.sym("rounding")
-    if len(rows) == 1:
-        ratio = ca.vertcat(1, moment_arm)[rows[0]]
-        unknowns |= {n: ca.SX.sym(n.replace(" ", "_")) for n in (DRY, OFFSET)}
-        friction = unknowns[DRY] * ca.tanh(ratio * e.w[rows[0]] / rounding) + unknowns[OFFSET]
-        force = force - ratio * friction
-    old = ca.vertcat(*(e.p[PARAMETERS.index(n)] for n in theta))
-    momentum, force = ca.substitute([momentum, force], [old], [ca.vertcat(*(unknowns[n] for n in theta))])
+    e, row = symbolic_equations(), JOINTS.index(joint)
+    unknowns, rounding = {n: ca.SX.sym("u") for n in (*theta, DRY, OFFSET)}, ca.SX.sym("rounding")
+    ratio = ca.vertcat(1, e.moment_arm)[row]
+    friction = unknowns[DRY] * ca.tanh(ratio * e.w[row] / rounding) + unknowns[OFFSET]
+    old, new = e.p[[PARAMETERS.index(n) for n in theta]], ca.vertcat(*(unknowns[n] for n in theta))
+    momentum, force = ca.substitute([e.momentum[row], e.force[row] - ratio * friction], [old], [new])
     known = ca.vertcat(e.p, e.tank, rounding)
     return balance.law(ca.vertcat(e.q, e.w, e.pressures), unknowns, known, force, momentum)
 
@@ -138,27 +131,27 @@ def pistons() -> ca.Function:
 
 
 def speed_ratio(joint: str, q: Array, p: Array) -> Array:
-    """x' over the joint's speed at angles q (3, n): 1 or the moment arm of the cylinder [m], shape (n,)."""
+    """x' over the joint's speed at angles q (3 or more, n): 1 or the moment arm [m], shape (n,)."""
     if joint == "swing":
         return np.ones(q.shape[1])
-    moment_arms: Array = np.array(pistons()(q, p)[1].full())
+    moment_arms: Array = np.array(pistons()(q[:3], p)[1].full())
     return np.array(moment_arms[JOINTS.index(joint) - 1])
 
 
-def needed_signals(joints: Sequence[str]) -> tuple[str, ...]:
-    """The angles and the pressures of these joints."""
-    return (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
+def needed_signals(joint: str) -> tuple[str, ...]:
+    """The angles, and the pressures of this joint."""
+    return (*ANGLES, *PRESSURES[joint])
 
 
 def filtered(
-    recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay
+    recording: Recording, joint: str, kernel: SavitzkyGolay
 ) -> tuple[Array, list[tuple[int, Array]], Array, Mask]:
-    """The signals that the balance of some joints needs, through a filter: N samples, n filtered ones.
+    """The signals that the balance of a joint needs, through a filter: N samples, n filtered ones.
 
     Samples without gaps, zero of pressures that are not needed, (9, N); sensor and filter of each row of z;
     z: angles, speeds, pressures, (12, n); whether all samples under the filter are good, (n,).
     """
-    names, none = needed_signals(joints), np.zeros(recording.time.size)
+    names, none = needed_signals(joint), np.zeros(recording.time.size)
     raw = np.array([recording.interpolated(n) if n in names else none for n in SIGNALS])
     value, derivative, _ = kernel.weights
     channels = [(k, weights) for weights in (value, derivative) for k in range(3)]
@@ -168,38 +161,21 @@ def filtered(
     return raw, channels, z, good
 
 
-@dataclass(frozen=True)
-class JointRecording:
-    """A recording, ready for the balance of some joints.
-
-    samples         its signals in the law; names of the unknowns are those of the law
-    z               filtered samples, shape (12, n): angles, speeds, pressures
-    at_stroke_end   number of samples left out because a piston was at the end of its stroke
-    possible        number of windows without any fault
-    """
-
-    source: Recording
-    samples: Samples
-    z: Array
-    at_stroke_end: int
-    possible: int
-
-
-def joint_recording(
+def joint_samples(
     recording: Recording,
-    joints: tuple[str, ...],
+    joint: str,
     theta: tuple[str, ...],
     p: Array,
     *,
     window: float = WINDOW,
     slow: float = 0.0,
     rounding: float = 1.0,
-) -> JointRecording:
-    """A recording for the balance of some joints.
+) -> Samples:
+    """A recording for the balance of one joint.
 
     window     length of the bump [s], longer if the sampling rate requires it
-    slow       rms speeds of the first joint below which a sample is left out
-    rounding   rms speeds of the first joint over which the sign of the dry friction is rounded
+    slow       rms speeds below which a sample is left out
+    rounding   rms speeds over which the sign of the dry friction is rounded
     """
     rate = uniform_rate(recording)
     kernel = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
@@ -210,13 +186,12 @@ def joint_recording(
         raise Problem(
             f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
         )
-    raw, channels, z, good = filtered(recording, joints, kernel)
-    used = needed_signals(joints)
+    raw, channels, z, good = filtered(recording, joint, kernel)
+    used = needed_signals(joint)
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
     position: Array = np.array(pistons()(z[:3], p)[0].full())
-    at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
-    good &= ~at_end
-    speed = speed_ratio(joints[0], z[:3], p) * z[3 + JOINTS.index(joints[0])]
+    good &= np.all((position >= STOP_MARGIN) & (position <= strokes - STOP_MARGIN), axis=0)
+    speed = speed_ratio(joint, z, p) * z[3 + JOINTS.index(joint)]
     rms = float(np.sqrt(np.mean(speed**2)))
     if not balance.window_starts(good, bump.size).size:
         raise Problem(
@@ -225,31 +200,14 @@ def joint_recording(
         )
     noise = np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])
     known = [*p, tank_pressure(recording), max(rounding * rms, 1e-9)]
-    samples = replace(
-        balance.samples_of(momentum_law(joints, theta), SIGNALS, raw, noise, known),
+    return replace(
+        balance.samples_of(momentum_law(joint, theta), SIGNALS, raw, noise, known),
         channels=channels,
         rate=rate,
         bump=bump,
         slope=slope,
         starts=balance.window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
     )
-    possible = balance.window_starts(np.ones_like(good), bump.size).size
-    return JointRecording(recording, samples, z, int(at_end.sum()), possible)
-
-
-def torque_panels(
-    label: tuple[str, str], title: str, record: JointRecording, measured: Curve, fit: Curve, residual: str
-) -> tuple[Panel, Panel]:
-    """Torque over time with its fit, and the residual.
-
-    label           of time and torque
-    measured, fit   curves at the windows; their x is replaced by the time
-    """
-    t = record.source.time[0] + record.samples.times
-    curves = tuple(replace(curve, x=t) for curve in (measured, fit))
-    torque = Panel(*label, curves, title, ("s", 1.0), ("kN.m", 1e3))
-    rest = (replace(curves[0], label=residual, y=measured.y - fit.y),)
-    return torque, replace(torque, y_label="residual", curves=rest, title="", y_unit=("N.m", 1.0))
 
 
 def parameter_vector(parameters: Mapping[str, Number]) -> Array:

@@ -19,8 +19,9 @@ import numpy as np
 from scipy import stats
 
 from fmus.identification import balance
-from fmus.identification.balance import METERS, probability
+from fmus.identification.balance import probability
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
+from fmus.identification.procedures.fit import METERS, Procedure
 from fmus.identification.recordings.masks import in_dead_zone, standard_error
 from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult
 from fmus.parameters import Number
@@ -110,3 +111,6 @@ def _panels(recording: Recording, zeros: Mapping[str, Estimate]) -> Iterator[Pan
         )
         if curves:
             yield Panel("time", f"reading of a {kind}", curves, "At rest", ("s", 1.0), display)
+
+
+REST = Procedure("rest", SIGNALS, identify)

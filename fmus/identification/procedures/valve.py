@@ -21,11 +21,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from fmus.identification import balance
 from fmus.identification.balance import UNLIKELY, probability
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import opening_curve
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS
+from fmus.identification.procedures.fit import Fit, Procedure
 from fmus.identification.procedures.opening_curve import OpeningCurve
 from fmus.identification.procedures.valve_fit import (
     CERTAIN,
@@ -280,7 +280,7 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
         found_in = data.signal_findings(every, STEP_SIGNALS, label)
         yield from (f for f in found_in if (f.fault == "noise") == noise)
     yield from _zeros(recordings, fitted)
-    yield balance.model_finding(fitted.by_nodes, label)
+    yield Fit(label, recordings, STEP_SIGNALS, fitted.by_nodes, ()).model()
     drift = fitted.effects.get("drift", (0.0, 0.0))
     if hysteresis := _hysteresis(fitted):
         sentence = (
@@ -585,10 +585,9 @@ def panels(found: Openings) -> tuple[Panel, ...]:
     distinct = found.distinct()
     for edge, curve in distinct.items():
         label = f": {edge}" if len(distinct) > 1 else ""
-        opened = curve.command[curve.area > 0]
-        lines.append(
-            Curve(f"fit, eq. (2){label}", opened, c.resistance(curve.area[curve.area > 0]), "fit", line=True)
-        )
+        seen = curve.command >= curve.first_measured  # towards the foot it is infinite
+        resistance = c.resistance(curve.area[seen])
+        lines.append(Curve(f"fit, eq. (2){label}", curve.command[seen], resistance, "fit", line=True))
         band = gain * curve.low, gain * curve.high
         gains.append(Curve(f"fit{label}", curve.command, gain * curve.area, "fit", line=True, band=band))
     for edge, curve in found.curves.items():
@@ -603,3 +602,6 @@ def panels(found: Openings) -> tuple[Panel, ...]:
         Panel(COMMAND, "K = Q / sqrt(dp) [m3/(s.Pa^0.5)]", tuple(gains), "Opening, as it was fitted"),
         Panel(COMMAND, "flow, measured - fitted", tuple(residuals), "Residual", y_unit=LITRES_PER_MINUTE),
     )
+
+
+VALVE = Procedure("valve", SIGNALS, identify)

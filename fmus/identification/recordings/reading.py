@@ -25,9 +25,9 @@ MACHINE, REST, NOTE = "machine", "rest", "note"
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
-    "valve": ("edge", "density"),
-    "hose_resistance": ("length", "diameter", "density"),
-    "hose_dynamics": ("length", "diameter", "density"),
+    "valve": ("edge", "density", "viscosity"),
+    "hose_resistance": ("length", "diameter", "density", "viscosity"),
+    "hose_dynamics": ("length", "diameter", "density", "viscosity"),
     "motor_leakage": ("shaft", "tank_pressure"),
     "damping": ("joint", "tank_pressure"),
     "weighing": ("payload", "tank_pressure"),
@@ -36,7 +36,14 @@ CONDITIONS: Mapping[str, tuple[str, ...]] = {
 }
 # words that a condition may have; the others are numbers with their SI unit
 CHOICES = {"edge": ("P-A", "B-T", "P-B", "A-T"), "shaft": ("locked",), "joint": ("swing", "boom", "stick")}
-NUMBERS = {"length": "m", "diameter": "m", "density": "kg/m3", "tank_pressure": "Pa", "payload": "kg"}
+NUMBERS = {
+    "length": "m",
+    "diameter": "m",
+    "density": "kg/m3",
+    "viscosity": "Pa.s",
+    "tank_pressure": "Pa",
+    "payload": "kg",
+}
 
 
 def read(path: Path | str) -> Recording:

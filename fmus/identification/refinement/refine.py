@@ -5,16 +5,12 @@ bounds. Multiple shooting cuts the recordings into segments with initial states 
 continuous at the optimum [Bock 1987]. Even with poor initial values the simulation cannot diverge, because
 the data correct it at the start of each segment. A first search fits predictions over a short horizon from
 measured states, a second one whole recordings.
-
-`multistart` repeats both from random initial parameters, on fewer samples. The second search depends only on
-the parameters at the end of the first. So if the first ends where that of the reference ended, the repetition
-is taken to lead to the reference, and the second search is left out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +18,6 @@ import numpy as np
 from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.gauss_newton import (
     CONVERGED,
-    DETACHED,
     INTERRUPTED,
     ITERATIONS,
     STUCK,
@@ -52,10 +47,6 @@ SEGMENT = 2.0  # s, default length of a segment
 HORIZON = 0.5  # s, default prediction horizon of the first search
 _AT_BOUND = 1e-9  # distance of z from its bound
 _OPEN = math.log(1000)  # an interval of a logarithm with a larger half width is reported as open
-SPREAD = 0.25  # half width of the range of random initial z; a prior with a larger 2 sd replaces it
-EVERY = 4  # one of so many samples is used for random starts
-START_ITERATIONS = 25  # of a search from a random start
-SAME = 1.0  # standard deviations within which two results are the same
 FEW = 10  # segments; from so many a standard deviation has an error of a quarter, 1 / sqrt(2 (n - 1))
 
 
@@ -263,96 +254,3 @@ def advice(refined: RefinementResult) -> tuple[str, ...]:
             "they are wide and inaccurate. Longer recordings help."
         )
     return tuple(sentences)
-
-
-# ---- random starts -----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RandomStart:
-    """The search from one random start.
-
-    z            of the initial parameters
-    apart        largest distance of the end from the reference, in standard deviations of the coarse problem;
-                 infinite if the model cannot be simulated from the start
-    residual     root mean square residual at the end, in standard deviations of the sensors
-    joined       its fit of predictions ended at that of the reference, whose end it gets
-    """
-
-    z: Array
-    apart: float
-    residual: float
-    iterations: int
-    joined: bool = False
-
-    @property
-    def same(self) -> bool:
-        """Did it lead to the reference?"""
-        return self.apart < SAME
-
-
-def multistart(refined: RefinementResult, count: int) -> Iterator[RandomStart]:
-    """Search again from `count` random starts, one after the other as they are asked for.
-
-    An interrupt raises KeyboardInterrupt; keep each start as it comes, and those that ended are not lost.
-
-    Every fourth sample is used; the reference is the result of a search on the same samples from the optimum.
-    """
-    problem, rng = subsampled(refined.problem), np.random.default_rng(0)
-    shooting = cut_into_segments(problem, refined.simulator, refined.z)
-    path = fit_predictions(shooting, refined.z)
-    best = _whole(shooting, refined.z, path)
-    reference = result(shooting, best)
-    sd = reference.statistics.sd(reference.robust)
-    for _ in range(count):
-        z = random_start(problem, rng)
-        try:
-            shooting = cut_into_segments(problem, refined.simulator, z)
-            predictions = fit_predictions(shooting, z)
-            # both have converged to parameters whose residuals differ by less than the tolerances of both
-            distance = float(np.linalg.norm(predictions.linear.rows[:, :-1] @ (predictions.z - path.z)))
-            joined = predictions.converged and path.converged and distance < 2 * DETACHED
-            solution = best if joined else _whole(shooting, z, predictions)
-        except Problem:  # the model cannot be simulated from there
-            yield RandomStart(z, math.inf, math.nan, 0)
-            continue
-        apart = float(np.max(np.abs(solution.z - best.z) / sd))
-        iterations = len((predictions if joined else solution).history)
-        yield RandomStart(z, apart, solution.history[-1].residual, iterations, joined)
-
-
-def _whole(shooting: Shooting, z: Array, predictions: Minimum) -> Minimum:
-    """The fit of whole recordings; an interrupt ends all searches."""
-    solution = minimise(shooting, z, START_ITERATIONS, previous=predictions)
-    if solution.reason == INTERRUPTED:
-        raise KeyboardInterrupt
-    return solution
-
-
-def random_start(problem: EstimationProblem, rng: np.random.Generator) -> Array:
-    """Random z within `SPREAD` of the initial value, or from a prior that is wider, inside the bounds.
-
-    A narrow prior attracts the search from any start; starts drawn from it would not test the search.
-    """
-    sd = problem.prior_sd()
-    z = problem.initial() + np.where(
-        np.isfinite(sd) & (2 * sd > SPREAD),
-        np.clip(rng.standard_normal(len(sd)), -2, 2) * np.where(np.isfinite(sd), sd, 0),
-        rng.uniform(-SPREAD, SPREAD, len(sd)),
-    )
-    return np.asarray(np.clip(z, *problem.bounds()))
-
-
-def subsampled(problem: EstimationProblem) -> EstimationProblem:
-    """The same problem with one of `EVERY` samples."""
-    training = tuple(
-        replace(
-            run,
-            **{name: getattr(run, name)[::EVERY] for name in ("time", "measured", "weight")},
-            inputs={name: u[::EVERY] for name, u in run.inputs.items()},
-            input_noise={},
-            measured_states={name: x[::EVERY] for name, x in run.measured_states.items()},
-        )
-        for run in problem.training
-    )
-    return replace(problem, training=training, held_out=())

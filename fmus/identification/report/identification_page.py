@@ -13,7 +13,7 @@ from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import MACHINE
-from fmus.identification.refinement.refine import RandomStart, RefinementResult, advice
+from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.report import figures, prediction, report_texts
 from fmus.identification.report.attribution import attribute
 from fmus.identification.results import Estimate, named
@@ -26,7 +26,6 @@ from orchestrator.pages.plotting import embed
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html.j2"
 NAME = "identification"
-START = ("apart", "residual", "iterations", "same", "joined")  # of a `RandomStart`
 MOVES = 0.01  # rad, angular range above which a joint is shown
 
 
@@ -97,7 +96,7 @@ def page_content(
         "results": identified.results,
         "parameters": [_parameter(e, procedure) for e, procedure in identified.estimates.values()],
         "qualities": qualities,
-        "refinement": refinement(refined, identified.starts) if refined else None,
+        "refinement": refinement(refined) if refined else None,
         "explanation": explanation,
         "figures": list(_joints(comparison)) if comparison else [],
         "commands": _next_commands(folder, out, identified),
@@ -156,8 +155,8 @@ def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str,
     return commands
 
 
-def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) -> dict[str, Any]:
-    """Content of the page and the JSON file for a refinement; `starts`: from random start points.
+def refinement(refined: RefinementResult) -> dict[str, Any]:
+    """Content of the page and the JSON file for a refinement.
 
     `fits` has for each signal, None if there is no such recording:
 
@@ -166,11 +165,6 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
     memory        fraction of the lags with a significant autocorrelation, 0.01 if the residual is white
     white         probability of this autocorrelation if the residual is white [Ljung and Box]
     inputs        largest such fraction for the cross-correlation with an earlier input
-
-    and `starts` for each search from a random start:
-
-    away       root mean square distance of the start from the values before, relative changes of parameters
-    ...        the attributes `START` of a `RandomStart`
     """
     problem, fits = refined.problem, []
     for k, signal in enumerate(problem.signals):
@@ -189,11 +183,6 @@ def refinement(refined: RefinementResult, starts: Sequence[RandomStart] = ()) ->
         "condition": refined.statistics.condition,
         "fits": fits,
         "unidentified": [f"{sentence}." for sentence in refined.unidentified],
-        "starts": [
-            {"name": f"random {k}", "away": rms(start.z - problem.initial())}
-            | {name: getattr(start, name) for name in START}
-            for k, start in enumerate(starts, 1)
-        ],
         "facts": {
             "recordings": f"{len(problem.training)} for training, {problem.seconds:.0f} s; "
             f"{len(problem.held_out)} held out",

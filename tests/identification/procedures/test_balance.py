@@ -18,7 +18,7 @@ from fmus.identification.procedures.momentum_balance import (
     DRY,
     OFFSET,
     PARAMETERS,
-    joint_recording,
+    joint_samples,
     symbolic_equations,
 )
 from fmus.manipulator import MANIPULATOR
@@ -81,18 +81,18 @@ DAMPING = {"boom": "manipulator.boom_piston_damping", "stick": "manipulator.stic
 
 def prepared(record, joint, p=P):
     """A recording for the balance of a piston."""
-    return joint_recording(record, (joint,), (DAMPING[joint],), p)
+    return joint_samples(record, joint, (DAMPING[joint],), p)
 
 
 def found(record, joint, p=P):
     """B of a piston."""
     start = {DAMPING[joint]: 1e4, DRY: 0.0, OFFSET: 0.0}
-    return solve([prepared(record, joint, p).samples], start, joint, tested=(DRY, OFFSET))
+    return solve([prepared(record, joint, p)], start, joint, tested=(DRY, OFFSET))
 
 
 def test_the_effect_of_noise_is_the_derivative_by_each_sample():
     """e at samples with a small change is e plus G times the change, over all sensors and filters."""
-    s = prepared(recording("boom", length=4.0), "boom").samples
+    s = prepared(recording("boom", length=4.0), "boom")
     theta, change = np.array([2e4, 0.0, 0.0]), np.random.default_rng(1).standard_normal(s.raw.shape)
     change *= np.array([1e-7] * 3 + [1.0] * 6)[:, None]  # rad, Pa
     up, middle, down = (linearised(s, s.raw + k * change, theta) for k in (1, 0, -1))

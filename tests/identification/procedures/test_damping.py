@@ -11,7 +11,7 @@ from kit import shards
 from kit.mistakes import problem, table
 
 from fmus.identification import results
-from fmus.identification.procedures.damping import BY_JOINT, identify, joint_damping
+from fmus.identification.procedures.damping import BY_JOINT, identify, joint_fit
 from orchestrator.data.recording import Sensor
 
 JOINTS = tuple(BY_JOINT)
@@ -26,8 +26,8 @@ def truth(joint):
 def found(record):
     """B, its standard deviation."""
     joint = record.text_condition("joint")
-    damping = joint_damping(BY_JOINT[joint], [record], KNOWN)
-    return damping.value, damping.sd
+    fit, _ = joint_fit(joint, [record], KNOWN)
+    return fit[BY_JOINT[joint].theta], fit.sd(BY_JOINT[joint].theta)
 
 
 @pytest.mark.parametrize("joint", JOINTS)

@@ -11,15 +11,16 @@ from identification.procedures.bench import BAR, changed, with_sensors
 from identification.procedures.test_findings import UP_AND_DOWN, at_rest, hose, names, warmer
 from kit.mistakes import problem
 
-from fmus.identification.balance import Regression, model_finding
+from fmus.identification.balance import Regression
 from fmus.identification.procedures import (
     damping,
     experiment_data,
-    hose_resistance,
     momentum_balance,
     rest,
     valve,
 )
+from fmus.identification.procedures.fit import Fit
+from fmus.identification.procedures.hoses import identify_resistance
 from orchestrator.data.recording import Recording
 
 DAMPING = "manipulator.boom_piston_damping"
@@ -40,7 +41,7 @@ def test_noise_known_to_a_factor_of_two_is_no_error_of_the_model():
     """Residuals of 2 and of 3.5 times the noise; the former is what the declaration leaves open."""
     samples = SimpleNamespace(sd=np.ones((1, 1)), raw=np.ones((1, 9)))
     fits = (SimpleNamespace(fit=regression(40 * k**2), samples=[samples]) for k in (2.0, 3.5))
-    twice, more = (model_finding(fit, "").p for fit in fits)
+    twice, more = (Fit("", (), (), solution, ()).model().p for solution in fits)
     assert twice > 0.5
     assert more < 1e-3
 
@@ -108,7 +109,7 @@ def test_a_resistance_may_change_by_two_percent_over_the_flows(change, named):
         return bench.friction(q) * (1 + change * (q / bench.LITRES - 147.5) / 255.0)
 
     (record,) = bench.steady_hose(1, drop, flows)
-    found = names(hose_resistance.identify([record], bench.KNOWN))
+    found = names(identify_resistance([record], bench.KNOWN))
     assert ("model" in found) == named
 
 
@@ -122,12 +123,12 @@ def test_time_is_not_told_from_flow_if_both_only_rise():
 def test_a_joint_moves_if_its_speed_is_above_its_noise(speed, moves):
     """A root mean square speed of 2 and of 5 standard deviations of its noise."""
     record = lumped_machine.recording("boom", seed=1, length=4.0)
-    r = momentum_balance.joint_recording(record, ("boom",), (DAMPING,), lumped_machine.P)
-    sd = experiment_data.noise_sd(record, momentum_balance.ANGLES[1])
-    noise = np.linalg.norm(r.samples.channels[3][1]) * sd
-    z = r.z.copy()
-    z[4] = speed * noise
-    assert damping._moves(replace(r, z=z), 1) == moves
+    s = momentum_balance.joint_samples(record, "boom", (DAMPING,), lumped_machine.P)
+    derivative, time = s.channels[4][1], np.arange(record.time.size)
+    noise = np.linalg.norm(derivative) * experiment_data.noise_sd(record, momentum_balance.ANGLES[1])
+    rate = speed * noise / (derivative @ np.arange(derivative.size))  # per sample, of a straight line
+    raw = np.array([time * rate if k == 1 else x for k, x in enumerate(s.raw)])
+    assert damping.moves(record, replace(s, raw=raw), 1) == moves
 
 
 def test_an_end_stop_acts_within_two_millimetres():
@@ -139,8 +140,7 @@ def test_an_end_stop_acts_within_two_millimetres():
     used = []
     for gap in (0.1, 3e-3, 1e-3):
         p[stroke] = position.max() + gap
-        r = momentum_balance.joint_recording(record, ("boom",), (DAMPING,), p)
-        used.append(r.samples.starts.size)
+        used.append(momentum_balance.joint_samples(record, "boom", (DAMPING,), p).starts.size)
     assert used[0] == used[1] > used[2]
 
 

@@ -10,7 +10,8 @@ from identification.procedures import bench
 from kit.mistakes import problem, table
 
 from fmus.identification import results
-from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
+from fmus.identification.procedures import valve
+from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
@@ -23,8 +24,8 @@ TRUTH = {
 }
 BENCHES = {
     "valve": (valve, lambda: [bench.edge("P-A", [5, 0]), bench.edge("P-B", [5, 2])]),
-    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, bench.friction)),
-    "hose_dynamics": (hose_dynamics, lambda: bench.moving_hose(5)),
+    "hose_resistance": (HOSE_RESISTANCE, lambda: bench.steady_hose(5, bench.friction)),
+    "hose_dynamics": (HOSE_DYNAMICS, lambda: bench.moving_hose(5)),
 }
 
 
@@ -128,7 +129,7 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
 def test_residuals_far_above_the_noise_are_a_warning():
     """A hose with a check valve of 5 bar, which the law does not have."""
     recordings = bench.steady_hose(5, lambda q: bench.friction(q) + 5 * bench.BAR * np.sign(q))
-    found = results.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
+    found = results.named(HOSE_RESISTANCE.identify(recordings, bench.KNOWN).findings)
     assert {f.fault for f in found} == {"model"}
     assert any("times the noise of the sensors" in f.sentence for f in found)
 
@@ -163,16 +164,14 @@ def test_two_hoses_are_refused(name):
         procedure.identify([*own, other], bench.KNOWN)
 
 
-# exact: the same fit, another factor; with another density the critical flow differs, too
-@pytest.mark.parametrize(
-    ("name", "power", "error"), [("hose_resistance", 0.75, 1e-3), ("hose_dynamics", 1.0, 1e-12)]
-)
-def test_another_oil_is_converted(name, power, error):
+# with another density the critical flow differs, too
+@pytest.mark.parametrize(("name", "power"), [("hose_resistance", 0.75), ("hose_dynamics", 1.0)])
+def test_another_oil_is_converted(name, power):
     """I goes with the density, C_R with its power of 0.75, eq. (10): from the test's oil to the machine's."""
     light = result_of(name, lambda r: replace(r, conditions={**r.conditions, "density": bench.DENSITY / 1.1}))
     plain = result_of(name)
     ratio = light.estimates[0].value / plain.estimates[0].value
-    assert ratio == pytest.approx(1.1**power, rel=error)
+    assert ratio == pytest.approx(1.1**power, rel=1e-3)
 
 
 def test_commands_that_close_the_edge_are_left_out():
@@ -201,8 +200,8 @@ def test_an_undetermined_quantity_is_not_estimated():
     """Pressures whose changes are below their noise: no capacitance, but a remark."""
     result = result_of(
         "hose_dynamics",
-        lambda r: with_signals(r, lambda n, x: x.mean() + 0.0005 * (x - x.mean()) if n[0] == "p" else x),
+        lambda r: with_signals(r, lambda n, x: x.mean() + 0.0001 * (x - x.mean()) if n[0] == "p" else x),
     )
     names = {e.name for e in result.estimates}
     assert "boom_stick.stick_hose_capacitance" not in names
-    assert any("do not determine the capacitance" in text for text in result.remarks)
+    assert any("do not determine C" in text for text in result.remarks)

@@ -15,9 +15,7 @@ from fmus.identification.refinement.refine import (
     RefinementResult,
     compiled,
     cut_into_segments,
-    multistart,
     refine,
-    subsampled,
 )
 from fmus.identification.refinement.shooting import CondensedRun, correlation_time
 from fmus.identification.results import coverage_factor
@@ -197,24 +195,6 @@ def test_sensitivities_are_those_of_a_repeated_simulation(refined: RefinementRes
         ends = [statistics.simulate(one, refined.simulator, v).y for v in values]
         # the solver's tolerance over the step
         np.testing.assert_allclose(by_z[:, :, j], (ends[0] - ends[1]) / (2 * step), atol=1e-2)
-
-
-def test_random_starts_lead_to_the_same_optimum(refined: RefinementResult) -> None:
-    """From any start within 25 %, with a quarter of the samples, and also if it is not ended at the path
-    of the reference."""
-    starts = list(multistart(refined, count=4))
-    assert all(start.same for start in starts)
-    away = np.array([start.z for start in starts]) - refined.problem.initial()
-    # of 12 uniform numbers the largest is below half of the range once in 4000 times
-    assert 0.125 < np.max(np.abs(away)) <= 0.25
-    coarse = subsampled(refined.problem)
-    assert len(coarse.training[0].time) == 151
-    sd, reference = refined.statistics.sd(refined.robust), refine(coarse, start=refined.z).z
-    joined = [start for start in starts if start.joined]
-    assert joined
-    for start in joined:
-        shift = refine(coarse, start=start.z).z - reference
-        assert np.max(np.abs(shift / sd)) < 0.1  # the tolerance of a search
 
 
 def test_noise_of_an_input_is_removed() -> None:

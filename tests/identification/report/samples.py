@@ -56,13 +56,6 @@ def fit(signal: str, *numbers: float | None) -> dict[str, object]:
     return {"signal": signal, **dict.fromkeys(names), **dict(zip(names, numbers, strict=False))}
 
 
-def start(name: str, away: float, apart: float, residual: float, iterations: int) -> dict[str, object]:
-    """A search from a random start."""
-    same = {"same": apart < 1, "joined": apart == 0}
-    end = {"apart": apart, "residual": residual, "iterations": iterations, **same}
-    return {"name": name, "away": away, **end}
-
-
 def channel(signal: str, unit: str, *remarks: str, dead: float = 0.0) -> dict[str, object]:
     """Data quality of a signal."""
     numbers = {"low": 0.0, "high": 2e-3, "noise": 5e-6, "dead": dead}
@@ -85,11 +78,6 @@ def page(**more: object) -> dict[str, object]:
         "condition": 123.4,
         "fits": (fit("manipulator.boom_angle", 0.004, 0.0061, 3.1, 0.4, 1e-12, 0.02), fit("x", 0.01)),
         "unidentified": ("head_mass: the data leave it open by 80 %.",),
-        "starts": (
-            start("random 1", 0.2, 0.01, 3.1, 9),
-            start("random 2", 0.3, 7.0, 3.9, 14),
-            start("random 3", 0.1, 0.0, 3.1, 6),
-        ),
         "facts": {"search": "9 iterations"},
         "remarks": (),
     }

@@ -9,7 +9,7 @@ from identification.report.samples import channel
 
 from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
-from fmus.identification.refinement.refine import RandomStart, RefinementResult, advice
+from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
 from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.identification.report.prediction import compare
@@ -75,16 +75,6 @@ def test_a_refinement_has_the_names_of_the_report():
     remark = refinement(refined(reason="40 iterations"))["remarks"][0]
     assert remark.startswith("The search did not converge: 40 iterations were not enough.")
     assert "--free" in remark  # what to do
-
-
-def test_random_starts_are_compared():
-    """Distance of each start from the values before; whether the search led to the same result."""
-    z = np.log([2.0 * np.e, 2.0 * np.e])
-    ran = (RandomStart(z, 0.2, 1.0, 9), RandomStart(z, np.inf, np.nan, 0))
-    one, other = refinement(refined(), ran)["starts"]
-    # exact identity: both parameters are e times as large
-    assert one["away"] == pytest.approx(1.0)
-    assert (one["same"], other["same"]) == (True, False)
 
 
 def machine() -> Recording:
@@ -162,7 +152,6 @@ def test_advice_and_intervals_depend_on_the_information():
         covariance = sd**2 * np.eye(2)
         (one, _) = refined(statistics=Statistics(*3 * [covariance], 100, 10, 7.0)).estimates()
         assert np.isinf(one.high) == is_open
-    assert [RandomStart(np.zeros(2), apart, 1.0, 9).same for apart in (0.9, 1.1)] == [True, False]
 
 
 def test_residuals_far_above_the_noise_are_a_warning():
