@@ -606,7 +606,10 @@ def _lines(
         low, high = tried[max(likely[0] - 1, 0)], tried[min(likely[-1] + 1, tried.size - 1)]
         tried = np.linspace(low, high, WIDTHS // 2)
         costs = np.array([cost(float(w)) for w in tried])
+    if not np.isfinite(costs.min()):
+        return None
     weights = np.exp((costs.min() - costs) / 2) * _spacing(tried)
+    tried, costs, weights = (x[np.isfinite(costs)] for x in (tried, costs, weights))
     solutions = [fits[float(w)] for w in tried]
     labels = tuple(label for label, _ in groups)
     best = int(np.argmin(costs))

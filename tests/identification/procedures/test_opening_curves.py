@@ -12,6 +12,7 @@ from benchmarks import openings as bench
 from fmus.components import spool_valve
 from fmus.identification import results
 from fmus.identification.procedures import opening_curve, valve, valve_fit
+from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
 QUICK = ("line^1", "line^1.05", "asymmetric 1", "asymmetric 2")  # a line, nearly one, and four other shapes
@@ -330,3 +331,18 @@ def test_an_opening_that_falls_is_named(share):
 
     assert "falling opening" in faults(found(closing, 1))
     assert "falling opening" not in faults(found(share, 1))
+
+
+def test_a_rounding_that_no_line_has_is_left_out(monkeypatch):
+    """As where a sensor is in another unit: the other roundings give the estimates."""
+    solve, line = valve_fit.balance.solve, valve_fit.laws()["line"]
+
+    def failing(samples, *others):
+        if samples[0].law is line and samples[0].known[4] == valve_fit.SHARP:
+            raise Problem("no fit")
+        return solve(samples, *others)
+
+    whole = named(found(bench.power(1.0, 0.7)))["valve_area"]
+    monkeypatch.setattr(valve_fit.balance, "solve", failing)
+    part = named(found(bench.power(1.0, 0.7)))["valve_area"]
+    assert part.value == pytest.approx(whole.value, abs=whole.sd)  # the roundings are nearly equal in it
