@@ -121,8 +121,10 @@ def test_samples_in_the_dead_zone_are_in_no_window():
     problem(lambda: hoses.identify_dynamics([still], bench.KNOWN), r"^hose_dynamics.csv: 0 windows[^\n]*$")
 
 
-@pytest.mark.parametrize("late", [("pressure_out", "flow_out"), ("flow_in", "flow_out"), ("flow_out",)])
-@pytest.mark.parametrize("delay", [0.002, 0.012, 0.03])
+OUTLET, FLOWS, ONE = ("pressure_out", "flow_out"), ("flow_in", "flow_out"), ("flow_out",)
+
+
+@pytest.mark.parametrize(("late", "delay"), [(OUTLET, 0.002), (OUTLET, 0.03), (FLOWS, 0.012), (ONE, 0.002)])
 def test_the_delay_of_a_logger_is_taken_out_and_named(late, delay):
     """Signals that are 0.4, 2.4 and 6 samples late: both intervals hold the truth.
 
