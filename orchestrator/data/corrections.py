@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base.files import tell_once
 from orchestrator.base.units import parse_unit
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.logger_files import Array, at_times
@@ -49,18 +50,37 @@ def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str
         count = int(np.isin(values, codes).sum())
         yield f"{count} samples far from all others: error codes? invalid = [{raws}] makes them gaps"
         values = values[~np.isin(values, codes)]
-    angle = spec.unit in ("", "1") or parse_unit(spec.unit).exponents == parse_unit("rad").exponents
-    turn = parse_unit("rev").factor / parse_unit(spec.unit).factor if spec.unit not in ("", "1") else 360.0
     step *= len(raw) / max(np.isfinite(values).sum(), 1)  # between samples of a slower group
     values = values[np.isfinite(values)]
-    jumps = np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1
-    if angle and jumps.any():
-        yield f"jumps {jumps.sum()} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
+    turn, jumps = _wraps(values, spec.unit)
+    if jumps:
+        yield f"jumps {jumps} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
     sizes = np.abs(np.diff(values))
     # steps of one size are those of a converter that follows a slow signal
     hold = _hold(values)
     if 0 < hold * step < SLOWEST and np.median(sizes[sizes > 0]) > STEP * sizes[sizes > 0].min():
         yield f"each value is held for {hold:.3g} samples, slower than the log: held = true uses each once"
+
+
+def unwrapping(raw: Array, spec: SignalDescription, column: str) -> SignalDescription:
+    """The description with the key `wrap`, and a line, if the column is an angle that jumps by a turn."""
+    values = corrected(raw, raw, replace(spec, delay=0.0))
+    turn, jumps = _wraps(values[np.isfinite(values)], spec.unit)
+    if spec.unit == "1" or not jumps:  # without a unit it may be no angle
+        return spec
+    tell_once(f"{column}: jumps {jumps} times by about {turn:.6g}; unwrapped, as with wrap = {turn:.10g}")
+    return replace(spec, wrap=turn)
+
+
+def _wraps(values: Array, unit: str) -> tuple[float, int]:
+    """A turn in the unit of an angle, 360 without a unit, and how often successive values differ by one."""
+    if unit in ("", "1"):
+        turn = 360.0
+    elif parse_unit(unit).exponents == parse_unit("rad").exponents:
+        turn = parse_unit("rev").factor / parse_unit(unit).factor
+    else:
+        return 0.0, 0
+    return turn, int((np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1).sum())
 
 
 def _codes(values: Array) -> list[float]:

@@ -20,7 +20,7 @@ from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require, tell_once, write_columns
 from orchestrator.base.units import convert, number_and_unit, parse_unit, si_unit
-from orchestrator.data.corrections import corrected, log_faults
+from orchestrator.data.corrections import corrected, log_faults, unwrapping
 from orchestrator.data.description import (
     Condition,
     Description,
@@ -231,10 +231,10 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         )
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
-    specs = {
-        name: replace(spec, unit=spec.unit or columns.units.get(column[name], ""))
+    specs = [
+        (name, replace(spec, unit=spec.unit or columns.units.get(column[name], "")))
         for name, spec in description.signals.items()
-    }.items()
+    ]
     for name, spec in specs:
         if not spec.unit:
             where = f"{description_file}: signals.{toml.quote_key(name)}"
@@ -244,6 +244,10 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
             told = f"in {unit}, but read in {spec.unit}, as {description_file.name} states"
             tell_once(f"{file}: column {column[name]!r}: {told}")
+    if (
+        description.experiment
+    ):  # of a machine, whose angles have no end; the output of another system may wrap
+        specs = [(n, unwrapping(columns.values[column[n]], s, f"{file}: {n}")) for n, s in specs]
     conditions = {name: _condition(value) for name, value in description.experiment.items()}
     time = _seconds(columns, description)
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0

@@ -170,6 +170,32 @@ def test_the_keys_work_in_a_file(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
+    ("unit", "values", "known", "told"),
+    [
+        ("deg", 3 * ANGLE, True, "jumps 2 times by about 360; unwrapped, as with wrap = 360"),
+        ("rad", np.radians(3 * ANGLE), True, "jumps 2 times by about 6.28319; unwrapped"),
+        ("1", 3 * ANGLE, True, ""),  # it may be no angle
+        ("deg", 3 * ANGLE, False, ""),  # the output of another system may wrap, too
+    ],
+)
+def test_an_angle_of_an_experiment_is_unwrapped_with_a_line(tmp_path, capsys, unit, values, known, told):
+    """Without a key, before its samples are moved by a delay; any other one is named only."""
+    turn = 2 * np.pi if unit == "rad" else 360
+    rows = np.column_stack([TIME, values % turn])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,a", comments="")
+    text = f'[signals.a]\nunit = "{unit}"\ndelay = 0.01\n'
+    experiment = '[experiment]\nprocedure = "rest"\n' if known else ""
+    (tmp_path / "a.toml").write_text(experiment + text, encoding="utf-8")
+    made = read_recording(tmp_path / "a.csv")
+    line = capsys.readouterr().err
+    assert line.startswith(f"{tmp_path / 'a.csv'}: a: {told}") if told else not line
+    assert [*made.log_faults()] == [] if told else "wrap = " in next(iter(made.log_faults()))
+    if told:
+        expected = np.radians(3 * ANGLE - 360)
+        np.testing.assert_allclose(made["a"][2:], expected[:-2], atol=1e-9)  # 18 digits of the file
+
+
+@pytest.mark.parametrize(
     ("delay", "error", "told"),
     [
         (0.04, 0.0, "0.04 s later"),
