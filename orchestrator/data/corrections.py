@@ -35,10 +35,13 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
     if spec.held:  # also if there are gaps between its samples
         known = np.isfinite(values)
         values[known] = np.where(_is_new(values[known]), values[known], np.nan)
-    if not spec.delay:
-        return values
-    moved = at_times(time, time + spec.delay, values)
-    moved[time < time[0] + spec.delay], moved[time > time[-1] + spec.delay] = values[0], values[-1]
+    return delayed(values, time, spec.delay) if spec.delay else values
+
+
+def delayed(values: Array, time: Array, delay: float) -> Array:
+    """A signal later by a delay; its ends keep their values."""
+    moved = at_times(time, time + delay, values)
+    moved[time < time[0] + delay], moved[time > time[-1] + delay] = values[0], values[-1]
     return moved
 
 

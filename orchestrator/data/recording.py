@@ -46,6 +46,7 @@ class Sensor:
     low, high    range; a value at a limit is clipped
     dead_zone    magnitude below which readings are not valid, such as the smallest flow of a turbine meter
     zero_error   largest error of the zero, of a data sheet; None if unknown
+    delay_error  largest error of the times of its samples [s], 0 if they are right
     """
 
     text: str = ""
@@ -55,6 +56,7 @@ class Sensor:
     high: float = math.inf
     dead_zone: float = 0.0
     zero_error: float | None = None
+    delay_error: float = 0.0
 
     @property
     def sd(self) -> float:
@@ -358,7 +360,7 @@ def _sensor(spec: SignalDescription) -> Sensor | None:
     low, high = (_si(limit, spec.unit) for limit in spec.span or (-math.inf, math.inf))
     sizes = {name: getattr(spec, name) for name in ("noise", "resolution", "dead_zone", "zero_error")}
     sizes = {name: size and factor * size for name, size in sizes.items()}
-    sensor = Sensor(text=spec.sensor, low=low, high=high, **sizes)
+    sensor = Sensor(text=spec.sensor, low=low, high=high, delay_error=spec.delay_error, **sizes)
     return None if sensor == Sensor() else sensor
 
 
