@@ -34,7 +34,7 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
         values[known] = np.unwrap(values[known], period=spec.wrap)
     if spec.held:  # also if there are gaps between its samples
         known = np.isfinite(values)
-        values[known] = np.where(_is_new(values[known]), values[known], np.nan)
+        values[known] = np.where(_is_new(values[known], time[known]), values[known], np.nan)
     return delayed(values, time, spec.delay) if spec.delay else values
 
 
@@ -47,7 +47,7 @@ def delayed(values: Array, time: Array, delay: float) -> Array:
 
 def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str]:
     """What a logger has probably done to a column, with the key that corrects it; step: between rows [s]."""
-    values = corrected(raw, raw, replace(spec, delay=0.0))
+    values = corrected(raw, step * np.arange(len(raw), dtype=np.float64), replace(spec, delay=0.0))
     if codes := _codes(values):
         raws = ", ".join(f"{(code - spec.offset) / spec.factor:.10g}" for code in codes)
         count = int(np.isin(values, codes).sum())
@@ -67,7 +67,7 @@ def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str
 
 def unwrapping(raw: Array, spec: SignalDescription, column: str) -> SignalDescription:
     """The description with the key `wrap`, and a line, if the column is an angle that jumps by a turn."""
-    values = corrected(raw, raw, replace(spec, delay=0.0))
+    values = corrected(raw, raw, replace(spec, delay=0.0, held=False))
     turn, jumps = _wraps(values[np.isfinite(values)], spec.unit)
     if spec.unit == "1" or not jumps:  # without a unit it may be no angle
         return spec
@@ -116,10 +116,17 @@ def _hold(values: Array) -> float:
     return period if np.quantile(np.abs(late), 0.95) < 1 else 0.0
 
 
-def _is_new(values: Array) -> NDArray[np.bool_]:
-    """Whether each sample is a new one of a source that is held, also if it has the same value."""
+def _is_new(values: Array, time: Array) -> NDArray[np.bool_]:
+    """Whether each sample is a new one of a source that is held, also if it has the same value.
+
+    Without a rhythm, as of a lever that seldom moves, a run that is longer than usual has several samples. A
+    source with runs that are all too long for a bus is not held.
+    """
     starts, rows = _runs(values), np.arange(len(values))
     run = np.searchsorted(starts, rows, side="right") - 1
-    hold = round(_hold(values)) or len(values)
+    hold = round(_hold(values))
+    if not hold:
+        lengths, lasts = np.diff(starts[1:]), np.diff(time[starts[1:]])  # the first and the last run are cut
+        hold = round(float(np.median(lengths[lasts < SLOWEST]))) if (lasts < SLOWEST).any() else 1
     left = np.append(starts[1:], len(values))[run] - rows
     return np.asarray(((rows - starts[run]) % hold == 0) & (left > hold / 2) | (rows == starts[run]))

@@ -126,6 +126,31 @@ def test_a_held_sample_is_used_once():
     np.testing.assert_array_equal(found, np.where(ROW % 4 == 0, still, np.nan))
 
 
+@pytest.mark.parametrize(
+    ("values", "used"),
+    [
+        (np.interp(TIME, [2, 2.3, 6, 6.2], [0, 3, 3, 0]), ROW % 10 == 0),  # one motion of a lever
+        (np.zeros(ROW.size), ROW >= 0),  # a lever that nobody moves
+        (np.where((TIME >= 3) & (TIME < 7), 5.0, 0.0), ROW >= 0),  # steps of an experiment
+        (np.where(ROW < 0, 1.0, np.nan), ROW < 0),
+    ],
+)
+def test_a_held_lever_that_seldom_moves_keeps_its_samples(values, used):
+    """Its rhythm is that of its usual run; without one, each row counts, so that no gap is too long."""
+    found = corrected(held(values, 10), TIME, SignalDescription("V", held=True))
+    np.testing.assert_array_equal(found, np.where(used, values, np.nan))
+
+
+def test_held_samples_without_a_rhythm_are_used_once():
+    """A source that sends at irregular times: no repeat of a run that is not longer than usual."""
+    starts = np.cumsum(RNG.choice([2, 3, 3, 3, 4], 600))
+    sent = starts[np.searchsorted(starts, ROW[:1500], side="right") - 1] * (starts[0] <= ROW[:1500])
+    found = corrected(NOISY[sent], TIME[:1500], SignalDescription("bar", held=True))
+    used = np.flatnonzero(np.isfinite(found))
+    assert set(starts[starts < 1500]) <= set(used) | {0}
+    assert len(used) <= np.sum(starts < 1500) + 1
+
+
 def test_a_delay_moves_one_signal():
     """By whole samples, by a fraction, forwards and back; the ends keep their values."""
     late = corrected(LEVER, TIME, SignalDescription("V", delay=0.04))
