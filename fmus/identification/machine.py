@@ -12,9 +12,11 @@ import numpy as np
 
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
-from fmus.identification.balance import limit_sd
+from fmus.identification.balance import limit_sd, probability
+from fmus.identification.procedures.fit import SHIFT
+from fmus.identification.recordings.clock import period
 from fmus.identification.recordings.reading import MACHINE, add
-from fmus.identification.refinement.compiled_model import zero_of
+from fmus.identification.refinement.compiled_model import delay_of, zero_of
 from fmus.identification.refinement.problem import (
     EstimationProblem,
     FreeParameter,
@@ -27,6 +29,7 @@ from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import FERIC
 from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values
 from orchestrator.base.errors import Problem
+from orchestrator.data.corrections import delayed
 from orchestrator.data.recording import Recording
 
 Parameters = Mapping[str, Number]
@@ -126,7 +129,7 @@ def problem(
 ) -> EstimationProblem:
     """The joint refinement as an output-error problem; recordings with use "test" are held out.
 
-    The zeros of sensors that declare a `zero_error` are free as well.
+    The zeros of sensors that declare a `zero_error` are free as well, and delays with a `delay_error`.
 
     parameters   their values are the priors, with their standard deviations or `PRIOR_SD`
     names        free parameters, as in parameters.toml
@@ -158,7 +161,7 @@ def problem(
     return EstimationProblem(
         sub=HARVESTER,
         outputs=outputs,
-        free=(*free, *_zeros(train, measured)),
+        free=(*free, *_zeros(train, measured), *_delays(train)),
         training=tuple(map(mapping.run, train)),
         held_out=tuple(map(mapping.run, test)),
         fixed=fixed,
@@ -178,6 +181,18 @@ def _zeros(recordings: Sequence[Recording], signals: Mapping[str, str]) -> Itera
         if (most := max(declared, default=0.0)) > 0:
             unit = quantities(HARVESTER.outputs)[output].unit
             yield FreeParameter(zero_of(output), 0.0, unit, limit_sd(most), -most, most, scale=most)
+
+
+def _delays(recordings: Sequence[Recording]) -> Iterator[FreeParameter]:
+    """The delays of inputs that declare a `delay_error`, as free parameters within it.
+
+    A command of the time of its request, and not of that at which the valve acts, makes capacitances,
+    dampings and leakages wrong by up to several times.
+    """
+    for name in quantities(HARVESTER.inputs):
+        most = max(r.sensor(FERIC.inputs[name][0]).delay_error for r in recordings)
+        if most > 0:
+            yield FreeParameter(delay_of(name), 0.0, "s", limit_sd(most), -most, most, scale=most)
 
 
 def _measured_outputs(training: Sequence[Recording]) -> tuple[str, ...]:
@@ -216,8 +231,8 @@ def assumptions(recordings: Sequence[Recording]) -> list[str]:
 
 
 def estimates(refined: RefinementResult) -> tuple[Estimate, ...]:
-    """The estimated parameters of the machine, as parameters.toml calls them; see `zeros` for the others."""
-    return tuple(e for e in refined.estimates() if not e.name.startswith(zero_of("")))
+    """The estimated parameters of the machine, as parameters.toml calls them: no `zeros` or `delays`."""
+    return tuple(e for e in refined.estimates() if not e.name.startswith((zero_of(""), delay_of(""))))
 
 
 def zeros(refined: RefinementResult) -> dict[str, Estimate]:
@@ -226,30 +241,51 @@ def zeros(refined: RefinementResult) -> dict[str, Estimate]:
     return {refined.problem.label(e.name.removeprefix(zero_of(""))): e for e in of_sensors}
 
 
-def zero_sentences(refined: RefinementResult) -> list[str]:
-    """One sentence on each estimated zero of a sensor, in display units."""
+def delays(refined: RefinementResult) -> dict[str, Estimate]:
+    """Signal -> by how much it acts later than its time stamps, as far as that was estimated."""
+    of_inputs = [e for e in refined.estimates() if e.name.startswith(delay_of(""))]
+    return {FERIC.inputs[e.name.removeprefix(delay_of(""))][0]: e for e in of_inputs}
+
+
+def sensor_sentences(refined: RefinementResult) -> list[str]:
+    """One sentence on each estimated zero of a sensor, in display units, and on each estimated delay."""
+    found = [("zero of the sensor", name, e, 3) for name, e in zeros(refined).items()]
+    found += [("delay", name, e, e.digits) for name, e in delays(refined).items()]
     return [
-        f"zero of the sensor of {signal}: {value} {unit} ({low} to {high} {unit})"
-        for signal, e in zeros(refined).items()
-        for value, low, high, unit in [e.displayed(3)]
+        f"{what} of {signal}: {value} {unit} ({low} to {high} {unit})"
+        for what, signal, e, digits in found
+        for value, low, high, unit in [e.displayed(digits)]
     ]
 
 
 def findings(refined: RefinementResult) -> tuple[Finding, ...]:
-    """The test of the residuals: does each signal have the noise of its sensor, and nothing else?"""
+    """Tests of the residuals and of the times of the inputs that declare a `delay_error`.
+
+    Does each signal have the noise of its sensor, and nothing else? Does each input act when it was logged?
+    """
     tests = {name: test for name, test in refined.whiteness.items() if np.isfinite(test.rms)}
-    if not tests:
-        return ()
-    name, worst = min(tests.items(), key=lambda item: (item[1].excess, -item[1].rms))
-    p = min(1.0, len(tests) * worst.excess)  # the least of several p-values [Bonferroni]
-    rms = f"{worst.rms:.3g} times the noise of its sensor"
-    return (Finding("model", p, f"the model misses {name} by more than noise: the residual is {rms}."),)
+    found = []
+    if tests:
+        name, worst = min(tests.items(), key=lambda item: (item[1].excess, -item[1].rms))
+        p = min(1.0, len(tests) * worst.excess)  # the least of several p-values [Bonferroni]
+        rms = f"{worst.rms:.3g} times the noise of its sensor"
+        sentence = f"the model misses {name} by more than noise: the residual is {rms}."
+        found.append(Finding("model", p, sentence))
+    tolerance = SHIFT * min(period(run.time) for run in refined.problem.training)
+    for name, e in delays(refined).items():
+        late = f"{name} acts {1e3 * e.value:.3g} +- {1e3 * e.sd:.2g} ms later than logged"
+        p = probability(e.value, e.sd, tolerance)
+        found.append(Finding("time shift", p, f"{late}; the estimates are without this delay."))
+    return tuple(found)
 
 
-def without_zeros(recordings: Sequence[Recording], refined: RefinementResult) -> list[Recording]:
-    """The recordings with the estimated zeros of the machine's sensors subtracted."""
-    found, corrected = zeros(refined), []
+def corrected(recordings: Sequence[Recording], refined: RefinementResult) -> list[Recording]:
+    """The recordings of the machine without the estimated zeros of its sensors and delays of its inputs."""
+    result = []
     for r in recordings:
-        own = {n: r[n] - e.value for n, e in found.items() if r.procedure == MACHINE and n in r.signals}
-        corrected.append(replace(r, signals={**r.signals, **own}))
-    return corrected
+        if r.procedure == MACHINE:
+            own = {n: r[n] - e.value for n, e in zeros(refined).items() if n in r.signals}
+            late = {n: delayed(r[n], r.time, e.value) for n, e in delays(refined).items() if n in r.signals}
+            r = replace(r, signals={**r.signals, **own, **late})
+        result.append(r)
+    return result

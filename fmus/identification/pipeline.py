@@ -47,7 +47,7 @@ Activity = Callable[[str], AbstractContextManager[object]]  # shows what is done
 class Identified:
     """Results of an identification, complete or until an interrupt.
 
-    recordings    those of the machine without the zeros of sensors that the joint refinement estimated
+    recordings    those of the machine without the zeros and delays that the joint refinement estimated
     parameters    all parameters of the machine, with the estimates in place of the values in files
     results       of the procedures that had recordings
     skipped       procedure -> reason why it has no result
@@ -191,7 +191,7 @@ def _run_joint(identified: Identified, names: Sequence[str], report: Report, act
         return
     identified.refined = refined
     identified.parameters = updated(identified.parameters, machine.estimates(refined))
-    identified.recordings = machine.without_zeros(identified.recordings, refined)
+    identified.recordings = machine.corrected(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
 
 
@@ -218,6 +218,6 @@ def refine_together(
     )
     residual = refined.history[-1].residual if refined.history else float("nan")
     report(f"  {refined.reason}; residuals are {residual:.3g} times the noise of the sensors")
-    for line in (*machine.zero_sentences(refined), *advice(refined)):
+    for line in (*machine.sensor_sentences(refined), *advice(refined)):
         report(f"  {line}")
     return refined

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 
 from fmus.composition import declared
-from fmus.identification.recordings.reading import CONDITIONS, MACHINE_SIGNALS, NOTE, REST, require
+from fmus.identification.recordings.reading import CONDITIONS, MACHINE, MACHINE_SIGNALS, NOTE, REST, require
 from fmus.machine.parts import FERIC
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -40,6 +40,13 @@ def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collectio
                 )
         on_machine = procedure in MACHINE_SIGNALS
         expected = of_machine if on_machine else {*signals[procedure], *UNREAD.get(procedure, ())}
+        of_driving = (
+            {name for names in FERIC.inputs.values() for name in names} if procedure == MACHINE else ()
+        )
+        for name in recording.signals:
+            if recording.sensor(name).delay_error and name not in of_driving:
+                only = "only that of a command or line pressure of the machine at work can be estimated"
+                raise Problem(f"{source}: signal {name}: delay_error: {only}; `delay` states a known one")
         if procedure == REST:  # any sensor
             continue
         for name in recording.signals:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base.files import tell_once
 from orchestrator.base.units import parse_unit
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.logger_files import Array, at_times
@@ -33,34 +34,56 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
         values[known] = np.unwrap(values[known], period=spec.wrap)
     if spec.held:  # also if there are gaps between its samples
         known = np.isfinite(values)
-        values[known] = np.where(_is_new(values[known]), values[known], np.nan)
-    if not spec.delay:
-        return values
-    moved = at_times(time, time + spec.delay, values)
-    moved[time < time[0] + spec.delay], moved[time > time[-1] + spec.delay] = values[0], values[-1]
+        values[known] = np.where(_is_new(values[known], time[known]), values[known], np.nan)
+    return delayed(values, time, spec.delay) if spec.delay else values
+
+
+def delayed(values: Array, time: Array, delay: float) -> Array:
+    """A signal later by a delay; its ends keep their values."""
+    moved = at_times(time, time + delay, values)
+    moved[time < time[0] + delay], moved[time > time[-1] + delay] = values[0], values[-1]
     return moved
 
 
 def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str]:
     """What a logger has probably done to a column, with the key that corrects it; step: between rows [s]."""
-    values = corrected(raw, raw, replace(spec, delay=0.0))
+    values = corrected(raw, step * np.arange(len(raw), dtype=np.float64), replace(spec, delay=0.0))
     if codes := _codes(values):
         raws = ", ".join(f"{(code - spec.offset) / spec.factor:.10g}" for code in codes)
         count = int(np.isin(values, codes).sum())
         yield f"{count} samples far from all others: error codes? invalid = [{raws}] makes them gaps"
         values = values[~np.isin(values, codes)]
-    angle = spec.unit in ("", "1") or parse_unit(spec.unit).exponents == parse_unit("rad").exponents
-    turn = parse_unit("rev").factor / parse_unit(spec.unit).factor if spec.unit not in ("", "1") else 360.0
     step *= len(raw) / max(np.isfinite(values).sum(), 1)  # between samples of a slower group
     values = values[np.isfinite(values)]
-    jumps = np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1
-    if angle and jumps.any():
-        yield f"jumps {jumps.sum()} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
+    turn, jumps = _wraps(values, spec.unit)
+    if jumps:
+        yield f"jumps {jumps} times by about {turn:.6g}; wrap = {turn:.10g} unwraps an angle"
     sizes = np.abs(np.diff(values))
     # steps of one size are those of a converter that follows a slow signal
     hold = _hold(values)
     if 0 < hold * step < SLOWEST and np.median(sizes[sizes > 0]) > STEP * sizes[sizes > 0].min():
         yield f"each value is held for {hold:.3g} samples, slower than the log: held = true uses each once"
+
+
+def unwrapping(raw: Array, spec: SignalDescription, column: str) -> SignalDescription:
+    """The description with the key `wrap`, and a line, if the column is an angle that jumps by a turn."""
+    values = corrected(raw, raw, replace(spec, delay=0.0, held=False))
+    turn, jumps = _wraps(values[np.isfinite(values)], spec.unit)
+    if spec.unit == "1" or not jumps:  # without a unit it may be no angle
+        return spec
+    tell_once(f"{column}: jumps {jumps} times by about {turn:.6g}; unwrapped, as with wrap = {turn:.10g}")
+    return replace(spec, wrap=turn)
+
+
+def _wraps(values: Array, unit: str) -> tuple[float, int]:
+    """A turn in the unit of an angle, 360 without a unit, and how often successive values differ by one."""
+    if unit in ("", "1"):
+        turn = 360.0
+    elif parse_unit(unit).exponents == parse_unit("rad").exponents:
+        turn = parse_unit("rev").factor / parse_unit(unit).factor
+    else:
+        return 0.0, 0
+    return turn, int((np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1).sum())
 
 
 def _codes(values: Array) -> list[float]:
@@ -93,10 +116,17 @@ def _hold(values: Array) -> float:
     return period if np.quantile(np.abs(late), 0.95) < 1 else 0.0
 
 
-def _is_new(values: Array) -> NDArray[np.bool_]:
-    """Whether each sample is a new one of a source that is held, also if it has the same value."""
+def _is_new(values: Array, time: Array) -> NDArray[np.bool_]:
+    """Whether each sample is a new one of a source that is held, also if it has the same value.
+
+    Without a rhythm, as of a lever that seldom moves, a run that is longer than usual has several samples. A
+    source with runs that are all too long for a bus is not held.
+    """
     starts, rows = _runs(values), np.arange(len(values))
     run = np.searchsorted(starts, rows, side="right") - 1
-    hold = round(_hold(values)) or len(values)
+    hold = round(_hold(values))
+    if not hold:
+        lengths, lasts = np.diff(starts[1:]), np.diff(time[starts[1:]])  # the first and the last run are cut
+        hold = round(float(np.median(lengths[lasts < SLOWEST]))) if (lasts < SLOWEST).any() else 1
     left = np.append(starts[1:], len(values))[run] - rows
     return np.asarray(((rows - starts[run]) % hold == 0) & (left > hold / 2) | (rows == starts[run]))

@@ -113,6 +113,7 @@ class SignalDescription:
     label, group, tolerance, range               presentation and limit in a comparison
     sensor, noise, resolution, span, dead_zone,
     zero_error                                   properties of the instrument, in `unit`
+    delay_error                                  largest error of `delay` [s]
     """
 
     unit: str = ""
@@ -133,6 +134,7 @@ class SignalDescription:
     span: Annotated[tuple[float, float], Rule("[lowest, highest]", lambda v: v[0] < v[1])] | None = None
     dead_zone: Annotated[float, NOT_NEGATIVE] = 0.0
     zero_error: Annotated[float, NOT_NEGATIVE] | None = None
+    delay_error: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def tolerance_of(self, groups: Mapping[str, Tolerance | Literal["none"]]) -> Tolerance | None:
         """The limit of the signal, or else that of its group; None for a signal without a limit."""

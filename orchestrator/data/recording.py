@@ -20,7 +20,7 @@ from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require, tell_once, write_columns
 from orchestrator.base.units import convert, number_and_unit, parse_unit, si_unit
-from orchestrator.data.corrections import corrected, log_faults
+from orchestrator.data.corrections import corrected, log_faults, unwrapping
 from orchestrator.data.description import (
     Condition,
     Description,
@@ -46,6 +46,7 @@ class Sensor:
     low, high    range; a value at a limit is clipped
     dead_zone    magnitude below which readings are not valid, such as the smallest flow of a turbine meter
     zero_error   largest error of the zero, of a data sheet; None if unknown
+    delay_error  largest error of the times of its samples [s], 0 if they are right
     """
 
     text: str = ""
@@ -55,6 +56,7 @@ class Sensor:
     high: float = math.inf
     dead_zone: float = 0.0
     zero_error: float | None = None
+    delay_error: float = 0.0
 
     @property
     def sd(self) -> float:
@@ -231,10 +233,10 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         )
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
-    specs = {
-        name: replace(spec, unit=spec.unit or columns.units.get(column[name], ""))
+    specs = [
+        (name, replace(spec, unit=spec.unit or columns.units.get(column[name], "")))
         for name, spec in description.signals.items()
-    }.items()
+    ]
     for name, spec in specs:
         if not spec.unit:
             where = f"{description_file}: signals.{toml.quote_key(name)}"
@@ -244,6 +246,10 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         if is_unit(unit) and parse_unit(unit) != parse_unit(spec.unit):
             told = f"in {unit}, but read in {spec.unit}, as {description_file.name} states"
             tell_once(f"{file}: column {column[name]!r}: {told}")
+    if (
+        description.experiment
+    ):  # of a machine, whose angles have no end; the output of another system may wrap
+        specs = [(n, unwrapping(columns.values[column[n]], s, f"{file}: {n}")) for n, s in specs]
     stated = description.experiment.items()
     conditions = {n: x if n in WORDS and isinstance(x, str) else _condition(x) for n, x in stated}
     time = _seconds(columns, description)
@@ -356,7 +362,7 @@ def _sensor(spec: SignalDescription) -> Sensor | None:
     low, high = (_si(limit, spec.unit) for limit in spec.span or (-math.inf, math.inf))
     sizes = {name: getattr(spec, name) for name in ("noise", "resolution", "dead_zone", "zero_error")}
     sizes = {name: size and factor * size for name, size in sizes.items()}
-    sensor = Sensor(text=spec.sensor, low=low, high=high, **sizes)
+    sensor = Sensor(text=spec.sensor, low=low, high=high, delay_error=spec.delay_error, **sizes)
     return None if sensor == Sensor() else sensor
 
 

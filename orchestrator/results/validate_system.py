@@ -90,7 +90,8 @@ def delay_note(run: Trace, reference: Recording) -> str:
     if abs(delay) < LEAST_DELAY or errors[-1] > errors[0] / 2:
         return ""
     act = f"the commands act {abs(delay):.2g} s {'later' if delay > 0 else 'earlier'} than the reference"
-    return f"{act} states: `delay = {delay:.2g}` makes all errors {errors[0] / errors[-1]:.2g} times smaller"
+    less = f"makes all errors {errors[0] / errors[-1]:.2g} times smaller"
+    return f"{act} states: `delay = {delay:.2g}`, or that much more, {less}"
 
 
 def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Trace | None:

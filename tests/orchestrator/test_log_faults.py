@@ -126,6 +126,31 @@ def test_a_held_sample_is_used_once():
     np.testing.assert_array_equal(found, np.where(ROW % 4 == 0, still, np.nan))
 
 
+@pytest.mark.parametrize(
+    ("values", "used"),
+    [
+        (np.interp(TIME, [2, 2.3, 6, 6.2], [0, 3, 3, 0]), ROW % 10 == 0),  # one motion of a lever
+        (np.zeros(ROW.size), ROW >= 0),  # a lever that nobody moves
+        (np.where((TIME >= 3) & (TIME < 7), 5.0, 0.0), ROW >= 0),  # steps of an experiment
+        (np.where(ROW < 0, 1.0, np.nan), ROW < 0),
+    ],
+)
+def test_a_held_lever_that_seldom_moves_keeps_its_samples(values, used):
+    """Its rhythm is that of its usual run; without one, each row counts, so that no gap is too long."""
+    found = corrected(held(values, 10), TIME, SignalDescription("V", held=True))
+    np.testing.assert_array_equal(found, np.where(used, values, np.nan))
+
+
+def test_held_samples_without_a_rhythm_are_used_once():
+    """A source that sends at irregular times: no repeat of a run that is not longer than usual."""
+    starts = np.cumsum(RNG.choice([2, 3, 3, 3, 4], 600))
+    sent = starts[np.searchsorted(starts, ROW[:1500], side="right") - 1] * (starts[0] <= ROW[:1500])
+    found = corrected(NOISY[sent], TIME[:1500], SignalDescription("bar", held=True))
+    used = np.flatnonzero(np.isfinite(found))
+    assert set(starts[starts < 1500]) <= set(used) | {0}
+    assert len(used) <= np.sum(starts < 1500) + 1
+
+
 def test_a_delay_moves_one_signal():
     """By whole samples, by a fraction, forwards and back; the ends keep their values."""
     late = corrected(LEVER, TIME, SignalDescription("V", delay=0.04))
@@ -167,6 +192,32 @@ def test_the_keys_work_in_a_file(tmp_path, capsys):
     assert np.flatnonzero(np.isnan(made["p"])).tolist() == [10, 510, 1010, 1510]
     # 18 digits of the file
     np.testing.assert_allclose(made["a"], np.radians(3 * ANGLE - 360), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "known", "told"),
+    [
+        ("deg", 3 * ANGLE, True, "jumps 2 times by about 360; unwrapped, as with wrap = 360"),
+        ("rad", np.radians(3 * ANGLE), True, "jumps 2 times by about 6.28319; unwrapped"),
+        ("1", 3 * ANGLE, True, ""),  # it may be no angle
+        ("deg", 3 * ANGLE, False, ""),  # the output of another system may wrap, too
+    ],
+)
+def test_an_angle_of_an_experiment_is_unwrapped_with_a_line(tmp_path, capsys, unit, values, known, told):
+    """Without a key, before its samples are moved by a delay; any other one is named only."""
+    turn = 2 * np.pi if unit == "rad" else 360
+    rows = np.column_stack([TIME, values % turn])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,a", comments="")
+    text = f'[signals.a]\nunit = "{unit}"\ndelay = 0.01\n'
+    experiment = '[experiment]\nprocedure = "rest"\n' if known else ""
+    (tmp_path / "a.toml").write_text(experiment + text, encoding="utf-8")
+    made = read_recording(tmp_path / "a.csv")
+    line = capsys.readouterr().err
+    assert line.startswith(f"{tmp_path / 'a.csv'}: a: {told}") if told else not line
+    assert [*made.log_faults()] == [] if told else "wrap = " in next(iter(made.log_faults()))
+    if told:
+        expected = np.radians(3 * ANGLE - 360)
+        np.testing.assert_allclose(made["a"][2:], expected[:-2], atol=1e-9)  # 18 digits of the file
 
 
 @pytest.mark.parametrize(

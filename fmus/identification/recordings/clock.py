@@ -3,15 +3,17 @@
 A missing sample becomes a gap (NaN) of a new clock; it is not interpolated.
 """
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fmus.identification.recordings.masks import good
+from fmus.identification.recordings.masks import good, noise
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, Sensor, true_intervals
+from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
 UNIFORM = 0.05  # periods; largest deviation of a time stamp on a uniform clock; derivatives are sensitive
@@ -19,12 +21,43 @@ GAP = 1.5  # periods; in a longer interval a sample is missing
 ROUNDING = 1e-6  # periods; rounding of time stamps
 CUTOFF = 0.8  # -6 dB of the anti-aliasing filter, over half the new rate, where it has -34 dB
 ORDER = 8  # order of the anti-aliasing filter
+COUNTABLE = 0.22  # periods of white jitter; with more, single lost samples cannot be told from late ones
+LONG = 4.0  # periods; white jitter of up to 0.4 periods makes no interval this long
+LATE = 0.65  # periods, from which a stamp is that of the next sample; more than half, as few are lost
+PHASE = 0.1  # share of a time stamp's deviation that moves the expected time of the next sample
+SLOWER, FASTER = 1.25, 0.8  # of the usual period: how far a clock may drift
 MAX_RATE = 500.0  # Hz; ten times the frequency of oil in the longest hose; more only costs simulation time
 
 
 def period(time: Array) -> float:
     """Sampling period of a clock [s]: the median interval, which missing samples do not change."""
     return float(np.median(np.diff(time)))
+
+
+def sample_steps(time: Array) -> NDArray[np.int64]:
+    """Periods between successive samples of a clock with jitter, drift and lost samples, shape (n - 1,).
+
+    1: the next sample, 2: one is lost, 0: two stamps of one sample. A phase-locked loop follows the clock
+    [second order, critically damped]; rounded intervals would count each late stamp as a lost sample. If
+    single lost samples cannot be counted, only long intervals have more than one period.
+    """
+    intervals = np.diff(time)
+    usual = every = float(np.median(intervals[intervals < GAP * period(time)]))
+    if noise(time) > COUNTABLE * usual:
+        return np.where(intervals > LONG * usual, np.round(intervals / usual), 1).astype(np.int64)
+    expected, steps = float(time[0]) + every, []
+    for stamp in time[1:].tolist():
+        off = (stamp - expected) / every
+        lost = max(math.ceil(off - LATE), 0) - (off < -LATE)
+        late = stamp - expected - lost * every
+        every = min(max(every + PHASE**2 / 4 * late, FASTER * usual), SLOWER * usual)
+        expected += (1 + lost) * every + PHASE * late
+        steps.append(1 + lost)
+    found = np.array(steps, dtype=np.int64)
+    # a stamp that is far early or late
+    pairs = np.flatnonzero((found[:-1] + found[1:] == 2) & (found[:-1] != 1))
+    found[pairs] = found[pairs + 1] = 1
+    return found
 
 
 def clock_error(time: Array) -> Array:
@@ -84,24 +117,24 @@ def resample(recording: Recording, rate: float, hold: Collection[str] = ()) -> R
     old = 1 / period(time)
     duration = time[-1] - time[0]
     clock = time[0] + np.arange(1 + int(duration * rate * (1 + 1e-12) + 1e-9)) / rate
-    longest = GAP / old
+    lost = (sample_steps(time) > 1) & (np.diff(time) > GAP / old)
     down = rate < old * (1 - 1e-6)
     finer = np.linspace(time[0], time[-1], 1 + round(duration * old))
     signals, sensors = {}, dict(recording.sensors)
     for name, values in recording.signals.items():
         if not down or name in hold:
-            signals[name] = _interpolated(clock, time, values, longest, name in hold)
+            signals[name] = _interpolated(clock, time, values, lost, name in hold)
             continue
         usable = np.where(good(recording, name), values, np.nan)
-        filtered = _filtered(_interpolated(finer, time, usable, longest), rate / old)
-        signals[name] = _interpolated(clock, finer, filtered, longest)
+        filtered = _filtered(_interpolated(finer, time, usable, lost), rate / old)
+        signals[name] = _interpolated(clock, finer, filtered, np.zeros(len(finer) - 1, dtype=bool))
         if name in sensors:
             sensors[name] = _filtered_sensor(sensors[name], rate / old)
     return replace(recording, time=clock, signals=signals, sensors=sensors)
 
 
-def _interpolated(clock: Array, time: Array, values: Array, longest: float, hold: bool = False) -> Array:
-    """A signal at other times, linear or held; NaN next to a gap and in an interval that is too long."""
+def _interpolated(clock: Array, time: Array, values: Array, lost: Mask, hold: bool = False) -> Array:
+    """A signal at other times, linear or held; NaN next to a gap and in an interval with lost samples."""
     rounding = ROUNDING * period(time)  # a new sample this close to an old one gets its value
     if hold:
         before = np.searchsorted(time, clock + rounding, side="right") - 1
@@ -110,7 +143,7 @@ def _interpolated(clock: Array, time: Array, values: Array, longest: float, hold
         result = np.interp(np.clip(clock, time[0], time[-1]), time, values)
     after = np.clip(np.searchsorted(time, clock), 1, len(time) - 1)
     inside = (clock > time[after - 1] + rounding) & (clock < time[after] - rounding)
-    return np.where(inside & (time[after] - time[after - 1] > longest), np.nan, result)
+    return np.where(inside & lost[after - 1], np.nan, result)
 
 
 def _filter(ratio: float) -> Array:

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmus.identification.recordings import masks
-from fmus.identification.recordings.clock import GAP, UNIFORM, period
+from fmus.identification.recordings.clock import GAP, UNIFORM, period, sample_steps
 from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
@@ -28,6 +29,8 @@ PLAUSIBLE_RATES = (10.0, 1e5)  # Hz, of a logger that records the motion of a va
 LOUD = 2.0  # a remark from this ratio of noise to stated noise on
 COARSE, FINE = 1.5, 0.67  # a remark outside these ratios of step to stated resolution
 FINEST_STATED = 1e-4  # fraction of a signal's range; finer steps, such as digits of a file, need no statement
+LOOSE = 0.1  # periods of white jitter, from which a lost sample may not be seen, which moves all later ones
+UNSEEN = 1.2  # times that jitter: deviations that show such samples
 CLOSE = 0.5  # periods; time stamps closer than this belong to one sample that was written twice
 SIGNIFICANT = 5  # standard deviations; a larger count or drift is not due to chance
 RARE = 0.05  # rows that are equal by chance with a larger probability are not judged
@@ -167,13 +170,18 @@ def _unused(mask: Mask, time: Array) -> str:
 def _clock(recording: Recording) -> tuple[float, float, list[str]]:
     """Rate, jitter and faults of a clock."""
     time = recording.time
-    usual, intervals = period(time), np.diff(time)
-    steps = np.maximum(np.round(intervals / usual), 1)
+    usual, intervals, steps = period(time), np.diff(time), sample_steps(time)
     rate = float(np.sum(steps) / (time[-1] - time[0]))
     jitter, drift, bow = _drift(time, steps) if len(time) >= 10 else (0.0, 0.0, 0.0)
+    if LOOSE * usual < (white := masks.noise(time)) < jitter / UNSEEN:
+        jitter, bow = white, 0.0
     missing, longest = int(np.sum(steps[intervals > GAP * usual] - 1)), int(np.argmax(intervals))
     gap = f"the longest interval is {1e3 * intervals[longest]:.4g} ms at {time[longest]:.6g} s"
     close, repeated = int(np.sum(intervals < CLOSE * usual)), time[_repeated(recording)]
+    # by chance, if successive time stamps have independent normal jitter
+    chance = math.erfc((1 - CLOSE) * usual / (2 * jitter)) / 2 if jitter else 0.0
+    expected = chance * len(intervals)
+    twice = close > expected + SIGNIFICANT * math.sqrt(expected)
     low, high = PLAUSIBLE_RATES
     rows, off = f"{repeated.size} rows repeat the row before", f"{1e3 * bow:.3g} ms off a uniform clock"
     tests = {
@@ -181,7 +189,7 @@ def _clock(recording: Recording) -> tuple[float, float, list[str]]:
             low <= rate <= high
         ),
         f"{missing} samples are missing; {gap}, the usual one {1e3 / rate:.4g} ms.": missing,
-        f"{close} time stamps are less than half a period after the one before.": close,
+        f"{close} time stamps are less than half a period after the one before.": twice,
         f"jitter of {1e3 * jitter:.3g} ms, {100 * jitter * rate:.0f} % of a period.": jitter * rate > UNIFORM,
         f"the interval changes by {100 * drift:.2g} % from start to end, which is {off}.": bow * rate > BOW,
         f"{rows}, first at {repeated[:1].sum():.6g} s.": repeated.size,
@@ -189,7 +197,7 @@ def _clock(recording: Recording) -> tuple[float, float, list[str]]:
     return rate, jitter, [f"The clock: {sentence}" for sentence, true in tests.items() if true]
 
 
-def _drift(time: Array, steps: Array) -> tuple[float, float, float]:
+def _drift(time: Array, steps: NDArray[np.int64]) -> tuple[float, float, float]:
     """Jitter [s], relative change of the interval from start to end, and its bow off a uniform clock [s].
 
     They come from the fit of a parabola over the index of each sample; the bow is 0 if it is not significant.

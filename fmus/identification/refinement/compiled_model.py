@@ -14,7 +14,7 @@ from importlib.resources import files
 import casadi as ca
 import numpy as np
 
-from fmus.contract import Quantity, Subsystem
+from fmus.contract import Quantity, Subsystem, quantities
 from fmus.export.c_code import generated, generator_sources, native_sources
 from fmus.export.c_functions import c_function
 from fmus.export.interface import Interface, Kind, Variable, make_interface
@@ -25,6 +25,7 @@ from orchestrator.base.compiler import SUFFIX, kept, shared_library
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
+DELAY_STEP = 1e-3  # s, of the difference quotients by a delay; a fifth of the period of a usual logger
 WIDTH = 8  # sensitivity columns per vector: a cache line, one to four registers of current processors
 COMPILER_FLAGS = (
     "-std=gnu11",
@@ -110,11 +111,17 @@ def zero_of(output: str) -> str:
     return "zero_of_" + output
 
 
+def delay_of(input_name: str) -> str:
+    """Name of the free parameter by which an input acts later than its time stamps [s]."""
+    return "delay_of_" + input_name
+
+
 class CompiledModel:
     """A simulator in C with exact sensitivities of the solver's steps.
 
     states, inputs   names of those that the outputs depend on: the others are left out
-    free             parameters of the subsystem, then zeros of sensors: a reading is an output plus its zero
+    free             parameters of the subsystem, then zeros of sensors: a reading is an output plus its zero,
+                     then delays of inputs, see `delayed_inputs`
     nominal          nominal values of the states, shape (nx,)
     p0               initial values of the free parameters, shape (np,)
     """
@@ -129,20 +136,21 @@ class CompiledModel:
     ) -> None:
         values = values or default_values(sub)
         zeros = [name for name in outputs if zero_of(name) in free]
-        model = reduce_model(sub, outputs, free[: len(free) - len(zeros)])
+        delays = [name for name in quantities(sub.inputs) if delay_of(name) in free]
+        model = reduce_model(sub, outputs, free[: len(free) - len(zeros) - len(delays)])
         self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
-        self.free = (*model.estimated, *map(zero_of, zeros))
+        self.free = (*model.estimated, *map(zero_of, zeros), *map(delay_of, delays))
         self.nominal: Array = np.array([model.quantities[name].nominal for name in model.states])
         self._zeros = [self.outputs.index(name) for name in zeros]
         self._p = np.array([values.p[name] for name in model.parameters])
         self._indices = np.array([model.parameters.index(n) for n in model.estimated], dtype=np.intp)
-        self.p0 = np.append(self._p[self._indices], np.zeros(len(zeros)))
+        self.p0 = np.append(self._p[self._indices], np.zeros(len(zeros) + len(delays)))
         self._dynamic = np.array(model.dynamic, dtype=np.intp)
         self._statements = model.equations.statements
         self._tolerance = tolerance
         self._all_x = np.array(list(values.x.values()))
-        eqs, by_zeros = model.equations, ca.SX(len(self.states), len(zeros))
-        start_p = ca.densify(ca.horzcat(ca.jacobian(model.start, model.q), by_zeros))
+        eqs, by_others = model.equations, ca.SX(len(self.states), len(zeros) + len(delays))
+        start_p = ca.densify(ca.horzcat(ca.jacobian(model.start, model.q), by_others))
         self._start = ca.Function("start", [model.all_x, eqs.u, eqs.p], [model.start, start_p])
         self._simulate = library(kept_sources(model)).simulate
         self._simulate.restype = ctypes.c_int
@@ -160,10 +168,12 @@ class CompiledModel:
         """The trajectory from the states x at time[0] to time[-1].
 
         time    of the samples [s], increasing, shape (n,)
-        inputs  at the samples, linear between them, shape (n, nu)
+        inputs  at the samples, linear between them, shape (n, nu), or several of them from `delayed_inputs`
 
         Raises SimulationFailed. Thread-safe; the C code runs without Python's global lock.
         """
+        if inputs.ndim == 3:
+            return self._by_delays(x, p, time, inputs, sensitivities)
         time, inputs = (np.ascontiguousarray(a, dtype=np.float64) for a in (time, inputs))
         n, nx, ny = time.size, len(self.states), len(self.outputs)
         self._check(x, p, time, inputs)
@@ -177,10 +187,22 @@ class CompiledModel:
             names = self._statements if status == _REQUIREMENT else self.states
             raise SimulationFailed(_MESSAGES[status].format(names[int(report[2])]), report[0])
         y_x, y_p = self._split(dy)
-        y[:, self._zeros] += p[self._indices.size :]
+        first, last = self._indices.size, self._indices.size + len(self._zeros)
+        y[:, self._zeros] += p[first:last]
         if sensitivities:
-            y_p[:, self._zeros, range(self._indices.size, len(p))] = 1.0
+            y_p[:, self._zeros, range(first, last)] = 1.0
         return SegmentSolution(y, x, y_x, y_p, *self._split(dx), int(report[1]))
+
+    def _by_delays(
+        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool
+    ) -> SegmentSolution:
+        """The segment with the first inputs; the others are those with one delay `DELAY_STEP` longer."""
+        found = self.segment(x, p, time, inputs[0], sensitivities)
+        for j, later in enumerate(inputs[1:], len(p) - len(inputs) + 1) if sensitivities else ():
+            other = self.segment(x, p, time, later, False)
+            found.y_p[..., j] = (other.y - found.y) / DELAY_STEP
+            found.x_p[:, j] = (other.x - found.x) / DELAY_STEP
+        return found
 
     def _check(self, x: Array, p: Array, time: Array, inputs: Array) -> None:
         """Check the shapes, beyond which C would read."""
@@ -209,6 +231,22 @@ class CompiledModel:
         by_p = np.zeros((*columns.shape[:-1], len(self.free)))
         by_p[..., self._dynamic] = columns[..., :dynamic]
         return columns[..., dynamic : dynamic + nx], by_p
+
+
+def delayed_inputs(simulator: CompiledModel, p: Array, time: Array, inputs: Array) -> Array:
+    """The inputs of a whole run, shape (n, nu), later by their delays; the same array if none is estimated.
+
+    With delays the shape is (1 + number of delays, n, nu): one after the other is longer by `DELAY_STEP`.
+    """
+    delays = [j for j, name in enumerate(simulator.free) if name.startswith(delay_of(""))]
+    if not delays:
+        return inputs
+    result = np.repeat(inputs[None], 1 + len(delays), axis=0)
+    for i, j in enumerate(delays, 1):
+        for k in (k for k, name in enumerate(simulator.inputs) if delay_of(name) == simulator.free[j]):
+            result[:, :, k] = np.interp(time - p[j], time, inputs[:, k])
+            result[i, :, k] = np.interp(time - p[j] - DELAY_STEP, time, inputs[:, k])
+    return result
 
 
 def kept_sources(model: ReducedModel) -> dict[str, str]:

@@ -20,7 +20,12 @@ from scipy.signal import savgol_filter
 from fmus.contract import Subsystem, quantities, symbolic
 from fmus.identification.recordings.clock import period
 from fmus.identification.recordings.masks import good
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, zero_of
+from fmus.identification.refinement.compiled_model import (
+    CompiledModel,
+    SimulationFailed,
+    delayed_inputs,
+    zero_of,
+)
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
@@ -158,10 +163,12 @@ class MeasuredRun:
     ) -> Array:
         """Initial states of all segments, shape (segments, nx): measured if possible, else simulated."""
         states = [self.initial_state(simulator, p, inputs, corrected=False)[0]]
+        inputs = delayed_inputs(simulator, p, self.time, inputs)
         for first, last in pairwise(edges[:-1]):
             window, end = slice(first, last + 1), states[-1].copy()
             with suppress(SimulationFailed):
-                end = simulator.segment(states[-1], p, self.time[window], inputs[window], False).x.copy()
+                u = inputs[..., window, :]
+                end = simulator.segment(states[-1], p, self.time[window], u, False).x.copy()
             for j, name in enumerate(simulator.states):
                 if name in self.measured_states and np.isfinite(self.measured_states[name][last]):
                     end[j] = self.measured_states[name][last]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmus.identification.refinement.compiled_model import CompiledModel
+from fmus.identification.refinement.compiled_model import CompiledModel, delayed_inputs
 from fmus.identification.refinement.gauss_newton import (
     CONVERGED,
     INTERRUPTED,
@@ -124,6 +124,7 @@ class RefinementResult:
         p, outputs = self.problem.values_of(self.z), self.problem.outputs
         inputs = run.input_matrix(self.simulator.inputs)
         state, state_p = run.initial_state(self.simulator, p, inputs)
+        inputs = delayed_inputs(self.simulator, p, run.time, inputs)
         solution = self.simulator.segment(state, p, run.time, inputs)
         by_z: Array = (solution.y_p + solution.y_x @ state_p) * self.problem.derivatives(self.z)
         noise = np.array([1 / max(w.max(), np.finfo(float).tiny) if w.any() else 0.0 for w in run.weight.T])

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from fmus.identification.recordings.masks import autocorrelation_time
-from fmus.identification.refinement.compiled_model import CompiledModel
+from fmus.identification.refinement.compiled_model import CompiledModel, delayed_inputs
 from fmus.identification.refinement.problem import EstimationProblem
 from orchestrator.data.table import Array
 
@@ -235,11 +235,15 @@ class Shooting:
         """Simulate all segments; raises SimulationFailed."""
         p, p_z = self.problem.values_of(z), self.problem.derivatives(z)
         nominal = self.simulator.nominal
+        inputs_of = [
+            delayed_inputs(self.simulator, p, run.time, inputs)
+            for run, inputs in zip(self.problem.training, self.inputs, strict=True)
+        ]
 
         def segment(task: tuple[int, int]) -> Segment:
             k, i = task
             run, (first, last) = self.problem.training[k], self.edges[k][i : i + 2]
-            time, inputs = run.time[first : last + 1], self.inputs[k][first : last + 1]
+            time, inputs = run.time[first : last + 1], inputs_of[k][..., first : last + 1, :]
             solution = self.simulator.segment(starts[k][i] * nominal, p, time, inputs, sensitivities)
             count = last - first + (i == len(self.edges[k]) - 2)  # a sample on an edge counts once
             weight = run.weight[first : first + count]

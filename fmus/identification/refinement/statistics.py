@@ -22,7 +22,7 @@ from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
-from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed, delayed_inputs
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Minimum
 from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import CondensedRun, Shooting, linearise
@@ -228,6 +228,7 @@ def simulate(
     inputs = run.input_matrix(simulator.inputs)
     state = run.initial_state(simulator, p, inputs)[0] if start is None else start
     try:
+        inputs = delayed_inputs(simulator, p, run.time, inputs)
         return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)
     except SimulationFailed:
         return SimulatedRun(run, np.full(run.measured.shape, np.nan))

@@ -15,6 +15,7 @@ shares add up to the share that all effects explain.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, repeat
@@ -271,7 +272,11 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
             text += f" The data can hardly distinguish it from {' and '.join(close)}."
     if first.alone >= LEAST and first.effect in (LATE, EARLY):
         delay = first.coefficient * (SHIFT if first.effect == LATE else -SHIFT)
-        text += f" The key `delay = {delay:.2g}` at each command corrects most of it."
+        most = math.ceil(20 * abs(delay)) / 10  # s: twice the delay
+        text += (
+            f" The key `delay = {delay:.2g}` at each command, or that much more than it has, corrects most "
+            f"of it. With `delay_error = {most:g}` in its place identify estimates the delay of each command."
+        )
     if parameters > LEAST / 2:
         text += (
             f" Slightly different values of the identified parameters would remove {percent(parameters)}: "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmus.contract import quantities
-from fmus.identification.machine import lookup, nominal, zero_sentences
+from fmus.identification.machine import lookup, nominal, sensor_sentences
 from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
@@ -102,7 +102,7 @@ def page_content(
         "commands": _next_commands(folder, out, identified),
         "remarks": [
             *([f"No recording of {', '.join(missing)}."] if missing else ()),
-            *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
+            *(f"{sentence}." for sentence in (sensor_sentences(refined) if refined else ())),
             *map(extrapolation_text, outside),
         ],
         "findings": [{"procedure": name, **vars(f), "named": f in shown} for name, f in tests],

@@ -48,6 +48,21 @@ def test_lost_rows_become_gaps():
     np.testing.assert_allclose(found["u"][~missing], made["u"][rows], atol=1e-6)  # rounding of stamps
 
 
+@pytest.mark.parametrize("jitter", [0.001, 0.0015])
+def test_a_late_sample_is_no_gap(jitter):
+    """Jitter of 20 and 30 % of a period: only the lost rows are gaps, and a ramp stays a ramp."""
+    made = recording(u=np.zeros(2000))
+    late = np.random.default_rng(2).normal(0, jitter, 2000)
+    kept = np.r_[0:1000, 1100:2000]
+    time = np.sort((made.time + late)[kept])
+    found = clock.resample_uniformly(replace(made, time=time, signals={"u": time}))
+    missing = np.isnan(found["u"])
+    # half a second, from a stamp that is late or early to another one; few single samples
+    assert missing[np.abs(found.time - 5.25) < 0.24].all()
+    assert missing[np.abs(found.time - 5.25) > 0.26].sum() <= 4
+    np.testing.assert_allclose(found["u"][~missing], found.time[~missing], atol=1e-12)  # a line, rounding
+
+
 def test_a_fast_recording_is_thinned():
     """From 5 kHz to 500 Hz: commands are held, other signals filtered, the noise of the sensor is reduced."""
     rng = np.random.default_rng(4)

@@ -136,6 +136,30 @@ def test_jitter_and_drift_of_the_clock(clean):
     assert remarks_on(less, "The clock") == []
 
 
+@pytest.mark.parametrize(("jitter", "lost"), [(0.0005, 40), (0.001, 40), (0.0015, 0), (0.0015, 40)])
+def test_late_samples_are_no_lost_ones(clean, jitter, lost):
+    """Jitter of up to 30 % of a period has its size, and makes no remark on stamps that follow too closely.
+
+    Up to 20 % the lost samples are counted, too; beyond, those cannot be told from late ones.
+    """
+    rng = np.random.default_rng(3)
+    kept = np.sort(rng.permutation(SIZE)[lost:])
+    time = np.sort((clean.time + rng.normal(0, jitter, SIZE))[kept])
+    signals = {name: values[kept] for name, values in clean.signals.items()}
+    made = replace(clean, time=time, signals=signals)
+    texts = remarks_on(made, "The clock")
+    assert not any("half a period" in text for text in texts)
+    # a median of 4000 sixth differences, which are correlated: four times 1.8 / sqrt(4000)
+    assert examine(made).jitter == pytest.approx(jitter, rel=0.12)
+    told = [int(text.split()[2]) for text in texts if "missing" in text]
+    if jitter < 0.0012:
+        # at 20 % one of 25 stamps after a lost sample is so early that the loss is not seen
+        assert told == [pytest.approx(lost, abs=4)]
+        assert examine(made).rate == pytest.approx(RATE, rel=1e-3)  # a sample or two of 4000
+    else:
+        assert told == []
+
+
 def twice(made, rows):
     """A recording in which rows repeat the row before."""
     order = np.arange(SIZE)

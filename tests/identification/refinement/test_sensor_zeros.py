@@ -49,8 +49,8 @@ def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals(nam
     assert zeros[BOOM].high - zeros[BOOM].low < np.radians(0.1)
     # as declared: 1.96 standard deviations of half of it, or its bound if residuals widen the interval
     assert 0.979 * DECLARED < zeros["manipulator.swing_angle"].high <= DECLARED * (1 + 1e-9)
-    assert any(s.startswith(f"zero of the sensor of {BOOM}: 2") for s in machine.zero_sentences(found))
-    (corrected,) = machine.without_zeros([read], found)
+    assert any(s.startswith(f"zero of the sensor of {BOOM}: 2") for s in machine.sensor_sentences(found))
+    (corrected,) = machine.corrected([read], found)
     # the interval of the zero
     np.testing.assert_allclose(corrected[BOOM], clean[BOOM], atol=np.radians(0.05))
 

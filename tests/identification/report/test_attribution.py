@@ -143,6 +143,7 @@ def test_commands_at_another_time_are_named_with_their_delay(excitation, effects
     explanation = attribution.explain(noisy(residual, 0.1), effects, step=STEP)
     assert explanation.effect == (attribution.LATE if delay > 0 else attribution.EARLY)
     told = float(re.search(r"`delay = (\S+)` at each command", explanation.verdict)[1])
+    assert "With `delay_error = 0.1` in its place" in explanation.verdict
     # linear in the delay, to a fifth
     assert told == pytest.approx(delay, rel=0.2)
 
