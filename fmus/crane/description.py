@@ -1,7 +1,7 @@
-"""The file that describes a crane: joints in order, each with its body and drive; base, payload, start, supply.
+"""The file that describes a crane: joints in order, each with body and drive; base, payload, start, supply.
 
-`read` checks all of the file and reports all mistakes at once, a line each. Quantities are numbers in SI units
-or texts with a unit, "4200 mm". docs/crane.md describes the keys.
+`read` checks all of the file and reports all mistakes at once, a line each. Quantities are numbers in SI
+units, or texts with a unit, "4200 mm". docs/crane.md describes the keys.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, TypeAlias, cast, get_args
 
 from fmus.crane.chain import Axis
 from fmus.parameters import SOURCES, Number
@@ -28,6 +28,7 @@ USED: Mapping[str, tuple[str, ...]] = {
     "four-bar": ("cylinder", "four_bar", "hydraulics"),
 }
 AXES = get_args(Axis)
+Assembly: TypeAlias = Literal["above", "below"]
 LARGEST_LENGTH = 100.0  # m
 INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
 LARGEST_SHARE = 1 + 1e-6  # of a moment of inertia in the sum of the two others, with rounding
@@ -138,7 +139,7 @@ class JointDescription:
     start: Number
     follows: str = ""
     ratio: Number = ONE
-    assembly: str = ""
+    assembly: Assembly = "above"
     part: str = ""
 
     @property
@@ -312,7 +313,7 @@ def _joint(
     reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
     numbers = reader.numbers(name, given, {**BODY, "damping": damping})
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
-    words = {"part": "drives", "assembly": ""}
+    part, assembly = "drives", "above"
     for table in USED[drive]:
         where, inner = f"{name}.{table}", reader.tables(f"{name}.{table}", given.get(table, {}))
         own = {"hydraulics": ("part",), "four_bar": ("assembly",)}.get(table, ())
@@ -321,9 +322,9 @@ def _joint(
         reader.unknown(where, inner, (*keys, *own))
         numbers |= reader.numbers(where, inner, keys)
         if "assembly" in own:
-            words["assembly"] = reader.one_of(where, inner, "assembly", ("above", "below"))
+            assembly = reader.one_of(where, inner, "assembly", ("above", "below"))
         elif "part" in own:
-            words["part"] = str(inner.get("part", "drives"))
+            part = str(inner.get("part", "drives"))
     if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
         rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
         reader.wrong(
@@ -341,7 +342,8 @@ def _joint(
         ratio=Number(
             reader.quantity(name, "ratio", given.get("ratio", 1.0), "1"), "1", reader.source, reader.note
         ),
-        **words,
+        part=part,
+        assembly=cast(Assembly, assembly),
     )
 
 

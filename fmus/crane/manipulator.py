@@ -5,8 +5,8 @@
     tau_i = torque_i - b_i q_i'                            with a motor
     tau_i = -b_i q_i'                                      of a passive joint
 
-from the chain (`fmus.crane.chain`) and the drives (`fmus.crane.drives`). The payload is a point mass that comes
-and goes by lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the slope.
+from the chain (`fmus.crane.chain`) and the drives (`fmus.crane.drives`). The payload is a point mass that
+comes and goes by lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the slope.
 
 Numbers of the description are parameters, except zeros: these are structure, so that a crane in one plane has
 the equations of a plane one.
@@ -239,7 +239,7 @@ class CraneManipulator:
             },
         )
 
-    def initial(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
+    def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """The start pose; passive joints are at rest in it."""
         q = column(*(getattr(p, f"initial_{j.coordinate}") for j in self._free))
         names = [j.name for j in self.crane.joints]
@@ -248,7 +248,7 @@ class CraneManipulator:
             q = self.chain(p).at_rest(q, passive, self.payload(u.payload_mass, p))
         return {"held_mass": u.payload_mass, **{j.coordinate: q[k] for k, j in enumerate(self._free)}}
 
-    def require(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
+    def require(self, x: Any, _: Any, p: Any) -> dict[str, Scalar]:
         """Pistons within their strokes, linkages that close."""
         found = {}
         for name, (t, _) in self._cylinders(x, p).items():
