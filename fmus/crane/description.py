@@ -17,7 +17,8 @@ from typing import Any, Literal, TypeAlias, cast, get_args
 from fmus.crane.chain import Axis
 from fmus.parameters import SOURCES, Number
 from orchestrator.base import toml
-from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.errors import Mistakes, Problem, suggest
+from orchestrator.base.files import write_whole
 from orchestrator.base.units import number_and_unit, parse_unit, si_unit
 
 # tables of a joint by its drive
@@ -279,10 +280,21 @@ def read(path: Path) -> CraneDescription:
     on = reader.one_of("payload", tables["payload"], "on", names)
     if not names:
         reader.wrong("", "expected a table for each joint, such as [boom], got none")
-    _check_masses(reader, joints)
+    if not reader.mistakes:
+        _check_masses(reader, joints)
     if reader.mistakes:
-        raise Problem("\n".join(reader.mistakes))
+        raise Mistakes(reader.mistakes)
     return CraneDescription(path, str(title), tuple(joints), on, numbers)
+
+
+def new(path: Path) -> str:
+    """Write a commented file of a small crane; a Problem if there is one. Returns what to do next."""
+    if path.suffix != ".toml":
+        raise Problem(f"{path}: expected a file that ends in .toml")
+    if path.exists():
+        raise Problem(f"{path}: exists already")
+    write_whole(path, (Path(__file__).with_name("new.toml")).read_bytes())
+    return f"{path}: a crane to begin with. Next: harvester crane check {path}"
 
 
 def _with_origin(reader: _Reader, table: str, given: Mapping[str, Any]) -> _Reader:

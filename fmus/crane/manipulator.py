@@ -94,6 +94,7 @@ class CraneManipulator:
     """The functions of the subsystem of a crane's manipulator."""
 
     crane: CraneDescription
+    parameters: type[Any]
     states: type[Any]
     outputs: type[Any]
 
@@ -289,7 +290,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         {**states, **held, **accelerations, **_of(ManipulatorOutputs, *SHOWN)},
         **{j.name: CylinderOutputs for j in pistons},
     )
-    of = CraneManipulator(crane, state, outputs)
+    of = CraneManipulator(crane, parameters, state, outputs)
     terminals = (
         *(ports.shaft(j.name, drives=False) for j in motors),
         *(ports.rod(j.name, drives=False) for j in pistons),
