@@ -102,6 +102,7 @@ NAVIGATION = {
     "Identification": ["docs/identification.md", "docs/recordings.md", "fmus/identification/README.md"],
     "Control, driving, studies": [
         "docs/control.md",
+        "docs/crane.md",
         "docs/linearize.md",
         "docs/view.md",
         "docs/sweep.md",

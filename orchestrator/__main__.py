@@ -10,7 +10,7 @@ from contextlib import redirect_stdout, suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn, TextIO
 
-from orchestrator.base.errors import Problem, Stopped, one_line
+from orchestrator.base.errors import Mistakes, Problem, Stopped, one_line
 from orchestrator.base.extras import extra_of, install
 from orchestrator.base.interrupts import signals_interrupt
 from orchestrator.cli import application
@@ -95,6 +95,9 @@ def _told(error: Exception) -> int:
         message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or message
     elif not isinstance(error, Problem):
         raise error
+    if isinstance(error, Mistakes):
+        print("\n".join(f"harvester: {line}" for line in error.lines), file=sys.stderr)
+        return 2
     print(f"harvester: {one_line(message)}", file=sys.stderr)
     return 2
 

@@ -14,7 +14,9 @@ Signs: a positive command turns left, raises the boom, extends the stick cylinde
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +90,7 @@ def _nonzero(duration: Scalar) -> Scalar:
 
 
 AXES = ("swing", "boom", "stick")
+NUMBERS = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 STROKES = range(1, 11)
 PAYLOADS = range(1, 5)
 
@@ -100,16 +103,23 @@ def _program(group: type[Group], owner: str, heading: str, count: range) -> type
     )
 
 
-# 162 parameters from two patterns, named for example boom_1_start; values and sources are in parameters.toml
-OperatorParameters = make_group(
-    "OperatorParameters",
-    {},
-    **{
-        lever: _program(Stroke, f"stroke {{}} of the {lever} lever", f"{lever.capitalize()} lever", STROKES)
-        for lever in AXES
-    },
-    payload=_program(Payload, "payload {}", "Payloads", PAYLOADS),
-)
+def parameters(levers: Sequence[str]) -> type[Any]:
+    """Parameters from two patterns, named for example boom_1_start."""
+    return make_group(
+        "OperatorParameters",
+        {},
+        **{
+            lever: _program(
+                Stroke, f"stroke {{}} of the {lever} lever", f"{lever.capitalize()} lever", STROKES
+            )
+            for lever in levers
+        },
+        payload=_program(Payload, "payload {}", "Payloads", PAYLOADS),
+    )
+
+
+# 162 parameters; values and sources are in parameters.toml
+OperatorParameters = parameters(AXES)
 
 
 class OperatorState(Group):
@@ -149,34 +159,40 @@ def dynamics(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorState:
     return OperatorState(clock=1)
 
 
-def observe(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorOutputs:
-    """Outputs."""
+def _observe(levers: Sequence[str], group: type[Any], x: OperatorState, u: OperatorInputs, p: Any) -> Any:
     outputs: dict[str, Scalar] = {}
-    for lever in AXES:
+    for lever in levers:
         outputs[f"{lever}_command"], outputs[f"{lever}_command_rate"] = _lever(lever, x.clock, p)
     outputs["payload_mass"] = sum(sample(payload, x.clock)[0] for payload in _payloads(p))
-    return OperatorOutputs(**outputs)
+    return group(**outputs)
 
 
-def next_event(x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
+def _next_event(levers: Sequence[str], x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
     """Time [s] to the next corner of a stroke; otherwise a solver at rest would step over a stroke."""
     remaining: Scalar = math.inf
-    for stroke in (*(s for lever in AXES for s in _strokes(lever, p)), *_payloads(p)):
+    for stroke in (*(s for lever in levers for s in _strokes(lever, p)), *_payloads(p)):
         remaining = ca.fmin(remaining, time_to_corner(stroke, x.clock))
     return remaining
 
 
-OPERATOR = Subsystem(
-    name="operator_input",
-    text="Operator: a program of up to ten strokes on each of three levers, and of up to four payloads",
-    parameters=OperatorParameters,
-    states=OperatorState,
-    inputs=OperatorInputs,
-    outputs=OperatorOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    next_event=next_event,
-    values=Path(__file__).with_name("parameters.toml"),
-    terminals=(*(ports.lever(axis) for axis in AXES), ports.grip()),
-    stiff=False,
-)
+def operator(levers: Sequence[str], outputs: type[Any], **values: Any) -> Subsystem:
+    """The operator of some levers; `outputs` has their commands with rates, and the payload."""
+    return Subsystem(
+        name="operator_input",
+        text=f"Operator: a program of up to ten strokes on each of {NUMBERS.get(len(levers), len(levers))} "
+        "levers, and of up to four payloads",
+        parameters=OperatorParameters if levers == AXES else parameters(levers),
+        states=OperatorState,
+        inputs=OperatorInputs,
+        outputs=outputs,
+        dynamics=dynamics,
+        observe=partial(_observe, levers, outputs),
+        next_event=partial(_next_event, levers),
+        terminals=(*(ports.lever(lever) for lever in levers), ports.grip()),
+        stiff=False,
+        **values,
+    )
+
+
+OPERATOR = operator(AXES, OperatorOutputs, values=Path(__file__).with_name("parameters.toml"))
+observe, next_event = OPERATOR.observe, OPERATOR.next_event

@@ -25,6 +25,14 @@ class Problem(Exception):
         super().__init__(one_line(message))
 
 
+class Mistakes(Problem):
+    """Several mistakes in one file, a line each."""
+
+    def __init__(self, lines: Sequence[str] | str = ()) -> None:
+        self.lines = tuple(lines.splitlines() if isinstance(lines, str) else map(one_line, lines))
+        Exception.__init__(self, "\n".join(self.lines))
+
+
 class Unsupported(Problem):
     """A variable of a type that is not supported, such as an array."""
 

@@ -8,7 +8,18 @@ from importlib import import_module
 from typing import Any
 
 COMMANDS = (  # in the order of the help
-    *("build", "modelica", "variants", "parameters", "signals", "check", "run", "validate", "compare"),
+    *(
+        "build",
+        "crane",
+        "modelica",
+        "variants",
+        "parameters",
+        "signals",
+        "check",
+        "run",
+        "validate",
+        "compare",
+    ),
     *(
         "plot",
         "energy",

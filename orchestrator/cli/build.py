@@ -19,6 +19,7 @@ def build(
     platform: Annotated[list[str] | None, Kind("NAME")] = None,
     parameters: File | None = None,
     only: Patterns = None,
+    crane: File | None = None,
     shipped: bool = False,
 ) -> None:
     """Build the FMUs of the machine, or one FMU from a model in Python.
@@ -37,6 +38,8 @@ def build(
     parameters   Parameter values that replace those of the parts (.toml), as written by identify; default:
                  none.
     only         Build only the FMUs whose names match, such as 'swing*'; default: all.
+    crane        Build the machine that this file (.toml) describes instead, see `harvester crane`: FMUs of
+                 its parts, the whole machine as one FMU, and its system.
     shipped      Copy the FMUs and systems from the installed package instead of building them; they are for
                  all platforms, and no compiler is needed.
     """
@@ -46,8 +49,12 @@ def build(
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
-    if shipped and (model or platform or parameters or only):
-        raise Problem("--shipped: expected no MODEL, --platform, --parameters or --only, which need a build")
+    if shipped and (model or platform or parameters or only or crane):
+        raise Problem(
+            "--shipped: expected no MODEL, --platform, --parameters, --only or --crane, which need a build"
+        )
+    if crane and (model or parameters or only):
+        raise Problem(f"--crane {crane}: expected no MODEL, --parameters or --only")
     if shipped:
         make_folder(out)
         _tell(copy_shipped(out, versions[fmi]))
@@ -81,6 +88,16 @@ def build(
     from fmus.machine.build import build_machine
     from orchestrator.base.progress import doing
 
+    if crane is not None:
+        from fmus.crane.check import check
+        from fmus.crane.description import read
+        from fmus.crane.machine import build_crane
+
+        description = read(crane)
+        check(description)
+        with doing("building FMUs") as line:
+            _tell(build_crane(description, out, versions[fmi], platforms, line.update))
+        return
     with doing("building FMUs") as line:
         _tell(build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update))
 

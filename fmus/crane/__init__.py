@@ -1,0 +1,1 @@
+"""Cranes as data: a tree of rigid links (`chain`), and the drives that move its joints (`drives`)."""

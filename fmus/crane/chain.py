@@ -1,0 +1,295 @@
+"""Open chains of rigid links: kinematics, energies, equations of motion and static balance of a tree.
+
+A joint connects each link to its parent, or to the base. The frame of a link has its origin in the joint and,
+at q = 0, the axes of the parent. With the rotation R and the axis a of the joint, its place d in the parent
+(`at`, plus a q of a prismatic joint), the angular velocity w and the velocity v of the origin, in the axes of
+the link:
+
+    u = v_p + w_p x d                                   of the parent p at the joint
+    w = R^T w_p + a q'          v = R^T u               revolute
+    w = w_p                     v = u + a q'            prismatic
+
+A link has the mass m, the first moment h = m c of its centre of mass c, and moments of inertia I about its
+origin; r is the place of the origin in the base:
+
+    T = sum m v^2/2 + h . (v x w) + w . I w/2           U = - sum g . (m r + R h)
+
+v^2 is u^2 in a revolute joint and u^2 + 2 q' a . u + q'^2 in a prismatic one. u^2 belongs to a point of the
+parent, so the mass of a link counts as a point mass of its parent at d, from the tips to the base ("augmented
+bodies", Wittenburg). M, V and G follow from T and U (`fmus.components.mechanics`).
+
+Axes, parents, kinds of joint and numbers that are plain zeros are structure: what they make zero is in no
+expression. All other numbers may be symbols. With numbers, and without common subexpressions, M, V and G are
+264 instructions of CasADi for the 3 joints of the paper's manipulator (205 by hand), 1692 for a crane with 7.
+
+Signs: x forward, y to the left, z upwards in the base. A revolute joint turns counter-clockwise about its
+axis, a prismatic joint moves its link along its axis.
+
+Validity: rigid links without closed loops; joints without friction, which is the user's generalised force.
+
+References: Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 2 and 4 (spatial velocity, kinematic
+trees); Wittenburg, Dynamics of Systems of Rigid Bodies, 1977 (augmented bodies).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias, get_args
+
+import casadi as ca
+
+from fmus.components.mechanics import EquationsOfMotion, equations_of_motion
+from fmus.contract import Scalar, column
+from orchestrator.base.errors import Problem
+
+Vector: TypeAlias = tuple[Scalar, Scalar, Scalar]
+Joint: TypeAlias = Literal["revolute", "prismatic"]
+Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
+_SWEEPS, _NEWTON_STEPS = 10, 4  # of `Chain.at_rest`
+# added to the stiffness there, as share of its trace and in N.m/rad: a joint that gravity does not turn stays
+_SHIFT, _LEAST = 1e-9, 1e-30
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid body, and the joint that connects it to its parent.
+
+    axis      of the joint, in the axes of the parent
+    at        place of the joint in the frame of the parent [m]
+    parent    index of a link before this one; None: the base
+    mass      [kg]
+    centre    of mass, in the frame of the link [m]
+    inertia   xx, yy, zz, xy, xz, yz of the inertia matrix about the centre of mass, in the axes of the link
+              [kg.m2]; "bar": a slender bar from the joint to twice the centre
+    follows   index of the link whose coordinate times `ratio` is that of this one, such as the first of two
+              stages that a chain couples; None: the link has a coordinate of its own
+    """
+
+    name: str
+    joint: Joint
+    axis: Axis
+    at: Vector = (0, 0, 0)
+    parent: int | None = None
+    mass: Scalar = 0
+    centre: Vector = (0, 0, 0)
+    inertia: Sequence[Scalar] | Literal["bar"] = (0, 0, 0, 0, 0, 0)
+    follows: int | None = None
+    ratio: Scalar = 1
+
+    @property
+    def direction(self) -> ca.SX:
+        """a, shape (3, 1)."""
+        unit = ca.SX(3, 1)
+        unit["xyz".index(self.axis[-1])] = -1 if self.axis[0] == "-" else 1
+        return unit
+
+    def rotation(self, q: Scalar) -> ca.SX:
+        """R, shape (3, 3)."""
+        turn = ca.SX.eye(3)
+        if self.joint == "revolute":
+            i = "xyz".index(self.axis[-1])
+            j, k, sin = (i + 1) % 3, (i + 2) % 3, self.direction[i] * ca.sin(q)
+            turn[j, j] = turn[k, k] = ca.cos(q)
+            turn[k, j], turn[j, k] = sin, -sin
+        return turn
+
+    def place(self, q: Scalar) -> ca.SX:
+        """d [m], shape (3, 1)."""
+        at = ca.SX(column(*self.at))
+        return at if self.joint == "revolute" else at + self.direction * q
+
+    @property
+    def body(self) -> Body:
+        """Mass and moments about the origin of the link."""
+        point = point_mass(self.mass, self.centre)
+        if self.inertia == "bar":  # a third of that of the point about the centre, so 4/3 about the joint
+            return replace(point, inertia=point.inertia * 4 / 3)
+        return replace(point, inertia=point.inertia + column(*self.inertia))
+
+
+@dataclass(frozen=True)
+class Body:
+    """Mass [kg], first moment [kg.m], shape (3, 1), and moments of inertia about the origin, shape (6, 1)."""
+
+    mass: Scalar
+    moment: ca.SX
+    inertia: ca.SX
+
+    def __add__(self, other: Body) -> Body:
+        return Body(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
+
+    def kinetic(self, angular: ca.SX, linear: ca.SX) -> Scalar:
+        """T without m v^2/2."""
+        x, y, z = ca.vertsplit(angular)
+        products = column(x**2 / 2, y**2 / 2, z**2 / 2, x * y, x * z, y * z)
+        return ca.dot(self.moment, ca.cross(linear, angular)) + ca.dot(self.inertia, products)
+
+
+def point_mass(mass: Scalar, at: Vector) -> Body:
+    """A point mass at a place [m]."""
+    x, y, z = at
+    inertia = column(y**2 + z**2, x**2 + z**2, x**2 + y**2, -x * y, -x * z, -y * z)
+    return Body(mass, ca.SX(mass * column(*at)), ca.SX(mass * inertia))
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A point mass [kg] that comes and goes, at a place in the frame of a link [m]."""
+
+    link: int
+    at: Vector
+    mass: Scalar
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Frame of a link in the base: its axes as columns, shape (3, 3), and its origin [m], shape (3, 1)."""
+
+    rotation: ca.SX
+    origin: ca.SX
+
+
+def gravity_on_slope(gravity: Scalar, pitch: Scalar = 0, roll: Scalar = 0) -> Vector:
+    """Gravity in the axes of a base that is first turned by `pitch` about y, then by `roll` about its own x.
+
+    As in ISO 8855, positive angles lower the front (pitch) and the right side (roll) [rad].
+    """
+    down = gravity * ca.cos(pitch)
+    return gravity * ca.sin(pitch), -down * ca.sin(roll), -down * ca.cos(roll)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A tree of links under gravity [m/s2], a vector in the base.
+
+    Columns q and speed have an entry for each link that follows no other, in the order of the links.
+    """
+
+    links: tuple[Link, ...]
+    gravity: Vector = (0, 0, -9.81)
+
+    def __post_init__(self) -> None:
+        for i, link in enumerate(self.links):
+            rules = {
+                f"joint: expected {' or '.join(get_args(Joint))}": link.joint in get_args(Joint),
+                f"axis: expected one of {', '.join(get_args(Axis))}": link.axis in get_args(Axis),
+                f"parent: expected None or an index below {i}": link.parent is None or 0 <= link.parent < i,
+                f"follows: expected None or one of {self._free}": link.follows in (None, *self._free),
+                'inertia: expected "bar" or six numbers': link.inertia == "bar" or len(link.inertia) == 6,
+            }
+            for rule in (rule for rule, kept in rules.items() if not kept):
+                raise Problem(f"{link.name}: {rule}, found {getattr(link, rule.partition(':')[0])!r}")
+
+    @property
+    def _free(self) -> list[int]:
+        return [i for i, link in enumerate(self.links) if link.follows is None]
+
+    def coordinate(self, link: int) -> int:
+        """Where the coordinate of a link is in q; of one that follows, the coordinate that it follows."""
+        follows = self.links[link].follows
+        return self._free.index(link if follows is None else follows)
+
+    def _joints(self, q: ca.SX) -> list[Scalar]:
+        """Coordinate or speed of each joint."""
+        ratios = [1 if link.follows is None else link.ratio for link in self.links]
+        return [ratio * q[self.coordinate(i)] for i, ratio in enumerate(ratios)]
+
+    # ---- kinematics
+
+    def frames(self, q: ca.SX) -> list[Frame]:
+        """Forward kinematics: the frame of each link."""
+        frames: list[Frame] = []
+        for link, x in zip(self.links, self._joints(q), strict=True):
+            base = Frame(ca.SX.eye(3), ca.SX(3, 1)) if link.parent is None else frames[link.parent]
+            origin = base.origin + base.rotation @ link.place(x)
+            frames.append(Frame(base.rotation @ link.rotation(x), origin))
+        return frames
+
+    def position(self, q: ca.SX, link: int, at: Vector = (0, 0, 0)) -> ca.SX:
+        """Place of a point of a link in the base [m], shape (3, 1)."""
+        frame = self.frames(q)[link]
+        return ca.SX(frame.origin + frame.rotation @ column(*at))
+
+    def velocity(self, q: ca.SX, speed: ca.SX, link: int, at: Vector = (0, 0, 0)) -> ca.SX:
+        """Velocity of a point of a link [m/s], shape (3, 1)."""
+        s = ca.SX.sym("q", q.shape[0])
+        return ca.substitute(ca.jtimes(self.position(s, link, at), s, speed), s, q)
+
+    def generalised_force(self, q: ca.SX, force: ca.SX, link: int, at: Vector = (0, 0, 0)) -> ca.SX:
+        """J^T f of a force [N] on a point of a link, in the axes of the base; J is d(position)/dq."""
+        s = ca.SX.sym("q", q.shape[0])
+        return ca.substitute(ca.jtimes(self.position(s, link, at), s, force, True), s, q)
+
+    # ---- energies and motion
+
+    def _augmented(self, joints: Sequence[Scalar], payload: Payload | None) -> list[Body]:
+        """Each link with the masses of all links beyond it, as points in their joints."""
+        bodies = [link.body for link in self.links]
+        if payload:
+            bodies[payload.link] += point_mass(payload.mass, payload.at)
+        for i, link in reversed([*enumerate(self.links)]):
+            if link.parent is not None:
+                x, y, z = ca.vertsplit(link.place(joints[i]))
+                bodies[link.parent] += point_mass(bodies[i].mass, (x, y, z))
+        return bodies
+
+    def kinetic(self, q: ca.SX, speed: ca.SX, payload: Payload | None = None) -> Scalar:
+        """Kinetic energy [J]."""
+        joints, twists = self._joints(q), list[tuple[ca.SX, ca.SX]]()
+        energy: Scalar = 0
+        bodies = self._augmented(joints, payload)
+        for link, body, x, rate in zip(self.links, bodies, joints, self._joints(speed), strict=True):
+            w, v = (ca.SX(3, 1), ca.SX(3, 1)) if link.parent is None else twists[link.parent]
+            u, a = v + ca.cross(w, link.place(x)), link.direction
+            if link.joint == "revolute":
+                turn = link.rotation(x).T
+                w, v = turn @ w + a * rate, turn @ u
+            else:
+                v = u + a * rate
+                energy += body.mass * rate * (ca.dot(a, u) + rate / 2)
+            energy += body.kinetic(w, v)
+            twists.append((w, v))
+        return energy
+
+    def potential(self, q: ca.SX, payload: Payload | None = None) -> Scalar:
+        """Potential energy of gravity [J], zero at the origin of the base."""
+        joints, directions = self._joints(q), list[ca.SX]()
+        energy: Scalar = 0
+        for link, body, x in zip(self.links, self._augmented(joints, payload), joints, strict=True):
+            g = column(*self.gravity) if link.parent is None else directions[link.parent]
+            if link.parent is None:
+                energy -= body.mass * ca.dot(g, link.place(x))
+            directions.append(link.rotation(x).T @ g)
+            energy -= ca.dot(directions[-1], body.moment)
+        return energy
+
+    def equations(self, q: ca.SX, speed: ca.SX, payload: Payload | None = None) -> EquationsOfMotion:
+        """M, V, G, the energies, and what a kilogram of the payload adds."""
+        m = ca.SX.sym("payload_mass")
+        load = payload and replace(payload, mass=m)
+        energies = (lambda s, w: self.kinetic(s, w, load)), (lambda s: self.potential(s, load))
+        return equations_of_motion(*energies, q, speed, (m, payload.mass) if payload else None)
+
+    def at_rest(self, q: ca.SX, passive: Sequence[int], payload: Payload | None = None) -> ca.SX:
+        """Static balance: q with the angles at which the passive links hang at rest; other joints are held.
+
+        q holds a guess of these angles. Over one angle alone U is a sinusoid, with its minimum at
+        q - atan2(U', U''). Sweeps over the joints with this rule come near a minimum, Newton's method finds
+        it to rounding. Their number is fixed, so that the result is an expression. For the two axes of a
+        hanging head any guess will do, for three passive joints one within 0.5 rad of their rest.
+        """
+        for link in (self.links[i] for i in passive if self.links[i].joint != "revolute"):
+            raise Problem(f"{link.name}: expected a revolute joint at rest, found a {link.joint} one")
+        q, s = ca.densify(ca.SX(q)), ca.SX.sym("q", q.shape[0])
+        at = [self.coordinate(link) for link in passive]
+        slopes = ca.gradient(self.potential(s, payload), s)[at]
+        terms = [slopes, ca.jacobian(slopes, s[at])]
+        for k, i in [*enumerate(at)] * _SWEEPS:
+            slope, stiffness = ca.substitute(terms, [s], [q])
+            q[i] -= ca.atan2(slope[k], stiffness[k, k])
+        for _ in range(_NEWTON_STEPS if at else 0):
+            slope, stiffness = ca.substitute(terms, [s], [q])
+            shift = _SHIFT * ca.trace(stiffness) + _LEAST
+            q[at] -= ca.ldl_solve(slope, *ca.ldl(stiffness + shift * ca.SX.eye(len(at))))
+        return q

@@ -1,0 +1,399 @@
+"""The file that describes a crane: joints in order, each with body and drive; base, payload, start, supply.
+
+`read` checks all of the file and reports all mistakes at once, a line each. Quantities are numbers in SI
+units, or texts with a unit, "4200 mm". docs/crane.md describes the keys.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, cast, get_args
+
+from fmus.crane.chain import Axis
+from fmus.parameters import SOURCES, Number
+from orchestrator.base import toml
+from orchestrator.base.errors import Mistakes, Problem, suggest
+from orchestrator.base.files import write_whole
+from orchestrator.base.units import number_and_unit, parse_unit, si_unit
+
+# tables of a joint by its drive
+USED: Mapping[str, tuple[str, ...]] = {
+    "none": (),
+    "motor": ("motor", "hydraulics"),
+    "cylinder": ("cylinder", "hydraulics"),
+    "four-bar": ("cylinder", "four_bar", "hydraulics"),
+}
+AXES = get_args(Axis)
+Assembly: TypeAlias = Literal["above", "below"]
+LARGEST_LENGTH = 100.0  # m
+INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
+LARGEST_SHARE = 1 + 1e-6  # of a moment of inertia in the sum of the two others, with rounding
+
+
+@dataclass(frozen=True)
+class Key:
+    """A quantity in the file.
+
+    names      of the parameters that it gives, one or several
+    default    of each if the key is missing; None: the key is required
+    low, high  bounds; a positive quantity has a `low` above 0
+    """
+
+    unit: str
+    names: tuple[str, ...]
+    default: float | None = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+
+
+def _length(*names: str, default: float | None = 0.0, low: float = -LARGEST_LENGTH) -> Key:
+    return Key("m", names, default, low, LARGEST_LENGTH)
+
+
+BODY = {
+    "at": _length("at_x", "at_y", "at_z"),
+    "mass": Key("kg", ("mass",), 0.0, 0.0, 1e6),
+    "centre": _length("centre_x", "centre_y", "centre_z"),
+}
+DRIVES: Mapping[str, Mapping[str, Key]] = {
+    "cylinder": {
+        "base": _length("base_x", "base_z", default=None),
+        "pin": _length("pin_x", "pin_z", default=None),
+        "closed": _length("closed_length", default=None, low=0.05),
+        "stroke": _length("stroke", default=None, low=0.01),
+        "bore": Key("m", ("bore",), None, 0.01, 0.5),
+        "rod": Key("m", ("rod",), None, 0.005, 0.5),
+        "dead_volume": Key("m3", ("dead_volume",), 3e-4, 1e-6, 0.1),
+        "damping": Key("N.s/m", ("piston_damping",), 2e4, 0.0),
+    },
+    "four_bar": {
+        "pivot": _length("pivot_x", "pivot_z", default=None),
+        "rocker": _length("rocker", default=None, low=0.01),
+        "coupler": _length("coupler", default=None, low=0.01),
+        "pin": _length("link_x", "link_z", default=None),
+    },
+    "motor": {
+        "displacement": Key("m3/rad", ("motor_displacement",), None, 1e-8, 1e-2),
+        "ratio": Key("1", ("gear_ratio",), 1.0, 1e-3, 1e4),
+        "volume": Key("m3", ("motor_volume",), 2e-4, 1e-6, 0.1),
+    },
+    "hydraulics": {
+        "valve": Key("m2", ("valve_area",), 4e-5, 1e-8, 1e-2),
+        "dead_band": Key("V", ("valve_dead_band",), 0.6, 0.0, 9.0),
+        "hose": _length("hose_length", default=3.0, low=0.01),
+        "hose_bore": Key("m", ("hose_bore",), 0.01905, 1e-3, 0.2),
+    },
+}
+# keys of a cylinder that a drive does not have: the rocker's end is its pin; it lies along a telescope
+UNUSED = {"four-bar": ("pin",), "telescope": ("base", "pin", "closed")}
+TABLES: Mapping[str, Mapping[str, Key]] = {
+    "base": {"pitch": Key("rad", ("base_pitch",)), "roll": Key("rad", ("base_roll",))},
+    "payload": {"at": _length("tip_x", "tip_y", "tip_z", default=None)},
+    "oil": {
+        "density": Key("kg/m3", ("density",), 870.0, 500.0, 1500.0),
+        "viscosity": Key("Pa.s", ("viscosity",), 0.02, 1e-4, 10.0),
+        "bulk_modulus": Key("Pa", ("bulk_modulus",), 1.4e9, 1e8, 1e10),
+    },
+    "supply": {"pressure": Key("Pa", ("pressure_setting",), 2.07e7, 1e5, 1e8)},
+    "datasheet": {
+        "lifting_moment": Key("N.m", ("lifting_moment",), math.nan, 0.0),
+        "slewing_moment": Key("N.m", ("slewing_moment",), math.nan, 0.0),
+        "reach": _length("reach", default=math.nan, low=0.0),
+    },
+}
+WORDS = ("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "source", "note")
+TEXTS = ("title", "source", "note")
+OPTIONAL = ("follows",)
+ONE = Number(1.0, "1", "assumed", "default")
+EXAMPLES = {
+    "m": ', such as "350 mm"',
+    "rad": ', such as "20 deg"',
+    "Pa": ', such as "207 bar"',
+    "m2": ', such as "40 mm2"',
+}
+
+
+@dataclass(frozen=True)
+class JointDescription:
+    """A joint with the link behind it.
+
+    kind       "revolute" or "prismatic"
+    axis       in the frame of the parent
+    parent     joint whose link carries this one; "": the base
+    follows    joint whose motion this one has, times `ratio`; "": none
+    assembly   of a four-bar: "above" or "below" the line of its pivots
+    part       of the machine that has its hydraulics
+    numbers    its parameters, without the name of the joint
+    """
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    axis: Axis
+    parent: str
+    drive: str
+    numbers: Mapping[str, Number]
+    start: Number
+    follows: str = ""
+    ratio: Number = ONE
+    assembly: Assembly = "above"
+    part: str = ""
+
+    @property
+    def coordinate(self) -> str:
+        """Name of its coordinate."""
+        return f"{self.name}_{'angle' if self.kind == 'revolute' else 'extension'}"
+
+    def __getitem__(self, name: str) -> float:
+        return self.numbers[name].value
+
+
+@dataclass(frozen=True)
+class CraneDescription:
+    """A crane.
+
+    payload_on   joint whose link carries the payload
+    numbers      table -> parameters
+    """
+
+    file: Path
+    title: str
+    joints: tuple[JointDescription, ...]
+    payload_on: str
+    numbers: Mapping[str, Mapping[str, Number]]
+
+    def joint(self, name: str) -> JointDescription:
+        """The joint with this name."""
+        return next(j for j in self.joints if j.name == name)
+
+    @property
+    def driven(self) -> tuple[JointDescription, ...]:
+        """The joints with a drive of their own."""
+        return tuple(j for j in self.joints if j.drive != "none")
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """What is read has this origin; all mistakes so far."""
+
+    file: Path
+    source: str
+    note: str
+    mistakes: list[str] = field(default_factory=list)
+
+    def wrong(self, table: str, text: str) -> None:
+        """Note a mistake."""
+        self.mistakes.append(f"{self.file}: {f'[{table}] ' if table else ''}{text}")
+
+    def unknown(self, table: str, given: Mapping[str, Any], names: Collection[str]) -> None:
+        """Note each key that has none of these names."""
+        for key in given:
+            if key not in names:
+                hint = suggest(key, names) or f"; there are {', '.join(names)}"
+                self.wrong(table, f"unknown key {key!r}{hint}")
+
+    def tables(self, where: str, given: Any) -> Mapping[str, Any]:
+        """A table, empty after a mistake."""
+        if isinstance(given, dict):
+            return given
+        self.wrong(where, f"expected a table, got {given!r}")
+        return {}
+
+    def one_of(
+        self, table: str, given: Mapping[str, Any], key: str, choices: Sequence[str], default: str = ""
+    ) -> str:
+        """One of some words; the first one after a mistake."""
+        value = given.get(key, default)
+        if value in choices or (value == "" and default == "" and key not in given and key in OPTIONAL):
+            return str(value)
+        hint = suggest(value, choices) if isinstance(value, str) and value else ""
+        got = repr(value) if key in given else "nothing"
+        self.wrong(table, f"{key}: expected one of {', '.join(choices) or 'none'}, got {got}{hint}")
+        return choices[0] if choices else ""
+
+    def quantity(self, table: str, key: str, value: Any, unit: str) -> float:
+        """A number in SI units; NaN after a mistake."""
+        if isinstance(value, str):
+            number, given = number_and_unit(value)
+            with suppress(Problem, ValueError):
+                scale = parse_unit(given) if given else None
+                if scale and si_unit(given) == si_unit(unit) and math.isfinite(float(number)):
+                    return float(number) * scale.factor + scale.offset
+        elif toml.is_number(value):
+            return float(value)
+        expected = "a number" if unit == "1" else f"a number in {unit}{EXAMPLES.get(unit, '')}"
+        self.wrong(table, f"{key}: expected {expected}, got {value!r}")
+        return math.nan
+
+    def numbers(self, table: str, given: Mapping[str, Any], keys: Mapping[str, Key]) -> dict[str, Number]:
+        """The parameters of the keys of a table."""
+        found = dict[str, Number]()
+        for key, rule in keys.items():
+            source, note = (self.source, self.note) if key in given else ("assumed", "default")
+            for n, x in zip(rule.names, self._entries(table, key, given.get(key), rule), strict=True):
+                found[n] = Number(x, rule.unit, source, note)
+        return found
+
+    def _entries(self, table: str, key: str, value: Any, rule: Key) -> list[float]:
+        size = len(rule.names)
+        shape = f"a list of {size} numbers in {rule.unit}" if size > 1 else f"a number in {rule.unit}"
+        if value is None and rule.default is not None:
+            return [rule.default] * size
+        entries = value if isinstance(value, list) and size > 1 else [value]
+        if value is None or len(entries) != size:
+            self.wrong(table, f"{key}: expected {shape}, got {'nothing' if value is None else repr(value)}")
+            return [math.nan] * size
+        found = [self.quantity(table, key, x, rule.unit) for x in entries]
+        for x, given in zip(found, entries, strict=True):
+            if x < rule.low or x > rule.high:
+                self.wrong(table, f"{key}: {_out_of_range(x, given, rule)}")
+        return found
+
+
+def _out_of_range(value: float, given: Any, rule: Key) -> str:
+    """What was expected, and the unit that may be meant."""
+    units = ("mm", "cm") if rule.unit == "m" and not isinstance(given, str) else ()
+    meant = [u for u in units if rule.low <= value * parse_unit(u).factor <= rule.high]
+    hint = f'; did you mean "{value:g} {meant[0]}"?' if meant else ""
+    return f"expected {rule.low:g} to {rule.high:g} {rule.unit}, got {given!r}{hint}"
+
+
+def read(path: Path) -> CraneDescription:
+    """A crane from its file; a Problem with one line for each mistake."""
+    content = dict(toml.read_file(path).data)
+    reader = _with_origin(_Reader(path, "assumed", ""), "", content)
+    title, starts = content.pop("title", path.stem), reader.tables("start", content.pop("start", {}))
+    for key in ("source", "note"):
+        content.pop(key, None)
+    tables = {n: reader.tables(n, content.pop(n, {})) for n in TABLES}
+    numbers = {n: reader.numbers(n, given, TABLES[n]) for n, given in tables.items()}
+    for n, given in tables.items():
+        reader.unknown(n, given, (*TABLES[n], *(("on",) if n == "payload" else ())))
+    names = [n for n, given in content.items() if isinstance(given, dict)]
+    reader.unknown("", {n: x for n, x in content.items() if n not in names}, (*TEXTS, *TABLES, "start"))
+    joints = [_joint(reader, n, content[n], names[:k], starts) for k, n in enumerate(names)]
+    reader.unknown("start", starts, names)
+    on = reader.one_of("payload", tables["payload"], "on", names)
+    if not names:
+        reader.wrong("", "expected a table for each joint, such as [boom], got none")
+    if not reader.mistakes:
+        _check_masses(reader, joints)
+    if reader.mistakes:
+        raise Mistakes(reader.mistakes)
+    return CraneDescription(path, str(title), tuple(joints), on, numbers)
+
+
+def new(path: Path) -> str:
+    """Write a commented file of a small crane; a Problem if there is one. Returns what to do next."""
+    if path.suffix != ".toml":
+        raise Problem(f"{path}: expected a file that ends in .toml")
+    if path.exists():
+        raise Problem(f"{path}: exists already")
+    write_whole(path, (Path(__file__).with_name("new.toml")).read_bytes())
+    return f"{path}: a crane to begin with. Next: harvester crane check {path}"
+
+
+def _with_origin(reader: _Reader, table: str, given: Mapping[str, Any]) -> _Reader:
+    """The reader with source and note of a table."""
+    source, note = given.get("source", reader.source), given.get("note", reader.note)
+    if source not in SOURCES:
+        reader.wrong(table, f"source: expected one of {', '.join(SOURCES)}, got {source!r}")
+    return replace(reader, source=str(source), note=str(note))
+
+
+def _joint(
+    reader: _Reader, name: str, given: Mapping[str, Any], before: Sequence[str], starts: Mapping[str, Any]
+) -> JointDescription:
+    if not re.fullmatch("[a-z][a-z0-9]*", name):
+        expected = (
+            f"a joint name of one word of small letters and digits: its signals are such as {name}_angle"
+        )
+        reader.wrong(name, f"expected {expected}")
+    reader = _with_origin(reader, name, given)
+    kind = reader.one_of(name, given, "joint", ("revolute", "prismatic"), "revolute")
+    drive = reader.one_of(name, given, "drive", tuple(USED), "none")
+    axis = reader.one_of(name, given, "axis", AXES)
+    parent = reader.one_of(name, given, "parent", (*before, "base"), before[-1] if before else "base")
+    follows = reader.one_of(name, given, "follows", tuple(before))
+    rotational = kind == "revolute"
+    damping = Key("N.m.s/rad" if rotational else "N.s/m", ("damping",), 0.0, 0.0)
+    start = Key("rad" if rotational else "m", (name,))
+    reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
+    numbers = reader.numbers(name, given, {**BODY, "damping": damping})
+    numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
+    part, assembly = "drives", "above"
+    for table in USED[drive]:
+        where, inner = f"{name}.{table}", reader.tables(f"{name}.{table}", given.get(table, {}))
+        own = {"hydraulics": ("part",), "four_bar": ("assembly",)}.get(table, ())
+        left_out = UNUSED.get(drive if rotational else "telescope", ()) if table == "cylinder" else ()
+        keys = {n: rule for n, rule in DRIVES[table].items() if n not in left_out}
+        reader.unknown(where, inner, (*keys, *own))
+        numbers |= reader.numbers(where, inner, keys)
+        if "assembly" in own:
+            assembly = reader.one_of(where, inner, "assembly", ("above", "below"))
+        elif "part" in own:
+            part = str(inner.get("part", "drives"))
+    if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
+        rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
+        reader.wrong(
+            f"{name}.cylinder", f"rod: expected thinner than the bore of {bore:g} mm, got {rod:g} mm"
+        )
+    return JointDescription(
+        name=name,
+        kind="revolute" if rotational else "prismatic",
+        axis=cast(Axis, axis),
+        parent="" if parent == "base" else parent,
+        drive=drive,
+        numbers=numbers,
+        start=reader.numbers("start", starts, {name: start})[name],
+        follows=follows,
+        ratio=Number(
+            reader.quantity(name, "ratio", given.get("ratio", 1.0), "1"), "1", reader.source, reader.note
+        ),
+        part=part,
+        assembly=cast(Assembly, assembly),
+    )
+
+
+def _inertia(reader: _Reader, name: str, value: Any, body: Mapping[str, Number]) -> dict[str, Number]:
+    """Moments and products of inertia about the centre of mass; "bar": of a slender one from the joint on."""
+    unit, keys = "kg.m2", tuple(f"inertia_{n}" for n in INERTIAS)
+    if value == "bar":
+        c = [body[f"centre_{n}"].value for n in "xyz"]
+        square, of = sum(x * x for x in c), body["mass"].value / 3
+        found = [of * (square - x * x) for x in c] + [-of * c[a] * c[b] for a, b in ((0, 1), (0, 2), (1, 2))]
+    else:
+        some = value if isinstance(value, list) and len(value) in (3, 6) else [math.nan] * 3
+        if some is not value:
+            expected = f'"bar", or a list of 3 moments or of {", ".join(INERTIAS)} in {unit}'
+            reader.wrong(name, f"inertia: expected {expected}, got {value!r}")
+            return {n: Number(math.nan, unit, "assumed", "") for n in keys}
+        found = [reader.quantity(name, "inertia", x, unit) for x in some]
+        found += [0.0] * (6 - len(found))
+        moments = found[:3]
+        if max(moments) > LARGEST_SHARE * (sum(moments) - max(moments)):
+            got = f"{max(moments):g} kg.m2 is above the sum of the two others"
+            reader.wrong(name, f"inertia: {got}: no body has such a moment of inertia")
+    return {n: Number(x, unit, reader.source, reader.note) for n, x in zip(keys, found, strict=True)}
+
+
+def _check_masses(reader: _Reader, joints: Sequence[JointDescription]) -> None:
+    """Behind each joint there is inertia about its axis, or mass, or its acceleration has no bound."""
+    for joint in joints:
+        beyond, names = list[JointDescription](), {joint.name}
+        for other in joints:
+            if other.name in names or other.parent in names:
+                names.add(other.name)
+                beyond.append(other)
+        if joint.follows or (sum(j["mass"] for j in beyond) > 0 and joint.kind == "prismatic"):
+            continue
+        along = joint.axis[-1]
+        own = joint[f"inertia_{along}{along}"]
+        off = sum(joint[f"centre_{n}"] ** 2 for n in "xyz" if n != along)
+        if not own + joint["mass"] * off + sum(j["mass"] for j in beyond[1:]) > 0:
+            what = "inertia about its axis" if joint.kind == "revolute" else "mass"
+            reader.wrong(joint.name, f"expected {what} at or beyond this joint, got none")

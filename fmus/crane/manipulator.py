@@ -1,0 +1,349 @@
+"""The manipulator of a crane as a subsystem: a chain of links with drives, passive joints and a payload.
+
+    M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up
+    tau_i = J_i (F_i - R_i x_i' + F_stop,i) - b_i q_i'     with a cylinder: force F, piston friction R
+    tau_i = torque_i - b_i q_i'                            with a motor
+    tau_i = -b_i q_i'                                      of a passive joint
+
+from the chain (`fmus.crane.chain`) and the drives (`fmus.crane.drives`). The payload is a point mass that
+comes and goes by lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the slope.
+
+Numbers of the description are parameters, except zeros: these are structure, so that a crane in one plane has
+the equations of a plane one.
+
+Validity: rigid links, viscous friction, the pins of a cylinder in the plane of its joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import casadi as ca
+
+from fmus import ports
+from fmus.components import cylinder
+from fmus.components.cylinder import Stop
+from fmus.contract import Group, Quantity, Scalar, Subsystem, column, make_group, nested, quantities
+from fmus.crane.chain import Chain, Link, Payload, gravity_on_slope
+from fmus.crane.description import INERTIAS, CraneDescription, JointDescription
+from fmus.crane.drives import Cylinder, FourBar, Telescope, Transmission
+from fmus.manipulator.variables import (
+    CylinderInputs,
+    CylinderOutputs,
+    ManipulatorInputs,
+    ManipulatorOutputs,
+    ManipulatorParameters,
+    ManipulatorState,
+)
+from fmus.parameters import Number, Tables
+
+NAME = "manipulator"
+STOPS = ("stop_stiffness", "stop_damping", "stop_rounding")
+SHARED = ("gravity", "payload_grip_time", *STOPS)  # with the values of the paper's machine
+SHOWN = (
+    *("tip_x", "tip_y", "tip_radius", "tip_height"),
+    *("stop_energy", "kinetic_energy", "potential_energy", "dissipated_power", "payload_power"),
+)
+PIN_MARGIN = 0.05  # strokes by which a piston may be beyond an end: an end stop in use
+TEXTS = {  # of the parameters of a joint; "{}" is its name
+    **{f"at_{n}": f"Place of the {{}} joint in the frame of its parent, {n}" for n in "xyz"},
+    "mass": "Mass of the {}",
+    **{f"centre_{n}": f"Centre of mass of the {{}} from its joint, {n}" for n in "xyz"},
+    **{f"inertia_{n}": f"Moment of inertia {n} of the {{}} about its centre of mass" for n in INERTIAS},
+    "damping": "Viscous friction of the {} joint",
+    **{f"base_{n}": f"Base pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
+    **{f"pin_{n}": f"Rod pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
+    "closed_length": "Pin-to-pin length of the closed {} cylinder",
+    "stroke": "Stroke of the {} cylinder",
+    "piston_damping": "Viscous friction of the {} cylinder's piston",
+    **{f"pivot_{n}": f"Pin of the rocker of the {{}} from the joint, {n}" for n in "xz"},
+    "rocker": "Length of the rocker of the {}",
+    "coupler": "Length of the coupler of the {}",
+    **{f"link_{n}": f"Pin of the coupler on the {{}} from the joint, {n}" for n in "xz"},
+    "ratio": "Motion of the {} over that of the joint that it follows",
+}
+MINIMA = {"mass": 0.0, "damping": 0.0, "piston_damping": 0.0, "stroke": 1e-3, "rocker": 1e-3, "coupler": 1e-3}
+
+
+class CoordinateState(Group):
+    """Speed of a joint; its coordinate has a name of its own."""
+
+
+class MotorInputs(Group):
+    """Torque of a motor; the rate input carries its exact time derivative."""
+
+    torque: Scalar = Quantity("N.m", "Hydraulic torque on the {}", 1e4, rate="torque_rate")
+    torque_rate: Scalar = ports.rate_input("{}_torque", "N.m/s", 1e5)
+
+
+def _of(group: type[Any], *names: str) -> dict[str, Quantity]:
+    declared = quantities(group)
+    return {n: declared[n] for n in names}
+
+
+def _own(joint: JointDescription) -> dict[str, Number]:
+    """Numbers of a joint that are parameters of the manipulator; zeros are structure."""
+    some = {n: x for n, x in joint.numbers.items() if n in TEXTS and x.value != 0}
+    return some | ({"ratio": joint.ratio} if joint.follows else {})
+
+
+@dataclass(frozen=True)
+class CraneManipulator:
+    """The functions of the subsystem of a crane's manipulator."""
+
+    crane: CraneDescription
+    parameters: type[Any]
+    states: type[Any]
+    outputs: type[Any]
+
+    # ---- geometry at one instant
+
+    def _number(self, joint: JointDescription, name: str, p: Any) -> Scalar:
+        return getattr(getattr(p, joint.name), name) if name in _own(joint) else 0
+
+    def _link(self, joint: JointDescription, p: Any) -> Link:
+        names, of = [j.name for j in self.crane.joints], partial(self._number, joint, p=p)
+        return Link(
+            name=joint.name,
+            joint=joint.kind,
+            axis=joint.axis,
+            at=(of("at_x"), of("at_y"), of("at_z")),
+            parent=names.index(joint.parent) if joint.parent else None,
+            mass=of("mass"),
+            centre=(of("centre_x"), of("centre_y"), of("centre_z")),
+            inertia=[of(f"inertia_{n}") for n in INERTIAS],
+            follows=names.index(joint.follows) if joint.follows else None,
+            ratio=of("ratio") if joint.follows else 1,
+        )
+
+    def chain(self, p: Any) -> Chain:
+        """The links under gravity on the slope of the base."""
+        slope = gravity_on_slope(p.gravity, p.base_pitch, p.base_roll)
+        return Chain(tuple(self._link(j, p) for j in self.crane.joints), slope)
+
+    def payload(self, mass: Scalar, p: Any) -> Payload:
+        """The payload at the tip."""
+        return Payload(self._tip, (p.tip_at_x, p.tip_at_y, p.tip_at_z), mass)
+
+    @property
+    def _tip(self) -> int:
+        return [j.name for j in self.crane.joints].index(self.crane.payload_on)
+
+    @property
+    def _free(self) -> list[JointDescription]:
+        return [j for j in self.crane.joints if not j.follows]
+
+    def transmission(self, joint: JointDescription, q: Scalar, p: Any) -> Transmission:
+        """The cylinder of a joint at a coordinate."""
+        of = partial(self._number, joint, p=p)
+        if joint.kind == "prismatic":
+            return Telescope().at(q)
+        base, pin = ((of(f"{n}_x"), of(f"{n}_z")) for n in ("base", "pin"))
+        if joint.drive == "cylinder":
+            return Cylinder(base, pin, of("closed_length")).at(q)
+        return self.four_bar(joint, p).at(q)
+
+    def four_bar(self, joint: JointDescription, p: Any) -> FourBar:
+        """The linkage of a joint."""
+        of = partial(self._number, joint, p=p)
+        base, pivot, link = ((of(f"{n}_x"), of(f"{n}_z")) for n in ("base", "pivot", "link"))
+        bars = of("rocker"), of("coupler")
+        return FourBar(base, of("closed_length"), pivot, *bars, link, joint.assembly)
+
+    def _cylinders(self, x: Any, p: Any) -> dict[str, tuple[Transmission, Stop]]:
+        found = {}
+        for j in self._free:
+            if j.drive in ("cylinder", "four-bar"):
+                t = self.transmission(j, getattr(x, j.coordinate), p)
+                law = tuple(getattr(p, n) for n in STOPS)
+                velocity = t.velocity(getattr(x, f"{j.name}_speed"))
+                found[j.name] = t, cylinder.stop(t.position, velocity, getattr(p, j.name).stroke, *law)
+        return found
+
+    def _motion(self, x: Any) -> tuple[ca.SX, ca.SX]:
+        coordinates = (getattr(x, j.coordinate) for j in self._free)
+        return column(*coordinates), column(*(getattr(x, f"{j.name}_speed") for j in self._free))
+
+    # ---- functions of the subsystem
+
+    def _forces(self, x: Any, u: Any, p: Any) -> tuple[ca.SX, Scalar]:
+        """tau, shape (n, 1), and the power that friction and stops dissipate."""
+        cylinders, tau, heat = self._cylinders(x, p), list[Scalar](), 0
+        for j in self._free:
+            speed = getattr(x, f"{j.name}_speed")
+            loss = self._number(j, "damping", p) * speed
+            heat += loss * speed
+            own = 0
+            if j.drive == "motor":
+                own = getattr(u, j.name).torque
+            elif j.name in cylinders:
+                t, stop = cylinders[j.name]
+                friction = self._number(j, "piston_damping", p) * t.velocity(speed)
+                heat += friction * t.velocity(speed) + stop.heat
+                own = t.effort(getattr(u, j.name).force - friction + stop.force)
+            tau.append(own - loss)
+        return column(*tau), heat
+
+    def dynamics(self, x: Any, u: Any, p: Any) -> Any:
+        """Time derivative of the state."""
+        motion = self.chain(p).equations(*self._motion(x), self.payload(x.held_mass, p))
+        tau, _ = self._forces(x, u, p)
+        acceleration = motion.acceleration(tau + motion.per_kilogram.drag(x.payload_flow))
+        time = p.payload_grip_time
+        rates = {"held_mass": x.payload_flow}
+        rates["payload_flow"] = 4.5 * ((u.payload_mass - x.held_mass) / time - x.payload_flow) / time
+        for k, j in enumerate(self._free):
+            rates[j.coordinate] = getattr(x, f"{j.name}_speed")
+            rates[f"{j.name}_speed"] = acceleration[k]
+        return nested(self.states, rates)
+
+    def observe(self, x: Any, u: Any, p: Any) -> Any:
+        """Outputs; only accelerations and the torques of the cylinders depend on the inputs."""
+        (q, w), chain, dx = self._motion(x), self.chain(p), self.dynamics(x, u, p)
+        load = self.payload(x.held_mass, p)
+        motion, (_, heat) = chain.equations(q, w, load), self._forces(x, u, p)
+        tip = chain.position(q, load.link, load.at)
+        cylinders = self._cylinders(x, p)
+        known = {n: getattr(x, n) for n in quantities(self.states)}
+        for k, j in enumerate(self._free):
+            speed, acceleration = (getattr(at, f"{j.name}_speed") for at in (x, dx))
+            if j.drive == "motor":
+                known[f"{j.name}_acceleration"] = acceleration
+            elif j.name in cylinders:
+                t, stop = cylinders[j.name]
+                known |= {
+                    f"{j.name}_{n}": value
+                    for n, value in {
+                        "position": t.position,
+                        "velocity": t.velocity(speed),
+                        "acceleration": t.acceleration(speed, acceleration),
+                        "holding_force": motion.gravity[k] / t.arm,
+                        "torque": t.effort(getattr(u, j.name).force),
+                        "stop_force": stop.force,
+                    }.items()
+                }
+        return nested(
+            self.outputs,
+            known
+            | {
+                "tip_x": tip[0],
+                "tip_y": tip[1],
+                "tip_radius": ca.sqrt(tip[0] ** 2 + tip[1] ** 2),
+                "tip_height": tip[2],
+                "stop_energy": sum((stop.stored for _, stop in cylinders.values()), ca.SX(0)),
+                "kinetic_energy": motion.kinetic,
+                "potential_energy": motion.potential,
+                "dissipated_power": heat + motion.per_kilogram.heat(x.payload_flow),
+                "payload_power": motion.per_kilogram.inflow(x.payload_flow),
+            },
+        )
+
+    def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
+        """The start pose; passive joints are at rest in it."""
+        q = column(*(getattr(p, f"initial_{j.coordinate}") for j in self._free))
+        names = [j.name for j in self.crane.joints]
+        passive = [names.index(j.name) for j in self._free if j.drive == "none" and j.kind == "revolute"]
+        if passive:
+            q = self.chain(p).at_rest(q, passive, self.payload(u.payload_mass, p))
+        return {"held_mass": u.payload_mass, **{j.coordinate: q[k] for k, j in enumerate(self._free)}}
+
+    def require(self, x: Any, _: Any, p: Any) -> dict[str, Scalar]:
+        """Pistons within their strokes, linkages that close."""
+        found = {}
+        for name, (t, _) in self._cylinders(x, p).items():
+            joint, stroke = self.crane.joint(name), getattr(p, name).stroke
+            at = f"{joint.coordinate}, at the start initial_{joint.coordinate},"
+            found[f"{at} keeps the {name} piston above its closed end"] = t.position + PIN_MARGIN * stroke
+            found[f"{at} keeps the {name} piston below its open end"] = (1 + PIN_MARGIN) * stroke - t.position
+            if joint.drive == "four-bar":
+                margin = self.four_bar(joint, p).margin(getattr(x, joint.coordinate))
+                found[f"{at} keeps the linkage of the {name} closed"] = margin
+        return found
+
+
+def manipulator(crane: CraneDescription) -> Subsystem:
+    """The subsystem of a crane."""
+    parameters, numbers = _parameters(crane)
+    free = [j for j in crane.joints if not j.follows]
+    pistons = [j for j in free if j.drive in ("cylinder", "four-bar")]
+    motors = [j for j in free if j.drive == "motor"]
+    states, units = dict[str, Quantity](), {"revolute": ("rad", "rad/s"), "prismatic": ("m", "m/s")}
+    for j in free:
+        unit, rate = units[j.kind]
+        states[j.coordinate] = Quantity(
+            unit, f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
+        )
+        states[f"{j.name}_speed"] = Quantity(rate, f"Speed of the {j.name} joint")
+    held = _of(ManipulatorState, "held_mass", "payload_flow")
+    state = make_group("State", {**states, **held})
+    inputs = make_group(
+        "Inputs",
+        _of(ManipulatorInputs, "payload_mass"),
+        **{j.name: CylinderInputs for j in pistons},
+        **{j.name: MotorInputs for j in motors},
+    )
+    accelerations = {f"{j.name}_acceleration": ports.rate_output(f"{j.name}_speed", "rad/s2") for j in motors}
+    outputs = make_group(
+        "Outputs",
+        {**states, **held, **accelerations, **_of(ManipulatorOutputs, *SHOWN)},
+        **{j.name: CylinderOutputs for j in pistons},
+    )
+    of = CraneManipulator(crane, parameters, state, outputs)
+    terminals = (
+        *(ports.shaft(j.name, drives=False) for j in motors),
+        *(ports.rod(j.name, drives=False) for j in pistons),
+        ports.grip(),
+    )
+    return Subsystem(
+        name=NAME,
+        text=f"Crane: {crane.title}",
+        validity="rigid links, viscous friction",
+        parameters=parameters,
+        states=state,
+        inputs=inputs,
+        outputs=outputs,
+        dynamics=of.dynamics,
+        observe=of.observe,
+        initial=of.initial,
+        require=of.require,
+        numbers=numbers,
+        terminals=terminals,
+        stiff=False,
+    )
+
+
+def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
+    """The group of the parameters, and their values."""
+    from fmus.manipulator import MANIPULATOR
+    from fmus.parameters import numbers
+
+    shipped = numbers(MANIPULATOR)["parameters"]
+    found = {n: shipped[n] for n in SHARED}
+    members = _of(ManipulatorParameters, *SHARED)
+    for table, key, text in (
+        ("base", "base_pitch", "Slope of the base: the front is lower by this angle"),
+        ("base", "base_roll", "Slope of the base: the right side is lower by this angle"),
+        *(
+            ("payload", f"tip_at_{n}", f"Tip, where the payload is, from the joint of its link, {n}")
+            for n in "xyz"
+        ),
+    ):
+        found[key] = crane.numbers[table][key.replace("tip_at", "tip")]
+        members[key] = Quantity(found[key].unit, text, group="Base" if table == "base" else "Tip")
+    for j in crane.joints:
+        if not j.follows:
+            name = f"initial_{j.coordinate}"
+            found[name] = j.start
+            members[name] = Quantity(j.start.unit, f"{j.coordinate} at the start", group="Start pose")
+    groups = {}
+    for j in crane.joints:
+        own = _own(j)
+        declared = {
+            n: Quantity(x.unit, TEXTS[n], max(abs(x.value), 1e-3), MINIMA.get(n), group="{}")
+            for n, x in own.items()
+        }
+        groups[j.name] = make_group("Joint", declared)
+        found |= {f"{j.name}_{n}": x for n, x in own.items()}
+    return make_group("Parameters", members, **groups), {"parameters": found, "start": {}}

@@ -1,0 +1,491 @@
+"""Chains of rigid links against Pinocchio, the paper's manipulator, closed forms and balances."""
+
+import math
+import re
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from kit.properties import examples
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk
+
+from fmus.components.mechanics import equations_of_motion
+from fmus.contract import stack, symbols
+from fmus.crane import chain as module
+from fmus.crane.chain import Chain, Link, Payload, gravity_on_slope
+from fmus.manipulator import VARIANTS
+from fmus.manipulator.arm import mechanics
+from fmus.parameters import values
+from orchestrator.base.errors import Problem
+
+seeds = st.integers(0, 2**32 - 1)
+TIP = (0.1, -0.2, -0.7)  # m, of the payload in the frame of the last link of CRANE
+PITCH, ROLL, LOAD = ca.SX.sym("pitch"), ca.SX.sym("roll"), ca.SX.sym("load")
+CRANE = (
+    Link("slew", "revolute", "z", (0, 0, 0.4), None, 300.0, (0.1, 0.02, 0.5), (10, 12, 20, 0.5, 0.3, 0.2)),
+    Link("boom", "revolute", "-y", (0.1, 0, 1.5), 0, 250.0, (1.5, 0, 0.1), (3, 150, 150, 0, 1, 0)),
+    Link("jib", "revolute", "-y", (3.5, 0, 0.3), 1, 200.0, (0.8, 0, 0.1), (2, 100, 100, 0, 0.5, 0)),
+    Link("telescope", "prismatic", "x", (0.5, 0, 0), 2, 80.0, (0.9, 0, 0), "bar"),
+    Link("pin", "revolute", "-y", (1.8, 0, 0), 3, 10.0, (0, 0, -0.1), (0.1, 0.1, 0.05, 0, 0, 0)),
+    Link("yoke", "revolute", "x", (0, 0, -0.2), 4, 15.0, (0, 0, -0.2), (0.1, 0.1, 0.05, 0, 0, 0)),
+    Link("rotator", "revolute", "z", (0, 0, -0.4), 5, 150.0, (0.05, 0, -0.5), (8, 12, 6, 0.1, 0.2, 0.3)),
+)
+SLOPE = Chain(CRANE, gravity_on_slope(9.81, PITCH, ROLL))
+
+
+def symbols_of(count):
+    """Columns q and speed."""
+    return ca.SX.sym("q", count), ca.SX.sym("w", count)
+
+
+def of_motion(chain, payload=None, inputs=()):
+    """(q, speed, *inputs) -> M, V, G, T, U, and what a kilogram adds to M q', T and U."""
+    q, w = symbols_of(len(chain.links) - sum(link.follows is not None for link in chain.links))
+    m = chain.equations(q, w, payload)
+    terms = [m.mass, m.coriolis, m.gravity, m.kinetic, m.potential]
+    terms += [m.per_kilogram.momentum, m.per_kilogram.kinetic, m.per_kilogram.potential]
+    return ca.Function("motion", [q, w, *inputs], [ca.densify(ca.SX(term)) for term in terms])
+
+
+def numbers(function, *arguments):
+    """The results of a function as arrays without dimensions of length 1."""
+    return [result.full().squeeze() for result in function.call([ca.DM(a) for a in arguments])]
+
+
+def same(ours, theirs, accuracy):
+    """Each pair agrees within `accuracy` of its largest entry."""
+    for own, expected in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(own, expected, rtol=0, atol=accuracy * max(np.abs(expected).max(), 1.0))
+
+
+@pytest.fixture(scope="module")
+def pin():
+    """Pinocchio, a rigid-body library with algorithms of its own."""
+    return pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
+
+
+def unit(axis):
+    """The unit vector of an axis such as "-y"."""
+    return np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
+
+
+def bodies(pin, links, gravity, payload=None):
+    """The links as a Pinocchio model, with a frame at the payload."""
+    tree = pin.Model()
+    tree.gravity.linear = np.array([float(g) for g in gravity])
+    for i, link in enumerate(links):
+        revolute, prismatic = pin.JointModelRevoluteUnaligned, pin.JointModelPrismaticUnaligned
+        joint = (revolute if link.joint == "revolute" else prismatic)(unit(link.axis))
+        parent = 0 if link.parent is None else link.parent + 1
+        number = tree.addJoint(parent, joint, pin.SE3(np.eye(3), np.array(link.at, float)), link.name)
+        centre = np.array(link.centre, float)
+        if link.inertia == "bar":  # a uniform bar of the length 2 |c|: m L^2/12 across
+            square = link.mass * 4 * (centre @ centre * np.eye(3) - np.outer(centre, centre)) / 12
+        else:
+            xx, yy, zz, xy, xz, yz = link.inertia
+            square = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], float)
+        tree.appendBodyToJoint(number, pin.Inertia(link.mass, centre, square), pin.SE3.Identity())
+        if payload and payload.link == i:
+            place = pin.SE3(np.eye(3), np.array(payload.at, float))
+            tree.appendBodyToJoint(number, pin.Inertia(payload.mass, np.zeros(3), np.zeros((3, 3))), place)
+            tree.addFrame(pin.Frame("payload", number, 0, place, pin.FrameType.OP_FRAME))
+    return tree, tree.createData()
+
+
+def by_pinocchio(pin, model, q, w):
+    """M, V and G by Newton-Euler, and both energies; its composite bodies need depth-first numbers."""
+    tree, data = model
+    rest = np.zeros(len(q))
+    gravity = pin.computeGeneralizedGravity(tree, data, q).copy()
+    mass = [pin.rnea(tree, data, q, rest, unit) - gravity for unit in np.eye(len(q))]
+    coriolis = pin.rnea(tree, data, q, w, rest) - gravity
+    energies = pin.computeKineticEnergy(tree, data, q, w), pin.computePotentialEnergy(tree, data, q)
+    return [np.array(mass), coriolis, gravity, *energies]
+
+
+def payload_by_pinocchio(pin, model, q, w):
+    """Place, Jacobian and velocity of the payload."""
+    tree, data = model
+    frame, axes = tree.getFrameId("payload"), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    jacobian = pin.computeFrameJacobian(tree, data, q, frame, axes)[:3]
+    pin.framesForwardKinematics(tree, data, q)
+    return data.oMf[frame].translation.copy(), jacobian, jacobian @ w
+
+
+def test_crane_with_seven_joints_is_pinocchio_s(pin):
+    """M, V, G, T, U and the terms of the payload on a slope, with the crane in any pose."""
+    ours = of_motion(SLOPE, Payload(6, TIP, LOAD), (PITCH, ROLL, LOAD))
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        q, w = rng.uniform(-math.pi, math.pi, 7), rng.uniform(-2, 2, 7)
+        pitch, roll, load = *rng.uniform(-0.5, 0.5, 2), rng.uniform(0, 800)
+        found = numbers(ours, q, w, pitch, roll, load)
+        turn = pin.rpy.rpyToMatrix(roll, pitch, 0.0)  # of the base, z upwards in the world
+        gravity = turn.T @ np.array([0, 0, -9.81])
+        model = bodies(pin, CRANE, gravity, Payload(6, TIP, load))
+        place, jacobian, velocity = payload_by_pinocchio(pin, model, q, w)
+        theirs = by_pinocchio(pin, model, q, w)
+        theirs += [jacobian.T @ velocity, velocity @ velocity / 2, -gravity @ place]
+        # exact identity; 1e-12 of the largest entry is 1e3 rounding errors, in sums of 1e3 terms
+        same(found, theirs, 1e-12)
+
+
+def point(rng, size=1.0):
+    """A random place [m] or direction."""
+    return tuple(rng.uniform(-size, size, 3).tolist())
+
+
+def random_inertia(rng):
+    """Moments of inertia of some body: the six numbers of (tr S) 1 - S, S positive definite."""
+    places = rng.uniform(-2, 2, (3, 3))
+    second = places @ places.T
+    inertia = np.trace(second) * np.eye(3) - second
+    return (*np.diag(inertia).tolist(), *inertia[np.triu_indices(3, 1)].tolist())
+
+
+def random_links(rng):
+    """A tree of two to seven links; about one in four follows another link with a ratio."""
+    links = []
+    for i in range(rng.integers(2, 8)):
+        free = [j for j, link in enumerate(links) if link.follows is None]
+        link = Link(
+            f"link {i}",
+            str(rng.choice(["revolute", "prismatic"])),
+            str(rng.choice(["x", "y", "z", "-x", "-y", "-z"])),
+            point(rng, 2.0),
+            None if i == 0 or rng.random() < 0.1 else int(rng.integers(i)),
+            float(rng.uniform(0, 100)),
+            point(rng),
+            "bar" if rng.random() < 0.3 else random_inertia(rng),
+        )
+        if free and rng.random() < 0.3:
+            link = replace(link, follows=int(rng.choice(free)), ratio=float(rng.uniform(-3, 3)))
+        links.append(link)
+    return tuple(links)
+
+
+def joints_of(chain):
+    """Matrix from q to the coordinates of all joints."""
+    free = [i for i, link in enumerate(chain.links) if link.follows is None]
+    matrix = np.zeros((len(chain.links), len(free)))
+    for i, link in enumerate(chain.links):
+        matrix[i, free.index(i if link.follows is None else link.follows)] = link.ratio
+    return matrix
+
+
+@examples(60)
+@given(seed=seeds)
+def test_any_tree_is_pinocchio_s(pin, seed):
+    """Trees with revolute and prismatic joints about all axes, also with joints that follow others."""
+    rng = np.random.default_rng(seed)
+    links, gravity, at = random_links(rng), point(rng, 7.0), point(rng)
+    load = Payload(int(rng.integers(len(links))), at, float(rng.uniform(0, 100)))
+    chain = Chain(links, gravity)
+    turn = joints_of(chain)
+    q, w = rng.uniform(-3, 3, turn.shape[1]), rng.uniform(-2, 2, turn.shape[1])
+    model = bodies(pin, links, gravity, load)
+    mass, coriolis, weight, *energies = by_pinocchio(pin, model, turn @ q, turn @ w)
+    place, jacobian, velocity = payload_by_pinocchio(pin, model, turn @ q, turn @ w)
+    theirs = [turn.T @ mass @ turn, turn.T @ coriolis, turn.T @ weight, *energies]
+    theirs += [turn.T @ jacobian.T @ velocity, velocity @ velocity / 2, -np.array(gravity) @ place]
+    # exact identities; 1e-12 of the largest entry is 1e4 rounding errors; its terms are larger than their sum
+    same(numbers(of_motion(chain, load), q, w), [np.squeeze(t) for t in theirs], 1e-12)
+    f, (angles, speeds) = rng.uniform(-1e3, 1e3, 3), symbols_of(len(q))
+    terms = [chain.position(angles, load.link, at), chain.velocity(angles, speeds, load.link, at)]
+    terms += [chain.generalised_force(angles, ca.DM(f), load.link, at)]
+    terms += [entry for frame in chain.frames(angles) for entry in (frame.origin, frame.rotation)]
+    frames = [entry for frame in [*model[1].oMi][1:] for entry in (frame.translation, frame.rotation)]
+    theirs = [place, velocity, np.squeeze(turn.T @ jacobian.T @ f), *frames]
+    same(numbers(ca.Function("points", [angles, speeds], terms), q, w), theirs, 1e-12)
+
+
+# ---- the paper's manipulator
+
+
+def manipulator(variant):
+    """A variant as a chain with its parameters as symbols, its payload, and the map from angles to joints."""
+    sub = VARIANTS[variant]
+    x, p = symbols(sub.states), symbols(sub.parameters)
+    slender = [(0, part.inertia, part.inertia, 0, 0, 0) for part in (p.boom, p.stick)]
+    centres = [(part.centre_x, 0, part.centre_z) for part in (p.boom, p.stick)]
+    elbow, total = (p.stick_pivot_x, 0, p.stick_pivot_z), p.head_mass + x.held_mass
+    links = [
+        Link("swing", "revolute", "z", inertia=(0, 0, p.column_inertia, 0, 0, 0)),
+        Link(
+            "boom",
+            "revolute",
+            "-y",
+            (p.boom_pivot_x, 0, p.boom_pivot_z),
+            0,
+            p.boom.mass,
+            centres[0],
+            slender[0],
+        ),
+        Link("stick", "revolute", "-y", elbow, 1, p.stick.mass, centres[1], slender[1]),
+    ]
+    tip, turn, angles = (p.stick_length, 0, 0), np.eye(3), ("swing", "boom", "stick")
+    load = Payload(2, tip, total)
+    if "pendulum" in variant:  # angles of the head are from the vertical, those of its joint from the stick
+        head = (p.head_inertia, p.head_inertia, 0, 0, 0, 0)
+        links += [Link("head", "revolute", "-y", tip, 2)]
+        links += [Link("head_side", "revolute", "x", (0, 0, 0), 3, 0, (0, 0, -p.head_length), head)]
+        turn, angles, load = (
+            np.eye(5),
+            (*angles, "head", "head_side"),
+            Payload(4, (0, 0, -p.head_length), total),
+        )
+        turn[3, 1:3] = -1.0
+    q, w = (ca.vertcat(*(getattr(x, f"{a}_{kind}") for a in angles)) for kind in ("angle", "speed"))
+    return x, p, q, w, Chain(tuple(links), (0, 0, -p.gravity)), load, ca.DM(turn)
+
+
+@pytest.mark.parametrize("variant", ["rigid", "pendulum"])
+def test_manipulator_is_a_chain(variant):
+    """M, V, G, T, U and the terms of the payload are those by hand, at 500 states and sets of numbers."""
+    x, p, q, w, chain, load, turn = manipulator(variant)
+    mass = ca.SX.sym("mass")
+    ours = equations_of_motion(
+        lambda s, v: chain.kinetic(turn @ s, turn @ v, replace(load, mass=mass)),
+        lambda s: chain.potential(turn @ s, replace(load, mass=mass)),
+        q,
+        w,
+        (mass, load.mass),
+    )
+    by_hand = mechanics(x, p, VARIANTS[variant].dynamics.args[0].head)
+    found, expected = (
+        ca.Function(
+            "terms",
+            [stack(x), stack(p)],
+            [ca.densify(ca.SX(t)) for t in (m.mass, m.coriolis, m.gravity, m.kinetic, m.potential)]
+            + [ca.densify(ca.SX(t)) for t in vars(m.per_kilogram).values()],
+        )
+        for m in (ours, by_hand)
+    )
+    rng = np.random.default_rng(2)
+    usual = np.array([*values(VARIANTS[variant]).p.values()])
+    for _ in range(500):
+        state = rng.uniform(-2, 2, stack(x).shape[0])
+        chosen = np.where(usual, usual * rng.uniform(0.8, 1.2, usual.size), 0.1)
+        # exact identity: 1e-13 of the largest entry is 1e2 rounding errors
+        same(numbers(found, state, chosen), numbers(expected, state, chosen), 1e-13)
+
+
+def instructions(motion, inputs):
+    """Of M, V and G, without common subexpressions."""
+    terms = [ca.vec(ca.densify(term)) for term in (motion.mass, motion.coriolis, motion.gravity)]
+    return ca.Function("f", inputs, [ca.cse(ca.vertcat(*terms))], {"cse": True}).n_instructions()
+
+
+def test_size_of_the_equations_is_that_of_the_docstring():
+    """Instructions of M, V and G: of the manipulator as a chain and by hand, and of the crane."""
+    x, p, q, w, chain, load, _ = manipulator("rigid")
+    chosen = ca.DM([*values(VARIANTS["rigid"]).p.values()])
+    by_hand = mechanics(x, p, VARIANTS["rigid"].dynamics.args[0].head)
+    counts = []
+    for motion in (chain.equations(q, w, load), by_hand):
+        terms = ca.substitute([motion.mass, motion.coriolis, motion.gravity], [stack(p)], [chosen])
+        folded = replace(motion, **dict(zip(("mass", "coriolis", "gravity"), terms, strict=True)))
+        counts.append(instructions(folded, [q, w, x.held_mass]))
+    q, w = symbols_of(7)
+    crane = Chain(CRANE, tuple(float(g) for g in gravity_on_slope(9.81, 0.1, -0.2)))
+    counts.append(instructions(crane.equations(q, w), [q, w]))
+    pattern = r"(\d+) instructions of CasADi .* \((\d+) by hand\), (\d+) for a crane with 7"
+    stated = re.search(pattern, " ".join(module.__doc__.split()))
+    # what CasADi simplifies differs a little between its versions
+    assert counts == pytest.approx([int(n) for n in stated.groups()], rel=0.02)
+
+
+# ---- balances
+
+
+def test_power_of_forces_and_payload_is_the_rate_of_energy():
+    """Joint forces, a force at a point and mass that comes and goes on a slope: power in = dE/dt + heat."""
+    q, w = symbols_of(7)
+    tau, force, rate = ca.SX.sym("tau", 7), ca.SX.sym("force", 3), ca.SX.sym("rate")
+    load, place = Payload(6, TIP, LOAD), (3, (0.2, 0.1, -0.1))
+    motion = SLOPE.equations(q, w, load)
+    outside = SLOPE.generalised_force(q, force, *place)
+    acceleration = motion.acceleration(tau + outside + motion.per_kilogram.drag(rate))
+    energy = SLOPE.kinetic(q, w, load) + SLOPE.potential(q, load)
+    along = ca.vertcat(w, acceleration, rate)
+    powers = [
+        ca.dot(tau, w),
+        ca.dot(force, SLOPE.velocity(q, w, *place)),
+        motion.per_kilogram.inflow(rate),
+        -motion.per_kilogram.heat(rate),
+        -ca.jtimes(energy, ca.vertcat(q, w, LOAD), along),
+    ]
+    balance = ca.Function("powers", [q, w, tau, force, rate, PITCH, ROLL, LOAD], powers)
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        state = (
+            rng.uniform(-3, 3, 7),
+            rng.uniform(-2, 2, 7),
+            rng.uniform(-1e5, 1e5, 7),
+            rng.uniform(-1e4, 1e4, 3),
+        )
+        terms = numbers(
+            balance, *state, rng.uniform(-500, 500), *rng.uniform(-0.5, 0.5, 2), rng.uniform(0, 800)
+        )
+        # exact identity; the acceleration has rounding errors times the condition of M, up to 1e4
+        assert abs(sum(terms)) < 1e-10 * max(map(abs, terms))
+
+
+# ---- closed forms
+
+
+@pytest.mark.parametrize("amplitude", [5.0, 60.0])
+def test_bar_on_a_slope_swings_with_the_period_of_a_compound_pendulum(amplitude):
+    """T = 4 sqrt(I/(m g c)) K(sin^2(A/2)) with I = 4/3 m c^2, and of gravity the part across the pin."""
+    roll, half, swing = 0.3, 0.8, math.radians(amplitude)
+    bar = Link("bar", "revolute", "-y", (1, 2, 3), None, 7.0, (0, 0, -half), "bar")
+    motion = of_motion(Chain((bar,), tuple(map(float, gravity_on_slope(9.81, 0, roll)))))
+
+    def rates(_, y):
+        mass, coriolis, gravity, *_ = numbers(motion, y[0], y[1])
+        return [y[1], -(coriolis + gravity) / mass]
+
+    period = 4 * math.sqrt(4 / 3 * half / (9.81 * math.cos(roll))) * ellipk(math.sin(swing / 2) ** 2)
+
+    def crossing(_, y):
+        return y[0]
+
+    run = solve_ivp(rates, (0, 0.3 * period), [swing, 0.0], "DOP853", events=crossing, rtol=1e-11, atol=1e-12)
+    # integrator error: 1e-11 per step over a quarter of a period, 1e2 steps at most
+    assert 4 * run.t_events[0][0] == pytest.approx(period, rel=1e-9)
+
+
+def telescope(ratio=None):
+    """A column with two stages of a telescope; the second one follows the first, or moves on its own."""
+    slew = Link("slew", "revolute", "z", (0, 0, 0), None, 0, (0, 0, 0), (0, 0, 50.0, 0, 0, 0))
+    first = Link("first", "prismatic", "x", (1.5, 0, 0), 0, 80.0, (0.5, 0, 0))
+    second = Link("second", "prismatic", "x", (0, 0, 0), 1, 30.0, (0.8, 0, 0))
+    if ratio is not None:
+        second = replace(second, follows=1, ratio=ratio)
+    return Chain((slew, first, second), tuple(map(float, gravity_on_slope(9.81, 0.2, 0.1))))
+
+
+def test_telescope_slides_down_the_slope_and_outwards_as_it_turns():
+    """(m1 + 4 m2) x'' = (m1 + 2 m2) g sin(pitch) + (m1 r1 + 2 m2 r2) w^2, with point masses at radii r."""
+    x, w = 0.7, 1.3
+    mass, coriolis, gravity, *_ = numbers(of_motion(telescope(1.0)), [0.0, x], [w, 0.0])
+    radii = 1.5 + x + 0.5, 1.5 + 2 * x + 0.8
+    # exact identities, rounding only
+    assert mass[1, 1] == pytest.approx(80 + 4 * 30, rel=1e-14)
+    assert mass[0, 0] == pytest.approx(50 + 80 * radii[0] ** 2 + 30 * radii[1] ** 2, rel=1e-14)
+    assert gravity[1] == pytest.approx(-(80 + 2 * 30) * 9.81 * math.sin(0.2), rel=1e-14)
+    assert coriolis[1] == pytest.approx(-(80 * radii[0] + 2 * 30 * radii[1]) * w**2, rel=1e-14)
+
+
+def test_stage_that_follows_moves_as_two_sliders_with_a_constraint():
+    """The acceleration is that of two sliders and a force that keeps their ratio (Lagrange's multiplier)."""
+    ratio, q, w, tau = 1.7, np.array([0.3, 0.6]), np.array([1.1, -0.4]), np.array([500.0, -900.0])
+    mass, coriolis, gravity, *_ = numbers(of_motion(telescope(ratio)), q, w)
+    own = np.linalg.solve(mass, tau - coriolis - gravity)
+    mass, coriolis, gravity, *_ = numbers(of_motion(telescope()), [*q, ratio * q[1]], [*w, ratio * w[1]])
+    rule = np.array([[0.0, ratio, -1.0]])
+    system = np.block([[mass, rule.T], [rule, np.zeros((1, 1))]])
+    both = np.linalg.solve(system, [*(np.array([*tau, 0.0]) - coriolis - gravity), 0.0])
+    # exact identity, rounding only
+    np.testing.assert_allclose(own, both[:2], rtol=1e-12)
+
+
+# ---- static balance
+
+
+@cache
+def crane_at_rest(passive):
+    """(q, pitch, roll, load) -> q at rest, acceleration, and dU, d2U over the passive joints."""
+    q, s, load = ca.SX.sym("q", 7), ca.SX.sym("s", 7), Payload(6, TIP, LOAD)
+    rest, held = SLOPE.at_rest(q, passive, load), ca.SX.ones(7)
+    held[[*passive]] = 0
+    motion = SLOPE.equations(rest, ca.SX.zeros(7), load)
+    curvature, slope = ca.hessian(SLOPE.potential(s, load), s)
+    local = ca.substitute([slope[[*passive]], curvature[[*passive], [*passive]]], [s], [rest])
+    terms = [rest, motion.acceleration(held * motion.gravity), *local]
+    return ca.Function("rest", [q, PITCH, ROLL, LOAD], terms)
+
+
+@pytest.mark.parametrize(("passive", "within"), [((4, 5), math.pi), ((4, 5, 6), 0.5)])
+@given(seed=seeds)
+def test_passive_joints_of_a_crane_on_a_slope_start_at_rest(passive, within, seed):
+    """Whatever pose, slope and load: held by its other joints, the crane does not accelerate.
+
+    within   distance of the guess from the rest; the rotator's load is eccentric, so it has one
+    """
+    rng, find = np.random.default_rng(seed), crane_at_rest(passive)
+    q, slope, load = rng.uniform(-math.pi, math.pi, 7), rng.uniform(-0.5, 0.5, 2), rng.uniform(0, 800)
+    for _ in range(10):  # some rest, from anywhere
+        q, acceleration, _, stiffness = numbers(find, q, *slope, load)
+    assume(np.abs(acceleration).max() < 1e-9 and np.linalg.eigvalsh(stiffness).min() > 0)
+    guess = q.copy()
+    guess[[*passive]] += rng.uniform(-within, within, len(passive))
+    rest, acceleration, slopes, stiffness = numbers(find, guess, *slope, load)
+    held = [i for i in range(7) if i not in passive]
+    assert [*rest[held]] == [*guess[held]]
+    # rounding of torques up to 1e4 N.m, over inertias of some kg.m2
+    assert np.abs(acceleration).max() < 1e-9
+    # rounding of the same torques, over stiffnesses of 1e3 N.m/rad
+    assert np.abs(np.linalg.solve(stiffness, slopes)).max() < 1e-12
+    assert np.linalg.eigvalsh(stiffness).min() > 0  # it hangs, and does not stand on its head
+
+
+@examples(30)
+@given(
+    pitch=st.floats(-0.5, 0.5), roll=st.floats(-0.5, 0.5), boom=st.floats(-1.2, 1.2), guess=st.floats(-3, 3)
+)
+def test_slender_head_hangs_along_gravity(pitch, roll, boom, guess):
+    """A head that hangs in two axes from a boom has its centre of mass in the direction of gravity."""
+    links = (
+        Link("boom", "revolute", "-y", mass=50.0, centre=(1, 0, 0)),
+        Link("pin", "revolute", "-y", (2, 0, 0), 0),
+        Link("yoke", "revolute", "x", (0, 0, 0), 1, 200.0, (0, 0, -0.7), "bar"),
+    )
+    gravity = [float(g) for g in gravity_on_slope(9.81, pitch, roll)]
+    chain = Chain(links, tuple(gravity))
+    rest = chain.at_rest(ca.DM([boom, guess, guess]), (1, 2))
+    hanging = ca.DM(chain.position(rest, 2, (0, 0, -0.7)) - chain.position(rest, 2)).full()[:, 0]
+    # exact identity, rounding only
+    np.testing.assert_allclose(hanging, 0.7 * np.array(gravity) / 9.81, rtol=0, atol=1e-14)
+
+
+def test_joint_that_gravity_does_not_turn_keeps_its_angle():
+    """A rotator with its centre of mass on its axis, joints without gravity and joints held keep their q."""
+    links = (*CRANE[:6], replace(CRANE[6], centre=(0, 0, -0.5)))
+    guess = ca.DM([0.1, 0.5, -1.0, 0.3, 0.4, 0.2, 0.7])
+    rest = Chain(links).at_rest(guess, (4, 5, 6))
+    assert float(rest[6]) == 0.7
+    assert float(rest[4]) == pytest.approx(0.5, abs=1e-14)  # hangs from boom and jib: their sum is -0.5
+    without = Chain(links, (0, 0, 0)).at_rest(guess, (4, 5))
+    np.testing.assert_array_equal(ca.DM(without).full(), guess.full())
+    np.testing.assert_array_equal(ca.DM(Chain(links).at_rest(guess, ())).full(), guess.full())
+
+
+# ---- mistakes
+
+MISTAKES = {
+    "joint": ({"joint": "fixed"}, "jib: joint: expected revolute or prismatic, found 'fixed'"),
+    "axis": ({"axis": "w"}, "jib: axis: expected one of x, y, z, -x, -y, -z, found 'w'"),
+    "parent": ({"parent": 2}, "jib: parent: expected None or an index below 2, found 2"),
+    "follows": ({"follows": 2}, "jib: follows: expected None or one of [0, 1, 3, 4, 5, 6], found 2"),
+    "inertia": ({"inertia": (1, 2, 3)}, 'jib: inertia: expected "bar" or six numbers, found (1, 2, 3)'),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistake_in_a_link_is_named(mistake):
+    """A link that makes no tree is refused with its name, what was expected and what was found."""
+    changed, message = MISTAKES[mistake]
+    with pytest.raises(Problem, match=re.escape(message)):
+        Chain((*CRANE[:2], replace(CRANE[2], **changed), *CRANE[3:]))
+
+
+def test_sliding_joint_has_no_rest():
+    """Gravity has no rest for a prismatic joint."""
+    with pytest.raises(Problem, match="telescope: expected a revolute joint at rest, found a prismatic one"):
+        Chain(CRANE).at_rest(ca.DM.zeros(7), (3, 4))

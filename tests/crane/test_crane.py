@@ -1,0 +1,138 @@
+"""Cranes from files: mistakes are told, FMUs are built, the co-simulation is the monolithic solution."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kit import shards
+from kit.mistakes import problem, table
+
+from fmus.contract import quantities, symbolic
+from fmus.crane.check import check
+from fmus.crane.description import new, read
+from fmus.crane.machine import build_crane, crane_machine
+from fmus.crane.manipulator import manipulator
+from fmus.machine.machine import wiring
+from fmus.manipulator import MANIPULATOR
+from fmus.monolith import join, simulate
+from fmus.parameters import values
+from orchestrator import load, run
+from orchestrator.base.errors import Mistakes
+
+CRANES = Path(__file__).parents[2] / "examples" / "cranes"
+LOADER = (CRANES / "loader.toml").read_text(encoding="utf-8")
+
+
+def changed(folder, *changes):
+    """The file of the loader with other texts."""
+    text = LOADER
+    for old, by in changes:
+        assert old in text
+        text = text.replace(old, by)
+    path = folder / "crane.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def at_start(crane, **parameters):
+    """Rates and outputs at the start, the cylinders holding."""
+    sub = manipulator(crane)
+    model, v = symbolic(sub), values(sub)
+    u, p = dict(v.u), {**v.p, **parameters}
+    x = model.initial()(list(v.x.values()), list(u.values()), list(p.values()))
+    for _ in range(2):
+        dx, y = (a.full()[:, 0] for a in model.function()(x, list(u.values()), list(p.values())))
+        shown = dict(zip(quantities(sub.outputs), y, strict=True))
+        u |= {n: shown[n.replace("_force", "_holding_force")] for n in u if n.endswith("_force")}
+    return dict(zip(quantities(sub.states), dx, strict=True)), shown
+
+
+@table(__file__, "mistakes", "old, by, message")
+def test_a_mistake_is_told_in_one_line(tmp_path, old, by, message):
+    """With file, table, key, what was expected and what was found."""
+    path = changed(tmp_path, (old, by))
+    with pytest.raises(Mistakes) as told:
+        read(path)
+    assert f"{path}: {message}" in told.value.lines[0]
+
+
+@table(__file__, "geometry", "old, by, message")
+def test_geometry_that_cannot_be_is_told(tmp_path, old, by, message):
+    """Pistons beyond their stroke, levers through zero, linkages that do not close, loads too large."""
+    path = changed(tmp_path, (old, by))
+    with pytest.raises(Mistakes) as told:
+        check(read(path))
+    assert told.value.lines[0].startswith(f"{path}: {message}")
+
+
+def test_all_mistakes_are_told_at_once(tmp_path):
+    """Three mistakes in three tables; the rocker is unknown, and missing."""
+    path = changed(
+        tmp_path, ("mass = 370", 'mass = "370 m"'), ("rocker =", "roker ="), ('on = "grapple"', 'on = "x"')
+    )
+    with pytest.raises(Mistakes) as told:
+        read(path)
+    assert [line.partition("[")[2].partition("]")[0] for line in told.value.lines] == [
+        *("boom", "jib.four_bar", "jib.four_bar", "payload")
+    ]
+
+
+def test_a_new_file_is_a_crane(tmp_path):
+    """It is checked without a mistake, and an existing file is not overwritten."""
+    path = tmp_path / "mine.toml"
+    assert str(path) in new(path)
+    assert [a.joint.name for a in check(read(path))] == ["slew", "boom", "stick"]
+    assert "exists already" in problem(lambda: new(path))
+
+
+def test_the_machine_of_the_paper_has_its_holding_forces():
+    """At its start pose, with the head as a point mass at the tip: those of the manipulator by hand."""
+    crane = read(CRANES / "feric.toml")
+    _, shown = at_start(crane)
+    own, v = symbolic(MANIPULATOR), values(MANIPULATOR)
+    y = own.function()(
+        own.initial()(*(list(g.values()) for g in (v.x, v.u, v.p))), list(v.u.values()), list(v.p.values())
+    )
+    paper = dict(zip(quantities(MANIPULATOR.outputs), y[1].full()[:, 0], strict=True))
+    # the head hangs below the tip, which changes no torque of its weight
+    for name in ("boom_holding_force", "stick_holding_force", "boom_position", "stick_position"):
+        assert shown[name] == pytest.approx(paper[name], rel=1e-12)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+def test_passive_joints_start_at_rest(slope):
+    """On any slope about the slewing axis: link and grapple hang, nothing moves."""
+    rates, _ = at_start(read(CRANES / "loader.toml"), base_pitch=slope)
+    # the slew has no torque at the start; on a slope along the arm there is none to hold
+    assert max(map(abs, rates.values())) < 1e-9
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """FMUs and system of the loader."""
+    folder = tmp_path_factory.mktemp("loader")
+    build_crane(read(CRANES / "loader.toml"), folder)
+    return folder
+
+
+@shards.machine
+def test_the_loader_co_simulates_like_its_monolith(built):
+    """Jacobi at 1 ms over the strokes of all levers: within 1e-4 of the range of the monolithic solution.
+
+    The energy at each bond closes to 1e-3 of what passes.
+    """
+    found = run(load(built / "loader.ssp"), stop=20.0, master="jacobi", record="manipulator.*")
+    machine = crane_machine(read(CRANES / "loader.toml"))
+    chosen = machine.subsystems | machine.feeding
+    model = join(chosen, *wiring(chosen))
+    commands = run(load(built / "loader.ssp"), stop=20.0, record="operator_input.*")
+    time = np.asarray(commands.time)
+    inputs = np.tile(model.u, (time.size, 1))
+    for k, name in enumerate(model.inputs):
+        if f"operator_input.{name}" in commands:
+            inputs[:, k] = commands[f"operator_input.{name}"]
+    _, outputs = simulate(model, time, inputs, tolerance=1e-9)
+    for name in ("boom_angle", "jib_angle", "extension_extension", "link_angle", "boom_holding_force"):
+        true = outputs[:, model.output_names.index(f"manipulator.{name}")]
+        at = np.interp(found.time, time, true)
+        assert np.sqrt(np.mean((found[f"manipulator.{name}"] - at) ** 2)) < 1e-4 * np.ptp(true)
