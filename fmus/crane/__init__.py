@@ -1,1 +1,1 @@
-"""Cranes as data: a tree of rigid links (`chain`), and the drives that move its joints (`drives`)."""
+"""Cranes from files: description, check, manipulator, and the machine with its drives, supply and operator."""

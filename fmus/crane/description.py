@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast, get_args
 
-from fmus.crane.chain import Axis
+from fmus.components.chain import Axis
 from fmus.parameters import SOURCES, Number
 from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem, suggest

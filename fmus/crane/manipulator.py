@@ -5,8 +5,9 @@
     tau_i = torque_i - b_i q_i'                            with a motor
     tau_i = -b_i q_i'                                      of a passive joint
 
-from the chain (`fmus.crane.chain`) and the drives (`fmus.crane.drives`). The payload is a point mass that
-comes and goes by lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the slope.
+from the chain (`fmus.components.chain`) and the drives (`fmus.components.linkage`). The payload is a point
+mass that comes and goes by lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the
+slope.
 
 Numbers of the description are parameters, except zeros: these are structure, so that a crane in one plane has
 the equations of a plane one.
@@ -24,11 +25,11 @@ import casadi as ca
 
 from fmus import ports
 from fmus.components import cylinder
+from fmus.components.chain import Chain, Link, Payload, gravity_on_slope
 from fmus.components.cylinder import Stop
+from fmus.components.linkage import Cylinder, FourBar, Telescope, Transmission
 from fmus.contract import Group, Quantity, Scalar, Subsystem, column, make_group, nested, quantities
-from fmus.crane.chain import Chain, Link, Payload, gravity_on_slope
 from fmus.crane.description import INERTIAS, CraneDescription, JointDescription
-from fmus.crane.drives import Cylinder, FourBar, Telescope, Transmission
 from fmus.manipulator.variables import (
     CylinderInputs,
     CylinderOutputs,

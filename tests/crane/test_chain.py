@@ -14,10 +14,10 @@ from kit.properties import examples
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
+from fmus.components import chain as module
+from fmus.components.chain import Chain, Link, Payload, gravity_on_slope
 from fmus.components.mechanics import equations_of_motion
 from fmus.contract import stack, symbols
-from fmus.crane import chain as module
-from fmus.crane.chain import Chain, Link, Payload, gravity_on_slope
 from fmus.manipulator import VARIANTS
 from fmus.manipulator.arm import mechanics
 from fmus.parameters import values

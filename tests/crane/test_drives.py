@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from fmus.crane.chain import Chain, Link
-from fmus.crane.drives import Cylinder, Drive, FourBar, Motor, Telescope
+from fmus.components.chain import Chain, Link
+from fmus.components.linkage import Cylinder, Drive, FourBar, Motor, Telescope
 
 # lengths of a forwarder loader (Ganguly and Le Duc 2017), pins made up
 JIB = FourBar((-2.2, 0.45), 1.068, (-0.35, -0.05), 0.43, 0.452, (0.22, 0.1), "above")
