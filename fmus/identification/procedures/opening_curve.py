@@ -68,8 +68,10 @@ class OpeningCurve:
             yield Estimate(f"{command:.3g}", value, "1", sd, low, high, note)
 
     def draws_at(self, command: float) -> Array:
-        """Effective area [m2] of each curve at the nearest command [V] of the grid."""
-        return np.asarray(self.draws[:, np.argmin(np.abs(self.command - command))])
+        """Effective area [m2] of each curve at a command [V], linear between those of the grid."""
+        k = int(np.clip(np.searchsorted(self.command, command), 1, self.command.size - 1))
+        share = (command - self.command[k - 1]) / (self.command[k] - self.command[k - 1])
+        return np.asarray((1 - share) * self.draws[:, k - 1] + share * self.draws[:, k])
 
     def estimate(self, name: str, unit: str, note: str, draws: Array, value: float | None = None) -> Estimate:
         """An estimate from its value in each curve: median, standard deviation, 95 % interval."""

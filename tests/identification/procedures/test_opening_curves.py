@@ -346,3 +346,14 @@ def test_a_rounding_that_no_line_has_is_left_out(monkeypatch):
     monkeypatch.setattr(valve_fit.balance, "solve", failing)
     part = named(found(bench.power(1.0, 0.7)))["valve_area"]
     assert part.value == pytest.approx(whole.value, abs=whole.sd)  # the roundings are nearly equal in it
+
+
+def test_resistances_between_two_steps_are_those_of_the_opening(monkeypatch):
+    """C_R at 3 V of a line with steps at 2.75 and 3.5 V: the nearest point of a grid was up to 5 % off."""
+    monkeypatch.setattr(
+        bench, "STEPS", (*np.arange(0.0, 2.01, 0.2), *np.arange(2.75, 10.0, 0.75), 10.0, 10.0)
+    )
+    estimates = named(found(bench.power(1.0, 0.7)))
+    area = bench.AREA * bench.power(1.0, 0.7)(np.array([3.0]))[0]
+    truth = bench.DENSITY / 2 / (bench.C_D * area) ** 2
+    assert estimates["C_R(3 V)"].value == pytest.approx(truth, rel=5e-3)  # the noise, and zeros of 0.5 bar
