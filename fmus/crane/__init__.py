@@ -1,1 +1,1 @@
-"""Cranes from files: description, check, manipulator, and the machine with its drives, supply and operator."""
+"""Cranes from files: description, check, manipulator, and the machine with drives, supply and operator."""

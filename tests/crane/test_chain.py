@@ -395,6 +395,18 @@ def test_stage_that_follows_moves_as_two_sliders_with_a_constraint():
     np.testing.assert_allclose(own, both[:2], rtol=1e-12)
 
 
+def test_what_is_not_stated_is_zero():
+    """A link without numbers has no mass and its parent's origin; points are origins, the base is level."""
+    zero, chain, q, w, f = (0, 0, 0), Chain(CRANE), ca.DM(range(7)), ca.DM(range(7)), ca.DM([5, 6, 7])
+    bare = Link("a", "revolute", "y")
+    assert bare == replace(
+        bare, at=zero, parent=None, mass=0, centre=zero, inertia=2 * zero, follows=None, ratio=1
+    )
+    for method, *of in ((chain.position, q), (chain.velocity, q, w), (chain.generalised_force, q, f)):
+        np.testing.assert_array_equal(ca.DM(method(*of, 6)).full(), ca.DM(method(*of, 6, zero)).full())
+    assert tuple(map(float, gravity_on_slope(9.81))) == chain.gravity
+
+
 # ---- static balance
 
 
@@ -463,7 +475,7 @@ def test_joint_that_gravity_does_not_turn_keeps_its_angle():
     assert float(rest[4]) == pytest.approx(0.5, abs=1e-14)  # hangs from boom and jib: their sum is -0.5
     without = Chain(links, (0, 0, 0)).at_rest(guess, (4, 5))
     np.testing.assert_array_equal(ca.DM(without).full(), guess.full())
-    np.testing.assert_array_equal(ca.DM(Chain(links).at_rest(guess, ())).full(), guess.full())
+    assert float(Chain(links[:1]).at_rest(guess[:1], ())) == 0.1
 
 
 # ---- mistakes

@@ -143,6 +143,7 @@ def test_motor_turns_with_the_ratio_and_telescope_counts_from_closed():
     """x of a motor is ratio times angle, of a telescope the coordinate beyond that of the closed cylinder."""
     assert at(Motor(17.5), 0.2) == [17.5 * 0.2, 17.5, 0.0]
     assert at(Telescope(0.4), 1.0) == [0.6, 1.0, 0.0]
+    assert at(Motor(), 0.2) == at(Telescope(), 0.2) == [0.2, 1.0, 0.0]
 
 
 @pytest.mark.parametrize("name", DRIVES)
