@@ -94,7 +94,8 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
     told: list[str] = []
     for r in recordings:
         rows = []
-        for name in (n for n in r.signals if not r.faults.get(n)):  # such as an error code
+        # not of a fault, such as an error code, nor at rest, where a sensor reads its zero
+        for name in (n for n in r.signals if not r.faults.get(n) and r.procedure != REST):
             unit = r.units[name]
             factor, offset = factor_and_offset(unit, r.file_units.get(name, unit), name)
             usual = [factor * size + offset for size in USUAL.get(unit, ())]  # in the unit of the file

@@ -174,6 +174,7 @@ def test_signals_far_from_usual_are_doubted(unit, low, high):
     usual = replace(made, signals={"x": high * np.ones(3)})
     assert reading.doubtful([usual]) == []
     assert reading.doubtful([replace(usual, time=1.2 * time)]) == ["a.csv: 10800 s; did you mean ms?"]
+    assert reading.doubtful([replace(made, procedure="rest")]) == []  # a zero, of any size
 
 
 @pytest.mark.parametrize(("share", "lever", "motion", "named"), [
