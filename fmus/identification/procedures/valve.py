@@ -428,7 +428,10 @@ def _full_area(curve: OpeningCurve, name: str, note: str) -> Estimate:
 
 
 def _first(curve: OpeningCurve, name: str, note: str) -> Estimate:
-    return curve.estimate(name, "V", note, np.maximum(curve.start, 0.0), float(curve.commands[0]))
+    start = np.maximum(curve.start, 0.0)
+    found = curve.estimate(name, "V", note, start, float(curve.commands[0]))
+    # each exponent below the lowest node is as likely, also the ends of their range
+    return replace(found, low=min(found.low, float(start.min())), high=max(found.high, float(start.max())))
 
 
 def _of_edges(found: Openings) -> Iterator[Estimate]:
