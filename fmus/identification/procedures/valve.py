@@ -62,6 +62,7 @@ MIN_VOLTAGES = 3  # different commands at which the flow must be measured
 # sign of the command that opens each edge, correction E7 in docs/equations.md
 COMMAND_SIGN = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
+OTHER_SIZE = 3.0  # times the known area: a wrong unit is more likely than such a valve
 SAME_OIL = 0.01  # relative difference of two densities of one oil
 MOST = 0.5  # share of the samples of a step that show its scatter
 COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
@@ -118,7 +119,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(found),
         remarks=tuple(_remarks(found, zero)),
         others=(*_resistances(found), zero, *_effects(found), *_of_edges(found)),
-        findings=tuple(_findings(tests, found)),
+        findings=(*_findings(tests, found), _size(found, parameters)),
         listed=tuple(_tables(found, parameters)),
     )
 
@@ -309,6 +310,18 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
     starts = [test for edge in fitted.nodes for test in _start(edge, found)]
     p, sentence = min(starts, key=lambda test: test[0])
     yield Finding("dead band", min(1.0, len(starts) * p), sentence)
+
+
+def _size(found: Openings, parameters: Mapping[str, Number]) -> Finding:
+    """Whether the area is far from the known one, as with a pressure in another unit."""
+    known = parameters.get("boom_stick.valve_area")
+    ratio = found.largest / known.value if known else 1.0
+    return Finding(
+        "unit",
+        0.0 if max(ratio, 1 / ratio) > OTHER_SIZE else 1.0,
+        f"valve: the area at full command is {1e6 * found.largest:.3g} mm2, {ratio:.2g} times the known one: "
+        "is the unit of each signal right? If the valve has this size, state it in the parameters",
+    )
 
 
 def _zeros(recordings: Sequence[Recording], fitted: ValveFit) -> Iterator[Finding]:

@@ -21,6 +21,7 @@ from fmus.identification.procedures import (
 )
 from fmus.identification.procedures.fit import Fit
 from fmus.identification.procedures.hoses import identify_resistance
+from fmus.parameters import Number
 from orchestrator.data.recording import Recording
 
 DAMPING = "manipulator.boom_piston_damping"
@@ -185,3 +186,11 @@ def test_a_reading_of_twenty_limits_is_no_zero(limits, refused):
         )
     else:
         assert names(result()) == {"zero of a pressure sensor"}
+
+
+@pytest.mark.parametrize(("factor", "named"), [(2.8, False), (3.2, True), (0.36, False), (0.3, True)])
+def test_a_valve_of_another_size_is_named(factor, named):
+    """An area of so many times the known one, as of a pressure in psi that is declared in bar."""
+    record = bench.edge("P-A", 1, area=bench.AREA)
+    known = bench.KNOWN | {"boom_stick.valve_area": Number(bench.AREA / factor, "m2", "assumed", "")}
+    assert ("unit" in names(valve.identify([record], known))) == named
