@@ -100,11 +100,6 @@ TABLES: Mapping[str, Mapping[str, Key]] = {
         "bulk_modulus": Key("Pa", ("bulk_modulus",), 1.4e9, 1e8, 1e10),
     },
     "supply": {"pressure": Key("Pa", ("pressure_setting",), 2.07e7, 1e5, 1e8)},
-    "datasheet": {
-        "lifting_moment": Key("N.m", ("lifting_moment",), math.nan, 0.0),
-        "slewing_moment": Key("N.m", ("slewing_moment",), math.nan, 0.0),
-        "reach": _length("reach", default=math.nan, low=0.0),
-    },
 }
 WORDS = ("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "source", "note")
 TEXTS = ("title", "source", "note")

@@ -25,7 +25,7 @@ from fmus.export.build import build_all
 from fmus.machine.machine import Machine
 from fmus.operator_input.model import OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
-from fmus.parameters import Number, numbers, with_parameters
+from fmus.parameters import Number, numbers
 from fmus.supply import supply
 from orchestrator.base.files import VARIANTS
 from orchestrator.ssp.load import assemble
@@ -54,9 +54,15 @@ def crane_machine(crane: CraneDescription) -> Machine:
         joints = [j for j in crane.driven if j.part == name]
         made = {v: _drives(crane, name, joints, *f) for v, f in FIDELITIES.items()}
         parts = {name: family(name, **made), **parts}
-    pressure = crane.numbers["supply"]
-    supplies = {v: with_parameters(sub, dict(pressure)) for v, sub in supply(names).items()}
+    supplies = {v: _with(sub, crane.numbers["supply"]) for v, sub in supply(names).items()}
     return Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
+
+
+def _with(sub: Subsystem, own: Mapping[str, Number]) -> Subsystem:
+    """The subsystem with these values of its parameters, as far as it has them."""
+    tables = numbers(sub)
+    found = {n: own.get(n, number) for n, number in tables["parameters"].items()}
+    return replace(sub, numbers={**tables, "parameters": found})
 
 
 def _drives(
