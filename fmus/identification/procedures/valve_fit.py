@@ -13,7 +13,8 @@ falling one, and with f = 1 + drift t for an oil or a spool that changes with th
 A hysteresis that is a part of the flow instead, f = 1 + drift t - s share/2, is the other form that is tried.
 
 Steps without a flow count for the line; for the nodes those at a closed edge do, which show the zero of the
-flow meter. All estimates have the zeros of the three sensors as further unknowns. Lag and drift are tested,
+flow meter. All estimates have the zeros of the three sensors as further unknowns, and the
+leakage, which is assumed and not measured: as likely as not none or twice the known one. Lag and drift are tested,
 and estimated with the openings where they are significant.
 
 The flow hardly tells the rounding w apart from a dead band. So lines are fitted for many roundings, each with
@@ -60,6 +61,7 @@ SENSORS = (*PRESSURES, "flow")
 CHANNELS = (*SENSORS, "command", "supply drop", "change", "course", "density", "viscosity")
 OF_EDGE = ("slope", "start", "square", "cube")  # unknowns of one opening; lag and drift are those of all
 EFFECTS = ("lag", "share", "drift")
+LEAK, LEAK_SD = "leak", 1.0  # of the leakage over the known one, less one: it is assumed, not measured
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def laws() -> Mapping[str, Law]:
     z, known = ca.SX.sym("z", len(CHANNELS)), ca.SX.sym("known", 7)
     p_in, p_out, flow, command, supply_drop, change, course, density, viscosity = ca.vertsplit(z)
     coefficient, reynolds, leakage, full, width, slope, at = ca.vertsplit(known)
-    u = {name: ca.SX.sym(name) for name in ("area", *OF_EDGE, *EFFECTS)}
+    u = {name: ca.SX.sym(name) for name in ("area", *OF_EDGE, *EFFECTS, LEAK)}
     x, drop = command - u["lag"] * change / 2, p_in - p_out
     line = u["slope"] * ramp(x - u["start"] + width / 2, width)
     bent = line + u["slope"] * full * (u["square"] * (x / full) ** 2 + u["cube"] * (x / full) ** 3)
@@ -109,8 +111,8 @@ def laws() -> Mapping[str, Law]:
 
     def law(area: ca.SX, *names: str) -> Law:
         through = edge.flow(area * (1 + u["drift"] * course - u["share"] * change / 2), drop, oil)
-        balanced = flow - leakage * (2 * drop - supply_drop) - through
-        return balance.law(z, {n: u[n] for n in (*names, *EFFECTS)}, known, balanced)
+        balanced = flow - leakage * (1 + u[LEAK]) * (2 * drop - supply_drop) - through
+        return balance.law(z, {n: u[n] for n in (*names, *EFFECTS, LEAK)}, known, balanced)
 
     return {
         "closed": law(ca.SX(0.0)),
@@ -548,9 +550,9 @@ def _nodes(
             name = f"area{label} {command:.4g} V"
             samples.append(s[k].samples(c, "node", {"area": name}, SHARP, slope, command))
             start[name] = float(a)
-    start |= dict.fromkeys(EFFECTS, 0.0)
+    start |= dict.fromkeys((*EFFECTS, LEAK), 0.0)
     tested = [n for n in EFFECTS if n not in freed]
-    solution = balance.solve(samples, start, "valve", limits, tested)
+    solution = balance.solve(samples, start, "valve", limits, tested, {LEAK: LEAK_SD})
     return {
         label: Nodes(np.array(at), tuple(f"area{label} {x:.4g} V" for x in at), solution)
         for label, at in commands.items()
@@ -573,7 +575,7 @@ def _lines(
         start |= {f"slope{label}": float(slope), f"start{label}": float(-level / slope)}
         start |= {f"{n}{label}": 0.0 for n in ("square", "cube")}
         groups.append((label, group.read))
-    start |= dict.fromkeys(EFFECTS, 0.0)
+    start |= dict.fromkeys((*EFFECTS, LEAK), 0.0)
     tested = [n for n in start if n.startswith(("square", "cube")) or (n in EFFECTS and n not in freed)]
     value, sd = c.rounding.value, c.rounding.sd or c.rounding.value
     fits: dict[float, Solution] = {}
@@ -588,7 +590,7 @@ def _lines(
             if shut.flow.size:
                 samples.append(shut.samples(c, "closed", {}))
             with suppress(Problem):  # a rounding that no line has
-                fits[width] = balance.solve(samples, start, "valve", limits, tested)
+                fits[width] = balance.solve(samples, start, "valve", limits, tested, {LEAK: LEAK_SD})
         if width not in fits:
             return math.inf
         return fits[width].cost / scatter**2 + ((width - value) / sd) ** 2
