@@ -14,8 +14,8 @@ A hysteresis that is a part of the flow instead, f = 1 + drift t - s share/2, is
 
 Steps without a flow count for the line; for the nodes those at a closed edge do, which show the zero of the
 flow meter. All estimates have the zeros of the three sensors as further unknowns, and the
-leakage, which is assumed and not measured: as likely as not none or twice the known one. Lag and drift are tested,
-and estimated with the openings where they are significant.
+leakage, which is assumed, not measured (prior: the known one, with a standard deviation as large). Lag and
+drift are tested, and estimated with the openings where they are significant.
 
 The flow hardly tells the rounding w apart from a dead band. So lines are fitted for many roundings, each with
 its probability by the data and by what is known: its value, and a standard deviation as large if none is
