@@ -315,6 +315,14 @@ def _joint(
     parent = reader.one_of(name, given, "parent", (*before, "base"), before[-1] if before else "base")
     follows = reader.one_of(name, given, "follows", tuple(before))
     rotational = kind == "revolute"
+    if follows and drive != "none":
+        reader.wrong(name, f"drive: expected none of a joint that follows {follows}, got {drive!r}")
+    if not rotational and drive in ("motor", "four-bar"):
+        reader.wrong(name, f"drive: expected cylinder or none of a prismatic joint, got {drive!r}")
+    if (
+        rotational and drive in ("cylinder", "four-bar") and axis != "-y"
+    ):  # pins are [x, z] in the plane of it
+        reader.wrong(name, f'axis: expected "-y" of a joint with a cylinder, got {axis!r}')
     damping = Key("N.m.s/rad" if rotational else "N.s/m", ("damping",), 0.0, 0.0)
     start = Key("rad" if rotational else "m", (name,))
     reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
