@@ -31,9 +31,6 @@ from orchestrator.base.text import TextTable
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
 FARTHEST = {"revolute": 2 * math.pi, "prismatic": 50.0}
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
-SHORT_OF_REACH = (
-    0.02  # share of the longest reach of the pins: a stroke that ends closer is near a dead point
-)
 
 
 @dataclass(frozen=True)

@@ -68,10 +68,6 @@ TEXTS = {  # of the parameters of a joint; "{}" is its name
 MINIMA = {"mass": 0.0, "damping": 0.0, "piston_damping": 0.0, "stroke": 1e-3, "rocker": 1e-3, "coupler": 1e-3}
 
 
-class CoordinateState(Group):
-    """Speed of a joint; its coordinate has a name of its own."""
-
-
 class MotorInputs(Group):
     """Torque of a motor; the rate input carries its exact time derivative."""
 
