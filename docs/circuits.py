@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from math import pi
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 from hydraulic_symbols import Sheet
 

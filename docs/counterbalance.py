@@ -10,8 +10,6 @@ load-sensing machine from the pose `folded`, the second also other poses and the
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-
 import numpy as np
 from convergence import fill
 from matplotlib.figure import Figure

@@ -6,10 +6,7 @@ draws images/warm-up.png and fills in the table of docs/machine.md. Oil and air 
 start; the thermostat of the cooler opens at 50 degC.
 """
 
-import sys
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from convergence import fill

@@ -251,7 +251,9 @@ def initial(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, 
 
 
 def require(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, Scalar]:
-    """Requirements: order of the pressures, of the speeds, an engine that can turn the pump in standby."""
+    """Requirements: order of pressures and speeds; engine and power limit allow the pump's standby."""
+    standby, d = _standby(u, p, p.engine.rated_speed), p.main_pump
+    rise = standby.pump_pressure - p.reservoir_pressure
     return {
         "margin exceeds margin_band": p.margin - p.margin_band,
         "load_sensing_relief_difference is not above margin": p.margin - p.load_sensing_relief_difference + 1,
@@ -259,7 +261,10 @@ def require(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> dict[str, 
             p.pressure_cut_off - p.load_sensing_relief_difference - rail.return_pressure(p) - p.margin
         ),
         "relief_pressure exceeds pressure_cut_off": p.relief.pressure - p.pressure_cut_off,
-        **rail.engine_requirements(p, _standby(u, p, p.engine.rated_speed).load, "the pump"),
+        "torque_limit exceeds what the swash plate takes without flow": (
+            p.torque_limit - d.displacement * rise * (standby.stroke + d.rounding)
+        ),
+        **rail.engine_requirements(p, standby.load, "the pump"),
     }
 
 

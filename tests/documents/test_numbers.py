@@ -3,12 +3,12 @@
 import json
 import math
 import re
-import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
 from kit import shards
+from kit.scripts import names_of
 
 from benchmarks import held_out
 from orchestrator import load, run
@@ -82,7 +82,7 @@ def test_readme_tells_the_error_with_rate_ports(built):
 @shards.documents
 def test_the_equations_tell_the_numbers_of_the_opening_curve(monkeypatch, tmp_path, capsys):
     """The share of the range where the polynomial is negative, and the error of that of the logarithm."""
-    script = runpy.run_path(str(ROOT / "docs/opening_curve.py"))
+    script = names_of(ROOT / "docs/opening_curve.py")
     monkeypatch.setitem(script["main"].__globals__, "IMAGE", tmp_path / "curve.png")
     script["main"]()
     printed = capsys.readouterr().out
@@ -116,7 +116,7 @@ def test_the_equations_tell_the_viscosity_and_the_efficiency_of_a_pump():
         assert cold == pytest.approx(walther(celsius, 8.2), rel=5e-3)
         density = 1 / (1 + 7e-4 * (celsius - 60))
         assert m == pytest.approx(walther(celsius) / usual * density, rel=5e-3)
-    script = runpy.run_path(str(ROOT / "docs/pump_efficiency.py"))
+    script = names_of(ROOT / "docs/pump_efficiency.py")
     for celsius, bar, stroke, *shown in rows(
         "docs/equations.md", "|oil, pressure, stroke|model|measured pump|"
     ):
@@ -127,7 +127,7 @@ def test_the_equations_tell_the_viscosity_and_the_efficiency_of_a_pump():
 @shards.documents
 def test_the_equations_tell_the_power_of_lowering_the_boom(built):
     """Supply, pilot, power and oscillation of the shipped edge, as docs/counterbalance.py prints them."""
-    script = runpy.run_path(str(ROOT / "docs/counterbalance.py"))
+    script = names_of(ROOT / "docs/counterbalance.py")
     system = str(built / "harvester.ssp")
     supply, pilot, watts = script["power"](script["lowered"](1.5, script["WIDE"], 10.0, 2.2, system))
     slow = script["lowered"](1.5, script["WIDE"], 2.5, 4.5, system)

@@ -1,7 +1,6 @@
 """Linear graphs of circuits: nothing overlaps, everything is there, the paper's Figs. 2 and 3 by name."""
 
 import re
-import runpy
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit import shards
+from kit.scripts import names_of
 from lxml import etree
 
 from fmus import boom_stick
@@ -245,7 +245,7 @@ def test_the_papers_figures_are_there_by_name(name):
 def test_the_pictures_of_the_documents_are_those_that_the_code_draws(monkeypatch):
     """`python docs/circuits.py` would change no file: hydraulic diagrams and graphs."""
     monkeypatch.syspath_prepend(ROOT / "docs")
-    pictures = runpy.run_path(str(ROOT / "docs/circuits.py"))["pictures"]()
+    pictures = names_of(ROOT / "docs/circuits.py")["pictures"]()
     files = {
         p.name: p.read_text(encoding="utf-8")
         for of in ("circuit", "graph")

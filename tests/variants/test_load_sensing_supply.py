@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from kit.mistakes import table
 from kit.properties import examples
@@ -116,12 +116,13 @@ def test_standby_stays_at_rest(margin, band, leakage, bleed, tank, engine, limit
         engine_rated_torque=engine,
         torque_limit=limit,
     )
-    assert BENCH.violated(p) == []
+    violated = BENCH.violated(p)
+    assert all("torque_limit" in v for v in violated)
+    assume(not violated)  # a power limit that acts in standby, a few N.m
     closed = tank + P["return_preload"]
     u = BENCH.row(swing_load_pressure=closed, boom_stick_load_pressure=closed)
     dx = BENCH.rates(BENCH.rest(p), u, p)
-    # what 20 iterations leave at a torque limit of 1 N.m; 1e-7 of the stroke in a second is no motion
-    assert abs(dx["pump_stroke"]) < 1e-7
+    assert abs(dx["pump_stroke"]) < 1e-11  # rounding leaves 3e-13 of 20 000 settings
     assert max(abs(dx[f"{n}_pressure"]) for n in ("supply", "pump", "load_sensing", "tank")) < 1.0  # Pa/s
     assert abs(dx["engine_speed"]) < 1e-8
     assert abs(dx["engine_fuel_torque"]) < 1e-6

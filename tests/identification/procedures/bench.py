@@ -93,13 +93,13 @@ def opening(command, dead_band=DEAD_BAND, rounding=ROUNDING):
 STEPS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 
 
-def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
+def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW, leakage=LEAKAGE):
     """One edge, each step held for 1.5 s; the load behind it takes 0.4 MPa per volt, so its drop is known."""
     volts = np.array(steps)
     gain = C_D * area * opening(volts) * np.sqrt(2 / DENSITY)
     supply_drop = SUPPLY - TANK
     drop = supply_drop - 4e5 * (volts - volts[0])
-    leak = LEAKAGE * drop - LEAKAGE * (supply_drop - drop)  # of the open edge minus that of the closed one
+    leak = leakage * drop - leakage * (supply_drop - drop)  # of the open edge minus that of the closed one
 
     # flow of that Reynolds number through a round hole of the same area
     laminar = TRANSITION * VISCOSITY / DENSITY * np.sqrt(np.pi * area * opening(volts)) / 2
@@ -108,7 +108,7 @@ def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
         through = q - leak[i]
         return through * (abs(through) + laminar[i]) - gain[i] ** 2 * drop[i]
 
-    q = np.array([brentq(surplus, 0.0, 1e-2, args=(i,), xtol=1e-15) for i in range(volts.size)])
+    q = np.array([brentq(surplus, -1e-6, 1e-2, args=(i,), xtol=1e-15) for i in range(volts.size)])
     hold = round(1.5 * RATE)
     q, drop = np.repeat(q, hold), np.repeat(drop, hold)
     before = np.full_like(q, SUPPLY) if name[0] == "P" else TANK + drop
@@ -117,10 +117,10 @@ def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
     return recording("valve", {"edge": name}, signals, seed, flow)
 
 
-def edges(seed, **changes):
+def edges(seed, leakage=LEAKAGE, **changes):
     """The four edges; `changes` are areas by edge."""
     names = ("P-A", "B-T", "P-B", "A-T")
-    return [edge(n, [seed, i], area=changes.get(n, AREA)) for i, n in enumerate(names)]
+    return [edge(n, [seed, i], changes.get(n, AREA), leakage=leakage) for i, n in enumerate(names)]
 
 
 FLOWS = tuple(np.linspace(5.0, 280.0, 24))  # L/min
