@@ -6,8 +6,8 @@ The virtual test rig simulates its benches and joints once; each seed is another
 another zero of the encoders within one count, since otherwise all seeds would share one rounding of the
 angles. The recordings go through files, as a user's do, and `fmus.identification` sees nothing but these.
 Truth is what the rig was built from. A second table is on opening curves of valves, whose recordings have
-equations of their own (`benchmarks.openings`). Exit status 1 if a parameter of Figs. 5 to 9 or an opening curve misses a
-bar.
+equations of their own (`benchmarks.openings`). Exit status 1 if a parameter of Figs. 5 to 9 or an opening
+curve misses a bar.
 """
 
 from __future__ import annotations
