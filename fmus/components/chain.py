@@ -20,7 +20,7 @@ bodies", Wittenburg). M, V and G follow from T and U (`fmus.components.mechanics
 
 Axes, parents, kinds of joint and numbers that are plain zeros are structure: what they make zero is in no
 expression. All other numbers may be symbols. With numbers, and without common subexpressions, M, V and G are
-264 instructions of CasADi for the 3 joints of the paper's manipulator (205 by hand), 1692 for a crane with 7.
+246 instructions of CasADi for the 3 joints of the paper's manipulator (205 by hand), 1562 for a crane with 7.
 
 Signs: x forward, y to the left, z upwards in the base. A revolute joint turns counter-clockwise about its
 axis, a prismatic joint moves its link along its axis.
@@ -45,6 +45,7 @@ from orchestrator.base.errors import Problem
 
 Vector: TypeAlias = tuple[Scalar, Scalar, Scalar]
 Joint: TypeAlias = Literal["revolute", "prismatic"]
+Twist: TypeAlias = tuple[ca.SX, ca.SX]  # angular and linear velocity, in the axes of the link
 Axis: TypeAlias = Literal["x", "y", "z", "-x", "-y", "-z"]
 _SWEEPS, _NEWTON_STEPS = 10, 4  # of `Chain.at_rest`
 # added to the stiffness there, as share of its trace and in N.m/rad: a joint that gravity does not turn stays
@@ -84,15 +85,13 @@ class Link:
         unit["xyz".index(self.axis[-1])] = -1 if self.axis[0] == "-" else 1
         return unit
 
+    def angle(self, q: Scalar) -> Scalar:
+        """Of the link about the positive axis [rad]."""
+        return 0 if self.joint == "prismatic" else -q if self.axis[0] == "-" else q
+
     def rotation(self, q: Scalar) -> ca.SX:
         """R, shape (3, 3)."""
-        turn = ca.SX.eye(3)
-        if self.joint == "revolute":
-            i = "xyz".index(self.axis[-1])
-            j, k, sin = (i + 1) % 3, (i + 2) % 3, self.direction[i] * ca.sin(q)
-            turn[j, j] = turn[k, k] = ca.cos(q)
-            turn[k, j], turn[j, k] = sin, -sin
-        return turn
+        return _Turn(None, self.axis[-1], self.angle(q)).matrix
 
     def place(self, q: Scalar) -> ca.SX:
         """d [m], shape (3, 1)."""
@@ -148,6 +147,24 @@ class Frame:
 
     rotation: ca.SX
     origin: ca.SX
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """Orientation of a link: rotation about one axis of the link `since`, or of the base [rad]."""
+
+    since: int | None
+    axis: str
+    angle: Scalar
+
+    @property
+    def matrix(self) -> ca.SX:
+        """Shape (3, 3)."""
+        turn, i = ca.SX.eye(3), "xyz".index(self.axis)
+        j, k, sin = (i + 1) % 3, (i + 2) % 3, ca.sin(self.angle)
+        turn[j, j] = turn[k, k] = ca.cos(self.angle)
+        turn[k, j], turn[j, k] = sin, -sin
+        return turn
 
 
 def gravity_on_slope(gravity: Scalar, pitch: Scalar = 0, roll: Scalar = 0) -> Vector:
@@ -234,33 +251,51 @@ class Chain:
                 bodies[link.parent] += point_mass(bodies[i].mass, (x, y, z))
         return bodies
 
+    def _turns(self, joints: Sequence[Scalar]) -> list[_Turn]:
+        """Orientation of each link. Angles about parallel axes add up, for smaller terms."""
+        turns: list[_Turn] = []
+        for link, x in zip(self.links, joints, strict=True):
+            before = _Turn(None, "z", 0) if link.parent is None else turns[link.parent]
+            if link.joint == "revolute":
+                angle, parallel = link.angle(x), link.axis[-1] == before.axis
+                before = (
+                    replace(before, angle=before.angle + angle)
+                    if parallel
+                    else (_Turn(link.parent, link.axis[-1], angle))
+                )
+            turns.append(before)
+        return turns
+
     def kinetic(self, q: ca.SX, speed: ca.SX, payload: Payload | None = None) -> Scalar:
         """Kinetic energy [J]."""
-        joints, twists = self._joints(q), list[tuple[ca.SX, ca.SX]]()
+        joints, rates, twists, spins = self._joints(q), self._joints(speed), list[Twist](), list[ca.SX]()
         energy: Scalar = 0
-        bodies = self._augmented(joints, payload)
-        for link, body, x, rate in zip(self.links, bodies, joints, self._joints(speed), strict=True):
+        turns, bodies = self._turns(joints), self._augmented(joints, payload)
+        for i, (link, turn, body) in enumerate(zip(self.links, turns, bodies, strict=True)):
             w, v = (ca.SX(3, 1), ca.SX(3, 1)) if link.parent is None else twists[link.parent]
-            u, a = v + ca.cross(w, link.place(x)), link.direction
+            u, motion = v + ca.cross(w, link.place(joints[i])), link.direction * rates[i]
+            # its angular velocity in the axes of turn.since
+            spin = w if link.parent in (None, turn.since) else spins[link.parent]
             if link.joint == "revolute":
-                turn = link.rotation(x).T
-                w, v = turn @ w + a * rate, turn @ u
+                spin = spin + motion
+                w, v = turn.matrix.T @ spin, link.rotation(joints[i]).T @ u
             else:
-                v = u + a * rate
-                energy += body.mass * rate * (ca.dot(a, u) + rate / 2)
+                v = u + motion
+                energy += body.mass * (ca.dot(motion, u) + rates[i] ** 2 / 2)
             energy += body.kinetic(w, v)
             twists.append((w, v))
+            spins.append(spin)
         return energy
 
     def potential(self, q: ca.SX, payload: Payload | None = None) -> Scalar:
         """Potential energy of gravity [J], zero at the origin of the base."""
         joints, directions = self._joints(q), list[ca.SX]()
-        energy: Scalar = 0
-        for link, body, x in zip(self.links, self._augmented(joints, payload), joints, strict=True):
-            g = column(*self.gravity) if link.parent is None else directions[link.parent]
+        down, energy = ca.SX(column(*self.gravity)), ca.SX(0)
+        bodies, turns = self._augmented(joints, payload), self._turns(joints)
+        for link, turn, body, x in zip(self.links, turns, bodies, joints, strict=True):
             if link.parent is None:
-                energy -= body.mass * ca.dot(g, link.place(x))
-            directions.append(link.rotation(x).T @ g)
+                energy -= body.mass * ca.dot(down, link.place(x))
+            directions.append(turn.matrix.T @ (down if turn.since is None else directions[turn.since]))
             energy -= ca.dot(directions[-1], body.moment)
         return energy
 
