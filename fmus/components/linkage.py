@@ -137,6 +137,11 @@ class FourBar:
             across = -across
         return self.pivot[0] + along * x - across * z, self.pivot[1] + along * z + across * x
 
+    def angles(self, q: Scalar) -> Point:
+        """Of rocker and coupler in the frame of the fixed link, upwards [rad]."""
+        (x, z), pin = self.rocker_end(q), rotate(ca.cos(q), ca.sin(q), self.pin)
+        return ca.atan2(z - self.pivot[1], x - self.pivot[0]), ca.atan2(pin[1] - z, pin[0] - x)
+
     def at(self, q: Scalar) -> Transmission:
         """Derivatives by differentiation of the closed form."""
         s = ca.SX.sym("q")

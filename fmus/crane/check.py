@@ -70,6 +70,15 @@ def check(crane: CraneDescription) -> list[AxisCheck]:
     return found
 
 
+def levers_at_start(crane: CraneDescription) -> dict[str, float]:
+    """dx/dq of each drive in the start pose [m or 1]; positive: extending makes the coordinate grow."""
+    sub = manipulator(crane)
+    of, v = _functions(sub), values(sub)
+    pistons = [j for j in crane.driven if j.drive != "motor"]
+    levers = {j.name: float(_transmission(of, j, v)(j.start.value)[1]) for j in pistons}
+    return {j.name: levers.get(j.name, 1.0) for j in crane.driven}
+
+
 def _functions(sub: Subsystem) -> CraneManipulator:
     own: Any = sub.dynamics
     functions: CraneManipulator = own.__self__

@@ -15,6 +15,7 @@ from fmus.composition import compose
 from fmus.contract import Quantity, Subsystem, family, make_group, quantities
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import NAME, manipulator
+from fmus.crane.view import document
 from fmus.drives import cylinder, motor
 from fmus.drives.cylinder import CYLINDER
 from fmus.drives.drive import Axis, Fidelity, part
@@ -162,7 +163,8 @@ def build_crane(
             stop=STOP,
             step=STEP,
         )
-        paths += [*files, write_ssp(system, folders[fmi] / f"{crane.file.stem}.ssp")]
+        page = {"view.toml": document(crane)}
+        paths += [*files, write_ssp(system, folders[fmi] / f"{crane.file.stem}.ssp", resources=page)]
     return paths
 
 

@@ -41,6 +41,7 @@ from fmus.manipulator.variables import (
 from fmus.parameters import Number, Tables
 
 NAME = "manipulator"
+BARS = ("rocker", "coupler")
 STOPS = ("stop_stiffness", "stop_damping", "stop_rounding")
 SHARED = ("gravity", "payload_grip_time", *STOPS)  # with the values of the paper's machine
 SHOWN = (
@@ -221,6 +222,13 @@ class CraneManipulator:
                         "stop_force": stop.force,
                     }.items()
                 }
+            if j.drive == "four-bar":
+                angles = self.four_bar(j, p).angles(getattr(x, j.coordinate))
+                known |= {f"{j.name}_{n}_angle": a for n, a in zip(BARS, angles, strict=True)}
+        for j in self.crane.joints:
+            if j.follows:
+                leader = self.crane.joint(j.follows)
+                known[j.coordinate] = self._number(j, "ratio", p) * getattr(x, leader.coordinate)
         return nested(
             self.outputs,
             known
@@ -282,9 +290,22 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         **{j.name: MotorInputs for j in motors},
     )
     accelerations = {f"{j.name}_acceleration": ports.rate_output(f"{j.name}_speed", "rad/s2") for j in motors}
+    shown = {
+        j.coordinate: Quantity(
+            units[j.kind][0], f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
+        )
+        for j in crane.joints
+        if j.follows
+    }
+    shown |= {
+        f"{j.name}_{bar}_angle": Quantity("rad", f"Angle of the {bar} of the {j.name} in its parent's frame")
+        for j in pistons
+        if j.drive == "four-bar"
+        for bar in BARS
+    }
     outputs = make_group(
         "Outputs",
-        {**states, **held, **accelerations, **_of(ManipulatorOutputs, *SHOWN)},
+        {**states, **held, **accelerations, **shown, **_of(ManipulatorOutputs, *SHOWN)},
         **{j.name: CylinderOutputs for j in pistons},
     )
     of = CraneManipulator(crane, parameters, state, outputs)

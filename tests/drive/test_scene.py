@@ -11,15 +11,23 @@ from kit import shards
 from view.standin import DESCRIPTION
 
 from fmus.contract import quantities, symbolic
+from fmus.crane.description import read
+from fmus.crane.machine import crane_machine
+from fmus.crane.manipulator import manipulator
+from fmus.crane.view import document
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
+from orchestrator.base.toml import read as read_toml
+from orchestrator.base.toml import read_dataclass
 from orchestrator.drive.drawing import SCALE
 from orchestrator.drive.scene import data, parameters, sizes, start
+from orchestrator.drive.view_description import ViewDescription
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import System
 from orchestrator.view.choice import MachineChoice, plan
 
+CRANES = Path(__file__).parents[2] / "examples" / "cranes"
 PENDULUM = VARIANTS["pendulum"]
 OWN = values(PENDULUM).p
 SCENE = DESCRIPTION.scene
@@ -148,3 +156,61 @@ def lightness(code: str) -> float:
     parts = [int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
     linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+# ---- a crane of one's own
+
+
+@shards.browser
+def test_a_crane_is_drawn_where_its_mechanics_are(script: Any) -> None:
+    """Tip, rod of the boom and the pin of the four-bar linkage of the loader, at random coordinates."""
+    crane = read(CRANES / "loader.toml")
+    scene, sub = _view(crane).scene, manipulator(crane)
+    assert scene is not None
+    own, rng = values(sub), np.random.default_rng(2)
+    model = symbolic(sub).function()
+    low, high = ([-math.pi, -0.5, -2.9, 0.0, -1.0, -1.0], [math.pi, 1.1, -0.3, 1.8, 1.0, 1.0])
+    free = [j for j in crane.joints if not j.follows]
+    shown = list[dict[str, float]]()
+    for row in rng.uniform(low, high, (40, 6)):
+        state = {j.coordinate: q for j, q in zip(free, row, strict=True)}
+        x = [state.get(name, 0.0) for name in quantities(sub.states)]
+        outputs = model(x, list(own.u.values()), list(own.p.values()))[1].full()[:, 0]
+        shown.append(dict(zip(quantities(sub.outputs), map(float, outputs), strict=True)))
+    given = {"machine": data(scene, own.p), "values": [[y[s] for s in scene.signals] for y in shown]}
+    told = "({ tip: p.tip, bodies: Object.fromEntries([...p.bodies].map(([n, at]) => [n, at.elements])) })"
+    for y, pose in zip(
+        shown,
+        script("rig", f"a.values.map((q) => m.pose(q, a.machine)).map((p) => {told})", given),
+        strict=True,
+    ):
+        assert pose["tip"] == pytest.approx([y["tip_x"], y["tip_y"], y["tip_height"]], abs=ROUNDING)
+        for name in ("boom", "jib"):  # as far apart as the piston says
+            barrel, rod = (drawn(pose, f"{name}_{part}", (0.0, 0.0, 0.0)) for part in ("barrel", "rod"))
+            apart = own.p[f"{name}_closed_length"] + y[f"{name}_position"]
+            assert math.dist(barrel, rod) == pytest.approx(apart, abs=ROUNDING)
+        coupler = drawn(pose, "jib_coupler", (own.p["jib_coupler"], 0.0, 0.0))
+        pin = drawn(pose, "jib", (own.p["jib_link_x"], 0.0, own.p["jib_link_z"]))
+        assert coupler == pytest.approx(pin, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("name", ["loader", "feric"])
+def test_the_page_of_a_crane_shows_its_signals(name: str) -> None:
+    """Each signal, formula and input of the page is one of the crane; its pins and levers are named."""
+    crane = read(CRANES / f"{name}.toml")
+    view, machine = _view(crane), crane_machine(crane)
+    assert view.scene is not None
+    outputs = {n for sub in machine.components.values() for n in quantities(sub.outputs)}
+    inputs = {n for sub in machine.components.values() for n in quantities(sub.inputs)}
+    commands = {n for axis in view.axes for n in axis.name}
+    assert set(view.shown) <= outputs | inputs
+    assert commands == {f"{j.name}_command" for j in crane.driven} <= inputs
+    assert data(view.scene, values(manipulator(crane)).p)["shapes"]
+    (mode,) = view.modes.values()
+    assert set(mode.full) == {j.name for j in crane.driven}
+    lifted = "boom_command"
+    assert mode.full["boom"][lifted] > 0 and view.functions["boom"] == ("boom up", "boom down")
+
+
+def _view(crane: Any) -> ViewDescription:
+    return read_dataclass(ViewDescription, read_toml(Path("view.toml"), document(crane)))
