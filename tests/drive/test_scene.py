@@ -209,7 +209,8 @@ def test_the_page_of_a_crane_shows_its_signals(name: str) -> None:
     (mode,) = view.modes.values()
     assert set(mode.full) == {j.name for j in crane.driven}
     lifted = "boom_command"
-    assert mode.full["boom"][lifted] > 0 and view.functions["boom"] == ("boom up", "boom down")
+    assert mode.full["boom"][lifted] > 0
+    assert view.functions["boom"] == ("boom up", "boom down")
 
 
 def _view(crane: Any) -> ViewDescription:
