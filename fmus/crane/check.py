@@ -58,7 +58,7 @@ def check(crane: CraneDescription) -> list[AxisCheck]:
     """All axes; a Problem with a line for each mistake."""
     sub = manipulator(crane)
     of, v = _functions(sub), values(sub)
-    start = _start(sub, v)
+    start = outputs_at_start(sub)
     found, mistakes = list[AxisCheck](), list[str]()
     for joint in crane.driven:
         try:
@@ -85,9 +85,9 @@ def _functions(sub: Subsystem) -> CraneManipulator:
     return functions
 
 
-def _start(sub: Subsystem, v: Values) -> Mapping[str, float]:
-    """Outputs at the start pose."""
-    model = symbolic(sub)
+def outputs_at_start(sub: Subsystem) -> Mapping[str, float]:
+    """Outputs of a manipulator at its start pose."""
+    model, v = symbolic(sub), values(sub)
     x = model.initial()(list(v.x.values()), list(v.u.values()), list(v.p.values()))
     y = model.function()(x, list(v.u.values()), list(v.p.values()))[1].full()[:, 0]
     return dict(zip(quantities(sub.outputs), map(float, y), strict=True))

@@ -13,6 +13,7 @@ from pathlib import Path
 from fmus import boom_stick, ports, swing
 from fmus.composition import compose
 from fmus.contract import Quantity, Subsystem, family, make_group, quantities
+from fmus.crane.check import outputs_at_start
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import NAME, manipulator
 from fmus.crane.view import document
@@ -50,10 +51,10 @@ TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 def crane_machine(crane: CraneDescription) -> Machine:
     """The machine of a description."""
     parts = {NAME: {"rigid": manipulator(crane)}}
-    names = list(dict.fromkeys(j.part for j in crane.driven))
+    names, pose = list(dict.fromkeys(j.part for j in crane.driven)), outputs_at_start(parts[NAME]["rigid"])
     for name in names:
         joints = [j for j in crane.driven if j.part == name]
-        made = {v: _drives(crane, name, joints, *f) for v, f in FIDELITIES.items()}
+        made = {v: _drives(crane, name, joints, pose, *f) for v, f in FIDELITIES.items()}
         parts = {name: family(name, **made), **parts}
     supplies = {v: _with(sub, crane.numbers["supply"]) for v, sub in supply(names).items()}
     return Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
@@ -70,6 +71,7 @@ def _drives(
     crane: CraneDescription,
     name: str,
     joints: Sequence[JointDescription],
+    pose: Mapping[str, float],
     fidelity: Fidelity,
     text: str,
     validity: str,
@@ -98,7 +100,13 @@ def _drives(
         own = joint.numbers.get(RENAMED.get(short, short))
         known = (rotary, short), (rotary, f"swing_{short}"), (hydraulic, f"boom_{short}"), (hydraulic, short)
         found[full] = own or next(table[n] for table, n in known if n in table)
-    return replace(sub, numbers={"parameters": found, "start": {}})
+    # of an FMU alone, whose inputs are not connected: the start pose, the pressure of the supply, warm oil
+    start = {"supply_pressure": crane.numbers["supply"]["pressure_setting"]}
+    start["oil_temperature"] = numbers(boom_stick.BOOM_STICK)["start"]["oil_temperature"]
+    for n, x in quantities(sub.inputs).items():
+        if pose.get(n):
+            start[n] = Number(pose[n], x.unit, "derived", "of the manipulator at the start")
+    return replace(sub, numbers={"parameters": found, "start": start})
 
 
 def _operator(crane: CraneDescription) -> Subsystem:

@@ -1,0 +1,121 @@
+"""Cranes in other tools: FMPy, OpenModelica and Ecos, against the monolithic solution."""
+
+import shutil
+import subprocess
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+from fmpy import simulate_fmu
+from fmpy.validation import validate_fmu
+from kit import shards
+from kit.work_cycle import load
+
+from fmus.crane.description import read
+from fmus.crane.machine import build_crane, crane_machine
+from fmus.machine.machine import wiring
+from fmus.monolith import join, simulate
+from orchestrator import run
+from orchestrator.__main__ import main
+from orchestrator.modelica import write_package
+
+pytestmark = shards.tools
+
+CRANES = Path(__file__).parents[2] / "examples" / "cranes"
+STOP = 12.0  # s: strokes of the first levers
+SHOWN = {
+    "loader": ("slew_angle", "boom_angle", "jib_angle", "extension_extension", "link_angle"),
+    "feric": ("swing_angle", "boom_angle", "stick_angle"),
+}
+
+
+class Built(NamedTuple):
+    """FMUs of a crane; times, and the outputs of its manipulator by the monolithic solution."""
+
+    name: str
+    folder: Path
+    time: np.ndarray
+    true: dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module", params=[*SHOWN])
+def built(request, tmp_path_factory):
+    """FMUs, system and solution of a crane."""
+    name = request.param
+    crane, folder = read(CRANES / f"{name}.toml"), tmp_path_factory.mktemp(name)
+    build_crane(crane, folder)
+    machine = crane_machine(crane)
+    chosen = machine.subsystems | machine.feeding
+    model = join(chosen, *wiring(chosen))
+    commands = run(folder / f"{name}.ssp", stop=STOP, record="operator_input.*")
+    time = np.asarray(commands.time)
+    inputs = np.tile(model.u, (time.size, 1))
+    for k, n in enumerate(model.inputs):
+        if f"operator_input.{n}" in commands:
+            inputs[:, k] = commands[f"operator_input.{n}"]
+    _, outputs = simulate(model, time, inputs, tolerance=1e-9)
+    rows = {n: outputs[:, model.output_names.index(f"manipulator.{n}")] for n in SHOWN[name]}
+    return Built(name, folder, time, rows)
+
+
+def agrees(built, time, found, limit):
+    """Each coordinate is within a share of its range of the monolithic solution."""
+    for name, values in found.items():
+        true = np.interp(time, built.time, built.true[name])
+        error = float(np.sqrt(np.mean((values - true) ** 2)) / np.ptp(built.true[name]))
+        assert error < limit, f"{name}: {error:.1e}"
+
+
+def test_the_fmus_of_a_crane_are_valid(built, capsys):
+    """`harvester check` finds no error and no warning, FMPy's validation no problem."""
+    for file in sorted(built.folder.rglob("*.fmu")):
+        assert validate_fmu(str(file)) == []
+        assert main(["check", str(file)]) == 0
+        assert "0 errors, 0 warnings" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_fmpy_runs_a_crane_as_one_block(built, kind):
+    """With the commands of its operator, which it sets every 5 ms: within 0.5 % of the range."""
+    operator = simulate_fmu(str(built.folder / "operator_input.fmu"), stop_time=STOP, output_interval=5e-3)
+    names = [n for n in operator.dtype.names if n.endswith(("_command", "payload_mass")) or n == "time"]
+    rows = simulate_fmu(
+        *(str(built.folder / f"{built.name}.fmu"),),
+        **{"fmi_type": kind, "stop_time": STOP, "output_interval": 5e-3, "input": operator[names]},
+    )
+    agrees(built, rows["time"], {n: rows[n] for n in built.true}, 5e-3)
+
+
+def test_openmodelica_integrates_the_system_of_a_crane(built, tmp_path):
+    """The FMUs for Model Exchange under DASSL: within 1e-5 of the range."""
+    omc = shutil.which("omc")
+    if omc is None:
+        pytest.skip("no OpenModelica found: omc is not on the search path")
+    write_package([built.folder / f"{built.name}.ssp"], tmp_path, "Crane")
+    (tmp_path / "run.mos").write_text(
+        'loadModel(Modelica, {"4.0.0"}); loadFile("Crane/package.mo"); getErrorString();\n'
+        f"simulate(Crane.Systems.{built.name.capitalize()}, stopTime = {STOP}, numberOfIntervals = 2400, "
+        'tolerance = 1e-8, outputFormat = "csv"); getErrorString();\n'
+    )
+    done = subprocess.run([omc, "run.mos"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "The simulation finished successfully" in done.stdout, done.stdout[-2000:]
+    (file,) = tmp_path.glob("*_res.csv")
+    rows = pd.read_csv(file).drop_duplicates("time", keep="last")
+    agrees(built, rows["time"], {n: rows[f"manipulator.{n}"] for n in built.true}, 1e-5)
+
+
+def test_ecos_steps_the_system_of_a_crane(built):
+    """Its SSP as it is, Jacobi at 1 ms with the rate ports: within 1e-3 of the range."""
+    ecos = load("ecospy")
+    rows, names = [], [f"manipulator::{n}" for n in built.true]
+    with ecos.EcosSimulation(step_size=1e-3, ssp_path=str(built.folder / f"{built.name}.ssp")) as simulation:
+        assert simulation.init()
+        for n in range(1, round(STOP / 1e-3) + 1):
+            simulation.step()
+            if n % 20 == 0:
+                rows.append([n * 1e-3, *(simulation.get_real(name) for name in names)])
+        simulation.terminate()
+    columns = np.array(rows).T
+    agrees(built, columns[0], dict(zip(built.true, columns[1:], strict=True)), 1e-3)
