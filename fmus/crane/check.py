@@ -6,31 +6,44 @@ The range of a joint is followed from its start pose in both directions, until t
 stroke, its lever passes zero, or the linkage no longer closes; the last two are mistakes.
 
 Holding pressures are those of the start pose without payload, with the other side of the piston at 0 bar.
-Speeds are those of a valve at full opening, half of the supply pressure lost in each edge, no load.
+Speeds are those of a valve at full opening, half of the supply pressure lost in each edge, no load; the
+velocity of the oil is that in the hose then. The mode of an axis is that of its mass on the oil of both
+sides, with the hoses, at the start pose; all other joints are locked:
+
+    f = sqrt((A_h^2/C_h + A_r^2/C_r) J^2 / M_ii) / (2 pi)           C = V/beta
+
+A load can be held where no piston needs more than the supply pressure, the other side at 0 bar. `capacity`
+computes it for a grid of poses over the strokes; passive joints hang at rest.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from matplotlib.figure import Figure
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.components.cylinder import areas
+from fmus.components.cylinder import areas, volumes
 from fmus.contract import Subsystem, nested, quantities, symbolic
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import CraneManipulator, manipulator
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.text import TextTable
+from orchestrator.data.table import Array
+from orchestrator.pages.plotting import new_figure, style_axes
 
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
 FARTHEST = {"revolute": 2 * math.pi, "prismatic": 50.0}
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
+POSES, MOST_STEPS = 150_000, 200  # of the grid of loads, in all and of one piston
+CELL = 0.2  # m, of the drawing
+SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
 
 
 @dataclass(frozen=True)
@@ -42,6 +55,8 @@ class AxisCheck:
     push, pull        largest forces of the piston, or torque of the motor to both sides [N or N.m]
     holding           pressure that holds the start pose [Pa], on the side of the piston that carries
     speeds            of the joint at the start pose, forwards and backwards [rad/s or m/s]
+    oil_velocity      in the hose at that speed [m/s]
+    mode              first mode of the axis [Hz]
     """
 
     joint: JointDescription
@@ -52,6 +67,22 @@ class AxisCheck:
     pull: float
     holding: float
     speeds: tuple[float, float]
+    oil_velocity: float
+    mode: float
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Poses over the strokes: reach and height of the tip [m], payload that can be held [kg]; each (n,)."""
+
+    reach: Array
+    height: Array
+    load: Array
+
+    def at(self, reach: float) -> float:
+        """Largest load [kg] of the poses whose reach is that or up to 3 % of the largest one off."""
+        near = np.abs(self.reach - reach) <= 0.03 * self.reach.max()
+        return float(self.load[near].max()) if near.any() else 0.0
 
 
 def check(crane: CraneDescription) -> list[AxisCheck]:
@@ -104,10 +135,15 @@ def _axis(
     density = crane.numbers["oil"]["density"].value
     coefficient = values(BOOM_STICK).p["valve_discharge_coefficient"]
     flow = coefficient * joint["valve_area"] * math.sqrt(pressure / density)
+    hose, inertia = math.pi / 4 * joint["hose_bore"] ** 2, _inertia(of, joint, v)
+    capacitance = hose * joint["hose_length"] / crane.numbers["oil"]["bulk_modulus"].value
     if joint.drive == "motor":
         per_turn = joint["motor_displacement"] * joint["gear_ratio"]
         torque, speed = pressure * per_turn, flow / per_turn
-        return AxisCheck(joint, -math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0, (speed, speed))
+        capacitance += joint["motor_volume"] / crane.numbers["oil"]["bulk_modulus"].value
+        mode = math.sqrt(2 * per_turn**2 / capacitance / inertia) / (2 * math.pi)
+        ends = (-math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0, (speed, speed))
+        return AxisCheck(joint, *ends, flow / hose, mode)
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
     low, high, levers = _range(of, joint, v)
     force = start[f"{joint.name}_holding_force"]
@@ -117,7 +153,10 @@ def _axis(
             f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "
             f"{pressure / 1e5:.0f} bar: a larger bore, a larger lever, or another start pose"
         )
-    lever = abs(float(_transmission(of, joint, v)(joint.start.value)[1]))
+    position, lever = (abs(float(x)) for x in _transmission(of, joint, v)(joint.start.value))
+    sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
+    oils = [x / crane.numbers["oil"]["bulk_modulus"].value + capacitance for x in sizes]
+    stiffness = head**2 / oils[0] + rod**2 / oils[1]
     return AxisCheck(
         joint,
         low,
@@ -127,7 +166,63 @@ def _axis(
         pressure * rod,
         holding,
         (flow / head / lever, flow / rod / lever),
+        flow / hose,
+        math.sqrt(stiffness * lever**2 / inertia) / (2 * math.pi),
     )
+
+
+def _inertia(of: CraneManipulator, joint: JointDescription, v: Values) -> float:
+    """M_ii [kg.m2 or kg] at the start pose without payload."""
+    p, q = nested(of.parameters, v.p), _coordinates(of, v)
+    motion = of.chain(p).equations(q, 0 * q, of.payload(0, p))
+    k = [j.name for j in of.crane.joints if not j.follows].index(joint.name)
+    return float(ca.evalf(motion.mass[k, k]))
+
+
+def _coordinates(of: CraneManipulator, v: Values) -> ca.SX:
+    """Coordinates of the joints at the start, as the file has them."""
+    free = (j for j in of.crane.joints if not j.follows)
+    return ca.SX(ca.DM([v.p[f"initial_{j.coordinate}"] for j in free]))
+
+
+def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
+    """Loads over the strokes of all pistons."""
+    sub = manipulator(crane)
+    of, v = _functions(sub), values(sub)
+    p, names = nested(of.parameters, v.p), [j.name for j in crane.joints]
+    free, axes = [j for j in crane.joints if not j.follows], [a for a in found if math.isfinite(a.low)]
+    s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
+    for k, a in enumerate(axes):
+        q[free.index(a.joint)] = s[k]
+    chain = of.chain(p)
+    passive = [names.index(j.name) for j in free if j.drive == "none" and j.kind == "revolute"]
+    q = chain.at_rest(q, passive, of.payload(1, p))
+    tip = chain.position(q, of.payload(0, p).link, of.payload(0, p).at)
+    forces = []
+    for mass in (0, 1):
+        gravity = chain.equations(q, 0 * q, of.payload(mass, p)).gravity
+        forces.append(
+            [gravity[free.index(a.joint)] / of.transmission(a.joint, s[k], p).arm for k, a in enumerate(axes)]
+        )
+    empty, more = (ca.vertcat(*f) for f in forces)
+    held = ca.Function("held", [s], [ca.norm_2(tip[:2]), tip[2], empty, more - empty])
+    count = min(MOST_STEPS, int(POSES ** (1 / len(axes))))
+    grids = np.meshgrid(*(np.linspace(a.low, a.high, count) for a in axes))
+    reach, height, alone, kilogram = (
+        x.full() for x in held.map(grids[0].size)(np.array([g.ravel() for g in grids]))
+    )
+    push, pull = (np.array([[getattr(a, n)] for a in axes]) for n in ("push", "pull"))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        limits = np.where(kilogram > 0, push - alone, -pull - alone) / kilogram
+    fits = (alone <= push).all(axis=0) & (alone >= -pull).all(axis=0)
+    load = np.where(fits, np.nanmin(limits, axis=0), 0.0)
+    return Capacity(reach[0], height[0], np.clip(load, 0.0, None))
+
+
+def lifting_moment(found: Sequence[AxisCheck]) -> float:
+    """Gross: largest moment of the first cylinder about its joint [N.m], 0 without one."""
+    first = next((a for a in found if a.joint.kind == "revolute" and math.isfinite(a.low)), None)
+    return first.push * first.levers[1] if first else 0.0
 
 
 def _transmission(of: CraneManipulator, joint: JointDescription, v: Values) -> ca.Function:
@@ -173,12 +268,99 @@ def _range(
     return min(ends), max(ends), (min(levers), max(levers))
 
 
-def table(crane: CraneDescription, found: list[AxisCheck]) -> str:
-    """The axes as a table for a terminal."""
-    head = ("joint", "drive", "start", "range", "lever", "push", "pull", "holds with", "speed out/in")
-    rows = "\n".join(TextTable(head, [*map(_row, found)]).lines())
+def table(crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity) -> str:
+    """The axes, loads and the data sheet as text for a terminal."""
+    head = (
+        "joint",
+        "drive",
+        "start",
+        "range",
+        "lever",
+        "push",
+        "pull",
+        "holds with",
+        "speed out/in",
+        "oil",
+        "mode",
+    )
     pressure = crane.numbers["supply"]["pressure_setting"].value
-    return f"{crane.title}: {len(crane.joints)} joints, {len(found)} driven, {pressure / 1e5:.0f} bar\n{rows}"
+    title = f"{crane.title}: {len(crane.joints)} joints, {len(found)} driven, {pressure / 1e5:.0f} bar"
+    lines = [title, *TextTable(head, [*map(_row, found)]).lines(), "", *_loads(found, loads)]
+    if crane.loads or any(crane.datasheet.values()):
+        rows = [
+            [text, _number(told), _number(own), f"{100 * (own / told - 1):+.1f} %"]
+            for text, told, own in _compared(crane, found, loads)
+        ]
+        lines += ["", *TextTable(("data sheet", "says", "computed", "off by"), rows).lines()]
+    return "\n".join(lines)
+
+
+def _number(x: float) -> str:
+    return f"{x:.4g}"
+
+
+def _loads(found: Sequence[AxisCheck], loads: Capacity) -> Iterator[str]:
+    farthest = float(loads.reach.max())
+    low, high = loads.height.min(), loads.height.max()
+    yield f"reach {loads.reach.min():.2f} to {farthest:.2f} m, height {low:.2f} to {high:.2f} m"
+    at = ", ".join(f"{loads.at(share * farthest):.0f} kg at {share * farthest:.2f} m" for share in SHARES)
+    yield f"lifting moment {lifting_moment(found) / 1e3:.1f} kN.m gross; load that can be held {at}"
+
+
+def _compared(
+    crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity
+) -> Iterator[tuple[str, float, float]]:
+    """What the data sheet says: text, its number, that of the file."""
+    if moment := crane.datasheet["lifting_moment"]:
+        yield "lifting moment, gross [kN.m]", moment / 1e3, lifting_moment(found) / 1e3
+    if reach := crane.datasheet["reach"]:
+        yield "reach [m]", reach, float(loads.reach.max())
+    for reach, load in crane.loads:
+        yield f"load at {reach:g} m [kg]", load, loads.at(reach)
+
+
+def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
+    """Side view: the working range of the tip, coloured by the load that can be held; the start pose."""
+    sub = manipulator(crane)
+    of, v = _functions(sub), values(sub)
+    p, names = nested(of.parameters, v.p), [j.name for j in crane.joints]
+    passive = [
+        names.index(j.name)
+        for j in crane.joints
+        if j.drive == "none" and not j.follows and j.kind == "revolute"
+    ]
+    chain, load = of.chain(p), of.payload(0, p)
+    q = chain.at_rest(_coordinates(of, v), passive, load)
+    frames = [np.array(ca.evalf(f.origin)).ravel() for f in chain.frames(q)]
+    points = {j.name: frames[k] for k, j in enumerate(crane.joints)} | {"": np.zeros(3)}
+    cells, ends = _cells(loads)
+    figure = new_figure(1.6 + 5.0 * np.ptp(ends[0]) / np.ptp(ends[1]), 5.2)
+    axes = figure.add_subplot()
+    style_axes(axes, "reach [m]", "height [m]")
+    shown = axes.pcolormesh(*ends, cells.T, cmap="viridis", vmin=0, vmax=np.nanquantile(cells, 0.95))
+    figure.colorbar(shown, ax=axes, label="load that can be held [kg]", extend="max")
+    tip = np.array(ca.evalf(chain.position(q, load.link, load.at))).ravel()
+    bars = [(points[j.parent], points[j.name]) for j in crane.joints] + [(points[crane.payload_on], tip)]
+    for begin, end in bars:
+        axes.plot(
+            *([math.copysign(math.hypot(x[0], x[1]), x[0]) for x in (begin, end)], [begin[2], end[2]]),
+            color="black",
+            lw=2.5,
+        )
+    for joint in points.values():
+        axes.plot(math.copysign(math.hypot(joint[0], joint[1]), joint[0]), joint[2], "o", color="black", ms=4)
+    axes.set_aspect("equal")
+    return figure
+
+
+def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
+    """Largest load in each square of the plane, NaN where no tip is; the edges of the squares [m]."""
+    places = (loads.reach, loads.height)
+    ends = [np.arange(x.min(), x.max() + 2 * CELL, CELL) for x in places]
+    x, z = (np.digitize(place, edges) - 1 for place, edges in zip(places, ends, strict=True))
+    cells = np.full((ends[0].size - 1, ends[1].size - 1), -1.0)
+    np.maximum.at(cells, (x, z), loads.load)
+    return np.where(cells < 0, np.nan, cells), (ends[0], ends[1])
 
 
 def _row(a: AxisCheck) -> list[str]:
@@ -197,4 +379,6 @@ def _row(a: AxisCheck) -> list[str]:
         *(f"{x / 1e3:.3g} {force}" for x in (a.push, a.pull)),
         f"{a.holding / 1e5:.0f} bar",
         "/".join(f"{scale * x:.3g}" for x in a.speeds) + f" {unit}/s",
+        f"{a.oil_velocity:.1f} m/s",
+        f"{a.mode:.1f} Hz",
     ]

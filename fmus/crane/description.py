@@ -101,6 +101,11 @@ TABLES: Mapping[str, Mapping[str, Key]] = {
     },
     "supply": {"pressure": Key("Pa", ("pressure_setting",), 2.07e7, 1e5, 1e8)},
 }
+# of a data sheet; `check` compares
+DATASHEET = {
+    "lifting_moment": Key("N.m", ("lifting_moment",), 0.0, 0.0),
+    "reach": Key("m", ("reach",), 0.0, 0.0),
+}
 WORDS = ("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "source", "note")
 TEXTS = ("title", "source", "note")
 OPTIONAL = ("follows",)
@@ -153,6 +158,8 @@ class CraneDescription:
 
     payload_on   joint whose link carries the payload
     numbers      table -> parameters
+    datasheet    lifting moment [N.m] and reach [m] by the data sheet, 0 without one
+    loads        by the data sheet: reach [m], load [kg]
     """
 
     file: Path
@@ -160,6 +167,8 @@ class CraneDescription:
     joints: tuple[JointDescription, ...]
     payload_on: str
     numbers: Mapping[str, Mapping[str, Number]]
+    datasheet: Mapping[str, float] = field(default_factory=dict)
+    loads: tuple[tuple[float, float], ...] = ()
 
     def joint(self, name: str) -> JointDescription:
         """The joint with this name."""
@@ -264,12 +273,17 @@ def read(path: Path) -> CraneDescription:
     title, starts = content.pop("title", path.stem), reader.tables("start", content.pop("start", {}))
     for key in ("source", "note"):
         content.pop(key, None)
+    datasheet = reader.tables("datasheet", content.pop("datasheet", {}))
+    reader.unknown("datasheet", datasheet, (*DATASHEET, "loads"))
+    told = {n: x.value for n, x in reader.numbers("datasheet", datasheet, DATASHEET).items()}
+    loads = _loads(reader, datasheet.get("loads", []))
     tables = {n: reader.tables(n, content.pop(n, {})) for n in TABLES}
     numbers = {n: reader.numbers(n, given, TABLES[n]) for n, given in tables.items()}
     for n, given in tables.items():
         reader.unknown(n, given, (*TABLES[n], *(("on",) if n == "payload" else ())))
     names = [n for n, given in content.items() if isinstance(given, dict)]
-    reader.unknown("", {n: x for n, x in content.items() if n not in names}, (*TEXTS, *TABLES, "start"))
+    tops = (*TEXTS, *TABLES, "start", "datasheet")
+    reader.unknown("", {n: x for n, x in content.items() if n not in names}, tops)
     joints = [_joint(reader, n, content[n], names[:k], starts) for k, n in enumerate(names)]
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)
@@ -279,7 +293,21 @@ def read(path: Path) -> CraneDescription:
         _check_masses(reader, joints)
     if reader.mistakes:
         raise Mistakes(reader.mistakes)
-    return CraneDescription(path, str(title), tuple(joints), on, numbers)
+    return CraneDescription(path, str(title), tuple(joints), on, numbers, told, loads)
+
+
+def _loads(reader: _Reader, value: Any) -> tuple[tuple[float, float], ...]:
+    """Pairs of reach and load."""
+    if not (isinstance(value, list) and all(isinstance(x, list) and len(x) == 2 for x in value)):
+        expected = 'expected a list of pairs, such as [["4 m", "900 kg"]]'
+        reader.wrong("datasheet", f"loads: {expected}, got {value!r}")
+        return ()
+    units = ("m", "kg")
+    pairs = (
+        (reader.quantity("datasheet", "loads", x, unit) for x, unit in zip(p, units, strict=True))
+        for p in value
+    )
+    return tuple((reach, load) for reach, load in pairs)
 
 
 def new(path: Path) -> str:

@@ -14,21 +14,34 @@ from orchestrator.cli.options import command
 def crane(
     action: Annotated[Literal["new", "check"], Kind("ACTION", positional=True)],
     file: Annotated[Path, Kind("FILE", positional=True)],
+    *,
+    drawing: Annotated[Path | None, Kind("FILE")] = None,
 ) -> None:
     """Describe a crane of your own in one file: begin one, or check it.
 
     `harvester build --crane FILE` then builds its FMUs and its system.
 
-    action   new: write a commented file of a small crane; check: print range, lever, forces, holding pressure
-             and speed of each axis, or all mistakes.
-    file     The description of the crane (.toml).
+    action    new: write a commented file of a small crane; check: print range, lever, forces, holding
+              pressure, speed and first mode of each axis, loads, and the data sheet beside them, or all
+              mistakes.
+    file      The description of the crane (.toml).
+    drawing   With check: picture (.png) of the working range, coloured by the load that can be held.
     """
     require("build", "harvester crane")
-    from fmus.crane.check import check, table
+    from fmus.crane.check import capacity, check, table
+    from fmus.crane.check import drawing as drawn
     from fmus.crane.description import new, read
 
     if action == "new":
         print(new(file))
         return
     description = read(file)
-    print(table(description, check(description)))
+    found = check(description)
+    loads = capacity(description, found)
+    print(table(description, found, loads))
+    if drawing is not None:
+        from orchestrator.base.files import write_whole
+        from orchestrator.pages.plotting import png
+
+        write_whole(drawing, png(drawn(description, loads)))
+        print(f"{drawing}: the working range")

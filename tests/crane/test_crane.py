@@ -1,5 +1,6 @@
 """Cranes from files: mistakes are told, FMUs are built, the co-simulation is the monolithic solution."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ from kit import shards
 from kit.mistakes import problem, table
 
 from fmus.contract import quantities, symbolic
-from fmus.crane.check import check
+from fmus.crane.check import capacity, check, lifting_moment
+from fmus.crane.check import table as text_of
 from fmus.crane.description import new, read
 from fmus.crane.machine import build_crane, crane_machine
 from fmus.crane.manipulator import manipulator
@@ -136,3 +138,63 @@ def test_the_loader_co_simulates_like_its_monolith(built):
         true = outputs[:, model.output_names.index(f"manipulator.{name}")]
         at = np.interp(found.time, time, true)
         assert np.sqrt(np.mean((found[f"manipulator.{name}"] - at) ** 2)) < 1e-4 * np.ptp(true)
+
+
+BOOM = """
+[boom]
+axis = "-y"
+at = [0, 0, "1 m"]
+mass = "100 kg"
+centre = ["1 m", 0, 0]
+inertia = [0, 30, 30]
+drive = "cylinder"
+hydraulics = { hose = "2 m", hose_bore = "20 mm", valve = "30 mm2" }
+[boom.cylinder]
+base = ["0.3 m", "-0.8 m"]
+pin = ["0.5 m", 0]
+closed = "0.6 m"
+stroke = "0.4 m"
+bore = "80 mm"
+rod = "40 mm"
+[payload]
+on = "boom"
+at = ["2 m", 0, 0]
+[oil]
+bulk_modulus = "1.2 GPa"
+[supply]
+pressure = "200 bar"
+[datasheet]
+lifting_moment = "40 kN.m"
+reach = "2 m"
+loads = [["2 m", "1.5 t"]]
+"""
+
+
+def test_loads_and_mode_of_one_boom_are_the_closed_forms(tmp_path):
+    """(F lever - m g x/2)/(g x) in each pose; sqrt(k/I) of the oil; the data sheet beside them."""
+    path = tmp_path / "boom.toml"
+    path.write_text(BOOM, encoding="utf-8")
+    crane = read(path)
+    (axis,) = found = check(crane)
+    loads = capacity(crane, found)
+    angle = np.arcsin((loads.height - 1) / 2)
+    length = np.sqrt(
+        0.8**2 + 0.3**2 + 0.5**2 - 2 * np.hypot(0.8, 0.3) * 0.5 * np.cos(angle + np.arctan2(0.8, 0.3))
+    )
+    lever = np.gradient(length, angle)
+    head, gravity = np.pi / 4 * 0.08**2, values(MANIPULATOR).p["gravity"]
+    expected = (2e7 * head * lever / gravity - 100 * np.cos(angle)) / (2 * np.cos(angle))
+    inner = slice(2, -2)  # differences at the ends are of first order
+    np.testing.assert_allclose(loads.load[inner], expected[inner], rtol=1e-3)
+    position = float(np.interp(0.0, angle, length)) - 0.6
+    hose, rod = np.pi / 4 * 0.02**2 * 2, head - np.pi / 4 * 0.04**2
+    stiffness = 1.2e9 * (
+        head**2 / (head * position + 3e-4 + hose) + rod**2 / (rod * (0.4 - position) + 3e-4 + hose)
+    )
+    own = np.sqrt(stiffness * np.interp(0.0, angle, lever) ** 2 / (30 + 100)) / (2 * np.pi)
+    assert axis.mode == pytest.approx(own, rel=1e-3)  # of the differences
+    assert lifting_moment(found) == pytest.approx(2e7 * head * lever.max(), rel=1e-3)
+    text = text_of(crane, found, loads)
+    assert re.search(r"lifting moment, gross \[kN\.m\] +40 +[\d.]+ +[+-]", text)
+    assert re.search(r"reach \[m\] +2 +2 +[+-]0\.0 %", text)
+    assert re.search(r"load at 2 m \[kg\] +1500 +\d+ +[+-]", text)
