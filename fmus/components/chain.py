@@ -33,7 +33,7 @@ trees); Wittenburg, Dynamics of Systems of Rigid Bodies, 1977 (augmented bodies)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
@@ -134,11 +134,21 @@ def point_mass(mass: Scalar, at: Vector) -> Body:
 
 @dataclass(frozen=True)
 class Payload:
-    """A point mass [kg] that comes and goes, at a place in the frame of a link [m]."""
+    """A body that comes and goes: its mass [kg], at a place in the frame of a link [m].
+
+    inertia   about its centre, of each kilogram [m2]: xx, yy, zz, xy, xz, yz; zeros: a point mass
+    """
 
     link: int
     at: Vector
     mass: Scalar
+    inertia: Sequence[Scalar] = (0, 0, 0, 0, 0, 0)
+
+    @property
+    def body(self) -> Body:
+        """Mass and moments about the origin of the link."""
+        point = point_mass(self.mass, self.at)
+        return replace(point, inertia=point.inertia + self.mass * column(*self.inertia))
 
 
 @dataclass(frozen=True)
@@ -244,7 +254,7 @@ class Chain:
         """Each link with the masses of all links beyond it, as points in their joints."""
         bodies = [link.body for link in self.links]
         if payload:
-            bodies[payload.link] += point_mass(payload.mass, payload.at)
+            bodies[payload.link] += payload.body
         for i, link in reversed([*enumerate(self.links)]):
             if link.parent is not None:
                 x, y, z = ca.vertsplit(link.place(joints[i]))
@@ -306,23 +316,36 @@ class Chain:
         energies = (lambda s, w: self.kinetic(s, w, load)), (lambda s: self.potential(s, load))
         return equations_of_motion(*energies, q, speed, (m, payload.mass) if payload else None)
 
-    def at_rest(self, q: ca.SX, passive: Sequence[int], payload: Payload | None = None) -> ca.SX:
+    def at_rest(
+        self,
+        q: ca.SX,
+        passive: Sequence[int],
+        payload: Payload | None = None,
+        springs: Mapping[int, Scalar] | None = None,
+    ) -> ca.SX:
         """Static balance: q with the angles at which the passive links hang at rest; other joints are held.
 
         q holds a guess of these angles. Over one angle alone U is a sinusoid, with its minimum at
         q - atan2(U', U''). Sweeps over the joints with this rule come near a minimum, Newton's method finds
         it to rounding. Their number is fixed, so that the result is an expression. For the two axes of a
         hanging head any guess will do, for three passive joints one within 0.5 rad of their rest.
+
+        springs   link -> stiffness of its joint, which is without force at 0
         """
-        for link in (self.links[i] for i in passive if self.links[i].joint != "revolute"):
+        springs = springs or {}
+        for link in (
+            self.links[i] for i in passive if self.links[i].joint != "revolute" and i not in springs
+        ):
             raise Problem(f"{link.name}: expected a revolute joint at rest, found a {link.joint} one")
         q, s = ca.densify(ca.SX(q)), ca.SX.sym("q", q.shape[0])
         at = [self.coordinate(link) for link in passive]
-        slopes = ca.gradient(self.potential(s, payload), s)[at]
+        elastic = sum((k * s[self.coordinate(i)] ** 2 / 2 for i, k in springs.items()), ca.SX(0))
+        slopes = ca.gradient(self.potential(s, payload) + elastic, s)[at]
         terms = [slopes, ca.jacobian(slopes, s[at])]
         for k, i in [*enumerate(at)] * _SWEEPS:
             slope, stiffness = ca.substitute(terms, [s], [q])
-            q[i] -= ca.atan2(slope[k], stiffness[k, k])
+            newton, ratio = passive[k] in springs, slope[k] / stiffness[k, k]
+            q[i] -= ratio if newton else ca.atan2(slope[k], stiffness[k, k])
         for _ in range(_NEWTON_STEPS if at else 0):
             slope, stiffness = ca.substitute(terms, [s], [q])
             shift = _SHIFT * ca.trace(stiffness) + _LEAST

@@ -189,14 +189,13 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     """Loads over the strokes of all pistons."""
     sub = manipulator(crane)
     of, v = _functions(sub), values(sub)
-    p, names = nested(of.parameters, v.p), [j.name for j in crane.joints]
+    p = nested(of.parameters, v.p)
     free, axes = [j for j in crane.joints if not j.follows], [a for a in found if math.isfinite(a.low)]
     s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
     for k, a in enumerate(axes):
         q[free.index(a.joint)] = s[k]
     chain = of.chain(p)
-    passive = [names.index(j.name) for j in free if j.drive == "none" and j.kind == "revolute"]
-    q = chain.at_rest(q, passive, of.payload(1, p))
+    q = of.at_rest(q, 0, p)
     tip = chain.position(q, of.payload(0, p).link, of.payload(0, p).at)
     forces = []
     for mass in (0, 1):
@@ -323,14 +322,9 @@ def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
     """Side view: the working range of the tip, coloured by the load that can be held; the start pose."""
     sub = manipulator(crane)
     of, v = _functions(sub), values(sub)
-    p, names = nested(of.parameters, v.p), [j.name for j in crane.joints]
-    passive = [
-        names.index(j.name)
-        for j in crane.joints
-        if j.drive == "none" and not j.follows and j.kind == "revolute"
-    ]
+    p = nested(of.parameters, v.p)
     chain, load = of.chain(p), of.payload(0, p)
-    q = chain.at_rest(_coordinates(of, v), passive, load)
+    q = of.at_rest(_coordinates(of, v), 0, p)
     frames = [np.array(ca.evalf(f.origin)).ravel() for f in chain.frames(q)]
     points = {j.name: frames[k] for k, j in enumerate(crane.joints)} | {"": np.zeros(3)}
     cells, ends = _cells(loads)

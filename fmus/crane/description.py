@@ -93,7 +93,16 @@ DRIVES: Mapping[str, Mapping[str, Key]] = {
 UNUSED = {"four-bar": ("pin",), "telescope": ("base", "pin", "closed")}
 TABLES: Mapping[str, Mapping[str, Key]] = {
     "base": {"pitch": Key("rad", ("base_pitch",)), "roll": Key("rad", ("base_roll",))},
-    "payload": {"at": _length("tip_x", "tip_y", "tip_z", default=None)},
+    "payload": {
+        "at": _length("tip_x", "tip_y", "tip_z", default=None),
+        "length": _length("load_length", low=0.0),
+    },
+    "ground": {
+        "height": _length("ground_height"),
+        "stiffness": Key("N/m", ("ground_stiffness",), 2e6, 0.0),
+        "damping": Key("s/m", ("ground_damping",), 0.5, 0.0),
+        "friction": Key("1", ("ground_friction",), 0.6, 0.0, 10.0),
+    },
     "oil": {
         "density": Key("kg/m3", ("density",), 870.0, 500.0, 1500.0),
         "viscosity": Key("Pa.s", ("viscosity",), 0.02, 1e-4, 10.0),
@@ -106,7 +115,10 @@ DATASHEET = {
     "lifting_moment": Key("N.m", ("lifting_moment",), 0.0, 0.0),
     "reach": Key("m", ("reach",), 0.0, 0.0),
 }
-WORDS = ("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "source", "note")
+WORDS = (
+    *("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "stiffness"),
+    *("source", "note"),
+)
 TEXTS = ("title", "source", "note")
 OPTIONAL = ("follows",)
 ONE = Number(1.0, "1", "assumed", "default")
@@ -157,6 +169,7 @@ class CraneDescription:
     """A crane.
 
     payload_on   joint whose link carries the payload
+    along        axis of its link that a payload with a length lies along
     numbers      table -> parameters
     datasheet    lifting moment [N.m] and reach [m] by the data sheet, 0 without one
     loads        by the data sheet: reach [m], load [kg]
@@ -169,6 +182,12 @@ class CraneDescription:
     numbers: Mapping[str, Mapping[str, Number]]
     datasheet: Mapping[str, float] = field(default_factory=dict)
     loads: tuple[tuple[float, float], ...] = ()
+    along: str = "y"
+
+    @property
+    def ground(self) -> bool:
+        """Whether the tip meets the ground."""
+        return bool(self.numbers["ground"])
 
     def joint(self, name: str) -> JointDescription:
         """The joint with this name."""
@@ -277,23 +296,27 @@ def read(path: Path) -> CraneDescription:
     reader.unknown("datasheet", datasheet, (*DATASHEET, "loads"))
     told = {n: x.value for n, x in reader.numbers("datasheet", datasheet, DATASHEET).items()}
     loads = _loads(reader, datasheet.get("loads", []))
+    given_tables = {*content}
     tables = {n: reader.tables(n, content.pop(n, {})) for n in TABLES}
     numbers = {n: reader.numbers(n, given, TABLES[n]) for n, given in tables.items()}
+    if "ground" not in given_tables:
+        numbers["ground"] = {}
     for n, given in tables.items():
-        reader.unknown(n, given, (*TABLES[n], *(("on",) if n == "payload" else ())))
+        reader.unknown(n, given, (*TABLES[n], *(("on", "along") if n == "payload" else ())))
     names = [n for n, given in content.items() if isinstance(given, dict)]
     tops = (*TEXTS, *TABLES, "start", "datasheet")
     reader.unknown("", {n: x for n, x in content.items() if n not in names}, tops)
     joints = [_joint(reader, n, content[n], names[:k], starts) for k, n in enumerate(names)]
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)
+    along = reader.one_of("payload", tables["payload"], "along", ("x", "y", "z"), "y")
     if not names:
         reader.wrong("", "expected a table for each joint, such as [boom], got none")
     if not reader.mistakes:
         _check_masses(reader, joints)
     if reader.mistakes:
         raise Mistakes(reader.mistakes)
-    return CraneDescription(path, str(title), tuple(joints), on, numbers, told, loads)
+    return CraneDescription(path, str(title), tuple(joints), on, numbers, told, loads, along)
 
 
 def _loads(reader: _Reader, value: Any) -> tuple[tuple[float, float], ...]:
@@ -352,9 +375,12 @@ def _joint(
     ):  # pins are [x, z] in the plane of it
         reader.wrong(name, f'axis: expected "-y" of a joint with a cylinder, got {axis!r}')
     damping = Key("N.m.s/rad" if rotational else "N.s/m", ("damping",), 0.0, 0.0)
+    stiffness = Key("N.m/rad" if rotational else "N/m", ("stiffness",), 0.0, 0.0)
     start = Key("rad" if rotational else "m", (name,))
+    if "stiffness" in given and (drive != "none" or follows):
+        reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
     reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
-    numbers = reader.numbers(name, given, {**BODY, "damping": damping})
+    numbers = reader.numbers(name, given, {**BODY, "damping": damping, "stiffness": stiffness})
     numbers |= _inertia(reader, name, given.get("inertia", [0, 0, 0]), numbers)
     part, assembly = "drives", "above"
     for table in USED[drive]:

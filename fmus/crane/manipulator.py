@@ -3,11 +3,13 @@
     M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up
     tau_i = J_i (F_i - R_i x_i' + F_stop,i) - b_i q_i'     with a cylinder: force F, piston friction R
     tau_i = torque_i - b_i q_i'                            with a motor
-    tau_i = -b_i q_i'                                      of a passive joint
+    tau_i = -b_i q_i' - k_i q_i                            of a passive joint, with a spring
 
-from the chain (`fmus.components.chain`) and the drives (`fmus.components.linkage`). The payload is a point
-mass that comes and goes by lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the
-slope.
+and J^T f of an external force and of the ground on the tip, from the chain (`fmus.components.chain`) and the
+drives (`fmus.components.linkage`). The payload is a point mass, or a slender bar, that comes and goes by
+lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the slope. The ground pushes as an end
+stop does (`fmus.components.cylinder`), with the friction mu N against the velocity along it, rounded over
+1 cm/s.
 
 Numbers of the description are parameters, except zeros: these are structure, so that a crane in one plane has
 the equations of a plane one.
@@ -41,6 +43,16 @@ from fmus.manipulator.variables import (
 from fmus.parameters import Number, Tables
 
 NAME = "manipulator"
+TIP_FORCE = {
+    f"tip_force_{n}": Quantity("N", f"External force on the tip, {text}", 1e3)
+    for n, text in (("x", "forward"), ("y", "to the left"), ("z", "upwards"))
+}
+GROUND = {
+    "ground_height": "Height of the ground above the base",
+    "ground_stiffness": "Stiffness of the ground under the tip",
+    "ground_damping": "Contact damping of the ground (Hunt and Crossley)",
+    "ground_friction": "Coefficient of friction of the ground",
+}
 BARS = ("rocker", "coupler")
 STOPS = ("stop_stiffness", "stop_damping", "stop_rounding")
 SHARED = ("gravity", "payload_grip_time", *STOPS)  # with the values of the paper's machine
@@ -55,6 +67,7 @@ TEXTS = {  # of the parameters of a joint; "{}" is its name
     **{f"centre_{n}": f"Centre of mass of the {{}} from its joint, {n}" for n in "xyz"},
     **{f"inertia_{n}": f"Moment of inertia {n} of the {{}} about its centre of mass" for n in INERTIAS},
     "damping": "Viscous friction of the {} joint",
+    "stiffness": "Stiffness of the spring in the {} joint, which is without force at 0",
     **{f"base_{n}": f"Base pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
     **{f"pin_{n}": f"Rod pin of the {{}} cylinder from the joint, {n}" for n in "xz"},
     "closed_length": "Pin-to-pin length of the closed {} cylinder",
@@ -66,7 +79,17 @@ TEXTS = {  # of the parameters of a joint; "{}" is its name
     **{f"link_{n}": f"Pin of the coupler on the {{}} from the joint, {n}" for n in "xz"},
     "ratio": "Motion of the {} over that of the joint that it follows",
 }
-MINIMA = {"mass": 0.0, "damping": 0.0, "piston_damping": 0.0, "stroke": 1e-3, "rocker": 1e-3, "coupler": 1e-3}
+SLIDING = 0.01  # m/s, over which the friction on the ground is rounded
+HIGH = 1e4  # m above the ground, where no stop is
+MINIMA = {
+    "mass": 0.0,
+    "damping": 0.0,
+    "stiffness": 0.0,
+    "piston_damping": 0.0,
+    "stroke": 1e-3,
+    "rocker": 1e-3,
+    "coupler": 1e-3,
+}
 
 
 class MotorInputs(Group):
@@ -123,7 +146,40 @@ class CraneManipulator:
 
     def payload(self, mass: Scalar, p: Any) -> Payload:
         """The payload at the tip."""
-        return Payload(self._tip, (p.tip_at_x, p.tip_at_y, p.tip_at_z), mass)
+        across = [(n != self.crane.along) * p.load_length**2 / 12 for n in "xyz"]
+        return Payload(self._tip, (p.tip_at_x, p.tip_at_y, p.tip_at_z), mass, (*across, 0, 0, 0))
+
+    def ground(self, x: Any, p: Any) -> tuple[Stop, ca.SX, ca.SX]:
+        """Normal force of the ground, its force on the tip (3, 1), velocity of the tip (3, 1)."""
+        (q, w), chain, load = self._motion(x), self.chain(p), self.payload(x.held_mass, p)
+        velocity = chain.velocity(q, w, load.link, load.at)
+        height = chain.position(q, load.link, load.at)[2] - p.ground_height
+        law = (p.ground_stiffness, p.ground_damping, p.stop_rounding)
+        stop = cylinder.stop(height, velocity[2], HIGH, *law)
+        along = velocity[:2] / ca.sqrt(ca.sumsqr(velocity[:2]) + SLIDING**2)
+        return stop, ca.vertcat(-p.ground_friction * stop.force * along, stop.force), velocity
+
+    def _springs(self, p: Any) -> dict[int, Scalar]:
+        """Link -> stiffness of its joint."""
+        joints = enumerate(self.crane.joints)
+        return {k: self._number(j, "stiffness", p) for k, j in joints if "stiffness" in _own(j)}
+
+    def at_rest(self, q: ca.SX, mass: Scalar, p: Any) -> ca.SX:
+        """Coordinates with the passive joints in balance, under a payload [kg]."""
+        springs, names = self._springs(p), [j.name for j in self.crane.joints]
+        passive = [
+            names.index(j.name)
+            for j in self._free
+            if j.drive == "none" and (j.kind == "revolute" or names.index(j.name) in springs)
+        ]
+        return self.chain(p).at_rest(q, passive, self.payload(mass, p), springs) if passive else q
+
+    def _elastic(self, x: Any, p: Any) -> Scalar:
+        """Energy of springs and ground [J]."""
+        springs = (
+            k * getattr(x, self.crane.joints[i].coordinate) ** 2 / 2 for i, k in self._springs(p).items()
+        )
+        return sum(springs, self.ground(x, p)[0].stored if self.crane.ground else ca.SX(0))
 
     @property
     def _tip(self) -> int:
@@ -173,7 +229,7 @@ class CraneManipulator:
             speed = getattr(x, f"{j.name}_speed")
             loss = self._number(j, "damping", p) * speed
             heat += loss * speed
-            own = 0
+            own = -self._number(j, "stiffness", p) * getattr(x, j.coordinate)
             if j.drive == "motor":
                 own = getattr(u, j.name).torque
             elif j.name in cylinders:
@@ -182,7 +238,13 @@ class CraneManipulator:
                 heat += friction * t.velocity(speed) + stop.heat
                 own = t.effort(getattr(u, j.name).force - friction + stop.force)
             tau.append(own - loss)
-        return column(*tau), heat
+        force = column(u.tip_force_x, u.tip_force_y, u.tip_force_z)
+        if self.crane.ground:
+            stop, push, velocity = self.ground(x, p)
+            force += push
+            heat += stop.heat - ca.dot(push[:2], velocity[:2])
+        q, chain, load = self._motion(x)[0], self.chain(p), self.payload(0, p)
+        return column(*tau) + chain.generalised_force(q, force, load.link, load.at), heat
 
     def dynamics(self, x: Any, u: Any, p: Any) -> Any:
         """Time derivative of the state."""
@@ -225,6 +287,11 @@ class CraneManipulator:
             if j.drive == "four-bar":
                 angles = self.four_bar(j, p).angles(getattr(x, j.coordinate))
                 known |= {f"{j.name}_{n}_angle": a for n, a in zip(BARS, angles, strict=True)}
+        force = column(u.tip_force_x, u.tip_force_y, u.tip_force_z)
+        shown = {"tip_force_power": ca.dot(force, chain.velocity(q, w, load.link, load.at))}
+        shown["elastic_energy"] = self._elastic(x, p)
+        if self.crane.ground:
+            shown["ground_force"] = self.ground(x, p)[0].force
         for j in self.crane.joints:
             if j.follows:
                 leader = self.crane.joint(j.follows)
@@ -237,6 +304,7 @@ class CraneManipulator:
                 "tip_y": tip[1],
                 "tip_radius": ca.sqrt(tip[0] ** 2 + tip[1] ** 2),
                 "tip_height": tip[2],
+                **shown,
                 "stop_energy": sum((stop.stored for _, stop in cylinders.values()), ca.SX(0)),
                 "kinetic_energy": motion.kinetic,
                 "potential_energy": motion.potential,
@@ -248,10 +316,7 @@ class CraneManipulator:
     def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """The start pose; passive joints are at rest in it."""
         q = column(*(getattr(p, f"initial_{j.coordinate}") for j in self._free))
-        names = [j.name for j in self.crane.joints]
-        passive = [names.index(j.name) for j in self._free if j.drive == "none" and j.kind == "revolute"]
-        if passive:
-            q = self.chain(p).at_rest(q, passive, self.payload(u.payload_mass, p))
+        q = self.at_rest(q, u.payload_mass, p)
         return {"held_mass": u.payload_mass, **{j.coordinate: q[k] for k, j in enumerate(self._free)}}
 
     def require(self, x: Any, _: Any, p: Any) -> dict[str, Scalar]:
@@ -285,7 +350,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     state = make_group("State", {**states, **held})
     inputs = make_group(
         "Inputs",
-        _of(ManipulatorInputs, "payload_mass"),
+        _of(ManipulatorInputs, "payload_mass") | TIP_FORCE,
         **{j.name: CylinderInputs for j in pistons},
         **{j.name: MotorInputs for j in motors},
     )
@@ -303,6 +368,10 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         if j.drive == "four-bar"
         for bar in BARS
     }
+    shown["tip_force_power"] = Quantity("W", "Power of the external force on the tip", 1e3)
+    shown["elastic_energy"] = Quantity("J", "Elastic energy of springs in joints and of the ground", 1e3)
+    if crane.ground:
+        shown["ground_force"] = Quantity("N", "Normal force of the ground on the tip", 1e4)
     outputs = make_group(
         "Outputs",
         {**states, **held, **accelerations, **shown, **_of(ManipulatorOutputs, *SHOWN)},
@@ -347,9 +416,11 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
             ("payload", f"tip_at_{n}", f"Tip, where the payload is, from the joint of its link, {n}")
             for n in "xyz"
         ),
+        ("payload", "load_length", "Length of the payload, a slender bar; 0: a point mass"),
+        *(("ground", n, text) for n, text in GROUND.items() if crane.ground),
     ):
         found[key] = crane.numbers[table][key.replace("tip_at", "tip")]
-        members[key] = Quantity(found[key].unit, text, group="Base" if table == "base" else "Tip")
+        members[key] = Quantity(found[key].unit, text, group=table.capitalize())
     for j in crane.joints:
         if not j.follows:
             name = f"initial_{j.coordinate}"

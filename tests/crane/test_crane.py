@@ -3,12 +3,13 @@
 import re
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from kit import shards
 from kit.mistakes import problem, table
 
-from fmus.contract import quantities, symbolic
+from fmus.contract import nested, quantities, symbolic
 from fmus.crane.check import capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
 from fmus.crane.description import new, read
@@ -198,3 +199,68 @@ def test_loads_and_mode_of_one_boom_are_the_closed_forms(tmp_path):
     assert re.search(r"lifting moment, gross \[kN\.m\] +40 +[\d.]+ +[+-]", text)
     assert re.search(r"reach \[m\] +2 +2 +[+-]0\.0 %", text)
     assert re.search(r"load at 2 m \[kg\] +1500 +\d+ +[+-]", text)
+
+
+WORKING = (
+    ("[slew]", '[tilt]\naxis = "x"\nstiffness = 4e5\ndamping = 3e3\n\n[slew]'),
+    ('on = "grapple"', 'on = "grapple"\nlength = "4 m"\nalong = "y"'),
+    ("[oil]", '[ground]\nheight = "0.4 m"\nfriction = 0.5\n\n[oil]'),
+)
+
+
+def test_energy_closes_with_ground_springs_and_a_force_on_the_tip(tmp_path):
+    """At random states: power of drives, tip force and payload less heat is the rate of all energies."""
+    crane = read(changed(tmp_path, *WORKING))
+    sub = manipulator(crane)
+    model, v, rng = symbolic(sub), values(sub), np.random.default_rng(3)
+    names, outputs = list(quantities(sub.states)), list(quantities(sub.outputs))
+    stored = ("kinetic_energy", "potential_energy", "stop_energy", "elastic_energy")
+    along = ca.SX.sym("along", model.x.shape[0])
+    y = dict(zip(outputs, ca.vertsplit(model.y), strict=True))
+    rate = ca.jtimes(ca.vertcat(*(y[n] for n in stored)), model.x, along)
+    rates = ca.Function("rates", [model.x, model.u, model.p, along], [rate])
+    touched = 0
+    for _ in range(40):
+        state = {n: rng.uniform(-0.5, 0.5) for n in names} | {"held_mass": 200.0, "payload_flow": 50.0}
+        state |= {"boom_angle": rng.uniform(-0.3, 0.3), "jib_angle": rng.uniform(-1.6, -1.0)}
+        state |= {"extension_extension": rng.uniform(0.1, 1.7)}
+        u = dict.fromkeys(v.u, 0.0) | {
+            n: rng.uniform(-1e4, 1e4) for n in v.u if "force" in n or "torque" in n
+        }
+        u = {n: 0.0 if n.endswith("_rate") else x for n, x in u.items()}
+        x = [state[n] for n in names]
+        dx, shown = (a.full()[:, 0] for a in model.function()(x, list(u.values()), list(v.p.values())))
+        s = dict(zip(outputs, shown, strict=True))
+        given = sum(u[f"{n}_force"] * s[f"{n}_velocity"] for n in ("boom", "jib", "extension"))
+        given += u["slew_torque"] * s["slew_speed"] + s["tip_force_power"] + s["payload_power"]
+        changes = rates(x, list(u.values()), list(v.p.values()), dx).full()[:, 0]
+        # an identity; the energies of stops and ground are much larger than their sum
+        size = np.abs(changes).sum() + abs(given) + s["dissipated_power"]
+        assert abs(changes.sum() - given + s["dissipated_power"]) < 1e-9 * size
+        touched += s["ground_force"] > 0
+    assert 5 < touched < 40
+
+
+def test_an_elastic_base_and_a_log_start_at_rest(tmp_path):
+    """Nothing moves; the base leans to the side of the crane."""
+    crane = read(changed(tmp_path, *WORKING[:2], ("[start]", '[start]\nslew = "90 deg"')))
+    rates, shown = at_start(crane, base_pitch=0.0)
+    assert max(map(abs, rates.values())) < 1e-9
+    tilted, _ = at_start(crane, tilt_stiffness=8e5)
+    assert max(map(abs, tilted.values())) < 1e-9
+    # to the left it leans to the left, which is a negative angle about x
+    assert -0.3 < shown["tilt_angle"] < -0.05
+
+
+def test_a_log_that_is_slewed_needs_its_moment_of_inertia(tmp_path):
+    """m L^2/12 about the slewing axis beside the point mass."""
+    point, log = (read(changed(tmp_path, ("[start]", "[start]"), *c)) for c in ((), WORKING[1:2]))
+    found = []
+    for crane in (point, log):
+        sub = manipulator(crane)
+        own, v = sub.dynamics.__self__, values(sub)
+        p = nested(own.parameters, v.p)
+        q = ca.DM([v.p[f"initial_{j.coordinate}"] for j in crane.joints if not j.follows])
+        motion = own.chain(p).equations(ca.SX(q), ca.SX(q * 0), own.payload(300, p))
+        found.append(float(ca.evalf(motion.mass[0, 0])))
+    assert found[1] - found[0] == pytest.approx(300 * 4**2 / 12, rel=1e-9)
