@@ -7,9 +7,9 @@
 
 and J^T f of an external force and of the ground on the tip, from the chain (`fmus.components.chain`) and the
 drives (`fmus.components.linkage`). The payload is a point mass, or a slender bar, that comes and goes by
-lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the slope. The ground pushes as an end
-stop does (`fmus.components.cylinder`), with the friction mu N against the velocity along it, rounded over
-1 cm/s.
+lags, as in `fmus.manipulator.model`. Passive joints start at rest, whatever the slope. The ground pushes as
+an end stop does (`fmus.components.cylinder`), with the friction mu N against the velocity along it, rounded
+over 1 cm/s.
 
 Numbers of the description are parameters, except zeros: these are structure, so that a crane in one plane has
 the equations of a plane one.

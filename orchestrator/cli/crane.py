@@ -12,10 +12,11 @@ from orchestrator.cli.options import command
 
 @command
 def crane(
-    action: Annotated[Literal["new", "check"], Kind("ACTION", positional=True)],
+    action: Annotated[Literal["new", "check", "export", "import"], Kind("ACTION", positional=True)],
     file: Annotated[Path, Kind("FILE", positional=True)],
     *,
     drawing: Annotated[Path | None, Kind("FILE")] = None,
+    out: Annotated[Path | None, Kind("FILE")] = None,
 ) -> None:
     """Describe a crane of your own in one file: begin one, or check it.
 
@@ -24,7 +25,10 @@ def crane(
     action    new: write a commented file of a small crane; check: print range, lever, forces, holding
               pressure, speed and first mode of each axis, loads, and the data sheet beside them, or all
               mistakes.
-    file      The description of the crane (.toml).
+              export: write links and joints as a URDF. import: begin a description from a URDF, and tell
+              what is missing.
+    file      The description of the crane (.toml); with import a URDF.
+    out       With export and import: the file to write; default: FILE with another ending.
     drawing   With check: picture (.png) of the working range, coloured by the load that can be held.
     """
     require("build", "harvester crane")
@@ -35,8 +39,21 @@ def crane(
     if action == "new":
         print(new(file))
         return
+    if action == "import":
+        from fmus.crane.urdf import imported
+
+        print(imported(file, out or file.with_suffix(".toml")))
+        return
     description = read(file)
     found = check(description)
+    if action == "export":
+        from fmus.crane.urdf import export
+        from orchestrator.base.files import write_whole
+
+        target = out or file.with_suffix(".urdf")
+        write_whole(target, export(description, found).encode())
+        print(f"{target}: {len(description.joints)} links")
+        return
     loads = capacity(description, found)
     print(table(description, found, loads))
     if drawing is not None:
