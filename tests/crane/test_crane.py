@@ -1,14 +1,20 @@
 """Cranes from files: mistakes are told, FMUs are built, the co-simulation is the monolithic solution."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from crane.rigid_bodies import bodies
+from hypothesis import given
+from hypothesis import strategies as st
 from kit import shards
 from kit.mistakes import problem, table
+from kit.properties import examples
 
+from fmus.components.chain import Payload
 from fmus.contract import nested, quantities, symbolic
 from fmus.crane.check import capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
@@ -264,3 +270,80 @@ def test_a_log_that_is_slewed_needs_its_moment_of_inertia(tmp_path):
         motion = own.chain(p).equations(ca.SX(q), ca.SX(q * 0), own.payload(300, p))
         found.append(float(ca.evalf(motion.mass[0, 0])))
     assert found[1] - found[0] == pytest.approx(300 * 4**2 / 12, rel=1e-9)
+
+
+NUMBER = st.floats(-1.0, 1.0).map(lambda x: round(x, 3))
+
+
+@st.composite
+def texts(draw):
+    """Descriptions of 2 to 7 joints in a tree: motors, passive joints and free slides."""
+    lines, count = [], draw(st.integers(2, 7))
+    for k in range(count):
+        slides = draw(st.booleans()) and k > 0
+        lines += [f"[j{k}]", f'joint = "{"prismatic" if slides else "revolute"}"']
+        lines.append(f'axis = "{draw(st.sampled_from(["x", "y", "z", "-x", "-y", "-z"]))}"')
+        if k:
+            lines.append(f'parent = "j{draw(st.integers(max(k - 2, 0), k - 1))}"')
+        lines += [f"at = {[draw(NUMBER) for _ in 'xyz']}", f"mass = {round(abs(draw(NUMBER)) * 200 + 1, 2)}"]
+        lines += [
+            f"centre = {[draw(NUMBER) for _ in 'xyz']}",
+            f"damping = {round(10 * abs(draw(NUMBER)), 3)}",
+        ]
+        a, b, c = (round(abs(draw(NUMBER)) + 0.1, 3) for _ in "xyz")
+        lines.append(f"inertia = {[a + b, b + c, a + c]}")  # of a lamina and a bit: always a body
+        if not slides and (k == 0 or draw(st.booleans())):
+            lines.append('drive = "motor"\nmotor = { displacement = "1e-4 m3/rad" }')
+    lines += [f'[payload]\non = "j{count - 1}"\nat = {[draw(NUMBER) for _ in "xyz"]}']
+    lines += [f"[base]\npitch = {draw(NUMBER) / 3}\nroll = {draw(NUMBER) / 3}"]
+    return "\n".join(lines)
+
+
+@given(texts(), st.integers(0, 2**32 - 1))
+@examples(25)
+def test_any_crane_moves_as_in_pinocchio(tmp_path_factory, text, seed):
+    """Of a random file: M q'' + V + G is the torque of motors and friction."""
+    pin = pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
+    path = tmp_path_factory.mktemp("random") / "crane.toml"
+    path.write_text(text, encoding="utf-8")
+    crane, rng = read(path), np.random.default_rng(seed)
+    sub = manipulator(crane)
+    model, v = symbolic(sub), values(sub)
+    x = dict(zip(quantities(sub.states), rng.uniform(-1, 1, model.x.shape[0]), strict=True))
+    x |= {"held_mass": rng.uniform(0, 300), "payload_flow": 0.0}
+    u = {n: rng.uniform(-1e3, 1e3) if n.endswith("torque") else 0.0 for n in quantities(sub.inputs)}
+    given_values = [list(d.values()) for d in (x, u, v.p)]
+    dx, y = (a.full()[:, 0] for a in model.function()(*given_values))
+    rates = dict(zip(quantities(sub.states), dx, strict=True))
+    shown = dict(zip(quantities(sub.outputs), y, strict=True))
+    own = sub.dynamics.__self__
+    chain = own.chain(nested(own.parameters, v.p))
+    numbers = [
+        replace(
+            link,
+            at=floats(link.at),
+            mass=float(link.mass),
+            centre=floats(link.centre),
+            inertia=floats(link.inertia),
+        )
+        for link in chain.links
+    ]
+    load = Payload(len(numbers) - 1, tuple(v.p[f"tip_at_{n}"] for n in "xyz"), x["held_mass"])
+    tree, data = bodies(pin, numbers, [float(g) for g in chain.gravity], load)
+    columns = [
+        [d[n] for d, n in zip((x, x, rates), (j.coordinate, *[f"{j.name}_speed"] * 2), strict=True)]
+        for j in crane.joints
+    ]
+    q, w, a = np.array(columns).T
+    needed = pin.rnea(tree, data, q, w, a)
+    torque = [u.get(f"{j.name}_torque", 0.0) - j["damping"] * w[k] for k, j in enumerate(crane.joints)]
+    # the solution of a system; its terms are up to 1e4 N.m
+    np.testing.assert_allclose(needed, torque, rtol=0, atol=1e-9 * max(1e3, np.abs(needed).max()))
+    assert shown["dissipated_power"] == pytest.approx(
+        sum(j["damping"] * w[k] ** 2 for k, j in enumerate(crane.joints))
+    )
+
+
+def floats(numbers):
+    """Plain numbers of expressions without symbols."""
+    return tuple(float(ca.evalf(ca.SX(x))) for x in numbers)

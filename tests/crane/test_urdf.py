@@ -106,12 +106,13 @@ def test_an_exported_crane_comes_back(tmp_path):
         assert [one[n] for n in kept] == pytest.approx([other[n] for n in kept], abs=1e-11)
 
 
+TURN = 'rpy="1.5707963267948966 0 0'
 REFUSED = {
     "j4: expected a revolute, prismatic or fixed joint, got floating": ("prismatic", "floating"),
-    "j3: expected an axis along x, y or z with all joints at 0": ('rpy="1.5707963267948966 0 0', 'rpy="0.3 0 1'),
-    "expected one link without a parent": ('<link name="world"/>', '<link name="world"/><link name="other"/>'),
+    "j3: expected an axis along x, y or z with all joints at 0": (TURN, 'rpy="0.3 0 1'),
+    "expected one link without a parent": ('<link name="world"/>', '<link name="world"/><link name="b"/>'),
     "expected a URDF": ("<robot", "<robots"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("line", "change"), REFUSED.items())
