@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 from fmus.boom_stick import BOOM_STICK
 from fmus.components.cylinder import areas, volumes
 from fmus.contract import Subsystem, nested, quantities, symbolic
-from fmus.crane.description import CraneDescription, JointDescription
+from fmus.crane.description import DEFAULT, DRIVES, INERTIAS, CraneDescription, JointDescription
 from fmus.crane.manipulator import CraneManipulator, manipulator
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Mistakes, Problem
@@ -41,6 +41,7 @@ from orchestrator.pages.plotting import new_figure, style_axes
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
 FARTHEST = {"revolute": 2 * math.pi, "prismatic": 50.0}
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
+SMALL_LEVER = 0.25  # of the largest one: below it a joint may run over the dead point beyond an end stop
 POSES, MOST_STEPS = 150_000, 200  # of the grid of loads, in all and of one piston
 CELL = 0.2  # m, of the drawing
 SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
@@ -291,7 +292,37 @@ def table(crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity) 
             for text, told, own in _compared(crane, found, loads)
         ]
         lines += ["", *TextTable(("data sheet", "says", "computed", "off by"), rows).lines()]
+    lines += [f"warning: {crane.file}: {text}" for text in _doubts(crane, found)]
+    lines += [f"assumed: {text}" for text in _assumed(crane)]
     return "\n".join(lines)
+
+
+def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str]:
+    """What is possible but seldom meant."""
+    for j in crane.joints:
+        if not (j["mass"] or j["stiffness"] or any(j[f"inertia_{n}"] for n in INERTIAS)):
+            yield f"[{j.name}] has no mass"
+        if j.drive == "none" and not j.follows and j["damping"] == 0:
+            yield f"[{j.name}] passive and without damping: it swings for ever"
+    for a in found:
+        if math.isfinite(a.low) and a.levers[0] < SMALL_LEVER * a.levers[1]:
+            least, largest = (1e3 * x for x in a.levers)
+            yield (
+                f"[{a.joint.name}] lever down to {least:.0f} of {largest:.0f} mm near an end of the stroke, "
+                "where the end stop may not hold the joint back from the dead point; a shorter stroke does"
+            )
+
+
+def _assumed(crane: CraneDescription) -> Iterator[str]:
+    """Numbers that the description does not have, by joint."""
+    keys = {
+        n: f"{table}.{key}" for table, rules in DRIVES.items() for key, r in rules.items() for n in r.names
+    }
+    for j in crane.driven:
+        own = [(keys[n], x) for n, x in j.numbers.items() if n in keys and x.note == DEFAULT and x.value]
+        own = [(key, x) for key, x in own if key != "hydraulics.drop"]
+        if own:
+            yield f"[{j.name}] " + ", ".join(f"{key} {x.value:.4g} {x.unit}" for key, x in own)
 
 
 def _number(x: float) -> str:

@@ -14,8 +14,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast, get_args
 
+from fmus.boom_stick import BOOM_STICK
 from fmus.components.chain import Axis
 from fmus.parameters import SOURCES, Number
+from fmus.parameters import numbers as numbers_of
 from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem, suggest
 from orchestrator.base.files import write_whole
@@ -84,6 +86,8 @@ DRIVES: Mapping[str, Mapping[str, Key]] = {
     },
     "hydraulics": {
         "valve": Key("m2", ("valve_area",), 4e-5, 1e-8, 1e-2),
+        "flow": Key("m3/s", ("rated_flow",), 0.0, 0.0, 0.1),
+        "drop": Key("Pa", ("rated_drop",), 3.5e6, 1e4, 1e8),
         "dead_band": Key("V", ("valve_dead_band",), 0.6, 0.0, 9.0),
         "hose": _length("hose_length", default=3.0, low=0.01),
         "hose_bore": Key("m", ("hose_bore",), 0.01905, 1e-3, 0.2),
@@ -92,10 +96,11 @@ DRIVES: Mapping[str, Mapping[str, Key]] = {
 # keys of a cylinder that a drive does not have: the rocker's end is its pin; it lies along a telescope
 UNUSED = {"four-bar": ("pin",), "telescope": ("base", "pin", "closed")}
 TABLES: Mapping[str, Mapping[str, Key]] = {
-    "base": {"pitch": Key("rad", ("base_pitch",)), "roll": Key("rad", ("base_roll",))},
+    "base": {n: Key("rad", (f"base_{n}",), 0.0, -1.5, 1.5) for n in ("pitch", "roll")},
     "payload": {
         "at": _length("tip_x", "tip_y", "tip_z", default=None),
         "length": _length("load_length", low=0.0),
+        "mass": Key("kg", ("payload_mass",), 0.0, 0.0, 1e6),
     },
     "ground": {
         "height": _length("ground_height"),
@@ -108,7 +113,10 @@ TABLES: Mapping[str, Mapping[str, Key]] = {
         "viscosity": Key("Pa.s", ("viscosity",), 0.02, 1e-4, 10.0),
         "bulk_modulus": Key("Pa", ("bulk_modulus",), 1.4e9, 1e8, 1e10),
     },
-    "supply": {"pressure": Key("Pa", ("pressure_setting",), 2.07e7, 1e5, 1e8)},
+    "supply": {
+        "pressure": Key("Pa", ("pressure_setting",), 2.07e7, 1e5, 1e8),
+        "return": Key("Pa", ("reservoir_pressure",), 0.0, 0.0, 1e7),
+    },
 }
 # of a data sheet; `check` compares
 DATASHEET = {
@@ -121,7 +129,10 @@ WORDS = (
 )
 TEXTS = ("title", "source", "note")
 OPTIONAL = ("follows",)
-ONE = Number(1.0, "1", "assumed", "default")
+DEFAULT = "default"  # note of a number that the file does not have
+ONE = Number(1.0, "1", "assumed", DEFAULT)
+MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
+TURN = 2 * math.pi
 EXAMPLES = {
     "m": ', such as "350 mm"',
     "rad": ', such as "20 deg"',
@@ -256,7 +267,7 @@ class _Reader:
         """The parameters of the keys of a table."""
         found = dict[str, Number]()
         for key, rule in keys.items():
-            source, note = (self.source, self.note) if key in given else ("assumed", "default")
+            source, note = (self.source, self.note) if key in given else ("assumed", DEFAULT)
             for n, x in zip(rule.names, self._entries(table, key, given.get(key), rule), strict=True):
                 found[n] = Number(x, rule.unit, source, note)
         return found
@@ -279,7 +290,7 @@ class _Reader:
 
 def _out_of_range(value: float, given: Any, rule: Key) -> str:
     """What was expected, and the unit that may be meant."""
-    units = ("mm", "cm") if rule.unit == "m" and not isinstance(given, str) else ()
+    units = () if isinstance(given, str) else MEANT.get(rule.unit, ())
     meant = [u for u in units if rule.low <= value * parse_unit(u).factor <= rule.high]
     hint = f'; did you mean "{value:g} {meant[0]}"?' if meant else ""
     return f"expected {rule.low:g} to {rule.high:g} {rule.unit}, got {given!r}{hint}"
@@ -306,7 +317,8 @@ def read(path: Path) -> CraneDescription:
     names = [n for n, given in content.items() if isinstance(given, dict)]
     tops = (*TEXTS, *TABLES, "start", "datasheet")
     reader.unknown("", {n: x for n, x in content.items() if n not in names}, tops)
-    joints = [_joint(reader, n, content[n], names[:k], starts) for k, n in enumerate(names)]
+    density = numbers["oil"]["density"].value
+    joints = [_joint(reader, n, content[n], names[:k], starts, density) for k, n in enumerate(names)]
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)
     along = reader.one_of("payload", tables["payload"], "along", ("x", "y", "z"), "y")
@@ -352,7 +364,12 @@ def _with_origin(reader: _Reader, table: str, given: Mapping[str, Any]) -> _Read
 
 
 def _joint(
-    reader: _Reader, name: str, given: Mapping[str, Any], before: Sequence[str], starts: Mapping[str, Any]
+    reader: _Reader,
+    name: str,
+    given: Mapping[str, Any],
+    before: Sequence[str],
+    starts: Mapping[str, Any],
+    density: float,
 ) -> JointDescription:
     if not re.fullmatch("[a-z][a-z0-9]*", name):
         expected = (
@@ -376,7 +393,7 @@ def _joint(
         reader.wrong(name, f'axis: expected "-y" of a joint with a cylinder, got {axis!r}')
     damping = Key("N.m.s/rad" if rotational else "N.s/m", ("damping",), 0.0, 0.0)
     stiffness = Key("N.m/rad" if rotational else "N/m", ("stiffness",), 0.0, 0.0)
-    start = Key("rad" if rotational else "m", (name,))
+    start = Key("rad", (name,), 0.0, -TURN, TURN) if rotational else _length(name)
     if "stiffness" in given and (drive != "none" or follows):
         reader.wrong(name, f"stiffness: expected none of a joint with a drive, got {given['stiffness']!r}")
     reader.unknown(name, given, (*BODY, *WORDS, *USED[drive]))
@@ -394,6 +411,7 @@ def _joint(
             assembly = reader.one_of(where, inner, "assembly", ("above", "below"))
         elif "part" in own:
             part = str(inner.get("part", "drives"))
+            numbers |= _rated(reader, where, inner, numbers, density)
     if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
         rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))
         reader.wrong(
@@ -414,6 +432,19 @@ def _joint(
         part=part,
         assembly=cast(Assembly, assembly),
     )
+
+
+def _rated(
+    reader: _Reader, where: str, given: Mapping[str, Any], read: Mapping[str, Number], density: float
+) -> dict[str, Number]:
+    """The area of a valve whose flow at a pressure drop over one edge is given: eq. (2)."""
+    if "valve" in given and "flow" in given:
+        reader.wrong(where, f"flow: expected none beside valve, got {given['flow']!r}")
+    if not read["rated_flow"].value > 0:
+        return {}
+    coefficient = numbers_of(BOOM_STICK)["parameters"]["valve_discharge_coefficient"].value
+    area = read["rated_flow"].value / (coefficient * math.sqrt(2 * read["rated_drop"].value / density))
+    return {"valve_area": Number(area, "m2", "derived", "of its rated flow at a pressure drop over one edge")}
 
 
 def _inertia(reader: _Reader, name: str, value: Any, body: Mapping[str, Number]) -> dict[str, Number]:

@@ -45,6 +45,7 @@ RENAMED = {"line_length": "hose_length", "line_bore": "hose_bore"}  # lines of a
 STEP, STOP = 1e-3, 20.0  # communication step and stop time of the system [s]
 FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and between two joints
 STROKE = {"command": 3.0, "rise": 0.5, "hold": 0.5, "fall": 0.5}  # V, s; the next one goes back
+HELD = 1e6  # s, for which a payload of the description is held
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
@@ -122,6 +123,8 @@ def _operator(crane: CraneDescription) -> Subsystem:
             start = FIRST + APART * (2 * k + number - 1)
             own = {**STROKE, "command": sign * STROKE["command"], "start": start}
             values |= {f"{lever}_{number}_{n}": value for n, value in own.items()}
+    if mass := crane.numbers["payload"]["payload_mass"].value:
+        values |= {"payload_1_start": 0.0, "payload_1_mass": mass, "payload_1_hold": HELD}
     declared = quantities(made.parameters)
     found = {n: Number(x, declared[n].unit, "assumed", "program of a crane") for n, x in values.items()}
     return replace(made, numbers={"parameters": found, "start": {}})

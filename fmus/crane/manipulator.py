@@ -20,7 +20,7 @@ Validity: rigid links, viscous friction, the pins of a cylinder in the plane of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -163,6 +163,15 @@ class CraneManipulator:
         """Link -> stiffness of its joint."""
         joints = enumerate(self.crane.joints)
         return {k: self._number(j, "stiffness", p) for k, j in joints if "stiffness" in _own(j)}
+
+    @cached_property
+    def signs(self) -> dict[str, float]:
+        """Sign of the lever of each cylinder at the start pose of the description."""
+        flat = _parameters(self.crane)[1]["parameters"]
+        p = nested(self.parameters, {n: x.value for n, x in flat.items()})
+        joints = [j for j in self._free if j.drive in ("cylinder", "four-bar")]
+        arms = {j.name: float(self.transmission(j, j.start.value, p).arm) for j in joints}
+        return {n: -1.0 if arm < 0 else 1.0 for n, arm in arms.items()}
 
     def at_rest(self, q: ca.SX, mass: Scalar, p: Any) -> ca.SX:
         """Coordinates with the passive joints in balance, under a payload [kg]."""
@@ -327,6 +336,9 @@ class CraneManipulator:
             at = f"{joint.coordinate}, at the start initial_{joint.coordinate},"
             found[f"{at} keeps the {name} piston above its closed end"] = t.position + PIN_MARGIN * stroke
             found[f"{at} keeps the {name} piston below its open end"] = (1 + PIN_MARGIN) * stroke - t.position
+            if joint.kind == "revolute":
+                lever = self.signs[name] * t.arm
+                found[f"{joint.coordinate} keeps the {name} cylinder off its dead point"] = lever
             if joint.drive == "four-bar":
                 margin = self.four_bar(joint, p).margin(getattr(x, joint.coordinate))
                 found[f"{at} keeps the linkage of the {name} closed"] = margin

@@ -147,6 +147,90 @@ def test_the_loader_co_simulates_like_its_monolith(built):
         assert np.sqrt(np.mean((found[f"manipulator.{name}"] - at) ** 2)) < 1e-4 * np.ptp(true)
 
 
+def test_a_passive_joint_without_damping_is_a_warning(tmp_path):
+    """A line below the tables, no mistake; the example has none."""
+    told = []
+    for crane in (
+        read(CRANES / "loader.toml"),
+        read(changed(tmp_path, ("damping = 60\n\n[grapple]", "\n[grapple]"))),
+    ):
+        found = check(crane)
+        told.append(
+            [line for line in text_of(crane, found, capacity(crane, found)).splitlines() if "warning" in line]
+        )
+    assert told == [
+        [],
+        [f"warning: {tmp_path / 'crane.toml'}: [link] passive and without damping: it swings for ever"],
+    ]
+
+
+def test_a_small_lever_is_a_warning_and_the_dead_point_ends_a_run(tmp_path):
+    """A longer stroke of the boom leaves a tenth of the lever; beyond the dead point the FMU refuses."""
+    crane = read(changed(tmp_path, ('stroke = "610 mm"', 'stroke = "666 mm"')))
+    found = check(crane)
+    text = text_of(crane, found, capacity(crane, found))
+    assert re.search(r"\[boom\] lever down to \d+ of 401 mm near an end of the stroke", text)
+    sub = manipulator(crane)
+    model, v = symbolic(sub), values(sub)
+    x = dict(
+        zip(
+            quantities(sub.states),
+            model.initial()(*(list(g.values()) for g in (v.x, v.u, v.p))).full()[:, 0],
+            strict=True,
+        )
+    )
+    required = ca.Function("required", [model.x, model.u, model.p], [model.require])
+    kept = dict(
+        zip(
+            model.statements,
+            required(list(x.values()), list(v.u.values()), list(v.p.values())).full()[:, 0],
+            strict=True,
+        )
+    )
+    assert min(kept.values()) > 0
+    x["boom_angle"] = 1.9  # the lever has passed zero
+    kept = dict(
+        zip(
+            model.statements,
+            required(list(x.values()), list(v.u.values()), list(v.p.values())).full()[:, 0],
+            strict=True,
+        )
+    )
+    assert kept["boom_angle keeps the boom cylinder off its dead point"] < 0
+
+
+def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
+    """90 L/min at 35 bar over an edge: the area of the orifice equation; what is assumed is told."""
+    crane = read(changed(tmp_path, ('valve = "40 mm2", hose = "3 m"', 'flow = "90 l/min", drop = "35 bar"')))
+    area = crane.joint("boom")["valve_area"]
+    assert 0.62 * area * np.sqrt(2 * 35e5 / 870) == pytest.approx(90 / 6e4, rel=1e-12)
+    found = check(crane)
+    told = text_of(crane, found, capacity(crane, found))
+    assert "assumed: [boom] cylinder.dead_volume 0.0003 m3, cylinder.damping 2e+04 N.s/m" in told
+    assert "hydraulics.hose 3 m" in told
+
+
+def test_a_payload_of_the_file_is_held_from_the_start(tmp_path):
+    """By the program of the operator, and the pressure of the return line is that of the file."""
+    crane = read(
+        changed(
+            tmp_path,
+            ('on = "grapple"', 'on = "grapple"\nmass = "300 kg"'),
+            ("[supply]", '[supply]\nreturn = "4 bar"'),
+        )
+    )
+    machine = crane_machine(crane)
+    own = values(machine.operator)
+    y = (
+        symbolic(machine.operator)
+        .function()(*(list(g.values()) for g in (own.x, own.u, own.p)))[1]
+        .full()[:, 0]
+    )
+    assert dict(zip(quantities(machine.operator.outputs), y, strict=True))["payload_mass"] == 300
+    engine = machine.families["supply"]["load_sensing"]
+    assert values(engine).p["reservoir_pressure"] == 4e5
+
+
 BOOM = """
 [boom]
 axis = "-y"
