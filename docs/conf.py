@@ -67,6 +67,7 @@ NAVIGATION = {
         "docs/tutorials/use-the-fmus.md",
         "docs/tutorials/swap-fidelity.md",
         "docs/tutorials/measurements.md",
+        "docs/tutorials/crane.md",
         "docs/tutorials/subsystem.md",
         "docs/tutorials/control.md",
         "docs/tutorials/sweep.md",
