@@ -103,6 +103,7 @@ NAVIGATION = {
     "Control, driving, studies": [
         "docs/control.md",
         "docs/crane.md",
+        "docs/patu.md",
         "docs/linearize.md",
         "docs/view.md",
         "docs/sweep.md",
