@@ -104,6 +104,7 @@ NAVIGATION = {
     "Control, driving, studies": [
         "docs/control.md",
         "docs/crane.md",
+        "docs/patu.md",
         "docs/linearize.md",
         "docs/view.md",
         "docs/sweep.md",
