@@ -89,6 +89,8 @@ DRIVES: Mapping[str, Mapping[str, Key]] = {
         "flow": Key("m3/s", ("rated_flow",), 0.0, 0.0, 0.1),
         "drop": Key("Pa", ("rated_drop",), 3.5e6, 1e4, 1e8),
         "dead_band": Key("V", ("valve_dead_band",), 0.6, 0.0, 9.0),
+        "rounding": Key("V", ("valve_command_rounding",), 0.4, 1e-3, 9.0),
+        "leakage": Key("m3/(s.Pa)", ("valve_leakage",), 1.6e-14, 1e-17, 1e-9),
         "hose": _length("hose_length", default=3.0, low=0.01),
         "hose_bore": Key("m", ("hose_bore",), 0.01905, 1e-3, 0.2),
     },
