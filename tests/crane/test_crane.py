@@ -94,6 +94,16 @@ def test_a_new_file_is_a_crane(tmp_path):
     assert "exists already" in problem(lambda: new(path))
 
 
+@pytest.mark.parametrize("path", sorted(CRANES.glob("*.toml")), ids=lambda p: p.stem)
+def test_each_example_passes_its_check(path):
+    """No mistake and no doubt; its loads are positive somewhere."""
+    crane = read(path)
+    found = check(crane)
+    loads = capacity(crane, found)
+    assert "warning" not in text_of(crane, found, loads)
+    assert loads.load.max() > 100
+
+
 def test_the_machine_of_the_paper_has_its_holding_forces():
     """At its start pose, with the head as a point mass at the tip: those of the manipulator by hand."""
     crane = read(CRANES / "feric.toml")
