@@ -343,11 +343,11 @@ class Chain:
         slopes = ca.gradient(self.potential(s, payload) + elastic, s)[at]
         terms = [slopes, ca.jacobian(slopes, s[at])]
         for k, i in [*enumerate(at)] * _SWEEPS:
-            slope, stiffness = ca.substitute(terms, [s], [q])
+            slope, stiffness = ca.substitute(terms, [s], [ca.densify(q)])
             newton, ratio = passive[k] in springs, slope[k] / stiffness[k, k]
             q[i] -= ratio if newton else ca.atan2(slope[k], stiffness[k, k])
         for _ in range(_NEWTON_STEPS if at else 0):
-            slope, stiffness = ca.substitute(terms, [s], [q])
+            slope, stiffness = ca.substitute(terms, [s], [ca.densify(q)])
             shift = _SHIFT * ca.trace(stiffness) + _LEAST
             q[at] -= ca.ldl_solve(slope, *ca.ldl(stiffness + shift * ca.SX.eye(len(at))))
         return q

@@ -187,7 +187,7 @@ def _coordinates(of: CraneManipulator, v: Values) -> ca.SX:
 
 
 def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
-    """Loads over the strokes of all pistons."""
+    """Loads over the strokes of all pistons; a crane without one holds no load."""
     sub = manipulator(crane)
     of, v = _functions(sub), values(sub)
     p = nested(of.parameters, v.p)
@@ -198,6 +198,9 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     chain = of.chain(p)
     q = of.at_rest(q, 0, p)
     tip = chain.position(q, of.payload(0, p).link, of.payload(0, p).at)
+    if not axes:
+        reach, height = float(ca.evalf(ca.norm_2(tip[:2]))), float(ca.evalf(tip[2]))
+        return Capacity(np.array([reach]), np.array([height]), np.zeros(1))
     forces = []
     for mass in (0, 1):
         gravity = chain.equations(q, 0 * q, of.payload(mass, p)).gravity
@@ -214,8 +217,9 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     push, pull = (np.array([[getattr(a, n)] for a in axes]) for n in ("push", "pull"))
     with np.errstate(divide="ignore", invalid="ignore"):
         limits = np.where(kilogram > 0, push - alone, -pull - alone) / kilogram
+    limits[kilogram == 0] = np.inf  # a piston that does not carry the payload
     fits = (alone <= push).all(axis=0) & (alone >= -pull).all(axis=0)
-    load = np.where(fits, np.nanmin(limits, axis=0), 0.0)
+    load = np.where(fits, limits.min(axis=0), 0.0)
     return Capacity(reach[0], height[0], np.clip(load, 0.0, None))
 
 
@@ -288,7 +292,7 @@ def table(crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity) 
     lines = [title, *TextTable(head, [*map(_row, found)]).lines(), "", *_loads(found, loads)]
     if crane.loads or any(crane.datasheet.values()):
         rows = [
-            [text, _number(told), _number(own), f"{100 * (own / told - 1):+.1f} %"]
+            [text, _number(told), _number(own), f"{100 * (own / told - 1):+.1f} %" if own else "beyond reach"]
             for text, told, own in _compared(crane, found, loads)
         ]
         lines += ["", *TextTable(("data sheet", "says", "computed", "off by"), rows).lines()]
@@ -394,7 +398,8 @@ def _row(a: AxisCheck) -> list[str]:
     force, lever = (
         ("kN.m", "1") if a.joint.drive == "motor" else ("kN", f"{a.levers[0]:.3f} to {a.levers[1]:.3f} m")
     )
-    ends = f"{scale * a.low:.1f} to {scale * a.high:.1f} {unit}" if math.isfinite(a.low) else "no end"
+    low, high = (round(scale * x, 1) + 0.0 for x in (a.low, a.high))  # no -0.0
+    ends = f"{low:.1f} to {high:.1f} {unit}" if math.isfinite(low) else "no end"
     return [
         a.joint.name,
         a.joint.drive,

@@ -117,11 +117,14 @@ def imported(source: Path, target: Path) -> str:
         expected = "a file that ends in .toml" if target.suffix != ".toml" else "a file that does not exist"
         raise Problem(f"{target}: expected {expected}")
     try:
-        robot = etree.fromstring(
-            source.read_bytes(), etree.XMLParser(resolve_entities=False, no_network=True)
-        )
-    except (OSError, etree.XMLSyntaxError) as reason:
+        return _imported(source, target)
+    except (OSError, etree.XMLSyntaxError, ValueError, KeyError, AttributeError, RecursionError) as reason:
         raise Problem(f"{source}: expected a URDF: {reason}") from None
+
+
+def _imported(source: Path, target: Path) -> str:
+    parser = etree.XMLParser(resolve_entities=False, no_network=True)
+    robot = etree.fromstring(source.read_bytes(), parser)
     if robot.tag != "robot":
         raise Problem(f"{source}: expected the element robot, got {robot.tag}")
     mistakes, joints = list[str](), robot.findall("joint")

@@ -271,6 +271,28 @@ loads = [["2 m", "1.5 t"]]
 """
 
 
+SLIDE = """
+[slide]
+joint = "prismatic"
+axis = "x"
+mass = "50 kg"
+damping = 100
+drive = "cylinder"
+cylinder = { stroke = "1 m", bore = "50 mm", rod = "30 mm" }
+"""
+
+
+def test_a_level_slide_does_not_limit_the_load(tmp_path):
+    """Below the boom it carries no weight along its axis: the loads are those of the boom, and not zero."""
+    path = tmp_path / "boom.toml"
+    loads = []
+    for text in (BOOM, SLIDE + BOOM):
+        path.write_text(text, encoding="utf-8")
+        crane = read(path)
+        loads.append(capacity(crane, check(crane)).load.max())
+    assert loads[1] == pytest.approx(loads[0], rel=1e-3)  # the grid of angles is another one
+
+
 def test_loads_and_mode_of_one_boom_are_the_closed_forms(tmp_path):
     """(F lever - m g x/2)/(g x) in each pose; sqrt(k/I) of the oil; the data sheet beside them."""
     path = tmp_path / "boom.toml"

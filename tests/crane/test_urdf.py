@@ -9,7 +9,7 @@ from kit.mistakes import problem
 
 from fmus.components.chain import Chain
 from fmus.contract import nested
-from fmus.crane.check import check
+from fmus.crane.check import capacity, check
 from fmus.crane.description import read
 from fmus.crane.manipulator import manipulator
 from fmus.crane.urdf import export, imported
@@ -87,6 +87,8 @@ def test_a_foreign_urdf_becomes_a_crane_with_the_same_mechanics(pin, tmp_path):
     assert "3 joints" in told
     assert "column1, arm, slide" in told
     crane = read(target)
+    loads = capacity(crane, check(crane))  # nothing is driven yet
+    assert loads.load.tolist() == [0.0]
     assert [j.numbers["damping"].value for j in crane.joints] == [0, 7, 0]
     for q in np.random.default_rng(5).uniform(-1, 1, (20, 3)):
         same(ours(crane, q), theirs(pin, FOREIGN, q))
@@ -111,7 +113,8 @@ REFUSED = {
     "j4: expected a revolute, prismatic or fixed joint, got floating": ("prismatic", "floating"),
     "j3: expected an axis along x, y or z with all joints at 0": (TURN, 'rpy="0.3 0 1'),
     "expected one link without a parent": ('<link name="world"/>', '<link name="world"/><link name="b"/>'),
-    "expected a URDF": ("<robot", "<robots"),
+    "expected a URDF: Opening and ending tag mismatch": ("<robot", "<robots"),
+    "expected a URDF: could not convert string": ('xyz="0 0 0.5"', 'xyz="0 0 a"'),
 }
 
 
@@ -119,5 +122,5 @@ REFUSED = {
 def test_what_a_crane_cannot_have_is_told(tmp_path, line, change):
     """With the file, the joint, what was expected and what was found."""
     source = tmp_path / "arm.urdf"
-    source.write_text(FOREIGN.replace(*change, 1), encoding="utf-8")
+    source.write_text(FOREIGN.replace(*change), encoding="utf-8")
     assert f"{source}: {line}" in problem(lambda: imported(source, tmp_path / "arm.toml"))
