@@ -31,9 +31,11 @@ VIEWS = {
     "side": (0.3, -1.75, 0.25, 0.3, 0.0, 0.15),
     "top": (0.2, -0.01, 1.9, 0.2, 0.0, 0.0),
 }
-# hand and direction of the functions in the order of the joints, as on a forwarder: slewing and tilt left,
-# lifting right, telescope or rotator sideways right
-PLACES = (("left", 0), ("right", 1), ("left", 1), ("right", 0))
+# numbers of the functions left and right, sideways, then fore and aft. ISO: slewing and tilt left, lifting
+# and telescope or rotator right; SAE: lifting and tilt exchanged
+PATTERNS = {"ISO": ((0, 2), (3, 1)), "SAE": ((0, 1), (3, 2))}
+STICKS = 4  # functions
+MOST = 24  # functions
 WORDS = {"motor": ("left", "right"), "revolute": ("up", "down"), "prismatic": ("out", "in")}
 
 
@@ -83,23 +85,31 @@ def _slider() -> dict[str, Any]:
 
 
 def _levers(crane: CraneDescription) -> dict[str, Any]:
-    """Functions of the levers, which are positive to the left and towards the operator."""
-    words, full, hands = dict[str, Any](), dict[str, Any](), {"left": ["", ""], "right": ["", ""]}
-    levers = levers_at_start(crane)
-    for j, (hand, direction) in zip(crane.driven, PLACES, strict=False):
-        hands[hand][direction] = j.name
+    """Functions of the levers, which are positive to the left and towards the operator.
+
+    The first four are on the sticks, the others on wheels. If there are others, telescopes go there first.
+    """
+    words, full, levers = dict[str, Any](), dict[str, Any](), levers_at_start(crane)
+    order = list(crane.driven)
+    if len(order) > STICKS:
+        first = sorted(order, key=lambda j: j.kind == "prismatic")[:STICKS]
+        order = [*first, *(j for j in order if j not in first)]
+    for k, j in enumerate(order[:MOST]):
         ends = WORDS["motor" if j.drive == "motor" else j.kind]
         sign = 1.0 if levers[j.name] > 0 else -1.0
-        if (hand, direction) == ("left", 1) or j.kind == "prismatic":  # towards the operator is in, or down
+        if k == 2 or j.kind == "prismatic":  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
         words[j.name] = [f"{j.name} {end}" for end in ends]
         full[j.name] = {f"{j.name}_command": sign * FULL[j.drive]}
-    for places in hands.values():
-        for k, name in enumerate(places):
-            places[k] = name or "none"
-    if any("none" in places for places in hands.values()):
+    names = [*words, *["none"] * (STICKS - len(words))]
+    if "none" in names:
         words["none"] = ["none", "none"]
-    return {"functions": words, "patterns": {"ISO": hands}, "modes": {"levers": {"full": full}}}
+    hands = {
+        n: {h: [names[k] for k in of] for h, of in zip(("left", "right"), two, strict=True)}
+        | {"wheels": names[STICKS:]}
+        for n, two in PATTERNS.items()
+    }
+    return {"functions": words, "patterns": hands, "modes": {"levers": {"full": full}}}
 
 
 def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
@@ -178,7 +188,7 @@ def _ends(joint: JointDescription) -> tuple[tuple[str, str], tuple[str, str]]:
     """Signals of the two pressures of a drive, without the joint, and their words."""
     if joint.drive == "motor":
         return ("pressure_a", "port A"), ("pressure_b", "port B")
-    return ("head_pressure", "head side"), ("rod_pressure", "rod side")
+    return ("head_pressure", "head"), ("rod_pressure", "rod")
 
 
 # ---- drawing

@@ -28,6 +28,8 @@ FILE = "view.toml"
 # Pa, gauge pressure; below it a gauge shows "cavitates": a cavity of some 2 mL (fmus/components/chamber.py)
 CAVITATION = -5e4
 MOST_GAUGES, MOST_CHARTS, MOST_SLIDERS = 24, 6, 24  # for a system without the file
+MOST_WHEELS = 20  # a message of their deflections is short (`sticks.LONGEST`)
+WHEELS = Rule(f"at most {MOST_WHEELS} functions", lambda value: len(value) <= MOST_WHEELS)
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 
@@ -55,6 +57,12 @@ class Pattern:
 
     left: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
     right: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
+    wheels: Annotated[tuple[str, ...], WHEELS] = ()
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """All functions, in the order of the deflections."""
+        return (*self.left, *self.right, *self.wheels)
 
 
 @dataclass(frozen=True)
@@ -235,7 +243,7 @@ class ViewDescription:
 
     def __post_init__(self) -> None:
         """Refuse functions that are not declared."""
-        used = [(f"patterns.{n}", f) for n, p in self.patterns.items() for f in (*p.left, *p.right)]
+        used = [(f"patterns.{n}", f) for n, p in self.patterns.items() for f in p.functions]
         used += [(f"modes.{n}", f) for n, m in self.modes.items() for f in (*m.full, *m.words)]
         for where, name in used:
             if name not in self.functions:
