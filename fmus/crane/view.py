@@ -44,6 +44,17 @@ def document(crane: CraneDescription) -> bytes:
     return "".join(f"{key} = {_toml(value)}\n" for key, value in description(crane).items()).encode()
 
 
+def page_files(crane: CraneDescription) -> dict[str, bytes]:
+    """The file, and the meshes of links."""
+    meshes = {_mesh(j): j.shape.read_bytes() for j in crane.joints if j.shape}
+    return {"view.toml": document(crane), **meshes}
+
+
+def _mesh(joint: JointDescription) -> str:
+    """The file of its mesh, beside the description of the view."""
+    return f"{joint.name}.glb"
+
+
 def _toml(value: Any) -> str:
     """A value as TOML, which is JSON but for tables."""
     if isinstance(value, Mapping):
@@ -272,7 +283,7 @@ def _reach(crane: CraneDescription) -> float:
 
 
 def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
-    """A beam from each joint to each joint behind it and to the tip; brackets of the pins."""
+    """A beam from each joint to each joint behind it and to the tip, brackets of the pins; or a mesh."""
     depth, last = SLENDER * reach, crane.joint(crane.payload_on)
     first = crane.joints[0]
     yield _round(
@@ -285,7 +296,10 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
             ends.append((x, y, z))
         ends = ends or [(2 * j["centre_x"], 2 * j["centre_y"], 2 * j["centre_z"])]
         thick, colour = max(depth * TAPER**k, LEAST), "edge" if k % 2 else "body"
-        if j.kind == "prismatic":
+        if j.shape:
+            yield {"body": j.name, "kind": "mesh", "file": _mesh(j), "colour": colour}
+            ends = []
+        elif j.kind == "prismatic":
             stroke = j.numbers["stroke"].value if "stroke" in j.numbers else 2 * math.hypot(*_along(j))
             inside = min(stroke + 0.1, math.hypot(*_at(j)) or stroke)
             begin = [-inside * x for x in _direction(j)]
@@ -294,8 +308,9 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
             yield from _beam(j.name, (0.0, 0.0, 0.0), end, thick, colour)
         for x, z in _pins(crane, j):
             yield from _bracket(j.name, (x, z), [(e[0], e[2]) for e in ends], thick)
-        yield _round(j.name, "y", (0.3 * thick, 0.3 * thick, 1.1 * thick), (0, -0.55 * thick, 0), "steel")
-        if j is last and ends[-1][2] < -math.hypot(*ends[-1][:2]):
+        if ends:
+            yield _round(j.name, "y", (0.3 * thick, 0.3 * thick, 1.1 * thick), (0, -0.55 * thick, 0), "steel")
+        if j is last and ends and ends[-1][2] < -math.hypot(*ends[-1][:2]):
             yield from _claws(j.name, ends[-1][2])
         if j.drive == "four-bar":
             yield from _beam(f"{j.name}_rocker", (0.0, 0.0, 0.0), (j["rocker"], 0.0, 0.0), LEAST, "dark")

@@ -9,16 +9,18 @@ file has sliders for its free inputs, and gauges and charts for its outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.files import Location
 from orchestrator.base.signals import bare_name
 from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import factor_and_offset, parse_unit, reader_unit
+from orchestrator.data import gltf
 from orchestrator.drive.scene import Scene
 from orchestrator.drive.task import NO_TASK, Task
 from orchestrator.fmi.description import FmuVariable
@@ -53,7 +55,7 @@ class DrivenInput:
 
 @dataclass(frozen=True)
 class Pattern:
-    """The functions of the lever of each hand: sideways, then fore and aft."""
+    """The functions of the lever of each hand: sideways, then fore and aft. wheels: those of thumb wheels."""
 
     left: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
     right: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
@@ -299,15 +301,27 @@ class ViewDescription:
 def view_description(system: System) -> ViewDescription:
     """The file of a system or of its first FMU that has one; else gauges and charts of its outputs."""
     name, source = f"resources/{FILE}", system.source
-    files = [source.resolve(name)] if source and str(source).endswith(".ssd") else []
-    files += [component.source.member(name) for component in system.components.values() if component.source]
-    file = next((file for file in files if file.exists), None)
-    if file is None:
+    places = list[Callable[[str], Location]]()
+    places += [source.resolve] if source and str(source).endswith(".ssd") else []
+    places += [component.source.member for component in system.components.values() if component.source]
+    place = next((place for place in places if place(name).exists), None)
+    if place is None:
         return of_variables(system)
+    file = place(name)
     try:
-        return read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES)))
+        return _with_meshes(
+            read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES))), place
+        )
     except Problem as problem:
         raise Problem(f"{problem}; build a system again that another version built") from None
+
+
+def _with_meshes(description: ViewDescription, place: Callable[[str], Location]) -> ViewDescription:
+    """With the meshes of its scene, which are beside it; place: of a name in the system or FMU."""
+    scene, meshes = description.scene, dict[str, tuple[gltf.Mesh, ...]]()
+    for name in {shape.file for shape in scene.shapes if shape.kind == "mesh"} if scene else ():
+        meshes[name] = gltf.read_file(place(f"resources/{name}"))
+    return replace(description, scene=replace(scene, meshes=meshes)) if scene else description
 
 
 def of_variables(system: System) -> ViewDescription:
