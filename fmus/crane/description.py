@@ -20,8 +20,9 @@ from fmus.parameters import SOURCES, Number
 from fmus.parameters import numbers as numbers_of
 from orchestrator.base import toml
 from orchestrator.base.errors import Mistakes, Problem, suggest
-from orchestrator.base.files import write_whole
+from orchestrator.base.files import Location, write_whole
 from orchestrator.base.units import number_and_unit, parse_unit, si_unit
+from orchestrator.data import gltf
 
 # tables of a joint by its drive
 USED: Mapping[str, tuple[str, ...]] = {
@@ -127,7 +128,7 @@ DATASHEET = {
 }
 WORDS = (
     *("joint", "axis", "parent", "drive", "follows", "ratio", "inertia", "damping", "stiffness"),
-    *("source", "note"),
+    *("shape", "source", "note"),
 )
 TEXTS = ("title", "source", "note")
 OPTIONAL = ("follows",)
@@ -154,6 +155,7 @@ class JointDescription:
     assembly   of a four-bar: "above" or "below" the line of its pivots
     part       of the machine that has its hydraulics
     numbers    its parameters, without the name of the joint
+    shape      mesh of its link, binary glTF; None: the page draws beams
     """
 
     name: str
@@ -167,6 +169,7 @@ class JointDescription:
     ratio: Number = ONE
     assembly: Assembly = "above"
     part: str = ""
+    shape: Path | None = None
 
     @property
     def coordinate(self) -> str:
@@ -433,7 +436,22 @@ def _joint(
         ),
         part=part,
         assembly=cast(Assembly, assembly),
+        shape=_shape(reader, name, given.get("shape")),
     )
+
+
+def _shape(reader: _Reader, name: str, value: Any) -> Path | None:
+    """The file with the mesh of a link, relative to that of the crane."""
+    if value is None or not isinstance(value, str):
+        if value is not None:
+            reader.wrong(name, f'shape: expected a file, such as "{name}.glb", got {value!r}')
+        return None
+    path = reader.file.parent / value
+    try:
+        gltf.read_file(Location(path))
+    except Problem as problem:
+        reader.wrong(name, f"shape: {problem}")
+    return path
 
 
 def _rated(

@@ -16,7 +16,7 @@ from fmus.contract import Quantity, Subsystem, family, make_group, quantities
 from fmus.crane.check import outputs_at_start
 from fmus.crane.description import CraneDescription, JointDescription
 from fmus.crane.manipulator import NAME, manipulator
-from fmus.crane.view import document
+from fmus.crane.view import page_files
 from fmus.drives import cylinder, motor
 from fmus.drives.cylinder import CYLINDER
 from fmus.drives.drive import Axis, Fidelity, part
@@ -174,8 +174,8 @@ def build_crane(
             stop=STOP,
             step=STEP,
         )
-        page = {"view.toml": document(crane)}
-        paths += [*files, write_ssp(system, folders[fmi] / f"{crane.file.stem}.ssp", resources=page)]
+        file = folders[fmi] / f"{crane.file.stem}.ssp"
+        paths += [*files, write_ssp(system, file, resources=page_files(crane))]
     return paths
 
 

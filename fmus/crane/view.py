@@ -31,15 +31,28 @@ VIEWS = {
     "side": (0.3, -1.75, 0.25, 0.3, 0.0, 0.15),
     "top": (0.2, -0.01, 1.9, 0.2, 0.0, 0.0),
 }
-# hand and direction of the functions in the order of the joints, as on a forwarder: slewing and tilt left,
-# lifting right, telescope or rotator sideways right
-PLACES = (("left", 0), ("right", 1), ("left", 1), ("right", 0))
+# numbers of the functions left and right, sideways, then fore and aft. ISO: slewing and tilt left, lifting
+# and telescope or rotator right; SAE: lifting and tilt exchanged
+PATTERNS = {"ISO": ((0, 2), (3, 1)), "SAE": ((0, 1), (3, 2))}
+STICKS = 4  # functions
+MOST = 24  # functions
 WORDS = {"motor": ("left", "right"), "revolute": ("up", "down"), "prismatic": ("out", "in")}
 
 
 def document(crane: CraneDescription) -> bytes:
     """The file."""
     return "".join(f"{key} = {_toml(value)}\n" for key, value in description(crane).items()).encode()
+
+
+def page_files(crane: CraneDescription) -> dict[str, bytes]:
+    """The file, and the meshes of links."""
+    meshes = {_mesh(j): j.shape.read_bytes() for j in crane.joints if j.shape}
+    return {"view.toml": document(crane), **meshes}
+
+
+def _mesh(joint: JointDescription) -> str:
+    """The file of its mesh, beside the description of the view."""
+    return f"{joint.name}.glb"
 
 
 def _toml(value: Any) -> str:
@@ -83,23 +96,31 @@ def _slider() -> dict[str, Any]:
 
 
 def _levers(crane: CraneDescription) -> dict[str, Any]:
-    """Functions of the levers, which are positive to the left and towards the operator."""
-    words, full, hands = dict[str, Any](), dict[str, Any](), {"left": ["", ""], "right": ["", ""]}
-    levers = levers_at_start(crane)
-    for j, (hand, direction) in zip(crane.driven, PLACES, strict=False):
-        hands[hand][direction] = j.name
+    """Functions of the levers, which are positive to the left and towards the operator.
+
+    The first four are on the sticks, the others on wheels. If there are others, telescopes go there first.
+    """
+    words, full, levers = dict[str, Any](), dict[str, Any](), levers_at_start(crane)
+    order = list(crane.driven)
+    if len(order) > STICKS:
+        first = sorted(order, key=lambda j: j.kind == "prismatic")[:STICKS]
+        order = [*first, *(j for j in order if j not in first)]
+    for k, j in enumerate(order[:MOST]):
         ends = WORDS["motor" if j.drive == "motor" else j.kind]
         sign = 1.0 if levers[j.name] > 0 else -1.0
-        if (hand, direction) == ("left", 1) or j.kind == "prismatic":  # towards the operator is in, or down
+        if k == 2 or j.kind == "prismatic":  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
         words[j.name] = [f"{j.name} {end}" for end in ends]
         full[j.name] = {f"{j.name}_command": sign * FULL[j.drive]}
-    for places in hands.values():
-        for k, name in enumerate(places):
-            places[k] = name or "none"
-    if any("none" in places for places in hands.values()):
+    names = [*words, *["none"] * (STICKS - len(words))]
+    if "none" in names:
         words["none"] = ["none", "none"]
-    return {"functions": words, "patterns": {"ISO": hands}, "modes": {"levers": {"full": full}}}
+    hands = {
+        n: {h: [names[k] for k in of] for h, of in zip(("left", "right"), two, strict=True)}
+        | {"wheels": names[STICKS:]}
+        for n, two in PATTERNS.items()
+    }
+    return {"functions": words, "patterns": hands, "modes": {"levers": {"full": full}}}
 
 
 def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:
@@ -178,7 +199,7 @@ def _ends(joint: JointDescription) -> tuple[tuple[str, str], tuple[str, str]]:
     """Signals of the two pressures of a drive, without the joint, and their words."""
     if joint.drive == "motor":
         return ("pressure_a", "port A"), ("pressure_b", "port B")
-    return ("head_pressure", "head side"), ("rod_pressure", "rod side")
+    return ("head_pressure", "head"), ("rod_pressure", "rod")
 
 
 # ---- drawing
@@ -262,7 +283,7 @@ def _reach(crane: CraneDescription) -> float:
 
 
 def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
-    """A beam from each joint to each joint behind it and to the tip; brackets of the pins."""
+    """A beam from each joint to each joint behind it and to the tip, brackets of the pins; or a mesh."""
     depth, last = SLENDER * reach, crane.joint(crane.payload_on)
     first = crane.joints[0]
     yield _round(
@@ -275,7 +296,10 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
             ends.append((x, y, z))
         ends = ends or [(2 * j["centre_x"], 2 * j["centre_y"], 2 * j["centre_z"])]
         thick, colour = max(depth * TAPER**k, LEAST), "edge" if k % 2 else "body"
-        if j.kind == "prismatic":
+        if j.shape:
+            yield {"body": j.name, "kind": "mesh", "file": _mesh(j), "colour": colour}
+            ends = []
+        elif j.kind == "prismatic":
             stroke = j.numbers["stroke"].value if "stroke" in j.numbers else 2 * math.hypot(*_along(j))
             inside = min(stroke + 0.1, math.hypot(*_at(j)) or stroke)
             begin = [-inside * x for x in _direction(j)]
@@ -284,8 +308,9 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
             yield from _beam(j.name, (0.0, 0.0, 0.0), end, thick, colour)
         for x, z in _pins(crane, j):
             yield from _bracket(j.name, (x, z), [(e[0], e[2]) for e in ends], thick)
-        yield _round(j.name, "y", (0.3 * thick, 0.3 * thick, 1.1 * thick), (0, -0.55 * thick, 0), "steel")
-        if j is last and ends[-1][2] < -math.hypot(*ends[-1][:2]):
+        if ends:
+            yield _round(j.name, "y", (0.3 * thick, 0.3 * thick, 1.1 * thick), (0, -0.55 * thick, 0), "steel")
+        if j is last and ends and ends[-1][2] < -math.hypot(*ends[-1][:2]):
             yield from _claws(j.name, ends[-1][2])
         if j.drive == "four-bar":
             yield from _beam(f"{j.name}_rocker", (0.0, 0.0, 0.0), (j["rocker"], 0.0, 0.0), LEAST, "dark")

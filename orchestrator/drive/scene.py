@@ -7,6 +7,7 @@ A length is a number [m], or a formula: a sum of products of numbers, of paramet
 `sizes`, such as "boom_pivot_x - 0.26". So the drawing follows the parameters of a system.
 """
 
+import base64
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -16,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.toml import Rule
+from orchestrator.data.gltf import Mesh
 from orchestrator.ssp.parameter_sets import parameter_sets
 from orchestrator.ssp.system import Component, System
 
@@ -26,6 +28,9 @@ _NAME = re.compile(r"\b[A-Za-z_]\w*")
 LENGTH = Rule(
     'a number or a sum of products, such as "0.5*arm_length - 0.2"',
     lambda value: not isinstance(value, str) or _FORMULA.fullmatch(value.replace(" ", "")) is not None,
+)
+GLB = Rule(
+    "a file of this folder that ends in .glb", lambda value: re.fullmatch(r"[\w-]+\.glb", value) is not None
 )
 THREE = Rule("three lengths", lambda value: len(value) == 3)
 Length = Annotated[float | str, LENGTH]
@@ -85,8 +90,10 @@ class Cylinder:
 class Shape:
     """A part of the drawing, fixed to a body.
 
-    size     box: lengths along x, y, z; plate: thickness; round: radii at both ends, length; tube: radius
-    at       centre of a box, begin of a round, origin of the outline of a plate
+    size     box: lengths along x, y, z; plate: thickness; round: radii at both ends, length; tube: radius;
+             mesh: none
+    at       centre of a box, begin of a round, origin of the outline of a plate and of a mesh
+    file     of a mesh, binary glTF (`orchestrator.data.gltf`) next to the view description
     path     outline of a plate in x and z, or points of a tube
     scale    unit of `path`; default: 1 m
     axis     of a round
@@ -96,8 +103,8 @@ class Shape:
     """
 
     body: str
-    kind: Literal["box", "plate", "round", "tube"]
-    size: tuple[Length, ...]
+    kind: Literal["box", "plate", "round", "tube", "mesh"]
+    size: tuple[Length, ...] = ()
     at: Position = ORIGIN
     path: tuple[tuple[Length, ...], ...] = ()
     scale: Length = 1.0
@@ -105,12 +112,15 @@ class Shape:
     colour: str = "#888888"
     channel: str = ""
     mirror: bool = False
+    file: Annotated[str, GLB] = ""
 
     def __post_init__(self) -> None:
-        expected = 3 if self.kind in ("box", "round") else 1
+        expected = {"box": 3, "round": 3, "mesh": 0}.get(self.kind, 1)
         if len(self.size) != expected:
             raise Problem(f"scene: {self.kind}: size: expected {expected} lengths, got {len(self.size)}")
         expected = 3 if self.kind == "tube" else 2
+        if (self.kind == "mesh") != bool(self.file):
+            raise Problem(f"scene: {self.kind}: file: expected of a mesh, and only there, got {self.file!r}")
         if any(len(point) != expected for point in self.path):
             raise Problem(f"scene: {self.kind}: path: expected points of {expected} lengths")
 
@@ -125,6 +135,7 @@ class Scene:
     defaults    parameters that a machine may lack -> value
     views       name -> position of the camera, then the point that it looks at [m]
     pressures   channel of the drawing -> signal of its pressure
+    meshes      file of a shape -> its content, which `view_description` reads
     """
 
     joints: Mapping[str, Joint]
@@ -137,6 +148,7 @@ class Scene:
     views: Mapping[str, tuple[float, float, float, float, float, float]] = field(default_factory=dict)
     colours: Mapping[str, str] = field(default_factory=dict)
     pressures: Mapping[str, str] = field(default_factory=dict)
+    meshes: Mapping[str, tuple[Mesh, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse names of bodies and channels that do not exist, or come later."""
@@ -263,18 +275,29 @@ def data(scene: Scene, values: Values) -> dict[str, Any]:
     ]
     cylinders = [{"name": n, "base": place(c.base), "pin": place(c.pin)} for n, c in scene.cylinders.items()]
     own = (s for n, c in scene.cylinders.items() for s in _cylinder_shapes(n, c, known))
-    shapes = [_shape(one, scene, known) for s in (*scene.shapes, *own) for one in _sides(s, known)]
+    sides = (one for s in (*scene.shapes, *own) for one in _sides(s, known))
+    shapes = [part for one in sides for part in _parts(one, scene, known)]
     return {"joints": joints, "cylinders": cylinders, "tip": place(scene.tip), "shapes": shapes}
 
 
-def _shape(shape: Shape, scene: Scene, known: Values) -> dict[str, Any]:
-    """The shape as data, rounded to 0.1 mm."""
+def _parts(shape: Shape, scene: Scene, known: Values) -> Iterator[dict[str, Any]]:
+    """The shape as data, rounded to 0.1 mm; of a mesh one part for each colour."""
     unit = length(shape.scale, known)
     size, at = ([round(length(v, known), 4) for v in values] for values in (shape.size, shape.at))
     path = [[round(length(v, known) * unit, 4) for v in values] for values in shape.path]
     colour = scene.colours.get(shape.colour, shape.colour)
-    kept = {"body": shape.body, "kind": shape.kind, "axis": shape.axis, "channel": shape.channel}
-    return kept | {"size": size, "at": at, "path": path, "colour": colour}
+    kept: dict[str, Any] = {
+        "body": shape.body,
+        "kind": shape.kind,
+        "axis": shape.axis,
+        "channel": shape.channel,
+    }
+    kept |= {"size": size, "at": at, "path": path, "colour": colour}
+    if shape.kind != "mesh":
+        yield kept
+    for mesh in scene.meshes.get(shape.file, ()):
+        points, corners = (base64.b64encode(x).decode() for x in (mesh.points, mesh.corners))
+        yield kept | {"colour": mesh.colour or colour, "points": points, "corners": corners}
 
 
 def _sides(shape: Shape, known: Values) -> Iterator[Shape]:

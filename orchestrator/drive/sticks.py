@@ -1,10 +1,11 @@
-"""Sticks: the message of a browser, response curve, functions, and the inputs that they drive.
+"""Sticks and thumb wheels: the message of a browser, response curve, functions, and the inputs they drive.
 
 A message has exactly this form:
 
-    {"n": 17, "sticks": [lx, ly, rx, ry], "dead_man": true}
+    {"n": 17, "sticks": [lx, ly, rx, ry, wheel 1, ...], "dead_man": true}
 
-n counts up within one connection. Deflections are -1 to 1: x to the right, y away from the operator.
+n counts up within one connection. Deflections are -1 to 1: x and wheels to the right, y away from the
+operator. Wheels that are missing are at rest.
 
 The machine declares which function each axis has in each control pattern, and the inputs that the functions
 drive in each mode (`view_description`). A function is positive to the left and towards the operator.
@@ -20,6 +21,7 @@ d is the dead zone, because a worn stick does not return to zero exactly. c is t
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -29,17 +31,18 @@ from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.signals import bare_name
-from orchestrator.drive.view_description import DriveMode, Pattern
+from orchestrator.drive.view_description import MOST_WHEELS, DriveMode, Pattern
 
 
 @dataclass(frozen=True)
 class StickAxes:
-    """Deflections [1], -1 to 1: x to the right, y away from the operator."""
+    """Deflections [1], -1 to 1: x and wheels to the right, y away from the operator."""
 
     left_x: float = 0.0
     left_y: float = 0.0
     right_x: float = 0.0
     right_y: float = 0.0
+    wheels: tuple[float, ...] = ()
 
 
 def pattern(name: str, patterns: Mapping[str, Pattern]) -> Pattern:
@@ -52,16 +55,17 @@ def pattern(name: str, patterns: Mapping[str, Pattern]) -> Pattern:
 
 def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> dict[str, float]:
     """Functions at these deflections, -1 to 1: fractions of full speed. All have the same response curve."""
-    names = (*chosen.left, *chosen.right)
-    deflections = vars(sticks).values()
-    return {name: 0.0 - response(x, curve) for name, x in zip(names, deflections, strict=True)}  # no -0
+    deflections = (sticks.left_x, sticks.left_y, sticks.right_x, sticks.right_y, *sticks.wheels)
+    pairs = zip(chosen.functions, itertools.chain(deflections, itertools.repeat(0.0)), strict=False)
+    return {name: 0.0 - response(x, curve) for name, x in pairs}  # no -0
 
 
 def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode) -> dict[str, str]:
-    """Labels of both ends of each stick axis: `left_up`, `left_down`, ... -> label."""
-    labels = dict[str, str]()
-    for hand, driven in (("left", chosen.left), ("right", chosen.right)):
-        for function, ends in zip(driven, (("left", "right"), ("down", "up")), strict=True):
+    """Labels of both ends of each axis: `left_up`, `left_down`, ..., `wheel1_left`, ... -> label."""
+    labels, ends_of = dict[str, str](), (("left", "right"), ("down", "up"))
+    wheels = ((f"wheel{k}", (name,)) for k, name in enumerate(chosen.wheels, 1))
+    for hand, driven in (("left", chosen.left), ("right", chosen.right), *wheels):
+        for function, ends in zip(driven, ends_of, strict=False):
             nothing = (f"(no {function})",) * 2
             texts = {**words, **mode.words}[function] if mode.full.get(function) else nothing
             labels |= {f"{hand}_{end}": text for end, text in zip(ends, texts, strict=True)}
@@ -70,7 +74,7 @@ def legend(chosen: Pattern, words: Mapping[str, Sequence[str]], mode: DriveMode)
 
 @dataclass(frozen=True)
 class ResponseCurve:
-    """Dead zone and progression [1] of all four axes."""
+    """Dead zone and progression [1] of all axes."""
 
     dead_zone: float = 0.08
     progression: float = 0.6
@@ -90,7 +94,7 @@ def response(deflection: float, curve: ResponseCurve) -> float:
     return math.copysign((1 - curve.progression) * beyond + curve.progression * beyond**3, deflection)
 
 
-LONGEST = 256  # characters; an ordinary message has about 80
+LONGEST = 256  # characters; a message has about 80, with all wheels 220
 KEYS = {"n", "sticks", "dead_man"}
 
 
@@ -129,13 +133,15 @@ def _constant(word: str) -> float:
 
 
 def _sticks(value: Any) -> StickAxes:
-    if not isinstance(value, list) or len(value) != 4:
-        raise Problem(f"message: sticks: expected four numbers, found {_short(value)}")
+    if not isinstance(value, list) or not 4 <= len(value) <= 4 + MOST_WHEELS:
+        expected = f"4 to {4 + MOST_WHEELS} numbers"
+        raise Problem(f"message: sticks: expected {expected}, found {_short(value)}")
     for deflection in value:
         # a bool is an int in Python; the comparison is False for NaN
         if type(deflection) not in (int, float) or not -1 <= deflection <= 1:
             raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(deflection)}")
-    return StickAxes(*map(float, value))
+    left_x, left_y, right_x, right_y, *wheels = map(float, value)
+    return StickAxes(left_x, left_y, right_x, right_y, tuple(wheels))
 
 
 def _short(value: Any) -> str:

@@ -9,16 +9,18 @@ file has sliders for its free inputs, and gauges and charts for its outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.files import Location
 from orchestrator.base.signals import bare_name
 from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import factor_and_offset, parse_unit, reader_unit
+from orchestrator.data import gltf
 from orchestrator.drive.scene import Scene
 from orchestrator.drive.task import NO_TASK, Task
 from orchestrator.fmi.description import FmuVariable
@@ -28,6 +30,8 @@ FILE = "view.toml"
 # Pa, gauge pressure; below it a gauge shows "cavitates": a cavity of some 2 mL (fmus/components/chamber.py)
 CAVITATION = -5e4
 MOST_GAUGES, MOST_CHARTS, MOST_SLIDERS = 24, 6, 24  # for a system without the file
+MOST_WHEELS = 20  # a message of their deflections is short (`sticks.LONGEST`)
+WHEELS = Rule(f"at most {MOST_WHEELS} functions", lambda value: len(value) <= MOST_WHEELS)
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 
@@ -51,10 +55,16 @@ class DrivenInput:
 
 @dataclass(frozen=True)
 class Pattern:
-    """The functions of the lever of each hand: sideways, then fore and aft."""
+    """The functions of the lever of each hand: sideways, then fore and aft. wheels: those of thumb wheels."""
 
     left: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
     right: Annotated[tuple[str, ...], Rule("two functions", lambda value: len(value) == 2)]
+    wheels: Annotated[tuple[str, ...], WHEELS] = ()
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """All functions, in the order of the deflections."""
+        return (*self.left, *self.right, *self.wheels)
 
 
 @dataclass(frozen=True)
@@ -235,7 +245,7 @@ class ViewDescription:
 
     def __post_init__(self) -> None:
         """Refuse functions that are not declared."""
-        used = [(f"patterns.{n}", f) for n, p in self.patterns.items() for f in (*p.left, *p.right)]
+        used = [(f"patterns.{n}", f) for n, p in self.patterns.items() for f in p.functions]
         used += [(f"modes.{n}", f) for n, m in self.modes.items() for f in (*m.full, *m.words)]
         for where, name in used:
             if name not in self.functions:
@@ -291,15 +301,27 @@ class ViewDescription:
 def view_description(system: System) -> ViewDescription:
     """The file of a system or of its first FMU that has one; else gauges and charts of its outputs."""
     name, source = f"resources/{FILE}", system.source
-    files = [source.resolve(name)] if source and str(source).endswith(".ssd") else []
-    files += [component.source.member(name) for component in system.components.values() if component.source]
-    file = next((file for file in files if file.exists), None)
-    if file is None:
+    places = list[Callable[[str], Location]]()
+    places += [source.resolve] if source and str(source).endswith(".ssd") else []
+    places += [component.source.member for component in system.components.values() if component.source]
+    place = next((place for place in places if place(name).exists), None)
+    if place is None:
         return of_variables(system)
+    file = place(name)
     try:
-        return read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES)))
+        return _with_meshes(
+            read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES))), place
+        )
     except Problem as problem:
         raise Problem(f"{problem}; build a system again that another version built") from None
+
+
+def _with_meshes(description: ViewDescription, place: Callable[[str], Location]) -> ViewDescription:
+    """With the meshes of its scene, which are beside it; place: of a name in the system or FMU."""
+    scene, meshes = description.scene, dict[str, tuple[gltf.Mesh, ...]]()
+    for name in {shape.file for shape in scene.shapes if shape.kind == "mesh"} if scene else ():
+        meshes[name] = gltf.read_file(place(f"resources/{name}"))
+    return replace(description, scene=replace(scene, meshes=meshes)) if scene else description
 
 
 def of_variables(system: System) -> ViewDescription:

@@ -73,9 +73,14 @@ class StandIn:
         return numbers, np.array([t for t, _ in part]), np.zeros((len(part), len(self.axes))), values
 
 
-def pages(machine: StandIn, authority: ControlAuthority) -> Pages:
-    """The pages of a machine without a scene."""
-    plan = SimpleNamespace(description=DESCRIPTION, parameters=None)
+def pages(
+    machine: StandIn,
+    authority: ControlAuthority,
+    description: ViewDescription = DESCRIPTION,
+    parameters: Mapping[str, float] | None = None,
+) -> Pages:
+    """The pages of a machine; without parameters it has no scene."""
+    plan = SimpleNamespace(description=description, parameters=parameters)
     session = SimpleNamespace(
         machine=machine,
         columns=columns(machine),
@@ -108,19 +113,24 @@ class Server:
 
 
 @contextlib.contextmanager
-def serving(host: str = "127.0.0.1") -> Iterator[Server]:
+def serving(
+    host: str = "127.0.0.1",
+    description: ViewDescription = DESCRIPTION,
+    parameters: Mapping[str, float] | None = None,
+    axes: tuple[str, ...] = LEVERS,
+) -> Iterator[Server]:
     """The page, its websocket, and the guard around both.
 
     Its authority has so much timeout that a halt of this computer never uses it up, and no test waits for it:
     what rests does so for a reason. Silence comes by moving the authority's clock.
     """
-    machine, passed = StandIn(), [0.0]
+    machine, passed = StandIn(axes), [0.0]
     limits = {"timeout": TIMEOUT, "silence_limit": SILENCE_LIMIT}
     authority = ControlAuthority(
-        machine, lambda: DESCRIPTION, clock=lambda: time.monotonic() + sum(passed), **limits
+        machine, lambda: description, clock=lambda: time.monotonic() + sum(passed), **limits
     )
     asked = rules(host)
-    app = application(pages(machine, authority))
+    app = application(pages(machine, authority, description, parameters))
     app.add_middleware(Guard, rules=asked)
     options = {"log_level": "error", "ws_max_size": 2**16, "ws": "websockets-sansio", "http": TimedConnection}
     server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, **options))

@@ -32,7 +32,7 @@ WRONG = {
     **{f"n {n!r}": json.dumps(GOOD | {"n": n}) for n in (-1, 2**53, 1.0, True, "1", None, [])},
     **{
         f"sticks {s!r}": json.dumps(GOOD | {"sticks": s})
-        for s in ([], [0] * 3, [0] * 5, "0000", None, {"0": 1})
+        for s in ([], [0] * 3, [0] * 25, "0000", None, {"0": 1})
     },
     **{
         f"value {v}": json.dumps(GOOD).replace("0.25", v)

@@ -9,7 +9,7 @@
 //
 // and a source of this browser `advance(seconds, read)` and `begin(angles)`, which the page calls.
 import { Charts } from "drive/charts.js";
-import { Levers, elsewhere, readGamepad } from "drive/levers.js";
+import { Levers, WHEEL_BUTTONS, WHEEL_KEYS, elsewhere, readGamepad } from "drive/levers.js";
 import { Gauges, Pace, Sliders, StatusLine, UNHEARD, colour, make, notices, write } from "drive/panels.js";
 import { Scene } from "drive/scene.js";
 import { TaskPanel, rings } from "drive/task.js";
@@ -33,10 +33,12 @@ const TAKE = { driving: "Release controls", watching: "Request controls", free: 
 const KEYS = [
   ["Space or Shift, held", "dead-man: the machine rests without it", "shared", "sticks"],
   ["W A S D", "left stick", "sticks"], ["Arrows or I J K L", "right stick", "sticks"],
+  [(wheels) => WHEEL_KEYS.slice(0, wheels).map((pair) => pair.join(" ")).join(", "), "thumb wheels, in their order on the page", "wheels"],
   ["P", "pause or go on"], ["Home", "start again"],
   ["Esc", "from a button or field back to the sticks", "shared", "sticks"],
   ["Esc", "from a button or field to the picture, and from the picture to the page", "own"],
   ["Gamepad", "both sticks; a bumper is the dead-man", "sticks"],
+  [(wheels) => `Gamepad: ${WHEEL_BUTTONS.slice(0, wheels).join(", ")}`, "thumb wheels, in the same order", "wheels"],
   ["Touch or mouse", "drag the sticks; holding one is the dead-man", "sticks"],
   ["Drag in the picture", "rotate the view", "picture"], ["Wheel", "zoom", "shared", "picture"],
   ["Right button, drag", "shift the view", "picture"],
@@ -54,7 +56,7 @@ export class Page {
     [this.refused, this.said, this.jumped, this.slowed] = [-Infinity, 0, -1, false];
     for (const one of root.querySelectorAll(this.shared ? ".hm-own" : ".hm-shared")) one.hidden = true;
     root.classList.toggle("hm-full", this.shared || Boolean(data.alone));
-    this.levers = new Levers(root.querySelectorAll(".hm-stick"), this.shared, () => this.drives, () => this.pressed(), () => this.focus());
+    this.levers = new Levers(root.querySelectorAll(".hm-stick"), this.at("wheels"), this.shared, () => this.drives, () => this.pressed(), () => this.focus());
     this.controls();
     if (this.shared) this.connect(sources.live);
     else this.embed();
@@ -179,9 +181,9 @@ export class Page {
   // the window with the keys of what there is
   help() {
     const sticks = Object.keys(this.data?.legends ?? {}).length > 0;
-    const is = { shared: this.shared, own: !this.shared, sticks, picture: Boolean(this.scene) };
+    const is = { shared: this.shared, own: !this.shared, sticks, wheels: this.levers.screen.length - 2, picture: Boolean(this.scene) };
     const meant = KEYS.filter(([, , ...needs]) => needs.every((one) => is[one]));
-    this.at("list").replaceChildren(...meant.flatMap(([key, meaning]) => [make("dt", { textContent: key }), make("dd", { textContent: meaning })]));
+    this.at("list").replaceChildren(...meant.flatMap(([key, meaning]) => [make("dt", { textContent: key.call ? key(is.wheels) : key }), make("dd", { textContent: meaning })]));
     this.at("how").textContent = this.shared && sticks ? HOW : "";
     this.at("window").showModal();
   }

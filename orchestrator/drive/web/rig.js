@@ -11,6 +11,14 @@ function body(part) {
     const curve = new THREE.CatmullRomCurve3(part.path.map((p) => new THREE.Vector3(...p)));
     return new THREE.TubeGeometry(curve, 3 * part.path.length, a, 6);
   }
+  if (part.kind === "mesh") {
+    const solid = new THREE.BufferGeometry();
+    const numbers = (text, Kind) => new Kind(Uint8Array.from(atob(text), (one) => one.charCodeAt(0)).buffer);
+    solid.setAttribute("position", new THREE.BufferAttribute(numbers(part.points, Float32Array), 3));
+    solid.setIndex(new THREE.BufferAttribute(numbers(part.corners, Uint32Array), 1));
+    solid.computeVertexNormals();
+    return solid.translate(...part.at);
+  }
   if (part.kind === "plate") {
     const shape = new THREE.Shape(part.path.map(([x, z]) => new THREE.Vector2(x, z)));
     const edge = Math.min(0.012, a / 4);

@@ -1,0 +1,294 @@
+"""The page of a crane with six functions, of which two are on thumb wheels, and with a mesh."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from kit import glb, shards
+from kit.driven_page import PAD
+from kit.mistakes import problem
+from kit.wait import LONG, until
+from view.standin import Server, serving
+
+from fmus.contract import quantities, symbolic
+from fmus.crane.description import CraneDescription, read
+from fmus.crane.manipulator import manipulator
+from fmus.crane.view import page_files
+from fmus.parameters import values
+from orchestrator.base.files import Location
+from orchestrator.data import gltf
+from orchestrator.drive import drawing
+from orchestrator.drive.sticks import ResponseCurve, StickAxes, functions
+from orchestrator.drive.view_description import ViewDescription, view_description
+from orchestrator.ssp.load import load
+from orchestrator.ssp.write import write_ssp
+
+LOADER = Path(__file__).parents[2] / "examples" / "cranes" / "loader.toml"
+# a rotator and a jaw in place of the passive swing of the grapple; each place of the tip is a parameter
+MORE = """
+[rotator]
+parent = "link"
+axis = "z"
+at = [0, 0, "-300 mm"]
+mass = 150
+inertia = [12, 12, 8]
+drive = "motor"
+motor = { displacement = "600 cm3/rev" }
+
+[grapple]
+axis = "-y"
+at = ["100 mm", 0, "-250 mm"]
+mass = 30
+centre = ["100 mm", 0, "-300 mm"]
+inertia = [2, 2, 1]
+damping = 100
+drive = "cylinder"
+shape = "meshes/jaw.glb"
+
+[grapple.cylinder]
+base = ["-500 mm", "50 mm"]
+pin = ["50 mm", "200 mm"]
+closed = "450 mm"
+stroke = "200 mm"
+bore = "63 mm"
+rod = "40 mm"
+
+[payload]
+on = "grapple"
+at = ["10 mm", "20 mm", "-900 mm"]
+
+[start]"""
+LOW, HIGH = (-0.2, -0.9, -0.15), (0.3, -0.1, 0.25)  # corners of the mesh, in the frame of the file: y upwards
+# both sticks and both wheels at their stops, as keys, and what they command [V]
+HELD = {"a": ("slew", 4), "w": ("jib", -6), "ArrowDown": ("boom", 6), "ArrowLeft": ("rotator", 4)}
+HELD |= {"e": ("extension", 6), "u": ("grapple", -6)}
+
+
+@pytest.fixture(scope="module")
+def crane(tmp_path_factory: pytest.TempPathFactory) -> CraneDescription:
+    """The loader with a rotator and a driven grapple, which has a mesh."""
+    folder = tmp_path_factory.mktemp("crane")
+    (folder / "meshes").mkdir()
+    (folder / "meshes" / "jaw.glb").write_bytes(glb.box(LOW, HIGH))
+    text = LOADER.read_text(encoding="utf-8")
+    begin, end = text.index("[grapple]"), text.index("[start]")
+    (folder / "six.toml").write_text(f"{text[:begin]}{MORE}{text[end + len('[start]') :]}", encoding="utf-8")
+    return read(folder / "six.toml")
+
+
+@pytest.fixture(scope="module")
+def view(crane: CraneDescription, fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> ViewDescription:
+    """What the page is told, with the mesh from a system that contains it."""
+    system, path = load(fmu_dir / "supply.fmu"), tmp_path_factory.mktemp("page") / "six.ssp"
+    return view_description(load(write_ssp(system, path, resources=page_files(crane))))
+
+
+def test_functions_have_places(view: ViewDescription) -> None:
+    """As on a forwarder: telescope on the left wheel, rotator on the right stick, grapple on its wheel."""
+    iso, sae = view.patterns.values()
+    assert (iso.left, iso.right) == (("slew", "jib"), ("rotator", "boom"))
+    assert (sae.left, sae.right) == (("slew", "boom"), ("rotator", "jib"))
+    assert iso.wheels == sae.wheels == ("extension", "grapple")
+    assert view.functions["extension"] == ("extension in", "extension out")
+
+
+@shards.browser
+def test_wheels_as_in_real_time(script: Any, view: ViewDescription) -> None:
+    """Functions of a page's own machine are those of the server; wheels that are missing rest."""
+    pattern, curve = view.patterns["ISO"], ResponseCurve()
+    rows = [[0.5] * 4, [0.5] * 5, *np.random.default_rng(3).uniform(-1, 1, (20, 6)).tolist()]
+    asked = [rows, {name: list(names) for name, names in vars(pattern).items()}, vars(curve)]
+    for row, found in zip(
+        rows, script("levers", "a[0].map((r) => m.functions(r, a[1], a[2]))", asked), strict=True
+    ):
+        expected = functions(StickAxes(*row[:4], tuple(row[4:])), pattern, curve)
+        assert found == pytest.approx(expected, abs=1e-15)  # rounding
+        assert len(found) == 6
+
+
+# ---- hands
+
+
+@pytest.fixture(scope="module")
+def opened(chromium: Any, crane: CraneDescription, view: ViewDescription) -> Iterator[tuple[Server, Any]]:
+    """A server with a stand-in for the crane, and a page that drives."""
+    axes = tuple(f"drives.{joint.name}_command" for joint in crane.driven)
+    with serving(description=view, parameters=values(manipulator(crane)).p, axes=axes) as server:
+        page = chromium.new_page(viewport={"width": 1000, "height": 800})
+        page.set_default_timeout(1e3 * LONG)
+        page.goto(server.http)
+        page.locator(".hm-wheel").nth(1).wait_for()
+        page.get_by_role("button", name="Take controls").click()
+        page.get_by_role("button", name="Release controls").wait_for()
+        yield server, page
+        page.close()
+
+
+def held(press: Callable[[], object], release: Callable[[], object], done: Callable[[], bool]) -> None:
+    """Hold until it is done; a page that was slow for a moment wants the dead-man to be held again."""
+
+    def once() -> bool:
+        press()
+        if until(done, 3.0):
+            return True
+        release()
+        return False
+
+    assert until(once)
+
+
+def commanded(server: Server) -> dict[str, float]:
+    """What moves, by joint [V]."""
+    last = server.machine.commands[-1] if server.machine.commands else {}
+    return {n.removeprefix("drives.").removesuffix("_command"): round(v, 2) for n, v in last.items() if v}
+
+
+@shards.browser
+def test_six_functions_at_once(opened: tuple[Server, Any]) -> None:
+    """All six are held by keys; those that are released rest, and without the dead-man all do."""
+    server, page = opened
+    board, names = page.keyboard, ["Space", *HELD]
+    held(
+        lambda: [board.down(n) for n in names],
+        lambda: [board.up(n) for n in names],
+        lambda: commanded(server) == dict(HELD.values()),
+    )
+    for key in ("u", "a"):
+        board.up(key)
+    left = dict(pair for key, pair in HELD.items() if key not in ("u", "a"))
+    assert until(lambda: commanded(server) == left)
+    board.up("Space")
+    assert until(lambda: commanded(server) == {})
+    for name in names:
+        board.up(name)
+
+
+@shards.browser
+def test_wheels_by_hand(opened: tuple[Server, Any]) -> None:
+    """A wheel on the screen is its own dead-man and springs back; those of a gamepad need its bumper."""
+    server, page = opened
+    mouse, at = page.mouse, page.locator(".hm-wheel svg").nth(1).bounding_box()
+    x, y = at["x"] + at["width"] / 2, at["y"] + at["height"] / 2
+
+    def drag() -> None:
+        mouse.move(x, y)
+        mouse.down()
+        mouse.move(x - 100, y + 30)
+
+    held(drag, mouse.up, lambda: commanded(server) == {"grapple": -6})
+    mouse.up()
+    assert until(lambda: commanded(server) == {})
+    knob = page.locator(".hm-wheel circle").nth(1)
+    assert until(lambda: float(knob.get_attribute("cx")) == 75)
+    page.evaluate(PAD)
+    press = "(on) => { pad.buttons[7].value = pad.buttons[14].value = 1; pad.buttons[4].pressed = on; }"
+    page.evaluate(press, False)
+    assert not until(lambda: commanded(server) != {}, 0.3)
+    wanted = {"extension": 6, "grapple": -6}
+    held(
+        lambda: page.evaluate(press, True),
+        lambda: page.evaluate(press, False),
+        lambda: commanded(server) == wanted,
+    )
+    page.evaluate(press, False)
+    assert until(lambda: commanded(server) == {})
+
+
+# ---- the mesh
+
+SHOWN = """(() => { const rig = new m.Rig({}, a.machine, "#000"); return a.values.map((row) => {
+  rig.show(row, {}, true);
+  const [group] = rig.bodies.get("grapple");
+  group.updateMatrixWorld(true);
+  const solid = group.children[0].geometry.clone().applyMatrix4(group.matrixWorld);
+  solid.computeBoundingBox();
+  const { min, max } = solid.boundingBox;
+  return [group.children.length, min.toArray(), max.toArray()]; }); })()"""
+
+
+@shards.browser
+def test_a_mesh_is_where_its_link_is(script: Any, crane: CraneDescription, view: ViewDescription) -> None:
+    """Its bounding box is that of its corners, where the mechanics have them if they are the tip."""
+    sub = manipulator(crane)
+    own, model, rng = values(sub), symbolic(sub).function(), np.random.default_rng(4)
+    assert view.scene is not None
+    free, poses, boxes = [j for j in crane.joints if not j.follows], [], []
+    for row in rng.uniform(-1.0, 1.0, (20, len(free))):
+        state = {j.coordinate: q if j.kind == "revolute" else 1 + q for j, q in zip(free, row, strict=True)}
+        x, shown = [state.get(name, 0.0) for name in quantities(sub.states)], dict[str, float]()
+        corners = list[list[float]]()
+        for right, up, back in itertools.product(*zip(LOW, HIGH, strict=True)):
+            p = own.p | {"tip_at_x": right, "tip_at_y": -back, "tip_at_z": up}
+            y = model(x, list(own.u.values()), list(p.values()))[1].full()[:, 0]
+            shown = dict(zip(quantities(sub.outputs), map(float, y), strict=True))
+            corners.append([shown["tip_x"], shown["tip_y"], shown["tip_height"]])
+        poses.append([shown[name] for name in view.scene.signals])
+        boxes.append([np.min(corners, axis=0).tolist(), np.max(corners, axis=0).tolist()])
+    given = {"machine": drawing.scene(view.scene, own.p)["machine"], "values": poses}
+    for (parts, *found), box in zip(script("rig", SHOWN, given), boxes, strict=True):
+        assert parts == 1, "only the mesh, and no beam"
+        np.testing.assert_allclose(found, box, atol=1e-6)  # m; positions of some metres in 32 bit
+
+
+def points(data: bytes, folder: Path) -> tuple[gltf.Mesh, Any]:
+    """The only mesh of a file, and its points."""
+    (folder / "one.glb").write_bytes(data)
+    (mesh,) = gltf.read_file(Location(folder / "one.glb"))
+    return mesh, np.frombuffer(mesh.points, "<f4").reshape(-1, 3)
+
+
+def test_a_node_has_a_place(tmp_path: Path) -> None:
+    """Scaled, then turned, then moved; y of the file is upwards; colours are encoded for a screen."""
+    half = math.sqrt(0.5)
+    data = glb.box((0, 0, 0), (1, 2, 3), translation=[10, 0, 0], rotation=[0, 0, half, half], scale=[2, 1, 1])
+    mesh, found = points(data, tmp_path)
+    assert mesh.colour == "#ff0000"
+    # a quarter turn about z of the file: x to y, y to -x
+    np.testing.assert_allclose([found.min(axis=0), found.max(axis=0)], [[8, -3, 0], [10, 0, 2]], atol=1e-6)
+    matrix = [0, 2, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 10, 0, 0, 1]
+    np.testing.assert_allclose(
+        points(glb.box((0, 0, 0), (1, 2, 3), matrix=matrix), tmp_path)[1], found, atol=1e-6
+    )
+
+
+def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:
+    """Cut anywhere, it is refused in one line."""
+    data = glb.box(LOW, HIGH)
+    for size in range(0, len(data), 7):
+        message = problem(lambda size=size: points(data[:size], tmp_path))
+        assert message.startswith(f"{tmp_path / 'one.glb'}: expected the triangles of a binary glTF 2.0 file")
+
+
+SHAPES = {
+    "three": 3,
+    "text": '"text.glb"',
+    "none": '"none.glb"',
+    "large": '"large.glb"',
+    "packed": '"packed.glb"',
+}
+TOLD = {
+    "three": 'expected a file, such as "boom.glb", got 3',
+    "text": "text.glb: expected the triangles of a binary glTF 2.0 file (.glb), which begins with b'glTF'",
+    "none": "none.glb: no such file",
+    "large": "large.glb: expected at most 5 MB, got 6 MB",
+    "packed": "(.glb) without extensions, got KHR_draco_mesh_compression",
+}
+
+
+@pytest.mark.parametrize("kind", TOLD)
+def test_mistakes(kind: str, tmp_path: Path) -> None:
+    """File, table and key, what was expected and what was found."""
+    (tmp_path / "text.glb").write_text("a mesh", encoding="utf-8")
+    (tmp_path / "large.glb").write_bytes(bytes(6_000_000))
+    draco = {"extensionsRequired": ["KHR_draco_mesh_compression"]}
+    (tmp_path / "packed.glb").write_bytes(glb.box(LOW, HIGH, draco))
+    text = LOADER.read_text(encoding="utf-8").replace("[boom]", f"[boom]\nshape = {SHAPES[kind]}", 1)
+    (tmp_path / "crane.toml").write_text(text, encoding="utf-8")
+    message = problem(lambda: read(tmp_path / "crane.toml"))
+    assert message.startswith(f"{tmp_path / 'crane.toml'}: [boom] shape: ")
+    assert TOLD[kind] in message
+    assert "\n" not in message
