@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.controller.geometry import arm_angles
+from fmus.controller.harvester import arm_angles
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
