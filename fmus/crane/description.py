@@ -207,6 +207,21 @@ class CraneDescription:
         return next(j for j in self.joints if j.name == name)
 
     @property
+    def arm(self) -> tuple[tuple[JointDescription, ...], JointDescription | None]:
+        """The joints from the base to the crane tip, and the joint there; None: the payload is there.
+
+        The crane tip is on the way to the payload, where the first joint is that no cylinder moves, behind
+        the slewing joint.
+        """
+        way, name = list[JointDescription](), self.payload_on
+        while name:
+            way.insert(0, self.joint(name))
+            name = way[0].parent
+        moved = (k for k, j in enumerate(way) if k and j.drive in ("none", "motor") and not j.follows)
+        end = next(moved, len(way))
+        return tuple(way[:end]), way[end] if end < len(way) else None
+
+    @property
     def driven(self) -> tuple[JointDescription, ...]:
         """The joints with a drive of their own."""
         return tuple(j for j in self.joints if j.drive != "none")
@@ -298,9 +313,9 @@ def _out_of_range(value: float, given: Any, rule: Key) -> str:
     return f"expected {rule.low:g} to {rule.high:g} {rule.unit}, got {given!r}{hint}"
 
 
-def read(path: Path) -> CraneDescription:
-    """A crane from its file; a Problem with one line for each mistake."""
-    content = dict(toml.read_file(path).data)
+def read(path: Path, data: bytes | None = None) -> CraneDescription:
+    """A crane from its file, or from the content of one; a Problem with one line for each mistake."""
+    content = dict((toml.read_file(path) if data is None else toml.read(path, data)).data)
     reader = _with_origin(_Reader(path, "assumed", ""), "", content)
     title, starts = content.pop("title", path.stem), reader.tables("start", content.pop("start", {}))
     for key in ("source", "note"):
