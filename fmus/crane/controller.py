@@ -56,6 +56,7 @@ NEEDED = (
 KINEMATIC = ("at", "base", "pin", "pivot", "link")  # vectors of a joint, and what else the arm's geometry has
 LENGTHS = ("closed_length", "rocker", "coupler", "ratio")
 NEAR = 0.05  # of a stroke: distance from an end over which a joint grows heavy
+STRETCHED = 25  # square of the trace over the determinant that counts as 1: of two equal links, near a line
 CENTRING = 0.3  # 1
 SLOW = 1e-4  # m/s: rounds the speed of the tip at rest
 LEAST_SHARE = 1e-3  # of the weight of a joint in that of all: keeps the quotients finite at a small lever
@@ -141,7 +142,8 @@ class CraneArm(Arm):
     def _full(self, q: Coordinates) -> ca.SX:
         """Coordinates of all joints, the column and those behind the tip at 0."""
         moved = dict(zip((j.name for j in self.joints[1:]), q[1:], strict=True))
-        return column(*(moved.get(j.name, 0) for j in self.crane.joints if not j.follows))
+        full: ca.SX = column(*(moved.get(j.name, 0) for j in self.crane.joints if not j.follows))
+        return full
 
     @cached_property
     def _free(self) -> list[str]:
@@ -183,7 +185,7 @@ class CraneArm(Arm):
             speed = p.centring * (ca.sqrt(velocity.radius**2 + velocity.height**2 + SLOW**2) - SLOW)
             for j, (x, lever) in zip(self.joints[1:], pistons, strict=True):
                 wish.append(speed * (1 - 2 * x / getattr(p, j.name).stroke) / lever)
-        return Choice(trace**2 / 4, weights, wish)
+        return Choice(trace**2 / STRETCHED, weights, wish)
 
     def pistons(self, q: Coordinates, p: Any) -> Pistons:
         """Angle of the column; pistons."""
@@ -329,9 +331,9 @@ def start_pose(
         at = at + of(at, away * min(1.0, LARGEST_STEP / math.hypot(*away)))[1].full()[:, 0]
     strokes = np.array([getattr(p, j.name).stroke for j in arm.joints[1:]], float)
     room = np.minimum(pistons := lengths(at).full()[:, 0], strokes - pistons)
-    if not (math.hypot(*away) < CLOSE and (room > 0).all()):
-        place = f"radius {tip[0]:g} m, height {tip[1]:g} m"
-        ended = ", ".join(j.name for j, r in zip(arm.joints[1:], room, strict=True) if not r > 0)
-        why = f"the stroke of {ended} ends before" if ended else "out of reach"
-        raise Problem(f"tip at {place}: {why}")
+    place = f"tip at radius {tip[0]:g} m, height {tip[1]:g} m"
+    if not math.hypot(*away) < CLOSE:
+        raise Problem(f"{place}: out of reach, the search ended {math.hypot(*away):.2g} m away")
+    if ended := [j.name for j, r in zip(arm.joints[1:], room, strict=True) if not r > 0]:
+        raise Problem(f"{place}: the stroke of {', '.join(ended)} ends before")
     return {f"manipulator.initial_{n}": float(x) for n, x in zip(names, (tip[2], *at[1:]), strict=True)}

@@ -215,15 +215,10 @@ def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose
     if (file := system.resources.get(SOURCE)) is None:
         return None
     crane = read(Path(str(file)), file.read())
-    sub = crane_machine(crane).controller
-    if sub is None:
-        controlled(crane)  # tells why
-    slew = crane.joints[0].coordinate
-    own = {
-        "alone": "drives=lumped",
-        "tip": tuple(f"{NAME}.{n}" for n in ("crane_tip_radius", "crane_tip_height", slew)),
-    }
-    return replace(names, **own), partial(start_pose, sub)
+    controlled(crane)  # tells why the machine has no controller
+    tip = ("crane_tip_radius", "crane_tip_height", crane.joints[0].coordinate)
+    own = replace(names, alone="drives=lumped", tip=tuple(f"{NAME}.{n}" for n in tip))
+    return own, partial(start_pose, controller(crane, crane_machine(crane)))
 
 
 def _order(machine: Machine) -> Iterator[str]:
