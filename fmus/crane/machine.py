@@ -139,8 +139,7 @@ def _operator(crane: CraneDescription) -> Subsystem:
             start = FIRST + APART * (2 * k + number - 1)
             own = {**STROKE, "command": sign * STROKE["command"], "start": start}
             values |= {f"{lever}_{number}_{n}": value for n, value in own.items()}
-    if mass := crane.numbers["payload"]["payload_mass"].value:
-        values |= {"payload_1_start": 0.0, "payload_1_mass": mass, "payload_1_hold": HELD}
+    values |= {"payload_1_mass": crane.numbers["payload"]["payload_mass"].value, "payload_1_hold": HELD}
     declared = quantities(made.parameters)
     found = {n: Number(x, declared[n].unit, "assumed", "program of a crane") for n, x in values.items()}
     return replace(made, numbers={"parameters": found, "start": {}})
