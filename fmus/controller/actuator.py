@@ -24,6 +24,7 @@ import casadi as ca
 
 from fmus.contract import Scalar
 from fmus.controller import valve
+from fmus.controller.arm import ControlledAxis
 from fmus.controller.valve import Actuator
 from fmus.smooth import direction, ramp
 
@@ -45,7 +46,7 @@ class ActuatorCommand:
 
 
 def actuator_command(
-    name: str,
+    axis: ControlledAxis,
     a: Actuator,
     pressures: tuple[Scalar, Scalar],
     motion: tuple[Scalar, Scalar],
@@ -54,19 +55,20 @@ def actuator_command(
     u: Any,
     p: Any,
 ) -> ActuatorCommand:
-    """The equations above for swing, boom or stick.
+    """The equations above for one axis.
 
     pressures   measured, head side (A) and rod side (B) [Pa]
     motion      v_ref [m/s, rad/s], with its lead, and the rate of the reference speed
     error       e [m, rad]
     """
     speed, change = motion
+    name = axis.name
     gain, load = getattr(x, f"{name}_gain"), getattr(x, f"{name}_load")  # h, F_load
-    loop = "swing" if name == "swing" else "piston"
     position_gain, integral_gain, damping_rate, load_time = (
-        getattr(p, f"{loop}_{n}") for n in ("position_gain", "integral_gain", "damping_rate", "load_time")
+        getattr(p, f"{axis.loop}_{n}")
+        for n in ("position_gain", "integral_gain", "damping_rate", "load_time")
     )
-    nominal_load = 0 if name == "swing" else getattr(p, f"nominal_{name}_holding_force")
+    nominal_load = 0 if axis.turns else getattr(p, f"nominal_{name}_holding_force")
     lines = (u.supply_pressure, u.tank_pressure)
     oscillation = a.force(*pressures) - load
     damping = damping_rate * oscillation / a.stiffness

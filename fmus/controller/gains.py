@@ -1,6 +1,10 @@
 """Gains, limits and time constants of the controller; values, sources and notes are in parameters.toml."""
 
-from fmus.contract import Group, Quantity, Scalar
+from collections.abc import Sequence
+from typing import Any
+
+from fmus.contract import Group, Quantity, Scalar, make_group, quantities
+from fmus.controller.arm import ControlledAxis
 
 HEAD, ROD, ALIKE = " to the head side", " to the rod side", "as to the head side"
 
@@ -16,8 +20,8 @@ def _gain(unit: str, text: str, nominal: float, group: str = "") -> Quantity:
     return Quantity(unit, text, nominal, minimum=0.0, tunable=True, group=group)
 
 
-class Gains(Group):
-    """Parameters that only the controller has; geometry and hydraulics come from the machine's subsystems."""
+class Feedback(Group):
+    """Whether there is one."""
 
     feedback: Scalar = Quantity(
         "1",
@@ -27,16 +31,26 @@ class Gains(Group):
         tunable=True,
         group="Feedback",
     )
-    swing_position_gain: Scalar = _gain("1/s", "Commanded swing speed per error of the swing angle", 5.0)
-    swing_integral_gain: Scalar = _gain(
-        "1/s2", "Rate of the commanded speed by the integrator of the swing, per error", 10.0
+
+
+class ColumnLoop(Group):
+    """Of the column."""
+
+    position_gain: Scalar = _gain("1/s", "Commanded {} speed per error of the {} angle", 5.0)
+    integral_gain: Scalar = _gain(
+        "1/s2", "Rate of the commanded speed by the integrator of the {}, per error", 10.0
     )
-    swing_damping_rate: Scalar = _gain(
-        "1/s", "Rate at which pressure feedback damps oscillations of the swing torque", 5.0
+    damping_rate: Scalar = _gain(
+        "1/s", "Rate at which pressure feedback damps oscillations of the {} torque", 5.0
     )
-    swing_load_time: Scalar = Quantity(
+    load_time: Scalar = Quantity(
         "s", "Time constant of the high-pass of that feedback: slower torques are steady loads"
     )
+
+
+class Loops(Group):
+    """Of all pistons, the valves and the reference."""
+
     piston_position_gain: Scalar = _gain(
         "1/s", "Commanded piston speed per error of the piston position", 5.0
     )
@@ -107,30 +121,42 @@ class Gains(Group):
     singular_damping: Scalar = Quantity(
         "m", "Damping of the inverse Jacobian when the links are collinear", minimum=1e-3
     )
-    swing_speed_limit: Scalar = Quantity(
-        "rad/s", "Largest swing speed of the reference", minimum=1e-3, group="Limits"
-    )
-    boom_speed_limit: Scalar = Quantity(
-        "m/s", "Largest speed of the boom piston in the reference", 0.1, minimum=1e-4
-    )
-    stick_speed_limit: Scalar = Quantity(
-        "m/s", "Largest speed of the stick piston in the reference", 0.1, minimum=1e-4
-    )
+
+
+class Ends(Group):
+    """Of the strokes."""
+
     stroke_margin: Scalar = Quantity("m", "Distance of the reference from the ends of the strokes", 0.01)
     stroke_gain: Scalar = Quantity(
         "1/s", "Largest speed of a piston towards the end of its stroke, per distance left", minimum=0.1
     )
-    swing_error_limit: Scalar = Quantity(
-        "rad", "Lag of the swing at which the reference waits for the machine", 0.1, minimum=1e-4
-    )
+
+
+class Lags(Group):
+    """Of the machine behind its reference."""
+
     piston_error_limit: Scalar = Quantity(
         "m", "Lag of a piston at which the reference waits for the machine", 0.01, minimum=1e-5
     )
     return_rate: Scalar = Quantity(
         "1/s", "Rate at which the reference returns to the machine beyond that error", minimum=0.0
     )
-    swing_section_flow: Scalar = _section_flow("swing", group="Compensated sections")
-    boom_section_flow: Scalar = _section_flow("boom", side=HEAD)
-    boom_rod_section_flow: Scalar = _section_flow("boom", side=ROD, zero=ALIKE)
-    stick_section_flow: Scalar = _section_flow("stick", side=HEAD)
-    stick_rod_section_flow: Scalar = _section_flow("stick", side=ROD, zero=ALIKE)
+
+
+def gains(axes: Sequence[ControlledAxis]) -> type[Any]:
+    """Parameters that only the controller has; geometry and hydraulics come from the machine's subsystems."""
+    turn, *arm = axes
+    column = {f"{turn.name}_{n}": q.of(turn.name, str) for n, q in quantities(ColumnLoop).items()}
+    text = f"Largest {turn.name} speed of the reference"
+    speeds = {f"{turn.name}_speed_limit": Quantity("rad/s", text, minimum=1e-3, group="Limits")}
+    for a in arm:
+        text = f"Largest speed of the {a.name} piston in the reference"
+        speeds[f"{a.name}_speed_limit"] = Quantity("m/s", text, 0.1, minimum=1e-4)
+    text = f"Lag of the {turn.name} at which the reference waits for the machine"
+    error = {f"{turn.name}_error_limit": Quantity("rad", text, 0.1, minimum=1e-4)}
+    flows = {f"{turn.name}_section_flow": _section_flow(turn.name, group="Compensated sections")}
+    for a in arm:
+        flows[f"{a.name}_section_flow"] = _section_flow(a.name, side=HEAD)
+        flows[f"{a.name}_rod_section_flow"] = _section_flow(a.name, side=ROD, zero=ALIKE)
+    of = [quantities(group) for group in (Feedback, Loops, Ends, Lags)]
+    return make_group("Gains", of[0] | column | of[1] | speeds | of[2] | error | of[3] | flows)

@@ -9,7 +9,7 @@ the command line.
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.controller.geometry import arm_angles
+from fmus.controller.harvester import arm_angles
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
@@ -209,24 +209,38 @@ def _point(text: str) -> Point:
     return x, y, z
 
 
-def route_start_angles(texts: Sequence[str], arm: Mapping[str, float]) -> dict[str, float]:
+Pose = Callable[[tuple[float, float, float], Mapping[str, float]], dict[str, float]]
+
+
+def route_start_angles(
+    texts: Sequence[str], arm: Mapping[str, float], pose: Pose | None = None
+) -> dict[str, float]:
     """`start_angles` for the first of the points 'x,y,z' [m]; raises Problem if one is out of reach."""
-    angles = [start_angles(f"--through {text}", start(Route((_point(text),))), arm) for text in texts]
+    tips = ((text, start(Route((_point(text),)))) for text in texts)
+    angles = [start_angles(f"--through {text}", tip, arm, pose) for text, tip in tips]
     return angles[0]
 
 
-def start_angles(label: str, tip: Point, arm: Mapping[str, float]) -> dict[str, float]:
+def start_angles(
+    label: str, tip: tuple[float, float, float], arm: Mapping[str, float], pose: Pose | None = None
+) -> dict[str, float]:
     """Start angles [rad] for a position of the tip, by `component.variable`.
 
     label   first words of the message if the arm cannot reach the position
     tip     (radius, height, angle) [m, m, rad]
     arm     parameters of the manipulator that replace those of the rigid one
+    pose    these values from tip and arm, of another machine
     """
-    radius, height, angle = tip
     try:
-        boom, stick = arm_angles(radius, height, {**values(MANIPULATOR).p, **arm})
+        return (pose or _pose)(tip, arm)
     except Problem as error:
         raise Problem(f"{label}: {error}") from None
+
+
+def _pose(tip: tuple[float, float, float], arm: Mapping[str, float]) -> dict[str, float]:
+    """Of the harvester."""
+    radius, height, angle = tip
+    boom, stick = arm_angles(radius, height, {**values(MANIPULATOR).p, **arm})
     angles = {"swing": angle, "boom": boom, "stick": stick}
     return {f"manipulator.initial_{joint}_angle": value for joint, value in angles.items()}
 

@@ -2,7 +2,7 @@
 
     q' = e f g J(q)^+ v + e c (q_machine - q) + (1 - e) (q_machine' + (q_machine - q)/T)
 
-e: engaged, 0 to 1. J^+: damped inverse of the Jacobian of the tip (geometry.py). T: `tracking_time`.
+e: engaged, 0 to 1. J^+: damped inverse of the Jacobian of the tip (arm.py). T: `tracking_time`.
 v: commanded velocity of the tip. Without a path v is the filtered velocity of the joystick; with `follow` v
 is the unfiltered velocity of the path plus a velocity towards the point of the path.
 
@@ -25,8 +25,7 @@ from typing import Any
 import casadi as ca
 
 from fmus.contract import Scalar
-from fmus.controller import geometry
-from fmus.controller.geometry import Cylindrical, Joints
+from fmus.controller.arm import Arm, Coordinates, Cylindrical, Pistons
 from fmus.smooth import direction, ramp, s_curve
 
 NORM_EXPONENT = 8  # 8-norm of the actuators: 1.15 at most if all three are at a limit
@@ -50,10 +49,10 @@ class Utilisation:
         return 1 / (1 + ramp(z - 1 + WIDTH / 2, WIDTH))
 
 
-def utilisation(swing: Scalar, pistons: list[tuple[str, Scalar, Scalar]], p: Any) -> Utilisation:
-    """Utilisation at a swing speed [rad/s] and for pistons (name, position [m], velocity [m/s])."""
+def utilisation(turn: tuple[str, Scalar], pistons: list[tuple[str, Scalar, Scalar]], p: Any) -> Utilisation:
+    """Utilisation of the column (name, speed [rad/s]) and of pistons (name, position [m], velocity [m/s])."""
     n = NORM_EXPONENT
-    speed = (swing / p.swing_speed_limit) ** n
+    speed = (turn[1] / getattr(p, f"{turn[0]}_speed_limit")) ** n
     stroke: Scalar = 0
     for name, position, velocity in pistons:
         speed += (velocity / getattr(p, f"{name}_speed_limit")) ** n
@@ -68,18 +67,23 @@ def utilisation(swing: Scalar, pistons: list[tuple[str, Scalar, Scalar]], p: Any
 class Reference:
     """Reference of joints and tip.
 
-    speeds         speeds of the joints for the feedforward [rad/s]
-    rates          time derivatives of the reference angles, with the terms towards the machine [rad/s]
+    joints         coordinates [rad or m]
+    pistons        positions and levers of the actuators there
+    speeds         speeds of the joints for the feedforward [rad/s or m/s]
+    rates          time derivatives of the reference, with the terms towards the machine [rad/s or m/s]
+    errors         reference minus machine: column [rad], pistons [m]
     directions     rounded signs of the speeds of the actuators that the path demands
     lag_ratio      lag of the machine over the error limit
     speed_factor   f g, the factor on the commanded speed
     """
 
-    joints: Joints
+    joints: Coordinates
+    pistons: Pistons
     tip: Cylindrical
-    speeds: tuple[Scalar, Scalar, Scalar]
-    rates: tuple[Scalar, Scalar, Scalar]
+    speeds: Coordinates
+    rates: Coordinates
     utilisation: Utilisation
+    errors: tuple[Scalar, ...]
     directions: tuple[Scalar, ...]
     lag_ratio: Scalar
     speed_factor: Scalar
@@ -88,11 +92,6 @@ class Reference:
 def engaged(u: Any) -> Scalar:
     """The input `engaged`, limited to 0 ... 1."""
     return ca.fmin(ca.fmax(u.engaged, 0), 1)
-
-
-def reference_joints(x: Any) -> Joints:
-    """Joint angles of the reference."""
-    return Joints(x.reference_swing, x.reference_boom, x.reference_stick)
 
 
 def commanded_velocity(x: Any, u: Any, p: Any, tip: Cylindrical) -> Cylindrical:
@@ -115,26 +114,21 @@ def commanded_velocity(x: Any, u: Any, p: Any, tip: Cylindrical) -> Cylindrical:
     )
 
 
-def errors(x: Any, u: Any, p: Any) -> tuple[Scalar, Scalar, Scalar]:
-    """Reference minus machine: swing [rad], boom and stick piston [m]."""
-    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(reference_joints(x), p)
-    (boom_now, _), (stick_now, _) = geometry.strokes_and_moment_arms(u, p)
-    return x.reference_swing - u.swing_angle, boom - boom_now, stick - stick_now
-
-
-def reference(x: Any, u: Any, p: Any) -> Reference:
+def reference(arm: Arm, x: Any, u: Any, p: Any) -> Reference:
     """The reference and its rates."""
-    q, on = reference_joints(x), engaged(u)
-    tip = geometry.tip_position(q, p)
-    swing, boom, stick = geometry.joint_speeds(q, commanded_velocity(x, u, p, tip), p)
-    (boom_at, boom_arm), (stick_at, stick_arm) = geometry.strokes_and_moment_arms(q, p)
-    pistons = [("boom", boom_at, boom_arm * boom), ("stick", stick_at, stick_arm * stick)]
-    used = utilisation(swing, pistons, p)
-    error_limits = p.swing_error_limit, p.piston_error_limit, p.piston_error_limit
-    relative = [e / limit for e, limit in zip(errors(x, u, p), error_limits, strict=True)]
+    q, on = arm.coordinates(x, "reference_{}"), engaged(u)
+    tip = arm.tip(q, p)
+    joints = arm.joint_speeds(q, commanded_velocity(x, u, p, tip), p)
+    pistons, now = arm.pistons(q, p), arm.pistons(arm.coordinates(u), p)
+    names = [a.name for a in arm.axes]
+    moved = [lever * speed for (_, lever), speed in zip(pistons, joints, strict=True)]
+    places = [(n, x, v) for n, (x, _), v in zip(names, pistons, moved, strict=True)]
+    used = utilisation((names[0], joints[0]), places[1:], p)
+    errors = [x - x_now for (x, _), (x_now, _) in zip(pistons, now, strict=True)]
+    relative = [e / getattr(p, f"{a.loop}_error_limit") for e, a in zip(errors, arm.axes, strict=True)]
     directions = tuple(
-        direction(speed, p.learning_share * getattr(p, f"{name}_speed_limit"))
-        for name, speed in (("swing", swing), *((name, velocity) for name, _, velocity in pistons))
+        direction(v, p.learning_share * getattr(p, f"{n}_speed_limit"))
+        for n, v in zip(names, moved, strict=True)
     )
     error_square = p.feedback * sum(e**2 for e in relative)
     lag_square = p.feedback * sum(
@@ -142,16 +136,11 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     )
     factor = used.factor * (1 - s_curve((lag_square - 0.25) / 0.75))
     return_rate = p.return_rate * ramp(error_square - 1, 0.5)
-    speeds = swing * factor, boom * factor, stick * factor
-    machine_angles = (u.swing_angle, u.boom_angle, u.stick_angle)
-    machine_speeds = (u.swing_speed, u.boom_speed, u.stick_speed)
-    to_machine = [
-        a - b for a, b in zip(machine_angles, (q.swing_angle, q.boom_angle, q.stick_angle), strict=True)
-    ]
-    rates = [
-        on * (v + return_rate * d) + (1 - on) * (w + d / p.tracking_time)
-        for v, w, d in zip(speeds, machine_speeds, to_machine, strict=True)
-    ]
-    feedforward = [on * v + (1 - on) * w for v, w in zip(speeds, machine_speeds, strict=True)]
+    to_machine = [at - r for at, r in zip(arm.coordinates(u), q, strict=True)]
+    feedforward, rates = list[Scalar](), list[Scalar]()
+    for joint, w, d in zip(joints, arm.speeds(u), to_machine, strict=True):
+        v = joint * factor
+        rates.append(on * (v + return_rate * d) + (1 - on) * (w + d / p.tracking_time))
+        feedforward.append(on * v + (1 - on) * w)
     lag_ratio = ca.sqrt(lag_square + 1e-12) - 1e-6
-    return Reference(q, tip, tuple(feedforward), tuple(rates), used, directions, lag_ratio, factor)
+    return Reference(q, pistons, tip, feedforward, rates, used, tuple(errors), directions, lag_ratio, factor)

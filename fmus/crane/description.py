@@ -210,6 +210,21 @@ class CraneDescription:
         return next(j for j in self.joints if j.name == name)
 
     @property
+    def arm(self) -> tuple[tuple[JointDescription, ...], JointDescription | None]:
+        """The joints from the base to the crane tip, and the joint there; None: the payload is there.
+
+        The crane tip is on the way to the payload, where the first joint is that no cylinder moves, behind
+        the slewing joint.
+        """
+        way, name = list[JointDescription](), self.payload_on
+        while name:
+            way.insert(0, self.joint(name))
+            name = way[0].parent
+        moved = (k for k, j in enumerate(way) if k and j.drive in ("none", "motor") and not j.follows)
+        end = next(moved, len(way))
+        return tuple(way[:end]), way[end] if end < len(way) else None
+
+    @property
     def driven(self) -> tuple[JointDescription, ...]:
         """The joints with a drive of their own."""
         return tuple(j for j in self.joints if j.drive != "none")
@@ -217,11 +232,12 @@ class CraneDescription:
 
 @dataclass(frozen=True)
 class _Reader:
-    """What is read has this origin; all mistakes so far."""
+    """What is read has this origin; whether meshes are beside the file; all mistakes so far."""
 
     file: Path
     source: str
     note: str
+    meshes: bool = True
     mistakes: list[str] = field(default_factory=list)
 
     def wrong(self, table: str, text: str) -> None:
@@ -301,10 +317,10 @@ def _out_of_range(value: float, given: Any, rule: Key) -> str:
     return f"expected {rule.low:g} to {rule.high:g} {rule.unit}, got {given!r}{hint}"
 
 
-def read(path: Path) -> CraneDescription:
-    """A crane from its file; a Problem with one line for each mistake."""
-    content = dict(toml.read_file(path).data)
-    reader = _with_origin(_Reader(path, "assumed", ""), "", content)
+def read(path: Path, data: bytes | None = None) -> CraneDescription:
+    """A crane from its file, or from its content in a system, without meshes; a Problem with all mistakes."""
+    content = dict((toml.read_file(path) if data is None else toml.read(path, data)).data)
+    reader = _with_origin(_Reader(path, "assumed", "", meshes=data is None), "", content)
     title, starts = content.pop("title", path.stem), reader.tables("start", content.pop("start", {}))
     for key in ("source", "note"):
         content.pop(key, None)
@@ -442,9 +458,10 @@ def _joint(
 
 def _shape(reader: _Reader, name: str, value: Any) -> Path | None:
     """The file with the mesh of a link, relative to that of the crane."""
-    if value is None or not isinstance(value, str):
-        if value is not None:
-            reader.wrong(name, f'shape: expected a file, such as "{name}.glb", got {value!r}')
+    if value is None or not reader.meshes:
+        return None
+    if not isinstance(value, str):
+        reader.wrong(name, f'shape: expected a file, such as "{name}.glb", got {value!r}')
         return None
     path = reader.file.parent / value
     try:

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from fmus import boom_stick, ports, swing
 from fmus.composition import compose
 from fmus.contract import Quantity, Subsystem, family, make_group, quantities
+from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
-from fmus.crane.description import CraneDescription, JointDescription
+from fmus.crane.controller import controlled, controller, start_pose
+from fmus.crane.description import CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, manipulator
 from fmus.crane.view import page_files
 from fmus.drives import cylinder, motor
@@ -24,13 +27,17 @@ from fmus.drives.lumped import LUMPED
 from fmus.drives.motor import MOTOR
 from fmus.drives.quasistatic import QUASISTATIC
 from fmus.export.build import build_all
-from fmus.machine.machine import Machine
+from fmus.machine.machine import Connections, Machine
+from fmus.machine.path_following import TrackedMachine
 from fmus.operator_input.model import OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
 from fmus.parameters import Number, numbers
 from fmus.supply import supply
+from fmus.valve_actuation import actuation
+from orchestrator.base.errors import Problem
 from orchestrator.base.files import VARIANTS
 from orchestrator.ssp.load import assemble
+from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
 
 FIDELITIES: Mapping[str, tuple[Fidelity, str, str]] = {
@@ -46,6 +53,7 @@ STEP, STOP = 1e-3, 20.0  # communication step and stop time of the system [s]
 FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and between two joints
 STROKE = {"command": 3.0, "rise": 0.5, "hold": 0.5, "fall": 0.5}  # V, s; the next one goes back
 HELD = 1e6  # s, for which a payload of the description is held
+SOURCE = "crane.toml"  # the description, in the resources of a system
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
@@ -58,7 +66,15 @@ def crane_machine(crane: CraneDescription) -> Machine:
         made = {v: _drives(crane, name, joints, pose, *f) for v, f in FIDELITIES.items()}
         parts = {name: family(name, **made), **parts}
     supplies = {v: _with(sub, crane.numbers["supply"]) for v, sub in supply(names).items()}
-    return Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
+    machine = Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
+    try:
+        levers = {
+            j.name: ("turns left" if j.drive == "motor" else "extends the rod", j.part)
+            for j in controlled(crane)
+        }
+    except Problem:
+        return machine  # an arm that its controller does not know; `build_crane` tells why
+    return replace(machine, controller=controller(crane, machine), actuation=actuation(levers))
 
 
 def _with(sub: Subsystem, own: Mapping[str, Number]) -> Subsystem:
@@ -123,8 +139,7 @@ def _operator(crane: CraneDescription) -> Subsystem:
             start = FIRST + APART * (2 * k + number - 1)
             own = {**STROKE, "command": sign * STROKE["command"], "start": start}
             values |= {f"{lever}_{number}_{n}": value for n, value in own.items()}
-    if mass := crane.numbers["payload"]["payload_mass"].value:
-        values |= {"payload_1_start": 0.0, "payload_1_mass": mass, "payload_1_hold": HELD}
+    values |= {"payload_1_mass": crane.numbers["payload"]["payload_mass"].value, "payload_1_hold": HELD}
     declared = quantities(made.parameters)
     found = {n: Number(x, declared[n].unit, "assumed", "program of a crane") for n, x in values.items()}
     return replace(made, numbers={"parameters": found, "start": {}})
@@ -159,7 +174,8 @@ def build_crane(
     """Write the FMUs of all parts and variants, the machine as one FMU, and its system (SSP); their files."""
     machine = crane_machine(crane)
     others = [s for v in machine.families.values() for s in v.values() if s.name != s.component]
-    subs = [*others, one_block(crane, machine), *machine.components.values()]
+    driver = (machine.controller, machine.actuation)
+    subs = [*others, one_block(crane, machine), *machine.components.values(), *filter(None, driver)]
     folders = {fmi: folder / SUBFOLDERS[fmi] for fmi in versions}
     built = build_all(
         subs, folders, STEP, STOP, platforms, {s.name: VARIANTS for s in others}, progress=progress
@@ -167,16 +183,41 @@ def build_crane(
     paths = list[Path]()
     for fmi, files in built.items():
         fmus = dict(zip((s.name for s in subs), files, strict=True))
-        system = assemble(
-            {n: fmus[n] for n in _order(machine)},
-            machine.connections + machine.operator_wires + machine.supply_wires,
-            name=crane.file.stem,
-            stop=STOP,
-            step=STEP,
-        )
-        file = folders[fmi] / f"{crane.file.stem}.ssp"
-        paths += [*files, write_ssp(system, file, resources=page_files(crane))]
+        files_of = {**page_files(crane), SOURCE: crane.file.read_bytes()}
+        paths += files
+        for name, drivers, wires in _systems(crane, machine):
+            system = assemble(
+                {n: fmus[n] for n in (*_order(machine), *drivers)},
+                machine.connections + wires + machine.supply_wires,
+                name=name,
+                stop=STOP,
+                step=STEP,
+            )
+            paths.append(write_ssp(system, folders[fmi] / f"{name}.ssp", resources=files_of))
     return paths
+
+
+def _systems(crane: CraneDescription, machine: Machine) -> Iterator[tuple[str, tuple[str, ...], Connections]]:
+    """Name, what gives the commands, and its connections: with the operator, with the controller."""
+    if machine.operator:
+        yield crane.file.stem, (machine.operator.name,), machine.operator_wires
+    if machine.controller and machine.actuation:
+        wires = machine.actuated(machine.controller_wires, machine.controller)
+        yield f"{crane.file.stem}_control", (machine.actuation.name, machine.controller.name), wires
+
+
+def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose] | None:
+    """Names and start poses of a crane that follows paths; None: the system is not one of a crane.
+
+    names   of the harvester
+    """
+    if (file := system.resources.get(SOURCE)) is None:
+        return None
+    crane = read(Path(str(file)), file.read())
+    controlled(crane)  # tells why the machine has no controller
+    tip = ("crane_tip_radius", "crane_tip_height", crane.joints[0].coordinate)
+    own = replace(names, alone="drives=lumped", tip=tuple(f"{NAME}.{n}" for n in tip))
+    return own, partial(start_pose, controller(crane, crane_machine(crane)))
 
 
 def _order(machine: Machine) -> Iterator[str]:
@@ -184,5 +225,3 @@ def _order(machine: Machine) -> Iterator[str]:
     yield NAME
     yield from machine.feeding
     yield from (n for n in machine.subsystems if n != NAME)
-    if machine.operator:
-        yield machine.operator.name

@@ -27,7 +27,7 @@ import casadi as ca
 
 from fmus import ports
 from fmus.components import cylinder
-from fmus.components.chain import Chain, Link, Payload, gravity_on_slope
+from fmus.components.chain import Chain, Link, Payload, Vector, gravity_on_slope
 from fmus.components.cylinder import Stop
 from fmus.components.linkage import Cylinder, FourBar, Telescope, Transmission
 from fmus.contract import Group, Quantity, Scalar, Subsystem, column, make_group, nested, quantities
@@ -148,6 +148,14 @@ class CraneManipulator:
         """The payload at the tip."""
         across = [(n != self.crane.along) * p.load_length**2 / 12 for n in "xyz"]
         return Payload(self._tip, (p.tip_at_x, p.tip_at_y, p.tip_at_z), mass, (*across, 0, 0, 0))
+
+    def crane_tip(self, p: Any) -> tuple[int, Vector]:
+        """Link and place of the crane tip."""
+        way, end = self.crane.arm
+        if end is None:
+            return self._tip, (p.tip_at_x, p.tip_at_y, p.tip_at_z)
+        place = (self._number(end, f"at_{n}", p) for n in "xyz")
+        return [j.name for j in self.crane.joints].index(way[-1].name), tuple(place)
 
     def ground(self, x: Any, p: Any) -> tuple[Stop, ca.SX, ca.SX]:
         """Normal force of the ground, its force on the tip (3, 1), velocity of the tip (3, 1)."""
@@ -299,6 +307,9 @@ class CraneManipulator:
         force = column(u.tip_force_x, u.tip_force_y, u.tip_force_z)
         shown = {"tip_force_power": ca.dot(force, chain.velocity(q, w, load.link, load.at))}
         shown["elastic_energy"] = self._elastic(x, p)
+        end = chain.position(q, *self.crane_tip(p))
+        across = (end[i] - self._number(self.crane.joints[0], f"at_{n}", p) for i, n in enumerate("xy"))
+        shown["crane_tip_radius"], shown["crane_tip_height"] = ca.sqrt(sum(x**2 for x in across)), end[2]
         if self.crane.ground:
             shown["ground_force"] = self.ground(x, p)[0].force
         for j in self.crane.joints:
@@ -381,6 +392,10 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         for bar in BARS
     }
     shown["tip_force_power"] = Quantity("W", "Power of the external force on the tip", 1e3)
+    shown["crane_tip_radius"] = Quantity(
+        "m", "Distance of the crane tip, the end of the driven arm, from the first joint, seen from above"
+    )
+    shown["crane_tip_height"] = Quantity("m", "Height of the crane tip above the base")
     shown["elastic_energy"] = Quantity("J", "Elastic energy of springs in joints and of the ground", 1e3)
     if crane.ground:
         shown["ground_force"] = Quantity("N", "Normal force of the ground on the tip", 1e4)

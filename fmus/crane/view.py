@@ -9,10 +9,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from fmus.crane.check import levers_at_start
+from fmus.crane.controller import controlled
 from fmus.crane.description import CraneDescription, JointDescription
+from orchestrator.base.errors import Problem
 
 COLOURS = ("#009e73", "#0072b2", "#d55e00", "#cc79a7", "#e69f00", "#56b4e9", "#7d7d7d")  # Okabe and Ito 2008
 RATE = {"motor": 3.0, "cylinder": 10.0, "four-bar": 10.0}  # V/s, ramps of the levers
@@ -36,6 +39,13 @@ VIEWS = {
 PATTERNS = {"ISO": ((0, 2), (3, 1)), "SAE": ((0, 1), (3, 2))}
 STICKS = 4  # functions
 MOST = 24  # functions
+LEVER = ("lever", "command")
+# inputs of the controller: limits in m/s and rad/s, ramps; it stays engaged while the crane comes to rest
+TIP_AXES = [
+    *({"name": [f"{n}_velocity"], "limit": 1.2, "rate": 2.5} for n in ("radial", "vertical")),
+    {"name": ["swing_velocity"], "limit": 0.6, "rate": 0.6},
+    {"name": ["engaged"], "limit": 1.0, "rate": 1e3, "rest_delay": 3.0},
+]
 WORDS = {"motor": ("left", "right"), "revolute": ("up", "down"), "prismatic": ("out", "in")}
 
 
@@ -72,7 +82,12 @@ def description(crane: CraneDescription) -> dict[str, Any]:
     return {
         "full_pressure": 1e6 * most,
         "signals": [f"tip_{n}" for n in "xy"],
-        "axes": [{"name": [f"{j.name}_command"], "limit": 10.0, "rate": RATE[j.drive]} for j in crane.driven],
+        "axes": [
+            # a controller has a lever instead of the command
+            {"name": [f"{j.name}_{n}" for n in LEVER], "limit": 10.0, "rate": RATE[j.drive]}
+            for j in crane.driven
+        ]
+        + TIP_AXES,
         "sliders": [_slider()],
         **_levers(crane),
         "gauges": _gauges(crane, most),
@@ -111,7 +126,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         if k == 2 or j.kind == "prismatic":  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
         words[j.name] = [f"{j.name} {end}" for end in ends]
-        full[j.name] = {f"{j.name}_command": sign * FULL[j.drive]}
+        full[j.name] = {f"{j.name}_{n}": sign * FULL[j.drive] for n in LEVER}
     names = [*words, *["none"] * (STICKS - len(words))]
     if "none" in names:
         words["none"] = ["none", "none"]
@@ -120,7 +135,19 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         | {"wheels": names[STICKS:]}
         for n, two in PATTERNS.items()
     }
-    return {"functions": words, "patterns": hands, "modes": {"levers": {"full": full}}}
+    modes = {"levers": {"full": full}}
+    with suppress(Problem):  # of an arm without a controller
+        slew, lift, tilt, *_ = (j.name for j in controlled(crane))
+        modes["tip"] = {
+            "constant": {"engaged": 1.0},
+            "words": {lift: ["tip up", "tip down"], tilt: ["tip in", "tip out"]},
+            "full": {
+                slew: {"swing_velocity": 0.3},
+                lift: {"vertical_velocity": 0.8},
+                tilt: {"radial_velocity": -0.8},
+            },
+        }
+    return {"functions": words, "patterns": hands, "modes": modes}
 
 
 def _gauges(crane: CraneDescription, most: int) -> list[dict[str, Any]]:

@@ -25,6 +25,8 @@ from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar
 from fmus.drives.drive import Actuator, Names, Totals, both, valve_of
 
+SENSE = "extends the rod"  # what a positive command does
+
 
 class Preload(Group):
     """Initial pressure of the drives."""
@@ -51,7 +53,7 @@ class Flows(Group):
 class Inputs(Group):
     """Command and motion of the piston; the rate inputs carry exact time derivatives."""
 
-    command: Scalar = ports.command("{}", "extends the rod", "command_rate")
+    command: Scalar = ports.command("{}", SENSE, "command_rate")
     command_rate: Scalar = ports.rate_input("{}_command", "V/s", 10.0)
     position: Scalar = Quantity(
         "m", "Piston position of the {} cylinder from its closed end", rate="velocity"

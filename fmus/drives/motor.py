@@ -21,6 +21,7 @@ from fmus.components.orifice import Liquid
 from fmus.contract import Group, Quantity, Scalar
 from fmus.drives.drive import Actuator, Totals, both, valve_of
 
+SENSE = "turns counter-clockwise"  # what a positive command does
 Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
 
@@ -148,7 +149,7 @@ class Flows(Group):
 class Inputs(Group):
     """Command and motion of the shaft; the rate inputs are exact time derivatives."""
 
-    command: Scalar = ports.command("{}", "turns counter-clockwise", "command_rate")
+    command: Scalar = ports.command("{}", SENSE, "command_rate")
     command_rate: Scalar = ports.rate_input("{}_command", "V/s", 10.0)
     speed: Scalar = Quantity("rad/s", "Speed of the {}, counter-clockwise", 1.0, rate="acceleration")
     acceleration: Scalar = ports.rate_input("{}_speed", "rad/s2")

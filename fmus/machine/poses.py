@@ -7,7 +7,7 @@ import numpy as np
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic
-from fmus.controller import geometry
+from fmus.controller.harvester import arm_angles
 from fmus.controller.model import start_pressures
 from fmus.controller.paths import PATHS, Route, start
 from fmus.manipulator import MANIPULATOR
@@ -78,7 +78,7 @@ def pose_set(pose: Pose, manipulator: Subsystem = MANIPULATOR) -> dict[str, floa
 def path_pose(path: Route, manipulator: Subsystem = MANIPULATOR) -> Pose:
     """The pose with the tip at the first point of a path."""
     radius, height, swing = start(path)
-    return Pose(*geometry.arm_angles(radius, height, values(manipulator).p), swing)
+    return Pose(*arm_angles(radius, height, values(manipulator).p), swing)
 
 
 def controlled_poses(manipulator: Subsystem = MANIPULATOR) -> dict[str, Pose]:

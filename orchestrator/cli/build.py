@@ -90,6 +90,7 @@ def build(
 
     if crane is not None:
         from fmus.crane.check import check
+        from fmus.crane.controller import controlled
         from fmus.crane.description import read
         from fmus.crane.machine import build_crane
 
@@ -97,6 +98,10 @@ def build(
         check(description)
         with doing("building FMUs") as line:
             _tell(build_crane(description, out, versions[fmi], platforms, line.update))
+        try:
+            controlled(description)
+        except Problem as why:
+            print(f"note: without a controller: {why}")
         return
     with doing("building FMUs") as line:
         _tell(build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update))

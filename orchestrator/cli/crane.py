@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import command
@@ -36,6 +37,9 @@ def crane(
     from fmus.crane.check import drawing as drawn
     from fmus.crane.description import new, read
 
+    for name, given, actions in (("drawing", drawing, ("check",)), ("out", out, ("export", "import"))):
+        if given is not None and action not in actions:
+            raise Problem(f"--{name} {given}: expected only with {' or '.join(actions)}, got {action}")
     if action == "new":
         print(new(file))
         return

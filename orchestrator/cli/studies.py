@@ -101,26 +101,35 @@ def track(
     """
     require("model", "harvester track")
     from fmus.controller.paths import route_start_angles, start_angles, write_route
+    from fmus.crane.machine import tracked
     from fmus.machine.parts import MACHINES
     from fmus.machine.path_following import first_point, read_machine
     from fmus.machine.path_following import track as run_study
     from fmus.package_files import PACKAGE
+    from orchestrator.ssp.load import load
 
-    names = read_machine(PACKAGE / "controller/tracking.toml")
+    names, pose, own = read_machine(PACKAGE / "controller/tracking.toml"), None, False
+    machine = system_file(system, "harvester_control.ssp")
+    if crane := tracked(load(machine), names):
+        (names, pose), own = crane, True
+        if not (path or through):
+            harvester = f"{' and '.join(PATHS)} are paths of the harvester"
+            raise Problem(f"{machine}: expected --through or --path, got neither: {harvester}")
     if path and through:
         raise Problem("--path and --through: expected one of them")
     if through:
         file, highest = write_route(through, speed, out)
-        paths = [(file, partial(route_start_angles, through))]
+        paths = [(file, partial(route_start_angles, through, pose=pose))]
         if highest < speed:
             print(f"note: --speed {speed:g}: the path is too short for more than {highest:.2g} m/s")
     else:
         files = [_file(p) for p in path or PATHS]
-        paths = [(file, partial(start_angles, str(file), first_point(file, names.path))) for file in files]
+        first = {file: first_point(file, names.path) for file in files}
+        paths = [(file, partial(start_angles, str(file), at, pose=pose)) for file, at in first.items()]
     swapped = {component: str(file) for component, file in (swap or {}).items()}
-    machines = {", ".join(map("=".join, swapped.items())): swapped} if swapped else MACHINES
+    shipped = {machine.stem: {}} if own else MACHINES
+    machines = {", ".join(map("=".join, swapped.items())): swapped} if swapped else shipped
     modes = (True, False) if compare else (True,)
-    machine = system_file(system, "harvester_control.ssp")
     tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
     return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {}, print, yes)

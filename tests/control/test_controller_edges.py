@@ -8,12 +8,13 @@ from kit import shards
 from kit.properties import examples
 from kit.steering import IDEAL, INPUTS, PART, STATES, measured, rates
 
-from fmus.controller.variables import AXES
+from fmus.controller.harvester import ARM
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL
 from orchestrator import Trace, read_trace, run
 
 FULL = 10.0  # V, valve_full_command
+AXES = [a.name for a in ARM.axes]
 COMMANDS = [f"controller.{n}_command" for n in AXES]
 TIP = [f"manipulator.tip_{n}" for n in ("x", "y", "height")]
 SHOWN = [*COMMANDS, *TIP, "manipulator.boom_speed", "controller.tip_error"]

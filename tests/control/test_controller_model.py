@@ -9,12 +9,13 @@ from kit.fmu import driving
 from kit.steering import INPUTS, PART, STATES, V, at, measured, rates
 
 from fmus.contract import quantities
+from fmus.controller.harvester import ARM, OfMachine, OfSwing
 from fmus.controller.model import CONTROLLER
-from fmus.controller.variables import AXES, OfMachine, OfSwing
 from fmus.machine.build import controller_of, parts_with_parameters
 from fmus.machine.parts import FERIC
 from fmus.parameters import numbers, values
 
+AXES = tuple(a.name for a in ARM.axes)
 FEEDBACK = [n for n in INPUTS if (n.startswith(AXES) and n.endswith(("_angle", "_speed"))) or "pressure" in n]
 COMMANDS = [f"{axis}_command" for axis in AXES]
 

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from kit.properties import examples
 from kit.steering import PART, STATES, V, at, measured, rates
 
-from fmus.controller import CONTROLLER, geometry, reference
-from fmus.controller.geometry import Cylindrical, Joints, strokes_and_moment_arms
+from fmus.controller import CONTROLLER, reference
+from fmus.controller.arm import Cylindrical
+from fmus.controller.harvester import ARM, arm_angles
 from fmus.parameters import parameters
 from fmus.smooth import s_curve
 from orchestrator.base.errors import Problem
@@ -22,13 +23,13 @@ ANGLES = st.tuples(st.floats(-0.4, 0.95), st.floats(-2.1, -0.6))  # inside the s
 
 
 def tip(boom: float, stick: float) -> tuple[float, float]:
-    at = geometry.tip_position(Joints(0.0, boom, stick), P)
+    at = ARM.tip((0.0, boom, stick), P)
     return float(at.radius), float(at.height)
 
 
 def pistons(boom: float, stick: float) -> list[float]:
     """Positions of both pistons [m]."""
-    return [float(position) for position, _ in strokes_and_moment_arms(Joints(0.0, boom, stick), P)]
+    return [float(position) for position, _ in ARM.pistons((0.0, boom, stick), P)[1:]]
 
 
 # ---- inverse kinematics
@@ -37,21 +38,21 @@ def pistons(boom: float, stick: float) -> list[float]:
 @given(ANGLES)
 def test_closed_form_inverts_the_arm(angles):
     """Angles -> tip -> angles, to rounding (acos near its ends loses half the digits)."""
-    assert geometry.arm_angles(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
+    assert arm_angles(*tip(*angles), V.p) == pytest.approx(angles, abs=1e-7)
 
 
 def test_a_tip_out_of_reach_is_refused():
     """The message contains the distance and the range of the arm."""
     with pytest.raises(Problem, match=r"tip at radius 9 m, height 1 m is 9\.18 m .* expected 0\.701 to 6\.5"):
-        geometry.arm_angles(9.0, 1.0, V.p)
+        arm_angles(9.0, 1.0, V.p)
 
 
 @given(ANGLES, st.floats(-1, 1), st.floats(-1, 1))
 def test_joint_speeds_give_the_commanded_tip_velocity(angles, out, up):
     """J J^+ v = v inside the strokes, where nothing is damped."""
     assume(abs(math.sin(angles[1] - math.atan2(P.stick_pivot_z, P.stick_pivot_x))) > P.singular_share)
-    swing, boom, stick = geometry.joint_speeds(Joints(0.0, *angles), Cylindrical(out, up, 0.3), P)
-    found = geometry.tip_velocity(Joints(0.0, *angles, swing, boom, stick), P)
+    swing, boom, stick = ARM.joint_speeds((0.0, *angles), Cylindrical(out, up, 0.3), P)
+    found = ARM.tip_velocity((0.0, *angles), (swing, boom, stick), P)
     assert float(swing) == 0.3
     assert [float(found.radius), float(found.height)] == pytest.approx([out, up], abs=1e-9)
 
@@ -71,13 +72,13 @@ def test_integrated_rates_end_where_the_closed_form_is():
         k3 = slope(x + h / 2 * k2, (k + 0.5) * h)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + h * k3, (k + 1) * h))
     found = [at(x, "reference_boom"), at(x, "reference_stick")]
-    assert found == pytest.approx(geometry.arm_angles(radius + 1.2, height, V.p), abs=1e-6)
+    assert found == pytest.approx(arm_angles(radius + 1.2, height, V.p), abs=1e-6)
 
 
 def moved(u: dict[str, float], radius: float, height: float, time: float) -> dict[str, float]:
     """The path's point after `time`; the machine follows exactly, so that the reference does not wait."""
     now = radius + 0.5 * time
-    boom, stick = geometry.arm_angles(now, height, V.p)
+    boom, stick = arm_angles(now, height, V.p)
     return u | {"path_radius": now, "path_height": height, "boom_angle": boom, "stick_angle": stick}
 
 
@@ -86,7 +87,7 @@ def test_a_stretched_or_folded_arm_stays_finite(bend):
     """Collinear links: no joint speed moves the tip outwards; joint speeds stay within 1 rad/s per m/s."""
     stick = math.atan2(P.stick_pivot_z, P.stick_pivot_x) - bend
     for out, up in ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7)):
-        _, *speeds = geometry.joint_speeds(Joints(0.0, 0.2, stick), Cylindrical(out, up, 0.0), P)
+        _, *speeds = ARM.joint_speeds((0.0, 0.2, stick), Cylindrical(out, up, 0.0), P)
         assert np.isfinite([float(s) for s in speeds]).all()
         assert max(abs(float(s)) for s in speeds) < 1 / P.singular_damping
 
@@ -99,7 +100,9 @@ SPEED = st.floats(-3.0, 3.0)
 @given(SPEED, SPEED, SPEED, st.floats(0.02, 0.59), st.floats(0.02, 0.70))
 def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
     """The factor brings each actuator below its limit and below what the end of the stroke allows."""
-    utilisation = reference.utilisation(swing, [("boom", boom_at, boom), ("stick", stick_at, stick)], P)
+    utilisation = reference.utilisation(
+        ("swing", swing), [("boom", boom_at, boom), ("stick", stick_at, stick)], P
+    )
     factor = float(utilisation.factor)
     assert 0 <= factor <= 1
     slack = 1 + 1e-9
@@ -125,8 +128,8 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
     for _ in range(200):
         boom, stick = at(x, "reference_boom"), at(x, "reference_stick")
         dx = rates(x, u | {"boom_angle": boom, "stick_angle": stick})
-        q = Joints(0.0, boom, stick, 0.0, at(dx, "reference_boom"), at(dx, "reference_stick"))
-        moving = geometry.tip_velocity(q, P)
+        speeds = 0.0, at(dx, "reference_boom"), at(dx, "reference_stick")
+        moving = ARM.tip_velocity((0.0, boom, stick), speeds, P)
         across = float(moving.radius) * velocity[1] - float(moving.height) * velocity[0]
         bend = math.sin(stick - math.atan2(P.stick_pivot_z, P.stick_pivot_x))
         if abs(bend) > P.singular_share:

@@ -12,7 +12,8 @@ from kit.equations import OIL, lines, number
 from fmus.components import pressure_compensator, spool_valve
 from fmus.components.spool_valve import Valve
 from fmus.controller import valve
-from fmus.controller.model import CONTROLLER, actuators
+from fmus.controller.harvester import ARM
+from fmus.controller.model import CONTROLLER
 from fmus.controller.valve import Actuator
 from fmus.drives.compensated import cylinder_section, motor_section
 from fmus.machine.parts import FAMILIES
@@ -35,7 +36,7 @@ VALVES = st.builds(
 
 def drives() -> dict[str, Actuator]:
     """All three, pistons in the middle."""
-    return actuators((P.boom.stroke / 2, P.stick.stroke / 2), P)
+    return ARM.actuators((0, P.boom.stroke / 2, P.stick.stroke / 2), P)
 
 
 @given(VALVES, st.floats(20 * FOOT, 1.0), st.sampled_from([-1, 1]))

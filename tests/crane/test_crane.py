@@ -19,7 +19,7 @@ from fmus.contract import nested, quantities, symbolic
 from fmus.crane.check import capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
 from fmus.crane.description import new, read
-from fmus.crane.machine import build_crane, crane_machine
+from fmus.crane.machine import crane_machine
 from fmus.crane.manipulator import manipulator
 from fmus.machine.machine import wiring
 from fmus.manipulator import MANIPULATOR
@@ -126,25 +126,17 @@ def test_passive_joints_start_at_rest(slope):
     assert max(map(abs, rates.values())) < 1e-9
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    """FMUs and system of the loader."""
-    folder = tmp_path_factory.mktemp("loader")
-    build_crane(read(CRANES / "loader.toml"), folder)
-    return folder
-
-
 @shards.machine
-def test_the_loader_co_simulates_like_its_monolith(built):
+def test_the_loader_co_simulates_like_its_monolith(loader_folder):
     """Jacobi at 1 ms over the strokes of all levers: within 1e-4 of the range of the monolithic solution.
 
     The energy at each bond closes to 1e-3 of what passes.
     """
-    found = run(load(built / "loader.ssp"), stop=20.0, master="jacobi", record="manipulator.*")
+    found = run(load(loader_folder / "loader.ssp"), stop=20.0, master="jacobi", record="manipulator.*")
     machine = crane_machine(read(CRANES / "loader.toml"))
     chosen = machine.subsystems | machine.feeding
     model = join(chosen, *wiring(chosen))
-    commands = run(load(built / "loader.ssp"), stop=20.0, record="operator_input.*")
+    commands = run(load(loader_folder / "loader.ssp"), stop=20.0, record="operator_input.*")
     time = np.asarray(commands.time)
     inputs = np.tile(model.u, (time.size, 1))
     for k, name in enumerate(model.inputs):

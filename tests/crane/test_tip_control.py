@@ -1,0 +1,167 @@
+"""Control of a crane's tip: the general law is that of the harvester, shares the motion, and draws lines."""
+
+import math
+import re
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from crane.test_crane import changed
+from hypothesis import given
+from hypothesis import strategies as st
+from kit import shards
+from kit.equations import Part
+from kit.mistakes import problem
+
+from fmus.contract import column, nested
+from fmus.controller import CONTROLLER
+from fmus.controller.arm import Cylindrical
+from fmus.crane.check import check
+from fmus.crane.controller import controlled, start_pose
+from fmus.crane.description import read
+from fmus.crane.machine import crane_machine, tracked
+from fmus.machine.path_following import follow, read_machine
+from fmus.package_files import PACKAGE
+from fmus.parameters import values
+from orchestrator import load
+
+CRANES = Path(__file__).parents[2] / "examples" / "cranes"
+LOADER = crane_machine(read(CRANES / "loader.toml")).controller
+ARM, P = LOADER.dynamics.__self__.arm, values(LOADER).p
+RANGES = {a.joint.name: (a.low, a.high) for a in check(read(CRANES / "loader.toml")) if math.isfinite(a.low)}
+POSES = st.tuples(*(st.floats(low + 0.02 * (high - low), high) for low, high in RANGES.values()))
+SPEED = st.floats(-1.0, 1.0)
+
+
+def _functions(**given):
+    """Point, speeds for a velocity of the tip, levers and weights: of coordinates and velocity."""
+    p, q, v = nested(LOADER.parameters, P | given), ca.SX.sym("q", 4), ca.SX.sym("v", 2)
+    each, velocity = ca.vertsplit(q), Cylindrical(v[0], v[1], 0)
+    point = column(*ARM.point(each, p))
+    weights = ARM.choice(ARM.columns(each, p), each, velocity, p).weights
+    speeds = column(*ARM.joint_speeds(each, velocity, p))
+    terms = [
+        point,
+        ca.jacobian(point, q),
+        speeds,
+        column(*weights),
+        column(*(x for x, _ in ARM.pistons(each, p))),
+    ]
+    return ca.Function("f", [q, v], terms)
+
+
+AS_IT_IS, LEAST_OIL = _functions(), _functions(centring=0.0)
+
+
+def test_a_crane_like_the_harvester_is_controlled_like_it():
+    """At 100 states: commands and rates of the shipped controller, to 1e-12 of the largest.
+
+    examples/cranes/feric.toml has the same pins and cylinders; valves, lines and gains are made the same.
+    """
+    sub = crane_machine(read(CRANES / "feric.toml")).controller
+    own, shipped, shown = Part(sub), Part(CONTROLLER), values(CONTROLLER)
+    assert (own.states, own.inputs) == (shipped.states, shipped.inputs)
+    p, same = dict(values(sub).p), {"swing_line": "line", "swing_motor": "motor", "swing_gear": "gear"}
+    for n in p:
+        name = re.sub(r"^(boom|stick)_valve", "valve", n)
+        name = re.sub("^swing_(line|motor|gear)", lambda m: same[m[0]], name)
+        p[n] = shown.p.get(name, p[n])
+    rng, start = np.random.default_rng(1), shipped.start()
+    for _ in range(100):
+        x = start + rng.normal(size=start.size) * np.maximum(0.05, 0.1 * np.abs(start))
+        u = [v + rng.normal() * max(0.1, 0.1 * abs(v)) for v in shown.u.values()]
+        both = own.function(x, u, list(p.values())), shipped.function(x, u, list(shown.p.values()))
+        for found, expected in zip(*both, strict=True):
+            away = np.abs((found - expected).full())
+            assert away.max() <= 1e-12 * np.abs(expected.full()).max()
+
+
+def far_from_singular(j, weights):
+    """Whether the inverse is not damped, with a margin: det(J W^-1 J^T) over that of two equal links."""
+    square = j @ np.diag(1 / weights) @ j.T
+    return np.linalg.det(square) > 1.1 * P["singular_share"] ** 2 * np.trace(square) ** 2 / 25
+
+
+@given(POSES, SPEED, SPEED)
+def test_the_joints_give_the_tip_its_velocity(pose, out, up):
+    """J q' = v, J by differentiation of the tip's position; where nothing is damped, to rounding."""
+    _, jacobian, speeds, weights, _ = (a.full() for a in AS_IT_IS([0, *pose], [out, up]))
+    if far_from_singular(jacobian[:, 1:], weights[:, 0]):
+        assert (jacobian @ speeds)[:, 0] == pytest.approx([out, up], abs=1e-9)
+
+
+@given(POSES, SPEED, SPEED)
+def test_without_a_wish_the_motion_needs_least_oil(pose, out, up):
+    """Against W^-1 J^T (J W^-1 J^T)^-1 v of NumPy; the weights there are those of the controller."""
+    _, jacobian, speeds, weights, _ = (a.full() for a in LEAST_OIL([0, *pose], [out, up]))
+    j, w = jacobian[:, 1:], np.diag(1 / weights[:, 0])
+    if far_from_singular(j, weights[:, 0]):
+        least = w @ j.T @ np.linalg.solve(j @ w @ j.T, [out, up])
+        assert speeds[1:, 0] == pytest.approx(least, abs=1e-8 * max(1, np.abs(least).max()))
+
+
+def test_weights_are_the_oil():
+    """At mid-stroke of all pistons: their ratios are those of (A dx/dq)^2, areas the mean of both sides.
+
+    Within 2 %: a share is added, and the ends of the strokes count a little.
+    """
+    low, high = np.array([*RANGES.values()]).T
+    q = np.array([0.0, *(low + high) / 2])
+    slopes, areas = [], []
+    for k, name in enumerate(RANGES, 1):
+        step = 1e-6 * (np.arange(4) == k)
+        ends = [AS_IT_IS(q + s * step, [0, 0])[4].full()[k, 0] for s in (1, -1)]
+        slopes.append((ends[0] - ends[1]) / 2e-6)
+        areas.append(math.pi / 4 * (P[f"{name}_bore"] ** 2 - P[f"{name}_rod"] ** 2 / 2))
+    oil, found = (np.array(areas) * slopes) ** 2, AS_IT_IS(q, [0, 0])[3].full()[:, 0]
+    assert found / found.sum() == pytest.approx(oil / oil.sum(), rel=0.02)
+
+
+def test_a_wish_leads_the_pistons_to_the_middle():
+    """In and out on one line ten times, by the speeds alone: the extension is half as far from mid-stroke.
+
+    The tip is where it began to 1 cm, after 4000 steps of 5 mm by Euler's method.
+    """
+    q, first = np.array([0.0, 0.35, -1.05, 0.4]), AS_IT_IS([0, 0.35, -1.05, 0.4], [0, 0])[0].full()[:, 0]
+    for sign in (1, -1) * 10:
+        for _ in range(200):
+            q = q + 5e-3 * AS_IT_IS(q, [sign, 0])[2].full()[:, 0]
+    at, *_, pistons = AS_IT_IS(q, [0, 0])
+    middle = P["extension_stroke"] / 2
+    assert at.full()[:, 0] == pytest.approx(first, abs=1e-2)
+    assert abs(float(pistons[3]) - middle) < 0.5 * abs(0.4 - middle)
+
+
+def test_an_arm_that_the_controller_does_not_know_is_told(tmp_path):
+    """What it needs and what it found; the machine has none."""
+    crane = read(changed(tmp_path, ('[slew]\naxis = "z"', '[slew]\naxis = "-z"')))
+    assert crane_machine(crane).controller is None
+    assert problem(lambda: controlled(crane)).endswith(
+        "in the plane of the arm, got [slew] drive motor, axis -z"
+    )
+
+
+def test_a_place_out_of_reach_is_told():
+    """With the place and the reason; elsewhere the pose has its tip at the place."""
+    told = problem(lambda: start_pose(LOADER, (12.0, 1.0, 0.0), {}))
+    assert re.match("tip at radius 12 m, height 1 m: (out of reach|the stroke of .* ends before)", told)
+    found = start_pose(LOADER, (5.0, 1.0, 0.3), {})
+    pose = [found[f"manipulator.initial_{a.coordinate[0]}"] for a in ARM.axes]
+    assert AS_IT_IS(pose, [0, 0])[0].full()[:, 0] == pytest.approx([5.0, 1.0], abs=1e-8)
+    assert pose[0] == 0.3
+
+
+@shards.machine
+def test_the_loader_draws_a_line(loader_folder, tmp_path):
+    """4 m in its plane with boom, jib and extension moving, valves with hysteresis: within 10 mm."""
+    from fmus.controller.paths import write_route
+
+    system = load(loader_folder / "loader_control.ssp")
+    names, pose = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
+    path, _ = write_route(["7.5,0,1", "3.5,0,1", "7.5,0,1"], 0.5, tmp_path)
+    start = pose((7.5, 1.0, 0.0), system.components["manipulator"].real_parameters())
+    found = follow(system, names, path, "loader", True, start)
+    assert not found.failure
+    assert found.largest < 10e-3
+    assert found.rms < 3e-3
