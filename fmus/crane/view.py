@@ -327,9 +327,7 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
             yield {"body": j.name, "kind": "mesh", "file": _mesh(j), "colour": colour}
             ends = []
         elif j.kind == "prismatic":
-            stroke = j.numbers["stroke"].value if "stroke" in j.numbers else 2 * math.hypot(*_along(j))
-            inside = min(stroke + 0.1, math.hypot(*_at(j)) or stroke)
-            begin = [-inside * x for x in _direction(j)]
+            begin = [-_inside(crane, j) * x for x in _direction(j)]
             yield from _beam(j.name, begin, (0.0, 0.0, 0.0), thick, "steel")
         for end in ends:
             yield from _beam(j.name, (0.0, 0.0, 0.0), end, thick, colour)
@@ -342,6 +340,17 @@ def _shapes(crane: CraneDescription, reach: float) -> Iterator[dict[str, Any]]:
         if j.drive == "four-bar":
             yield from _beam(f"{j.name}_rocker", (0.0, 0.0, 0.0), (j["rocker"], 0.0, 0.0), LEAST, "dark")
             yield from _beam(f"{j.name}_coupler", (0.0, 0.0, 0.0), (j["coupler"], 0.0, 0.0), LEAST, "dark")
+
+
+def _inside(crane: CraneDescription, j: JointDescription) -> float:
+    """Length of a stage of a telescope behind its joint [m]: its stroke, as far as there is room."""
+    led = crane.joint(j.follows) if j.follows else j
+    ratio = j.ratio.value if j.follows else 1.0
+    stroke = ratio * led["stroke"] if "stroke" in led.numbers else 2 * math.hypot(*_along(j))
+    before = crane.joint(j.parent) if j.parent else None
+    room = math.hypot(*_at(j))
+    room += _inside(crane, before) if before and before.kind == "prismatic" else 0.0
+    return min(stroke + 0.1, room or stroke)
 
 
 def _along(j: JointDescription) -> Point:
