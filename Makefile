@@ -90,7 +90,7 @@ docs: $(DOCUMENTING)
 
 # figures, tables and numbers that the pages take from computations; then see what has changed
 pages: $(TESTING)
-	for page in circuits icons opening_curve pump_efficiency pictures machine counterbalance rate_ports convergence identification fidelity; do \
+	for page in circuits icons opening_curve pump_efficiency pictures crane_keys machine counterbalance rate_ports convergence identification fidelity; do \
 	  echo "docs/$$page.py"; $(BIN)/python docs/$$page.py || exit 1; done
 
 clean:
