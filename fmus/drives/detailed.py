@@ -35,7 +35,7 @@ from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 from fmus.drives import cylinder as cylinders
 from fmus.drives import motor as motors
 from fmus.drives.cylinder import CYLINDER
-from fmus.drives.drive import Actuator, Axis, Drive, Fidelity, Model, both, spool_of, valve_of
+from fmus.drives.drive import Actuator, Axis, Drive, Fidelity, Model, both, valve_of
 from fmus.drives.motor import MOTOR
 from fmus.parameters import group_of
 
@@ -132,7 +132,8 @@ class Lines:
         self, x: Any, u: Any, own: Any, p: Any, line: HydraulicLine
     ) -> tuple[Circuit, Sensed, dict[str, Scalar]]:
         """From the edges to the chambers; load pressure; rates of the spool."""
-        valve, spool, ports = valve_of(own, p), spool_of(own, p), self.kind.names("valve_pressure")
+        valve, ports = valve_of(own, p), self.kind.names("valve_pressure")
+        spool = getattr(own, "spool", None) or p.spool
         state = SpoolState(x.spool_position, x.spool_speed)
         flows = both(x, self.kind.names(self.kind.ends[0]))
         found = spool_valve.spool_ports(valve, spool, state.position, flows, u, p)
@@ -173,7 +174,9 @@ def lumps_of(path: Path) -> Callable[[Axis], int]:
     def lumps(axis: Axis) -> int:
         kind = cylinders if axis.actuator is CYLINDER else motors
         own = {axis.name: (kind.LineDrive, axis.name, axis.named)}
-        return needed(axis, group_of(path, make_group("Parameters", {}, Common, *axis.actuator.common, **own)))
+        return needed(
+            axis, group_of(path, make_group("Parameters", {}, Common, *axis.actuator.common, **own))
+        )
 
     return lumps
 
@@ -228,6 +231,4 @@ def detailed(lumps: Callable[[Axis], int]) -> Fidelity:
             initial=lambda u, own, p: lines.start(u, own, p, motors.initial(u, own, p)),
         )
 
-    return Fidelity(
-        model, common=(Common,), valve=CurvedEdges, require=spool_valve.requirements, spool=Spool
-    )
+    return Fidelity(model, common=(Common,), valve=CurvedEdges, require=spool_valve.requirements, spool=Spool)

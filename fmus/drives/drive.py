@@ -188,10 +188,10 @@ class Fidelity:
     require: Callable[[Any, Any], Mapping[str, Scalar]]
     spool: type[Group] | None = None
 
-    @property
-    def of_valve(self) -> dict[str, type[Group]]:
-        """What an axis with a valve of its own has for itself, and others in common."""
-        return ({"spool": self.spool} if self.spool else {}) | {"valve": self.valve}
+    def of_valve(self, spool: str) -> dict[str, Any]:
+        """Groups of a valve with its spool; spool: begin of the names of that."""
+        spools = {"spool": (self.spool, "{}", f"{spool}_{{}}".format)} if self.spool else {}
+        return spools | {"valve": self.valve}
 
 
 # ---- the part
@@ -384,9 +384,9 @@ def _states(axis: Axis, model: Model) -> type[Any]:
 def _parameters(models: Mapping[Axis, Model], fidelity: Fidelity) -> type[Any]:
     """Common parameters, valve and axes."""
     kinds = [group for axis, m in models.items() for group in (*m.common, *axis.actuator.common)]
-    parts: dict[str, Any] = {} if all(axis.own_valve for axis in models) else fidelity.of_valve
+    parts: dict[str, Any] = {} if all(axis.own_valve for axis in models) else fidelity.of_valve("spool")
     for axis, m in models.items():
-        inner: dict[str, Any] = fidelity.of_valve if axis.own_valve else {}
+        inner: dict[str, Any] = fidelity.of_valve("valve_spool") if axis.own_valve else {}
         inner |= {name: (added, "{}") for name, added in axis.additions}
         parts[axis.name] = (make_group("Own", {}, m.parameters, **inner), axis.name, axis.named)
     return make_group("Parameters", {}, *dict.fromkeys((*fidelity.common, *kinds)), **parts)
@@ -418,8 +418,3 @@ def _outputs(
 def valve_of(own: Any, p: Any) -> Any:
     """The valve of an axis: its own, or the common one."""
     return getattr(own, "valve", None) or p.valve
-
-
-def spool_of(own: Any, p: Any) -> Any:
-    """The spool of an axis: its own, or the common one."""
-    return getattr(own, "spool", None) or p.spool
