@@ -64,8 +64,9 @@ STROKE = {"command": 3.0, "rise": 0.5, "hold": 0.5, "fall": 0.5}  # V, s; the ne
 HELD = 1e6  # s, for which a payload of the description is held
 SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
     *("pressure_cut_off", "pump_1_pressure_setting", "pump_2_pressure_setting"),
-    *("relief_pressure", "port_relief_pressure", "counterbalance_pressure"),
+    *("relief_pressure", "port_relief_pressure", "counterbalance_pressure", "counterbalance_band"),
 )
+HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start has a low pilot ratio
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
@@ -116,7 +117,7 @@ def _drives(
             found[full] = common[full]
             continue
         short = full.removeprefix(f"{joint.name}_")
-        own = {**joint.numbers, **_sized(crane, joint, common)}
+        own = {**joint.numbers, **_sized(crane, joint, common, pose)}
         shipped, axis = (rotary, swing) if joint.drive == "motor" else (hydraulic, boom_stick)
         names = axis.AXES[0].parameter(short), short, short.removeprefix("valve_")
         found[full] = own.get(RENAMED.get(short, short)) or next(shipped[n] for n in names if n in shipped)
@@ -146,7 +147,10 @@ def _settings(crane: CraneDescription, shipped: Mapping[str, Number]) -> dict[st
 
 
 def _sized(
-    crane: CraneDescription, joint: JointDescription, common: Mapping[str, Number]
+    crane: CraneDescription,
+    joint: JointDescription,
+    common: Mapping[str, Number],
+    pose: Mapping[str, float],
 ) -> dict[str, Number]:
     """Numbers of spool, compensated section and brake that follow from the file; common: of the variant."""
     share = joint["valve_dead_band"] / common["valve_full_command"].value
@@ -172,10 +176,12 @@ def _sized(
             "brake_drag": _derived(0.01 * torque / speed, "N.m.s/rad", "1 % of that torque at full speed"),
         }
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
-    for side, ratio in (("head", head / rod), ("rod", rod / head)):
+    force = pose[f"{joint.name}_holding_force"]
+    for side, ratio, held in (("head", head / rod, force / head), ("rod", rod / head, -force / rod)):
         area, text = flow * ratio / (jet * math.sqrt(pressure / 2)), "half of supply.pressure at full command"
         found[f"{side}_return_area"] = _derived(area, "m2", text)
-        found[f"{side}_pilot_ratio"] = common["boom_head_pilot_ratio"]
+        as_of = "boom_head" if held > HEAVY * pressure else "boom_rod"
+        found[f"{side}_pilot_ratio"] = common[f"{as_of}_pilot_ratio"]
     return found
 
 
