@@ -1,7 +1,8 @@
 """A crane as a machine: manipulator, drives by part, a supply, an operator with a lever for each drive.
 
 The hydraulics are those of the paper's machine (`fmus.drives`, `fmus.supply`), one axis for each driven joint
-with a valve of its own. Numbers that the description does not have are those of the paper's boom and swing.
+with a valve of its own. Numbers that the description does not have are those of the paper's boom and swing,
+or follow from those that it has (`_settings`, `_sized`).
 """
 
 from __future__ import annotations
