@@ -111,6 +111,7 @@ def _drives(
     rotary, hydraulic = (numbers(s.VARIANTS[variant])["parameters"] for s in (swing, boom_stick))
     common = {**rotary, **hydraulic}
     common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
+    sized = {j.name: {**j.numbers, **_sized(crane, j, common, pose)} for j in joints}
     found = dict[str, Number]()
     for full in quantities(sub.parameters):
         joint = next((j for j in joints if full.startswith(f"{j.name}_")), None)
@@ -118,10 +119,10 @@ def _drives(
             found[full] = common[full]
             continue
         short = full.removeprefix(f"{joint.name}_")
-        own = {**joint.numbers, **_sized(crane, joint, common, pose)}
         shipped, axis = (rotary, swing) if joint.drive == "motor" else (hydraulic, boom_stick)
         names = axis.AXES[0].parameter(short), short, short.removeprefix("valve_")
-        found[full] = own.get(RENAMED.get(short, short)) or next(shipped[n] for n in names if n in shipped)
+        own = sized[joint.name].get(RENAMED.get(short, short))
+        found[full] = own or next(shipped[n] for n in names if n in shipped)
     # of an FMU alone, whose inputs are not connected: the start pose, the pressure of the supply, warm oil
     start = {"supply_pressure": crane.numbers["supply"]["pressure_setting"]}
     start["oil_temperature"] = numbers(boom_stick.BOOM_STICK)["start"]["oil_temperature"]
