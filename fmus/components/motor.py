@@ -119,7 +119,7 @@ class BrakeTorque:
 class Brake(Group):
     """Parameters of a holding brake, at the output of the gear."""
 
-    torque: Scalar = Quantity(
+    holding_torque: Scalar = Quantity(
         "N.m", "Holding torque of the applied {} brake", 1e4, minimum=1.0, group="{} brake"
     )
     stiffness: Scalar = Quantity(
@@ -134,7 +134,7 @@ class Brake(Group):
 
     def hold(self, torque: Scalar, applied: Scalar, speed: Scalar) -> BrakeTorque:
         """The brake under a torque [N.m], applied by `applied` [1], at the speed [rad/s] of the shaft."""
-        held, width = self.torque * applied, BRAKE_ROUNDING * self.torque
+        held, width = self.holding_torque * applied, BRAKE_ROUNDING * self.holding_torque
         slip = (ramp(torque - held, width) - ramp(-torque - held, width)) / self.drag
         return BrakeTorque(self.stiffness * (speed - slip), torque * slip, torque**2 / (2 * self.stiffness))
 

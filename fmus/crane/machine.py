@@ -1,17 +1,21 @@
 """A crane as a machine: manipulator, drives by part, a supply, an operator with a lever for each drive.
 
 The hydraulics are those of the paper's machine (`fmus.drives`, `fmus.supply`), one axis for each driven joint
-with a valve of its own. Numbers that the description does not have are those of the paper's boom and swing.
+with a valve of its own. Numbers that the description does not have are those of the paper's boom and swing,
+or follow from those that it has (`_settings`, `_sized`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from fmus import boom_stick, ports, swing
+from fmus.components.cylinder import areas
+from fmus.components.opening_curve import EDGES
 from fmus.composition import compose
 from fmus.contract import Quantity, Subsystem, family, make_group, quantities
 from fmus.controller.paths import Pose
@@ -21,7 +25,9 @@ from fmus.crane.description import CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, manipulator
 from fmus.crane.view import page_files
 from fmus.drives import cylinder, motor
+from fmus.drives.compensated import COMPENSATED
 from fmus.drives.cylinder import CYLINDER
+from fmus.drives.detailed import detailed, needed
 from fmus.drives.drive import Axis, Fidelity, part
 from fmus.drives.lumped import LUMPED
 from fmus.drives.motor import MOTOR
@@ -31,8 +37,8 @@ from fmus.machine.machine import Connections, Machine
 from fmus.machine.path_following import TrackedMachine
 from fmus.operator_input.model import OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
-from fmus.parameters import Number, numbers
-from fmus.supply import supply
+from fmus.parameters import Number, numbers, parameters
+from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import VARIANTS
@@ -47,6 +53,16 @@ FIDELITIES: Mapping[str, tuple[Fidelity, str, str]] = {
         "below the first mode of the longest hose",
     ),
     "quasistatic": (QUASISTATIC, "without line dynamics", "motions below about 10 Hz"),
+    "detailed": (
+        detailed(lambda _: 1),
+        "spool dynamics, lines, air, relief valves",
+        "modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
+    ),
+    "compensated": (
+        COMPENSATED,
+        "compensated sections, counterbalance valves, crossover reliefs and holding brakes",
+        "motions below about 10 Hz; no spool dynamics",
+    ),
 }
 RENAMED = {"line_length": "hose_length", "line_bore": "hose_bore"}  # lines of a motor
 STEP, STOP = 1e-3, 20.0  # communication step and stop time of the system [s]
@@ -54,6 +70,11 @@ FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and betw
 STROKE = {"command": 3.0, "rise": 0.5, "hold": 0.5, "fall": 0.5}  # V, s; the next one goes back
 HELD = 1e6  # s, for which a payload of the description is held
 SOURCE = "crane.toml"  # the description, in the resources of a system
+SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
+    *("pressure_cut_off", "pump_1_pressure_setting", "pump_2_pressure_setting"),
+    *("relief_pressure", "port_relief_pressure", "counterbalance_pressure", "counterbalance_band"),
+)
+HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start has a low pilot ratio
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
@@ -63,23 +84,22 @@ def crane_machine(crane: CraneDescription) -> Machine:
     names, pose = list(dict.fromkeys(j.part for j in crane.driven)), outputs_at_start(parts[NAME]["rigid"])
     for name in names:
         joints = [j for j in crane.driven if j.part == name]
-        made = {v: _drives(crane, name, joints, pose, *f) for v, f in FIDELITIES.items()}
+        made = {v: _drives(crane, name, joints, pose, v) for v in FIDELITIES}
         parts = {name: family(name, **made), **parts}
-    supplies = {v: _with(sub, crane.numbers["supply"]) for v, sub in supply(names).items()}
+    supplies = {v: _with(sub, crane) for v, sub in supply(names).items()}
     machine = Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
     try:
-        levers = {
-            j.name: ("turns left" if j.drive == "motor" else "extends the rod", j.part)
-            for j in controlled(crane)
-        }
+        moved = controlled(crane)
     except Problem:
-        return machine  # an arm that its controller does not know; `build_crane` tells why
+        return machine  # the arm is none that a controller knows
+    levers = {j.name: (motor.SENSE if j.drive == "motor" else cylinder.SENSE, j.part) for j in moved}
     return replace(machine, controller=controller(crane, machine), actuation=actuation(levers))
 
 
-def _with(sub: Subsystem, own: Mapping[str, Number]) -> Subsystem:
-    """The subsystem with these values of its parameters, as far as it has them."""
+def _with(sub: Subsystem, crane: CraneDescription) -> Subsystem:
+    """A supply with the pressures of the crane, as far as it has them."""
     tables = numbers(sub)
+    own = {**_settings(crane, tables["parameters"]), **crane.numbers["supply"]}
     found = {n: own.get(n, number) for n, number in tables["parameters"].items()}
     return replace(sub, numbers={**tables, "parameters": found})
 
@@ -89,9 +109,7 @@ def _drives(
     name: str,
     joints: Sequence[JointDescription],
     pose: Mapping[str, float],
-    fidelity: Fidelity,
-    text: str,
-    validity: str,
+    variant: str,
 ) -> Subsystem:
     """The hydraulics of some joints."""
     axes = [
@@ -100,30 +118,86 @@ def _drives(
         else Axis(j.name, CYLINDER, cylinder.Inputs, own_valve=True)
         for j in joints
     ]
-    of = ", ".join(j.name for j in joints)
-    sub = part(name, axes, fidelity, text=f"Hydraulic drives of {of}: {text}", validity=validity)
-    variant = next(v for v, f in FIDELITIES.items() if f[0] is fidelity)
-    shipped = {
-        s.name: numbers(s)["parameters"] for s in (boom_stick.VARIANTS[variant], swing.VARIANTS[variant])
-    }
-    hydraulic, rotary = shipped.values()
+    of, (fidelity, text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
+    make = partial(part, name, axes, text=f"Hydraulic drives of {of}: {text}", validity=validity)
+    sub = make(fidelity)
+    rotary, hydraulic = (numbers(s.VARIANTS[variant])["parameters"] for s in (swing, boom_stick))
+    common = {**rotary, **hydraulic}
+    common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
+    sized = {j.name: {**j.numbers, **_sized(crane, j, common, pose)} for j in joints}
     found = dict[str, Number]()
     for full in quantities(sub.parameters):
         joint = next((j for j in joints if full.startswith(f"{j.name}_")), None)
         if joint is None:
-            found[full] = crane.numbers["oil"].get(full) or hydraulic.get(full) or rotary[full]
+            found[full] = common[full]
             continue
         short = full.removeprefix(f"{joint.name}_")
-        own = joint.numbers.get(RENAMED.get(short, short))
-        known = (rotary, short), (rotary, f"swing_{short}"), (hydraulic, f"boom_{short}"), (hydraulic, short)
-        found[full] = own or next(table[n] for table, n in known if n in table)
+        shipped, axis = (rotary, swing) if joint.drive == "motor" else (hydraulic, boom_stick)
+        names = axis.AXES[0].parameter(short), short, short.removeprefix("valve_")
+        own = sized[joint.name].get(RENAMED.get(short, short))
+        found[full] = own or next(shipped[n] for n in names if n in shipped)
     # of an FMU alone, whose inputs are not connected: the start pose, the pressure of the supply, warm oil
     start = {"supply_pressure": crane.numbers["supply"]["pressure_setting"]}
     start["oil_temperature"] = numbers(boom_stick.BOOM_STICK)["start"]["oil_temperature"]
     for n, x in quantities(sub.inputs).items():
         if pose.get(n):
             start[n] = Number(pose[n], x.unit, "derived", "of the manipulator at the start")
-    return replace(sub, numbers={"parameters": found, "start": start})
+    sub = replace(sub, numbers={"parameters": found, "start": start})
+    if variant == "detailed":
+        p = parameters(sub)
+        sub = replace(make(detailed(lambda axis: needed(axis, p))), numbers=sub.numbers)
+    return sub
+
+
+def _derived(value: float, unit: str, note: str) -> Number:
+    return Number(value, unit, "derived", note)
+
+
+def _settings(crane: CraneDescription, shipped: Mapping[str, Number]) -> dict[str, Number]:
+    """Settings of valves and pumps that follow the pressure of the supply."""
+    times = crane.numbers["supply"]["pressure_setting"].value
+    times /= numbers(SUPPLY)["parameters"]["pressure_setting"].value
+    note = "the multiple of supply.pressure that the paper's machine has"
+    return {n: _derived(times * shipped[n].value, "Pa", note) for n in SETTINGS if n in shipped}
+
+
+def _sized(
+    crane: CraneDescription,
+    joint: JointDescription,
+    common: Mapping[str, Number],
+    pose: Mapping[str, float],
+) -> dict[str, Number]:
+    """Numbers of spool, compensated section and brake that follow from the file; common: of the variant."""
+    share = joint["valve_dead_band"] / common["valve_full_command"].value
+    overlap = _derived(share, "1", "hydraulics.dead_band over valve_full_command")
+    found = {f"valve_spool_overlap_{edge}": overlap for edge in EDGES}
+    if "compensator_setting" not in common:
+        return found
+    pressure = crane.numbers["supply"]["pressure_setting"].value
+    jet = common["valve_discharge_coefficient"].value * math.sqrt(2 / common["density"].value)
+    flow, note = joint["rated_flow"], "hydraulics.flow"
+    if not flow:
+        flow = joint["valve_area"] * jet * math.sqrt(common["compensator_setting"].value)
+        note = "of hydraulics.valve at compensator_setting"
+    found |= {n: _derived(flow, "m3/s", note) for n in ("section_flow", "rod_section_flow")}
+    if joint.drive == "motor":
+        turn = joint["motor_displacement"] * joint["gear_ratio"]
+        torque, speed = turn * pressure, flow / turn
+        area, text = flow / (jet * math.sqrt(28e5)), "28 bar at full command, as of the paper's swing"
+        return found | {
+            "return_area": _derived(area, "m2", text),
+            "brake_holding_torque": _derived(1.3 * torque, "N.m", "1.3 times the torque of the motor"),
+            "brake_stiffness": _derived(torque / 3e-3, "N.m/rad", "3 mrad at the torque of the motor"),
+            "brake_drag": _derived(0.01 * torque / speed, "N.m.s/rad", "1 % of that torque at full speed"),
+        }
+    head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
+    force = pose[f"{joint.name}_holding_force"]
+    for side, ratio, held in (("head", head / rod, force / head), ("rod", rod / head, -force / rod)):
+        area, text = flow * ratio / (jet * math.sqrt(pressure / 2)), "half of supply.pressure at full command"
+        found[f"{side}_return_area"] = _derived(area, "m2", text)
+        as_of = "boom_head" if held > HEAVY * pressure else "boom_rod"
+        found[f"{side}_pilot_ratio"] = common[f"{as_of}_pilot_ratio"]
+    return found
 
 
 def _operator(crane: CraneDescription) -> Subsystem:

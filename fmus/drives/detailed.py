@@ -40,7 +40,7 @@ from fmus.drives.motor import MOTOR
 from fmus.parameters import group_of
 
 
-class Common(AeratedOil, Reliefs, HoseWall, spool=Spool):
+class Common(AeratedOil, Reliefs, HoseWall):
     """Parameters that all axes share."""
 
 
@@ -132,7 +132,8 @@ class Lines:
         self, x: Any, u: Any, own: Any, p: Any, line: HydraulicLine
     ) -> tuple[Circuit, Sensed, dict[str, Scalar]]:
         """From the edges to the chambers; load pressure; rates of the spool."""
-        valve, spool, ports = valve_of(own, p), p.spool, self.kind.names("valve_pressure")
+        valve, ports = valve_of(own, p), self.kind.names("valve_pressure")
+        spool = getattr(own, "spool", None) or p.spool
         state = SpoolState(x.spool_position, x.spool_speed)
         flows = both(x, self.kind.names(self.kind.ends[0]))
         found = spool_valve.spool_ports(valve, spool, state.position, flows, u, p)
@@ -171,12 +172,19 @@ def lumps_of(path: Path) -> Callable[[Axis], int]:
     """Lumps of each line that the values of a parameters.toml need below 75 Hz (`hose.lumps_needed`)."""
 
     def lumps(axis: Axis) -> int:
-        kind, line = (cylinders, hose_line) if axis.actuator is CYLINDER else (motors, motor_line)
+        kind = cylinders if axis.actuator is CYLINDER else motors
         own = {axis.name: (kind.LineDrive, axis.name, axis.named)}
-        p = group_of(path, make_group("Parameters", {}, Common, *axis.actuator.common, **own))
-        return hose.default_lumps(line(getattr(p, axis.name), p))
+        return needed(
+            axis, group_of(path, make_group("Parameters", {}, Common, *axis.actuator.common, **own))
+        )
 
     return lumps
+
+
+def needed(axis: Axis, p: Any) -> int:
+    """Lumps of each line of an axis that the parameters of its part need below 75 Hz."""
+    line = hose_line if axis.actuator is CYLINDER else motor_line
+    return hose.default_lumps(line(getattr(p, axis.name), p))
 
 
 def _cylinder(lines: Lines, x: Any, u: Any, own: Any, p: Any) -> Drive:
@@ -223,4 +231,4 @@ def detailed(lumps: Callable[[Axis], int]) -> Fidelity:
             initial=lambda u, own, p: lines.start(u, own, p, motors.initial(u, own, p)),
         )
 
-    return Fidelity(model, common=(Common,), valve=CurvedEdges, require=spool_valve.requirements)
+    return Fidelity(model, common=(Common,), valve=CurvedEdges, require=spool_valve.requirements, spool=Spool)

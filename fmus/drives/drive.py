@@ -178,6 +178,7 @@ class Fidelity:
     model     of an axis
     common    parameters that all axes share
     valve     parameters of a valve
+    spool     parameters of its spool, if it has dynamics
     require   (valve, p) -> requirements of a valve and of the common parameters
     """
 
@@ -185,6 +186,12 @@ class Fidelity:
     common: tuple[type[Group], ...]
     valve: type[Group]
     require: Callable[[Any, Any], Mapping[str, Scalar]]
+    spool: type[Group] | None = None
+
+    def of_valve(self, spool: str) -> dict[str, Any]:
+        """Groups of a valve with its spool; spool: begin of the names of that."""
+        spools = {"spool": (self.spool, "{}", f"{spool}_{{}}".format)} if self.spool else {}
+        return spools | {"valve": self.valve}
 
 
 # ---- the part
@@ -377,9 +384,9 @@ def _states(axis: Axis, model: Model) -> type[Any]:
 def _parameters(models: Mapping[Axis, Model], fidelity: Fidelity) -> type[Any]:
     """Common parameters, valve and axes."""
     kinds = [group for axis, m in models.items() for group in (*m.common, *axis.actuator.common)]
-    parts: dict[str, Any] = {} if all(axis.own_valve for axis in models) else {"valve": fidelity.valve}
+    parts: dict[str, Any] = {} if all(axis.own_valve for axis in models) else fidelity.of_valve("spool")
     for axis, m in models.items():
-        inner: dict[str, Any] = {"valve": fidelity.valve} if axis.own_valve else {}
+        inner: dict[str, Any] = fidelity.of_valve("valve_spool") if axis.own_valve else {}
         inner |= {name: (added, "{}") for name, added in axis.additions}
         parts[axis.name] = (make_group("Own", {}, m.parameters, **inner), axis.name, axis.named)
     return make_group("Parameters", {}, *dict.fromkeys((*fidelity.common, *kinds)), **parts)

@@ -25,7 +25,9 @@ class Inputs(motor.Inputs):
 
 
 def _named(parameter: str) -> str:
-    """The parameters have no prefix, except two."""
+    """The parameters have no prefix, except two; that of the brake has a shorter name."""
+    if parameter == "brake_holding_torque":
+        return "brake_torque"
     return f"swing_{parameter}" if parameter in ("section_flow", "return_area") else parameter
 
 

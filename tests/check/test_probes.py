@@ -5,7 +5,9 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from kit import shards
 
@@ -14,8 +16,10 @@ from orchestrator.check.probe_process import ProbeLimits, probe_limits, use_prob
 from orchestrator.check.probes import PROBES
 from orchestrator.check.subject import Subject, parse_unpacked
 from orchestrator.check.tasks import importing_solver, leaks
+from orchestrator.check.tasks.derivatives import ShiftedPoint
 from orchestrator.check.tasks.runner import Trial
 from orchestrator.check.tasks.trial_run import severity
+from orchestrator.fmi.instance import CallFailed
 from orchestrator.worker.calls import share_activity
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
@@ -178,3 +182,24 @@ def test_a_table_that_doubles_is_no_leak():
     once = [0.0] * 6 + [1e6] * 3
     assert leaks._growth(steady, noise=8e3) == pytest.approx(1000.0 - 4e3 / (4 * window))
     assert leaks._growth(once, noise=8e3) < leaks.LEAK
+
+
+def test_a_shift_that_the_fmu_refuses_is_undone():
+    """The next call finds the state and the input as they were before."""
+    state, given = SimpleNamespace(name="x"), SimpleNamespace(name="u")
+    at = {"x": np.zeros(1), "u": 0.5}
+
+    def refuse():
+        raise CallFailed("x is beyond its range")
+
+    def values(_):
+        return SimpleNamespace(set=lambda v: at.update(u=v[0]), get=refuse)
+
+    integrator = SimpleNamespace(set_time_and_states=lambda _, x: at.update(x=x))
+    point = object.__new__(ShiftedPoint)
+    point.simulation = SimpleNamespace(integrator=integrator, time=0.0, values=values)
+    point.values, point.states, point.x, point.u = values([]), [state], np.zeros(1), {"u": 0.5}
+    for known in (state, given):
+        with pytest.raises(CallFailed):
+            point.shifted(known, 1.0)
+    assert at == {"x": point.x, "u": 0.5}

@@ -28,6 +28,7 @@ from fmus.parameters import values
 from orchestrator import load, run
 from orchestrator.base.errors import Mistakes
 
+NEW = ("compensated", "detailed")
 CRANES = Path(__file__).parents[2] / "examples" / "cranes"
 LOADER = (CRANES / "loader.toml").read_text(encoding="utf-8")
 
@@ -127,14 +128,16 @@ def test_passive_joints_start_at_rest(slope):
 
 
 @shards.machine
-def test_the_loader_co_simulates_like_its_monolith(loader_folder):
+@pytest.mark.parametrize("swap", [{}, *({"drives": d, "supply": "load_sensing"} for d in NEW)], ids=str)
+def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
     """Jacobi at 1 ms over the strokes of all levers: within 1e-4 of the range of the monolithic solution.
 
     The energy at each bond closes to 1e-3 of what passes.
     """
-    found = run(load(loader_folder / "loader.ssp"), stop=20.0, master="jacobi", record="manipulator.*")
+    system = load(loader_folder / "loader.ssp")
+    found = run(system, stop=20.0, master="jacobi", step=1e-3, record="manipulator.*", swap=swap)
     machine = crane_machine(read(CRANES / "loader.toml"))
-    chosen = machine.subsystems | machine.feeding
+    chosen = machine.subsystems | machine.feeding | machine.chosen(**swap)
     model = join(chosen, *wiring(chosen))
     commands = run(load(loader_folder / "loader.ssp"), stop=20.0, record="operator_input.*")
     time = np.asarray(commands.time)

@@ -2,6 +2,7 @@
 
 from dataclasses import is_dataclass, replace
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
@@ -13,6 +14,8 @@ from kit.equations import Part, cavity, piston_areas
 
 from fmus import boom_stick, swing
 from fmus.contract import Subsystem, family, quantities, symbols
+from fmus.crane.description import read
+from fmus.crane.machine import crane_machine
 from fmus.drives import cylinder, motor
 from fmus.drives.compensated import COMPENSATED
 from fmus.drives.cylinder import CYLINDER
@@ -33,7 +36,8 @@ AXES = (
     Axis("slew", MOTOR, motor.Inputs),
     Axis("grab", CYLINDER, cylinder.Inputs, own_valve=True),
 )
-FROM = {"lift_": "boom_", "grab_valve_": "valve_", "grab_": "stick_", "slew_": ""}
+FROM = {"lift_": "boom_", "grab_valve_spool_": "spool_", "grab_valve_": "valve_", "grab_": "stick_"}
+FROM |= {"slew_brake_holding_": "brake_", "slew_": ""}
 
 
 def crane(variant: str, fidelity: Fidelity) -> Subsystem:
@@ -51,10 +55,12 @@ def crane(variant: str, fidelity: Fidelity) -> Subsystem:
 FIDELITIES = {"lumped": LUMPED, "quasistatic": QUASISTATIC, "compensated": COMPENSATED}
 FIDELITIES["detailed"] = detailed(lambda axis: 1 + len(axis.name) % 2)
 CRANES = family("crane", **{variant: crane(variant, fidelity) for variant, fidelity in FIDELITIES.items()})
+LOADER = crane_machine(read(Path(__file__).parents[2] / "examples/cranes/loader.toml")).families["drives"]
 DRIVES = {f"{part} {name}": sub for part in PARTS for name, sub in FAMILIES[part].items()} | {
     "swing, three lumps": swing.with_lumps(3),
     "boom_stick, different lumps": boom_stick.with_lumps({"boom": 1, "stick": 4}),
     **{f"{variant} crane": sub for variant, sub in CRANES.items()},
+    **{f"{variant} loader": LOADER[variant] for variant in ("detailed", "compensated")},
 }
 drives = pytest.mark.parametrize("name", DRIVES)
 

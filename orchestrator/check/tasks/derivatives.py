@@ -40,15 +40,17 @@ class ShiftedPoint:
         if integrator is not None and known in self.states:
             x = self.x.copy()
             x[self.states.index(known)] += shift
-            integrator.set_time_and_states(time, x)
-            row = self.values.get()
-            integrator.set_time_and_states(time, self.x)
-            return row
+            try:
+                integrator.set_time_and_states(time, x)
+                return self.values.get()
+            finally:
+                integrator.set_time_and_states(time, self.x)
         value = self.simulation.values([known])
-        value.set([self.u[known.name] + shift])
-        row = self.values.get()
-        value.set([self.u[known.name]])
-        return row
+        try:
+            value.set([self.u[known.name] + shift])
+            return self.values.get()
+        finally:
+            value.set([self.u[known.name]])
 
     def allowed(self, known: FmuVariable, shift: float) -> bool:
         """The shifted value is within its bounds."""
