@@ -19,6 +19,7 @@ the reference goes on: a g below 1 would make the feedforward push an oscillatin
 sustain the oscillation.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,10 +27,12 @@ import casadi as ca
 
 from fmus.contract import Scalar
 from fmus.controller.arm import Arm, Coordinates, Cylindrical, Pistons
+from fmus.controller.valve import section_speeds
 from fmus.smooth import direction, ramp, s_curve
 
 NORM_EXPONENT = 8  # 8-norm of the actuators: 1.15 at most if all three are at a limit
 CREEP = 1e-6  # m/s, allowed speed at an end of the stroke: keeps the quotient finite
+SECTION_SHARE = 0.9  # of the speed that the flow of a compensated section gives
 WIDTH = 0.2  # width over which max(1, z) is rounded
 END_ROUNDING = 1e-3  # m, distance from an end over which the allowed speed is rounded
 
@@ -49,18 +52,29 @@ class Utilisation:
         return 1 / (1 + ramp(z - 1 + WIDTH / 2, WIDTH))
 
 
-def utilisation(turn: tuple[str, Scalar], pistons: list[tuple[str, Scalar, Scalar]], p: Any) -> Utilisation:
-    """Utilisation of the column (name, speed [rad/s]) and of pistons (name, position [m], velocity [m/s])."""
+def utilisation(
+    speeds: Mapping[str, Scalar], limits: Mapping[str, Scalar], positions: Mapping[str, Scalar], p: Any
+) -> Utilisation:
+    """Utilisation at these speeds of actuators [m/s, rad/s], with their limits; positions of pistons [m]."""
     n = NORM_EXPONENT
-    speed = (turn[1] / getattr(p, f"{turn[0]}_speed_limit")) ** n
+    speed: Scalar = sum((v / limits[name]) ** n for name, v in speeds.items())
     stroke: Scalar = 0
-    for name, position, velocity in pistons:
-        speed += (velocity / getattr(p, f"{name}_speed_limit")) ** n
-        end = getattr(p, name).stroke - p.stroke_margin
+    for name, position in positions.items():
+        end, velocity = getattr(p, name).stroke - p.stroke_margin, speeds[name]
         for left, outward in ((end - position, velocity), (position - p.stroke_margin, -velocity)):
             allowed = p.stroke_gain * ramp(left, END_ROUNDING) + CREEP
             stroke += (ca.fmax(0, outward) / allowed) ** n
     return Utilisation((speed + 1e-32) ** (1 / n), (stroke + 1e-32) ** (1 / n))
+
+
+def speed_limits(arm: Arm, pistons: Pistons, p: Any) -> dict[str, Scalar]:
+    """Largest speeds of the actuators; a compensated section has no more than its flow."""
+    found = {}
+    for name, a in arm.actuators([x for x, _ in pistons], p).items():
+        limit, flow = getattr(p, f"{name}_speed_limit"), a.section_flows[0]
+        slower = SECTION_SHARE * ca.fmin(*section_speeds(a))
+        found[name] = ca.if_else(flow > 0, ca.fmin(limit, slower), limit)
+    return found
 
 
 @dataclass(frozen=True)
@@ -121,14 +135,13 @@ def reference(arm: Arm, x: Any, u: Any, p: Any) -> Reference:
     joints = arm.joint_speeds(q, commanded_velocity(x, u, p, tip), p)
     pistons, now = arm.pistons(q, p), arm.pistons(arm.coordinates(u), p)
     names = [a.name for a in arm.axes]
-    moved = [lever * speed for (_, lever), speed in zip(pistons, joints, strict=True)]
-    places = [(n, x, v) for n, (x, _), v in zip(names, pistons, moved, strict=True)]
-    used = utilisation((names[0], joints[0]), places[1:], p)
+    moved = {n: lever * v for n, (_, lever), v in zip(names, pistons, joints, strict=True)}
+    places = {n: x for n, (x, _) in zip(names[1:], pistons[1:], strict=True)}
+    used = utilisation(moved, speed_limits(arm, pistons, p), places, p)
     errors = [x - x_now for (x, _), (x_now, _) in zip(pistons, now, strict=True)]
     relative = [e / getattr(p, f"{a.loop}_error_limit") for e, a in zip(errors, arm.axes, strict=True)]
     directions = tuple(
-        direction(v, p.learning_share * getattr(p, f"{n}_speed_limit"))
-        for n, v in zip(names, moved, strict=True)
+        direction(v, p.learning_share * getattr(p, f"{n}_speed_limit")) for n, v in moved.items()
     )
     error_square = p.feedback * sum(e**2 for e in relative)
     lag_square = p.feedback * sum(

@@ -100,9 +100,11 @@ SPEED = st.floats(-3.0, 3.0)
 @given(SPEED, SPEED, SPEED, st.floats(0.02, 0.59), st.floats(0.02, 0.70))
 def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
     """The factor brings each actuator below its limit and below what the end of the stroke allows."""
-    utilisation = reference.utilisation(
-        ("swing", swing), [("boom", boom_at, boom), ("stick", stick_at, stick)], P
+    speeds, limits = (
+        {"swing": swing, "boom": boom, "stick": stick},
+        reference.speed_limits(ARM, [(0.2, 1)] * 3, P),
     )
+    utilisation = reference.utilisation(speeds, limits, {"boom": boom_at, "stick": stick_at}, P)
     factor = float(utilisation.factor)
     assert 0 <= factor <= 1
     slack = 1 + 1e-9
