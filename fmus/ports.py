@@ -69,10 +69,10 @@ class LineInputs(Group):
     )
 
 
-def shaft(axis: str, drives: bool) -> Terminal:
-    """Rotating shaft: torque and its rate to the mechanics, speed and acceleration to the drive."""
+def shaft(axis: str, drives: bool, *others: str) -> Terminal:
+    """Rotating shaft: torque and its rate to the mechanics, speed, acceleration and others to the drive."""
     text = f"{axis.capitalize()} shaft: torque on the mechanics, speed of the mechanics"
-    return _power_port(axis, "shaft", text, drives, "torque", "torque_rate", "speed", "acceleration")
+    return _power_port(axis, "shaft", text, drives, "torque", "torque_rate", "speed", "acceleration", *others)
 
 
 def rod(axis: str, drives: bool) -> Terminal:

@@ -113,7 +113,7 @@ def _drives(
 ) -> Subsystem:
     """The hydraulics of some joints."""
     axes = [
-        Axis(j.name, MOTOR, motor.Inputs, own_valve=True)
+        Axis(j.name, MOTOR, motor.HeldInputs, own_valve=True)
         if j.drive == "motor"
         else Axis(j.name, CYLINDER, cylinder.Inputs, own_valve=True)
         for j in joints

@@ -288,6 +288,7 @@ class CraneManipulator:
             speed, acceleration = (getattr(at, f"{j.name}_speed") for at in (x, dx))
             if j.drive == "motor":
                 known[f"{j.name}_acceleration"] = acceleration
+                known[f"{j.name}_holding_torque"] = motion.gravity[k]
             elif j.name in cylinders:
                 t, stop = cylinders[j.name]
                 known |= {
@@ -378,6 +379,10 @@ def manipulator(crane: CraneDescription) -> Subsystem:
         **{j.name: MotorInputs for j in motors},
     )
     accelerations = {f"{j.name}_acceleration": ports.rate_output(f"{j.name}_speed", "rad/s2") for j in motors}
+    accelerations |= {
+        f"{j.name}_holding_torque": Quantity("N.m", f"Torque that holds the {j.name} against gravity", 1e4)
+        for j in motors
+    }
     shown = {
         j.coordinate: Quantity(
             units[j.kind][0], f"{j.coordinate.partition('_')[2].capitalize()} of the {j.name}"
@@ -406,7 +411,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     )
     of = CraneManipulator(crane, parameters, state, outputs)
     terminals = (
-        *(ports.shaft(j.name, drives=False) for j in motors),
+        *(ports.shaft(j.name, False, "holding_torque") for j in motors),
         *(ports.rod(j.name, drives=False) for j in pistons),
         ports.grip(),
     )

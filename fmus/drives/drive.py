@@ -369,8 +369,13 @@ def part(
 
 
 def _terminals(name: str, axes: Sequence[Axis]) -> tuple[Terminal, ...]:
-    """Actuators, levers and lines."""
-    actuators = (axis.actuator.terminal(axis.name) for axis in axes)
+    """Actuators with the motion that their axis has as inputs, levers and lines."""
+    actuators = list[Terminal]()
+    for axis in axes:
+        terminal = axis.actuator.terminal(axis.name)
+        known = [axis.of(quantities(g)) for g in (axis.inputs, axis.actuator.outputs)]
+        members = tuple(m for m in terminal.members if any(m.variable in names for names in known))
+        actuators.append(replace(terminal, members=members))
     lines = (ports.supply_line(), ports.return_line(), ports.load_sensing_line(name))
     return (*actuators, *(ports.lever(axis.name) for axis in axes), *lines)
 

@@ -15,6 +15,7 @@ from fmus import ports
 from fmus.components import chamber, hose
 from fmus.components.chamber import Oil
 from fmus.components.circuit import TANK, Branch, Circuit, Kind
+from fmus.components.cylinder import holding_pressures
 from fmus.components.hose import HoseSize, ShortLine
 from fmus.components.oil import DENSITY, LAMINAR, TURBULENT
 from fmus.components.orifice import Liquid
@@ -155,6 +156,14 @@ class Inputs(Group):
     acceleration: Scalar = ports.rate_input("{}_speed", "rad/s2")
 
 
+class HeldInputs(Inputs):
+    """With a load at the start, as on a slope."""
+
+    holding_torque: Scalar = Quantity(
+        "N.m", "Torque that holds the {} at the start; only used for initialisation", 1e4
+    )
+
+
 class Outputs(Group):
     """Torque and its rate (to the mechanics), ports and case drain of the motor, cavities."""
 
@@ -187,7 +196,7 @@ MOTOR = Actuator(
     totals=Totals,
     common=(Preload,),
     hose=lambda own: own.line,
-    terminal=lambda axis: ports.shaft(axis, drives=True),
+    terminal=lambda axis: ports.shaft(axis, True, "holding_torque"),
     power=("torque", "speed"),
 )
 LINES = MOTOR.names("pressure")
@@ -218,9 +227,13 @@ def from_ports(own: Motor, pressures: Pair, rates: Pair) -> dict[str, Scalar]:
     }
 
 
-def initial(u: Any, _: object, p: Any) -> dict[str, Scalar]:
-    """Initial pressures of both lines: at the preload, no torque."""
-    return dict.fromkeys(LINES, u.tank_pressure + p.initial_preload)
+def initial(u: Any, own: Motor, p: Any) -> dict[str, Scalar]:
+    """Initial pressures of both lines: at the preload, or above it as far as a torque has to be held."""
+    preload = u.tank_pressure + p.initial_preload
+    if not hasattr(u, "holding_torque"):
+        return dict.fromkeys(LINES, preload)
+    d = own.displacement
+    return dict(zip(LINES, holding_pressures(u.holding_torque, d, d, preload), strict=True))
 
 
 def derive(own: Any, p: Any) -> dict[str, Scalar]:

@@ -9,6 +9,7 @@ from typing import TypeAlias
 from fmus.contract import Subsystem, quantities
 from orchestrator.base.errors import Problem
 
+HOLDING = ("_holding_force", "_holding_torque")
 Connections: TypeAlias = tuple[tuple[str, str], ...]
 Inputs: TypeAlias = Mapping[str, tuple[str, ...]]  # external input -> component inputs that it feeds
 
@@ -181,4 +182,4 @@ class Machine:
     @cached_property
     def holding(self) -> Connections:
         """Connections for initialisation only: forces of the pose, from which initial pressures follow."""
-        return tuple(wire for wire in self.connections if wire[0].endswith("_holding_force"))
+        return tuple(wire for wire in self.connections if wire[0].endswith(HOLDING))
