@@ -130,7 +130,7 @@ def test_passive_joints_start_at_rest(pitch, roll):
 
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed", "compensated"])
 def test_the_slewing_motor_holds_its_torque_from_the_start(variant):
-    """Its lines begin with the pressures of the torque, less the drop of the motor's leakage in them: 1e-4."""
+    """Its lines begin with the pressures of the torque; the motor's leakage takes less than 1e-4 in them."""
     drives = crane_machine(read(CRANES / "loader.toml")).families["drives"][variant]
     model, v = symbolic(drives), values(drives)
     u = {**v.u, "slew_holding_torque": -8e3}
