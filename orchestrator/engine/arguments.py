@@ -122,6 +122,19 @@ class EndArguments(TypedDict, total=False):
     until: Annotated[str | Callable[[float, Mapping[str, float]], Any] | None, Kind("CONDITION")]
 
 
+class FaultArguments(TypedDict, total=False):
+    """What changes during a run.
+
+    fault   Input that takes a value during the run, such as boom_head_leak=2mm2@20s of a machine that was
+            built with faults; without a time from the start. Several after another:
+            boom_head_leak=2mm2@20s,0@30s.
+    """
+
+    fault: Annotated[
+        Mapping[str, float | str] | None, Kind("NAME=SIZE@TIME", form="input=value@time, such as 2mm2@20s")
+    ]
+
+
 class ProcessArguments(TypedDict, total=False):
     """Options of a run in Python only.
 
@@ -147,7 +160,9 @@ class CoupledArguments(CaseArguments, StepArguments, AccuracyArguments, Coupling
     """What a co-simulation runs, how accurate, and how it is coupled."""
 
 
-class CommandArguments(CoupledArguments, SolverArguments, LimitArguments, EndArguments, total=False):
+class CommandArguments(
+    CoupledArguments, FaultArguments, SolverArguments, LimitArguments, EndArguments, total=False
+):
     """Options of the command `run`."""
 
 
