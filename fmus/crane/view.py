@@ -78,18 +78,18 @@ def description(crane: CraneDescription) -> dict[str, Any]:
     """The content of the file."""
     pressure = crane.numbers["supply"]["pressure_setting"].value
     most = math.ceil(1.2e-6 * pressure)  # MPa, end of scales
-    pistons = [j for j in crane.driven if j.drive != "motor"]
+    pistons, controls = [j for j in crane.driven if j.drive != "motor"], _levers(crane)
+    driven = [n for mode in controls["modes"].values() for full in mode["full"].values() for n in full]
     return {
         "full_pressure": 1e6 * most,
         "signals": [f"tip_{n}" for n in "xy"],
         "axes": [
-            # a controller has a lever instead of the command
-            {"name": [f"{j.name}_{n}" for n in LEVER], "limit": 10.0, "rate": RATE[j.drive]}
+            {"name": [n for n in driven if n.startswith(f"{j.name}_")], "limit": 10.0, "rate": RATE[j.drive]}
             for j in crane.driven
         ]
-        + TIP_AXES,
+        + (TIP_AXES if "tip" in controls["modes"] else []),
         "sliders": [_slider()],
-        **_levers(crane),
+        **controls,
         "gauges": _gauges(crane, most),
         "charts": _charts(crane, most),
         "notices": [
@@ -116,7 +116,10 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
     The first four are on the sticks, the others on wheels. If there are others, telescopes go there first.
     """
     words, full, levers = dict[str, Any](), dict[str, Any](), levers_at_start(crane)
-    order = list(crane.driven)
+    order, moved = list(crane.driven), list[str]()
+    with suppress(Problem):  # of an arm that its controller does not know
+        moved = [j.name for j in controlled(crane)]
+    levers_of = LEVER if moved else LEVER[1:]
     if len(order) > STICKS:
         first = sorted(order, key=lambda j: j.kind == "prismatic")[:STICKS]
         order = [*first, *(j for j in order if j not in first)]
@@ -126,7 +129,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         if k == 2 or j.kind == "prismatic":  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
         words[j.name] = [f"{j.name} {end}" for end in ends]
-        full[j.name] = {f"{j.name}_{n}": sign * FULL[j.drive] for n in LEVER}
+        full[j.name] = {f"{j.name}_{n}": sign * FULL[j.drive] for n in levers_of}
     names = [*words, *["none"] * (STICKS - len(words))]
     if "none" in names:
         words["none"] = ["none", "none"]
@@ -135,9 +138,9 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         | {"wheels": names[STICKS:]}
         for n, two in PATTERNS.items()
     }
-    modes = {"levers": {"full": full}}
-    with suppress(Problem):  # of an arm without a controller
-        slew, lift, tilt, *_ = (j.name for j in controlled(crane))
+    modes: dict[str, Any] = {"levers": {"full": full}}
+    if moved:
+        slew, lift, tilt, *_ = moved
         modes["tip"] = {
             "constant": {"engaged": 1.0},
             "words": {lift: ["tip up", "tip down"], tilt: ["tip in", "tip out"]},

@@ -201,13 +201,18 @@ def test_the_page_of_a_crane_shows_its_signals(name: str) -> None:
     view, machine = _view(crane), crane_machine(crane)
     assert view.scene is not None
     outputs = {n for sub in machine.components.values() for n in quantities(sub.outputs)}
-    inputs = {n for sub in machine.components.values() for n in quantities(sub.inputs)}
-    commands = {n for axis in view.axes for n in axis.name}
+    parts = [*machine.components.values(), *filter(None, [machine.controller])]
+    inputs = {n for sub in parts for n in quantities(sub.inputs)}
+    of_tip = {"radial_velocity", "vertical_velocity", "swing_velocity"} if machine.controller else set()
+    levers = {f"{j.name}_lever" for j in crane.driven if machine.controller}
+    named = {f"{j.name}_command" for j in crane.driven} | levers | of_tip
     assert set(view.shown) <= outputs | inputs
-    assert commands == {f"{j.name}_command" for j in crane.driven} <= inputs
+    assert {n for axis in view.axes for n in axis.name} - {"engaged"} == named <= inputs
     assert data(view.scene, values(manipulator(crane)).p)["shapes"]
-    (mode,) = view.modes.values()
+    mode = view.modes["levers"]
     assert set(mode.full) == {j.name for j in crane.driven}
+    tip = view.modes["tip"].full.values() if machine.controller else ()
+    assert {n for full in tip for n in full} == of_tip
     if "boom" in mode.full:
         assert mode.full["boom"]["boom_command"] > 0
         assert view.functions["boom"] == ("boom up", "boom down")

@@ -98,7 +98,11 @@ def references(x: Group, u: Group, p: Group) -> Group:
     speeds = np.array([v[2], *joints])
     y = arm.arms * speeds
     limit = np.array([getattr(p, f"{n}_speed_limit") for n in AXES])
-    use = (((y / limit) ** 8).sum() + 1e-32) ** (1 / 8)
+    most = limit.copy()
+    for i, section in enumerate(oil(n, arm.pistons[i], p) for i, n in enumerate(AXES)):
+        if section.q[0] > 0:
+            most[i] = min(limit[i], 0.9 * (section.q / section.a).min())
+    use = (((y / most) ** 8).sum() + 1e-32) ** (1 / 8)
     ends = 1e-32
     for i, name in ((1, "boom"), (2, "stick")):
         stroke = getattr(p, f"{name}_stroke")
