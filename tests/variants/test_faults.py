@@ -81,12 +81,9 @@ def test_energy_closes_with_faults_at_work(variant):
     power -= sum(y[f"{a}_force"] * u[f"{a}_velocity"] for a in ("boom", "stick"))
     balance = of.of(power, of.along(y["stored_energy"]), y["dissipated_power"])
     for _ in range(20):
-        x, given = point(of, rng)
-        given |= {
-            n: q.nominal * rng.uniform(0, 0.5)
-            for n, q in quantities(of.sub.inputs).items()
-            if n in faults(of.sub)
-        }
+        x, given = state(of, rng)
+        declared = quantities(of.sub.inputs)
+        given |= {n: declared[n].nominal * rng.uniform(0, 0.5) for n in faults(of.sub)}
         power_in, stored, heat = (b.item() for b in balance(x, **given))
         assert power_in - stored - heat == pytest.approx(0, abs=1e-9 * (abs(power_in) + abs(stored) + heat))
 
