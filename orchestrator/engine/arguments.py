@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, TypedDict
 
 from orchestrator.base.options import (
     GROUPS,
+    Faults,
     Kind,
     Number,
     Patterns,
@@ -130,9 +131,7 @@ class FaultArguments(TypedDict, total=False):
             boom_head_leak=2mm2@20s,0@30s.
     """
 
-    fault: Annotated[
-        Mapping[str, float | str] | None, Kind("NAME=SIZE@TIME", form="input=value@time, such as 2mm2@20s")
-    ]
+    fault: Faults
 
 
 class ProcessArguments(TypedDict, total=False):

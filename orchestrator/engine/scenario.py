@@ -314,7 +314,7 @@ def with_changes(
 
     changes   name -> "VALUE@TIME", several with commas; without a time from the start of the span [s] on
     """
-    columns = {name: _steps(system, name, str(text), span[0]) for name, text in changes.items()}
+    columns = {name: values_over_time(system, name, str(text), span[0]) for name, text in changes.items()}
     time = np.unique(np.concatenate([[*span], *(t for t, _ in columns.values())]))
     if trace is not None:
         time = np.unique(np.concatenate([time, trace.time]))
@@ -323,8 +323,10 @@ def with_changes(
     return replace(known, signals={**known.signals, **added})
 
 
-def _steps(system: System, name: str, text: str, begin: float) -> tuple[NDArray[np.float64], Any]:
-    """Corners of the values of an input: times [s], and values in its unit."""
+def values_over_time(
+    system: System, name: str, text: str, begin: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of an input that takes values at times: times [s], and values in its unit."""
     port = system.targets(name)[0][0]
     times, values = [begin], [float(system.components[port.component].value(port.variable))]
     for item in text.split(","):
