@@ -84,4 +84,4 @@ def with_lumps(lumps: int | Mapping[str, int]) -> Subsystem:
     return variants(lumps=lumps)["detailed"]
 
 
-__all__ = ["BOOM_STICK", "VARIANTS", "variants", "with_lumps"]
+__all__ = ["BOOM_STICK", "VARIANTS", "with_lumps"]

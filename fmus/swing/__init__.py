@@ -82,4 +82,4 @@ def with_lumps(lumps: int) -> Subsystem:
     return variants(lumps=lumps)["detailed"]
 
 
-__all__ = ["SWING", "VARIANTS", "variants", "with_lumps"]
+__all__ = ["SWING", "VARIANTS", "with_lumps"]

@@ -229,5 +229,5 @@ class LinearArguments(SystemArguments, total=False):
 
 GROUPS += [
     *(SystemArguments, SpanArguments, StepArguments, AccuracyArguments, SolverArguments, LimitArguments),
-    *(EndArguments, ProcessArguments, MachinesArguments),
+    *(EndArguments, FaultArguments, ProcessArguments, MachinesArguments),
 ]
