@@ -105,6 +105,7 @@ NAVIGATION = {
         "docs/control.md",
         "docs/crane.md",
         "docs/patu.md",
+        "docs/faults.md",
         "docs/linearize.md",
         "docs/view.md",
         "docs/sweep.md",
@@ -118,6 +119,7 @@ NAVIGATION = {
         "examples/paper_section_4/README.md",
         "examples/swing_peaks/README.md",
         "examples/first_parameters/README.md",
+        "examples/faults/README.md",
     ],
     "Reference": [
         "docs/reference/index.md",

@@ -13,7 +13,7 @@ import casadi as ca
 
 from fmus.components import oil
 from fmus.components.chamber import ATMOSPHERE
-from fmus.components.circuit import TANK, Branch, Circuit, Kind, Node
+from fmus.components.circuit import GROUND, TANK, Branch, Circuit, Kind, Node
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar
 from fmus.smooth import ramp, s_curve
@@ -65,6 +65,39 @@ class PistonLeakage(Addition):
         """From the head side to the rod side."""
         leak = Branch("head_pressure", "rod_pressure", Kind.LEAKAGE, lambda drop: self.conductance * drop)
         return Circuit({}, {at.name: leak})
+
+
+class Leaks(Addition):
+    """Sharp-edged openings from both sides of an actuator to the outside; its fields are their nodes."""
+
+    def added(self, at: Place) -> Circuit:
+        """From each side to the atmosphere; no air flows in."""
+        valve, found = getattr(at.own, "valve", None) or at.p.valve, dict[str, Branch]()
+        for node, area in vars(self).items():
+
+            def flow(drop: Scalar, area: Scalar = area) -> Scalar:
+                return valve.flow(area, ca.fmax(drop, 0), at.p)
+
+            found[f"{at.name}_{node}"] = Branch(node, GROUND, Kind.LEAKAGE, flow)
+        return Circuit({}, found)
+
+
+def _opening(side: str) -> Quantity:
+    return Quantity("m2", f"Opening to the outside at {side} of the {{}}", 1e-6, minimum=0.0, value=0.0)
+
+
+class CylinderLeaks(Leaks):
+    """Of a cylinder."""
+
+    head_pressure: Scalar = _opening("the head side")
+    rod_pressure: Scalar = _opening("the rod side")
+
+
+class MotorLeaks(Leaks):
+    """Of a motor."""
+
+    pressure_a: Scalar = _opening("line A")
+    pressure_b: Scalar = _opening("line B")
 
 
 class ChamberReliefs(PressureValve, Addition):

@@ -33,6 +33,7 @@ from fmus.drives.lumped import LUMPED
 from fmus.drives.motor import MOTOR
 from fmus.drives.quasistatic import QUASISTATIC
 from fmus.export.build import build_all
+from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS, faulty
 from fmus.machine.machine import Connections, Machine
 from fmus.machine.path_following import TrackedMachine
 from fmus.operator_input.model import OperatorOutputs, operator
@@ -78,22 +79,26 @@ HEAVY = 1 / 8  # of the supply pressure: a side that carries more at the start h
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
-def crane_machine(crane: CraneDescription) -> Machine:
-    """The machine of a description."""
+def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
+    """The machine of a description; faults: whether its parts have faults as inputs."""
     parts = {NAME: {"rigid": manipulator(crane)}}
     names, pose = list(dict.fromkeys(j.part for j in crane.driven)), outputs_at_start(parts[NAME]["rigid"])
     for name in names:
         joints = [j for j in crane.driven if j.part == name]
-        made = {v: _drives(crane, name, joints, pose, v) for v in FIDELITIES}
-        parts = {name: family(name, **made), **parts}
+        made = {v: _drives(crane, name, joints, pose, v, faults) for v in FIDELITIES}
+        of_part, names_of = family(name, **made), [j.name for j in joints]
+        parts = {name: {v: faulty(s, names_of) if faults else s for v, s in of_part.items()}, **parts}
     supplies = {v: _with(sub, crane) for v, sub in supply(names).items()}
+    supplies = {v: faulty(sub) if faults else sub for v, sub in supplies.items()}
     machine = Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
     try:
         moved = controlled(crane)
     except Problem:
         return machine  # the arm is none that a controller knows
     levers = {j.name: (motor.SENSE if j.drive == "motor" else cylinder.SENSE, j.part) for j in moved}
-    return replace(machine, controller=controller(crane, machine), actuation=actuation(levers))
+    head = actuation(levers, conditions=faults)
+    head = faulty(head, [*levers]) if faults else head
+    return replace(machine, controller=controller(crane, machine), actuation=head)
 
 
 def _with(sub: Subsystem, crane: CraneDescription) -> Subsystem:
@@ -110,12 +115,15 @@ def _drives(
     joints: Sequence[JointDescription],
     pose: Mapping[str, float],
     variant: str,
+    faults: bool,
 ) -> Subsystem:
     """The hydraulics of some joints."""
     axes = [
-        Axis(j.name, MOTOR, motor.HeldInputs, own_valve=True)
+        Axis(j.name, MOTOR, motor.HeldInputs, own_valve=True, additions=MOTOR_ADDITIONS if faults else ())
         if j.drive == "motor"
-        else Axis(j.name, CYLINDER, cylinder.Inputs, own_valve=True)
+        else Axis(
+            j.name, CYLINDER, cylinder.Inputs, own_valve=True, additions=CYLINDER_ADDITIONS if faults else ()
+        )
         for j in joints
     ]
     of, (fidelity, text, validity) = ", ".join(j.name for j in joints), FIDELITIES[variant]
@@ -126,8 +134,11 @@ def _drives(
     common = {**common, **_settings(crane, common), **crane.numbers["oil"]}
     sized = {j.name: {**j.numbers, **_sized(crane, j, common, pose)} for j in joints}
     found = dict[str, Number]()
-    for full in quantities(sub.parameters):
+    for full, declared in quantities(sub.parameters).items():
         joint = next((j for j in joints if full.startswith(f"{j.name}_")), None)
+        if declared.value is not None:  # of a component that is only there with faults
+            found[full] = Number(declared.value, declared.unit, "derived", "healthy")
+            continue
         if joint is None:
             found[full] = common[full]
             continue
@@ -244,9 +255,10 @@ def build_crane(
     versions: Sequence[int] = (2,),
     platforms: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    faults: bool = False,
 ) -> list[Path]:
     """Write the FMUs of all parts and variants, the machine as one FMU, and its system (SSP); their files."""
-    machine = crane_machine(crane)
+    machine = crane_machine(crane, faults)
     others = [s for v in machine.families.values() for s in v.values() if s.name != s.component]
     driver = (machine.controller, machine.actuation)
     subs = [*others, one_block(crane, machine), *machine.components.values(), *filter(None, driver)]

@@ -34,6 +34,7 @@ from fmus.contract import (
 from fmus.ports import LineInputs
 from orchestrator.base.errors import Problem
 
+Additions = tuple[tuple[str, type[Addition]], ...]  # name and component
 Names = tuple[str, str]  # of the two sides of an actuator
 
 
@@ -99,7 +100,7 @@ class Axis:
     inputs: type[Group]
     named: Callable[[str], str] | None = None
     own_valve: bool = False
-    additions: tuple[tuple[str, type[Addition]], ...] = ()
+    additions: Additions = ()
 
     def of(self, values: Mapping[str, Scalar]) -> dict[str, Scalar]:
         """Values of the axis by their names in the part."""

@@ -9,8 +9,9 @@ from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER, controller
 from fmus.controller.model import GAINS
 from fmus.export.build import build_all
+from fmus.machine.machine import Machine
 from fmus.machine.one_block import composed_machine
-from fmus.machine.parts import FAMILIES, FERIC
+from fmus.machine.parts import FAMILIES, FERIC, with_faults
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import NAME, with_partners, write_systems
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
@@ -35,6 +36,7 @@ def build_machine(
     parameters: Path | None = None,
     only: Sequence[str] = ("*",),
     progress: Callable[[str], None] = lambda _: None,
+    faults: bool = False,
 ) -> list[Path]:
     """Write the FMUs of parts, operator, controller and composed machine, and both systems; their files.
 
@@ -44,12 +46,15 @@ def build_machine(
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
     only        patterns of the names of FMUs; systems are written if all of their FMUs are
     progress    called with what is done now
+    faults      whether the FMUs have faults as inputs
     """
-    parts, others = parts_with_parameters(parameters)
+    machine = with_faults() if faults else FERIC
+    parts, others = parts_with_parameters(parameters, machine)
     steering = controller_of(parts, parameters)
     # load-sensing supply, the largest, is the last variant: compiled first, it does not keep one core waiting
     whole = composed_machine({name: parts[name] for name in FERIC.subsystems})
-    head = with_parameters(ACTUATION, read(parameters)["parameters"]) if parameters else ACTUATION
+    head = machine.actuation or ACTUATION
+    head = with_parameters(head, read(parameters)["parameters"]) if parameters else head
     subs = [*reversed(others), steering, head, whole, *parts.values()]
     names = [sub.name for sub in subs]
     subs = [with_partners(sub) for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
@@ -71,19 +76,20 @@ def build_machine(
     return paths
 
 
-def parts_with_parameters(parameters: Path | None = None) -> tuple[dict[str, Subsystem], list[Subsystem]]:
+def parts_with_parameters(
+    parameters: Path | None = None, machine: Machine = FERIC
+) -> tuple[dict[str, Subsystem], list[Subsystem]]:
     """Default parts by name, and all other variants, with the values of a parameter set if given."""
-    others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
+    families, components = machine.families, machine.components
+    others = [s for variants in families.values() for s in variants.values() if s.name != s.component]
     if parameters is None:
-        return dict(FERIC.components), others
-    parameter_set = read_parameter_set(
-        parameters, [*FERIC.components.values(), ACTUATION, CONTROLLER, *others]
-    )
+        return dict(components), others
+    parameter_set = read_parameter_set(parameters, [*components.values(), ACTUATION, CONTROLLER, *others])
     old, new = (
         pose_set(POSES[NOMINAL], m) for m in (MANIPULATOR, with_parameters(MANIPULATOR, parameter_set))
     )
     start = {n: value for n, value in new.items() if value != old[n]}  # holding forces depend on masses
-    default = {n: with_parameters(sub, parameter_set, start) for n, sub in FERIC.components.items()}
+    default = {n: with_parameters(sub, parameter_set, start) for n, sub in components.items()}
     others = [with_parameters(sub, parameter_set, start) for sub in others]
     for sub in (*default.values(), *others):
         for n, number in not_shipped(sub).items():

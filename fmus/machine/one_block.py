@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fmus.composition import compose
 from fmus.contract import Subsystem
+from fmus.machine.machine import wiring
 from fmus.machine.parts import DRIVES, FERIC
 from fmus.ports import grip, lever, return_line, supply_line
 
@@ -36,7 +37,7 @@ def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
         text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
         subsystems=parts,
         connections=FERIC.connections,
-        inputs=FERIC.inputs,
+        inputs=wiring(parts)[1],
         folder=Path(__file__).parent / "harvester",
         hidden=HIDDEN,
         totals=TOTALS,

@@ -1,13 +1,15 @@
 """The machine of the paper: its parts in all variants, supply, operator and controller."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
-from fmus import boom_stick, manipulator, supply, swing
+from fmus import boom_stick, faults, manipulator, supply, swing
 from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
 from fmus.machine.machine import Machine
 from fmus.operator_input.model import OPERATOR
-from fmus.valve_actuation import ACTUATION
+from fmus.valve_actuation import ACTUATION, actuation
+from fmus.valve_actuation.model import VALVES
 
 
 class Parts(dict[str, Mapping[str, Subsystem]]):
@@ -27,6 +29,24 @@ FERIC = Machine(
     shared=dict.fromkeys(("boom_stroke", "stick_stroke"), ("boom_stick", "manipulator")),
 )
 FAMILIES = Parts(FERIC.families)
+
+
+def with_faults() -> Machine:
+    """The same machine with faults as inputs of its parts (`fmus.faults`)."""
+    of_swing = swing.variants(faults.MOTOR_ADDITIONS)
+    of_arm = boom_stick.variants(faults.CYLINDER_ADDITIONS)
+    return replace(
+        FERIC,
+        parts={
+            "swing": {v: faults.faulty(sub, ["swing"]) for v, sub in of_swing.items()},
+            "boom_stick": {v: faults.faulty(sub, ["boom", "stick"]) for v, sub in of_arm.items()},
+            "manipulator": manipulator.VARIANTS,
+        },
+        supplies={"supply": {v: faults.faulty(sub) for v, sub in supply.VARIANTS.items()}},
+        actuation=faults.faulty(actuation(conditions=True), [*VALVES]),
+    )
+
+
 # variants with another circuit than the paper's machine: differences from the others are no errors
 OTHER_CIRCUITS = ("compensated", "load_sensing")
 # the machines of studies and of the virtual rig, as variants of their parts

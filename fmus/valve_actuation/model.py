@@ -24,7 +24,7 @@ import casadi as ca
 from fmus import ports
 from fmus.components.play import play_rate
 from fmus.components.spool_valve import saturation
-from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group
+from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group, nested, quantities
 
 # valve -> what a positive command does, part of the machine that contains it
 VALVES: Mapping[str, tuple[str, str]] = {
@@ -59,6 +59,17 @@ class Parameters(Group):
     dither_frequency: Scalar = Quantity("Hz", "Frequency of the dither", 100.0, minimum=0.0)
 
 
+class Condition(Group):
+    """Of one valve, apart from the others; zeros: as the others."""
+
+    stuck: Scalar = Quantity("1", "1: the {} spool is stuck, 0: it moves", value=0.0, group="{} valve")
+    loss: Scalar = Quantity("1", "Fraction of the {} command that does not arrive", value=0.0)
+    more_hysteresis: Scalar = Quantity("1", "Hysteresis of the {} valve in addition", 0.01, value=0.0)
+
+
+LIKE_OTHERS = nested(Condition, dict.fromkeys(quantities(Condition), 0.0))
+
+
 def _variables(valves: Mapping[str, tuple[str, str]]) -> tuple[type[Any], ...]:
     """States, inputs and outputs for these valves."""
     inputs, states, rates = dict[str, Quantity](), dict[str, Quantity](), dict[str, Quantity]()
@@ -83,18 +94,20 @@ def compensated(u: Scalar, p: Any) -> Scalar:
     return u + p.dead_band_compensation * (1 - ca.fabs(u) / full) * u / ca.sqrt(u**2 + FOOT**2)
 
 
-def actuation(valves: Mapping[str, tuple[str, str]] = VALVES) -> Subsystem:
-    """The actuation of these valves."""
+def actuation(valves: Mapping[str, tuple[str, str]] = VALVES, conditions: bool = False) -> Subsystem:
+    """The actuation of these valves; conditions: each has parameters of its own."""
     states, inputs, outputs = _variables(valves)
+    own: dict[str, Any] = dict.fromkeys(valves, Condition) if conditions else {}
 
     def rates(x: Any, u: Any, p: Any) -> dict[str, Scalar]:
         dither = p.dither_amplitude * ca.sin(2 * math.pi * p.dither_frequency * x.clock)
-        half = p.hysteresis * p.full_command / 2
 
         def rate(valve: str) -> Scalar:
-            wanted = compensated(getattr(u, f"{valve}_command"), p) + dither
+            of = getattr(p, valve, LIKE_OTHERS)
+            half = (p.hysteresis + of.more_hysteresis) * p.full_command / 2
+            wanted = compensated(getattr(u, f"{valve}_command") * (1 - of.loss), p) + dither
             free = play_rate(wanted, getattr(x, f"{valve}_valve_command"), half, 1 / p.lag, p.rounding)
-            return p.largest_rate * saturation(free / p.largest_rate)
+            return p.largest_rate * saturation(free / p.largest_rate) * (1 - of.stuck)
 
         return {f"{valve}_valve_command": rate(valve) for valve in valves}
 
@@ -108,7 +121,7 @@ def actuation(valves: Mapping[str, tuple[str, str]] = VALVES) -> Subsystem:
     return Subsystem(
         name="valve_actuation",
         text="Electrical actuation of the valves: hysteresis, lag and ramp of the spool, dither, dead band",
-        parameters=Parameters,
+        parameters=make_group("Parameters", {}, Parameters, **own) if conditions else Parameters,
         states=states,
         inputs=inputs,
         outputs=outputs,

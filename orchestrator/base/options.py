@@ -66,6 +66,9 @@ Values: TypeAlias = Annotated[
     Mapping[str, float | bool | str] | None,
     Kind("NAME=VALUE", form="component.variable=value or input=value"),
 ]
+Faults: TypeAlias = Annotated[
+    Mapping[str, float | str] | None, Kind("NAME=SIZE@TIME", form="input=value@time, such as 2mm2@20s")
+]
 _STEPS = "component=N, the number of internal steps per communication step"
 Substeps: TypeAlias = Annotated[
     Mapping[str, int] | None, Kind("COMPONENT=N", flags=("--factor",), form=_STEPS)

@@ -20,6 +20,7 @@ def build(
     parameters: File | None = None,
     only: Patterns = None,
     crane: File | None = None,
+    faults: bool = False,
     shipped: bool = False,
 ) -> None:
     """Build the FMUs of the machine, or one FMU from a model in Python.
@@ -40,6 +41,8 @@ def build(
     only         Build only the FMUs whose names match, such as 'swing*'; default: all.
     crane        Build the machine that this file (.toml) describes instead, see `harvester crane`: FMUs of
                  its parts, the whole machine as one FMU, and its system.
+    faults       Build FMUs that have faults as inputs, such as boom_head_leak, which are 0 if it is healthy;
+                 they have the same names, so choose another folder with --out.
     shipped      Copy the FMUs and systems from the installed package instead of building them; they are for
                  all platforms, and no compiler is needed.
     """
@@ -49,10 +52,11 @@ def build(
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
-    if shipped and (model or platform or parameters or only or crane):
-        raise Problem(
-            "--shipped: expected no MODEL, --platform, --parameters, --only or --crane, which need a build"
-        )
+    if shipped and (model or platform or parameters or only or crane or faults):
+        others = "--platform, --parameters, --only, --crane or --faults"
+        raise Problem(f"--shipped: expected no MODEL, {others}, which need a build")
+    if faults and model:
+        raise Problem(f"--faults: expected none with MODEL {model}, which has its own inputs")
     if crane and (model or parameters or only):
         raise Problem(f"--crane {crane}: expected no MODEL, --parameters or --only")
     if shipped:
@@ -97,14 +101,14 @@ def build(
         description = read(crane)
         check(description)
         with doing("building FMUs") as line:
-            _tell(build_crane(description, out, versions[fmi], platforms, line.update))
+            _tell(build_crane(description, out, versions[fmi], platforms, line.update, faults))
         try:
             controlled(description)
         except Problem as why:
             print(f"note: without a controller: {why}")
         return
     with doing("building FMUs") as line:
-        _tell(build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update))
+        _tell(build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update, faults))
 
 
 def _tell(paths: list[Path]) -> None:

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.base.options import Kind, Swaps, Values
+from orchestrator.base.options import Faults, Kind, Swaps, Values
 from orchestrator.cli import options
 from orchestrator.cli.options import BUILD, SYSTEM, File, Folder, System, Text, command, system_file
 
@@ -25,6 +25,7 @@ def view(
     pose: Text = "",
     swap: Swaps = None,
     set_: Values = None,
+    fault: Faults = None,
     port: Annotated[int, Kind("N", least=0, most=65535)] = 8080,
     host: Annotated[str, Kind("HOST")] = "127.0.0.1",
     token: Annotated[str, Kind("TEXT")] = "",
@@ -37,6 +38,8 @@ def view(
               the tip; else build/harvester.ssp, else the one in the installed package.
     replay    Open the replay of this result file (.csv, .parquet, .mat); default: none.
     pose      Parameter set with the initial pose, such as reach; default: the pose in the system.
+    fault     Input that takes a value at a simulated time, such as boom_head_leak=2mm2@20s of a machine that
+              was built with faults.
     port      TCP port; 0 selects a free one.
     host      Name or address to listen on, such as 0.0.0.0 for all; any other than a loopback address
               requires a token.
@@ -55,7 +58,7 @@ def view(
     chosen = require_system(system or _default_system(swapped))
     options.tell_built(chosen, swapped)
     serve(
-        MachineChoice(chosen, pose, swapped, starts),
+        MachineChoice(chosen, pose, swapped, starts, {n: str(value) for n, value in (fault or {}).items()}),
         replay,
         host=host,
         port=port,

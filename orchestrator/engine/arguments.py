@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, TypedDict
 
 from orchestrator.base.options import (
     GROUPS,
+    Faults,
     Kind,
     Number,
     Patterns,
@@ -122,6 +123,17 @@ class EndArguments(TypedDict, total=False):
     until: Annotated[str | Callable[[float, Mapping[str, float]], Any] | None, Kind("CONDITION")]
 
 
+class FaultArguments(TypedDict, total=False):
+    """What changes during a run.
+
+    fault   Input that takes a value during the run, such as boom_head_leak=2mm2@20s of a machine that was
+            built with faults; without a time from the start. Several after another:
+            boom_head_leak=2mm2@20s,0@30s.
+    """
+
+    fault: Faults
+
+
 class ProcessArguments(TypedDict, total=False):
     """Options of a run in Python only.
 
@@ -147,7 +159,9 @@ class CoupledArguments(CaseArguments, StepArguments, AccuracyArguments, Coupling
     """What a co-simulation runs, how accurate, and how it is coupled."""
 
 
-class CommandArguments(CoupledArguments, SolverArguments, LimitArguments, EndArguments, total=False):
+class CommandArguments(
+    CoupledArguments, FaultArguments, SolverArguments, LimitArguments, EndArguments, total=False
+):
     """Options of the command `run`."""
 
 
@@ -215,5 +229,5 @@ class LinearArguments(SystemArguments, total=False):
 
 GROUPS += [
     *(SystemArguments, SpanArguments, StepArguments, AccuracyArguments, SolverArguments, LimitArguments),
-    *(EndArguments, ProcessArguments, MachinesArguments),
+    *(EndArguments, FaultArguments, ProcessArguments, MachinesArguments),
 ]

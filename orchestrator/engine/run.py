@@ -44,13 +44,14 @@ from orchestrator.engine.result import (
     metadata_file,
     metadata_text,
 )
-from orchestrator.engine.scenario import drive
+from orchestrator.engine.scenario import drive, with_changes
 from orchestrator.engine.time_grid import (
     RECORD_STEP,
     Grid,
     grid,
     record_interval,
     step_length,
+    time_span,
     with_events,
 )
 from orchestrator.engine.until import Comparison, Until, condition
@@ -142,6 +143,7 @@ class Request:
     parameters: Sequence[str | Path] = ()
     set: Mapping[str, Value | str] = field(default_factory=dict)
     yes: bool | None = None
+    fault: Mapping[str, Value | str] = field(default_factory=dict)
 
     def search(self) -> AccuracySearch | None:
         """The search for the accuracy that is asked for; None without one.
@@ -185,6 +187,9 @@ class Request:
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
         system = replace(system, notes=system.notes + built_notes(system))
         (scenario, trace, label), driving = scenario_trace(scenario), None
+        if self.fault:
+            ends = time_span(system, trace, self.start, self.stop)
+            trace, label = with_changes(system, trace, self.fault, ends[:2]), label if trace else "fault"
         columns = trace.signals if trace is not None else ()
         system = replace(system, notes=system.notes + system.without_effect([*self.set, *columns]))
         if trace is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
+from orchestrator.base.options import seconds
 from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
 from orchestrator.data.trace import Trace
 from orchestrator.fmi.description import WHOLE, FmuVariable, Value
@@ -26,6 +27,9 @@ ALWAYS_CORNER = 1e-3  # above this value the sample is a corner
 NEVER_CORNER = 1e-6  # below this value the sample is not a corner
 # between them it is a corner if the change exceeds those at both neighbours by this factor
 CORNER_RATIO = 10.0
+
+
+AT_ONCE = 1e-3  # s, in which a value changes that is given for a time
 
 
 class ScenarioTable:
@@ -301,3 +305,41 @@ class DrivenInputs:
             input_writes=binding.program(self.set_calls),
         )
         binding.simulation.scenario = binding.pointer(struct)
+
+
+def with_changes(
+    system: System, trace: Trace | None, changes: Mapping[str, Value | str], span: tuple[float, float]
+) -> Trace:
+    """A scenario with more inputs: each takes values at times, in `AT_ONCE`.
+
+    changes   name -> "VALUE@TIME", several with commas; without a time from the start of the span [s] on
+    """
+    columns = {name: values_over_time(system, name, str(text), span[0]) for name, text in changes.items()}
+    time = np.unique(np.concatenate([[*span], *(t for t, _ in columns.values())]))
+    if trace is not None:
+        time = np.unique(np.concatenate([time, trace.time]))
+    known = trace.at(time) if trace is not None else Trace(time, {})
+    added = {name: np.interp(time, *steps) for name, steps in columns.items()}
+    return replace(known, signals={**known.signals, **added})
+
+
+def values_over_time(
+    system: System, name: str, text: str, begin: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners of an input that takes values at times: times [s], and values in its unit."""
+    port = system.targets(name)[0][0]
+    times, values = [begin], [float(system.components[port.component].value(port.variable))]
+    for item in text.split(","):
+        value, _, at = item.partition("@")
+        started = system.with_start({name: value}, origin="")
+        time = seconds(at, f"fault {name}") if at else begin
+        if times[-1] > (time or 0.0):
+            raise Problem(f"fault {name}: expected times in order, got {at} after {times[-1]:g} s")
+        if time is not None and time > begin:
+            times.append(time)
+            values.append(values[-1])
+        times.append((time or 0.0) + (AT_ONCE if at else 0.0))
+        values.append(float(started.components[port.component].value(port.variable)))
+    if times[0] == times[1]:
+        times, values = times[1:], values[1:]
+    return np.array(times), np.array(values)

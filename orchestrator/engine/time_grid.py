@@ -95,7 +95,7 @@ def grid(
 
     fitted   shorten equal steps so that they divide the record step, else the time span
     """
-    begin, end, notes = _span(system, scenario, start, stop)
+    begin, end, notes = time_span(system, scenario, start, stop)
     if system.coupling is None or system.coupling.adaptive is None:
         length = step_length(system, step)
         if fitted:
@@ -135,7 +135,7 @@ def _distinct(events: Iterable[float], points: Grid) -> Iterator[float]:
             last = t
 
 
-def _span(
+def time_span(
     system: System, scenario: Trace | None, start: float | None, stop: float | None
 ) -> tuple[float, float, tuple[str, ...]]:
     """Start and stop time [s], and a note if nothing suggests a stop time."""

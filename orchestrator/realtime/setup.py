@@ -57,7 +57,7 @@ class Setup:
     system       path of an .ssp or .fmu file
     axes         inputs that take commands
     signals      recorded signals, `component.variable`
-    swap, parameters, set   as for `run`
+    swap, parameters, set, fault   as for `run`
     step         communication step [s]; default: the suggestion of the system
     frame        time between two readings of the command, and the deadline [s]
     timeout      age at which a command expires and the axes go to rest [s]
@@ -69,6 +69,7 @@ class Setup:
     swap: Mapping[str, str] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     set: Mapping[str, float | str] = field(default_factory=dict)
+    fault: Mapping[str, float | str] = field(default_factory=dict)
     step: float | None = None
     frame: float = 0.01
     timeout: float = 0.25

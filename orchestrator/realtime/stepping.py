@@ -29,7 +29,7 @@ from orchestrator.engine.job import Execution, Job, Record, with_default_guard
 from orchestrator.engine.open_job import simulation
 from orchestrator.engine.recorder import EnergyMonitor
 from orchestrator.engine.result import SMALL_EXCHANGE, UNRELIABLE, energies_above
-from orchestrator.engine.scenario import ScenarioTable, drive
+from orchestrator.engine.scenario import ScenarioTable, drive, values_over_time
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Axis, Setup, Task
@@ -248,10 +248,14 @@ class FrameStepper:
         times, self._steps = _grid(system, coupling, setup)
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
-        self._ramp = Ramp(self.t, times.start + self._steps * times.step, self.axes)
+        given = setup.fault.items()
+        self._faults = {n: values_over_time(system, n, str(text), self.t) for n, text in given}
+        first = np.concatenate([self.axes, self._faults_at(self.t)])
+        self._ramp = Ramp(self.t, times.start + self._steps * times.step, first)
         driven = None
-        if setup.axes:
-            at_rest = {axis.name: np.full(2, axis.rest) for axis in setup.axes}
+        if first.size:
+            names = (*(axis.name for axis in setup.axes), *setup.fault)
+            at_rest = {n: np.full(2, value) for n, value in zip(names, first, strict=True)}
             bound = drive(system, Trace(self._ramp.arrays[0].copy(), at_rest), "axes")
             driven = replace(bound, table=self._ramp)
             system = driven.released(system)
@@ -272,12 +276,17 @@ class FrameStepper:
         """Step one frame, in which the axes move linearly to these values, shape (axes,)."""
         state = self._loop.state
         state.total = state.done + self._steps
-        self._ramp.aim(self.t, self._times.start + state.total * self._times.step, axes)
+        end = self._times.start + state.total * self._times.step
+        self._ramp.aim(self.t, end, np.concatenate([axes, self._faults_at(end)]))
         while state.done < state.total:
             self._loop.advance()
         self.t = state.t
         self.axes[:] = axes
         self.unreliable = self._energies.doubt(self.t)
+
+    def _faults_at(self, t: float) -> Array:
+        """Values of the faults at t [s]."""
+        return np.array([np.interp(t, *corners) for corners in self._faults.values()], dtype=np.float64)
 
     def close(self) -> None:
         """Free the FMUs. May be repeated."""

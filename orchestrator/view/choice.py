@@ -23,21 +23,23 @@ class MachineChoice:
     swap   component -> name of a variant or path
     pose   name of a parameter set; empty: the pose of the system
     set    start values by name, as for `run`
+    fault  inputs that take values at times, as for `run`
     """
 
     system: Path
     pose: str = ""
     swap: Mapping[str, str] = field(default_factory=dict)
     set: Mapping[str, str] = field(default_factory=dict)
+    fault: Mapping[str, str] = field(default_factory=dict)
 
     def command(self, scenario: str) -> str:
         """The command that repeats a drive whose commands are in this file."""
         pose = ["--pose", self.pose] if self.pose else []
         swaps = [part for name, variant in self.swap.items() for part in ("--swap", f"{name}={variant}")]
         sets = [part for name, value in self.set.items() for part in ("--set", f"{name}={value}")]
-        return shlex.join(
-            ["harvester", "run", str(self.system), "--scenario", scenario, *pose, *swaps, *sets]
-        )
+        faults = [part for name, value in self.fault.items() for part in ("--fault", f"{name}={value}")]
+        begin = ["harvester", "run", str(self.system), "--scenario", scenario]
+        return shlex.join([*begin, *pose, *swaps, *sets, *faults])
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ def plan(choice: MachineChoice) -> ViewPlan:
     scene = description.scene
     driven = description.driven(system).items()
     axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven)
-    setup = Setup(str(choice.system), axes, description.watched(system), choice.swap, sets, choice.set)
+    watched = description.watched(system)
+    setup = Setup(str(choice.system), axes, watched, choice.swap, sets, choice.set, choice.fault)
     return ViewPlan(
         choice, setup, description, parameters(scene, system) if scene else None, loaded.start or 0.0
     )

@@ -412,4 +412,4 @@ def next_choice(now: MachineChoice, asked: Asked) -> MachineChoice:
         if not isinstance(name, str) or name not in offer["variants"].get(part, {}):
             raise Problem(f"{ascii(part)[:60]}: no variant {ascii(name)[:60]} is offered")
     others = {part: name for part, name in swap.items() if name != USUAL}
-    return MachineChoice(Path(now.system).with_name(system), pose, others, now.set)
+    return MachineChoice(Path(now.system).with_name(system), pose, others, now.set, now.fault)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -31,6 +32,12 @@ from orchestrator.base.errors import Mistakes
 NEW = ("compensated", "detailed")
 CRANES = Path(__file__).parents[2] / "examples" / "cranes"
 LOADER = (CRANES / "loader.toml").read_text(encoding="utf-8")
+
+
+@cache
+def loader_machine():
+    """The machine of the loader."""
+    return crane_machine(read(CRANES / "loader.toml"))
 
 
 def changed(folder, *changes):
@@ -131,7 +138,7 @@ def test_passive_joints_start_at_rest(pitch, roll):
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed", "compensated"])
 def test_the_slewing_motor_holds_its_torque_from_the_start(variant):
     """Its lines begin with the pressures of the torque; the motor's leakage takes less than 1e-4 in them."""
-    drives = crane_machine(read(CRANES / "loader.toml")).families["drives"][variant]
+    drives = loader_machine().families["drives"][variant]
     model, v = symbolic(drives), values(drives)
     u = {**v.u, "slew_holding_torque": -8e3}
     x = model.initial()(list(v.x.values()), list(u.values()), list(v.p.values()))
@@ -149,7 +156,7 @@ def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
     """
     system = load(loader_folder / "loader.ssp")
     found = run(system, stop=20.0, master="jacobi", step=1e-3, record="manipulator.*", swap=swap)
-    machine = crane_machine(read(CRANES / "loader.toml"))
+    machine = loader_machine()
     chosen = machine.subsystems | machine.feeding | machine.chosen(**swap)
     model = join(chosen, *wiring(chosen))
     commands = run(load(loader_folder / "loader.ssp"), stop=20.0, record="operator_input.*")

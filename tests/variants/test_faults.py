@@ -1,0 +1,148 @@
+"""Faults as inputs: without one the machine is healthy, each acts, and energy closes while they do."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from kit.equations import Part
+from variants.test_additions import flows, point
+
+from fmus.contract import quantities
+from fmus.crane.description import read
+from fmus.crane.machine import crane_machine
+from fmus.machine.parts import FERIC, with_faults
+from fmus.package_files import data
+from orchestrator import run
+from orchestrator.base.errors import Problem
+
+MACHINE = with_faults()
+CASES = [(part, v) for part, vs in MACHINE.families.items() for v in vs if part != "manipulator"]
+LEAK = 1e-6  # m2
+
+
+def faults(sub):
+    """Names of the faults."""
+    return [n for n, q in quantities(sub.inputs).items() if q.text.startswith("Fault: ")]
+
+
+def state(of, rng):
+    """States and inputs without a fault; of supplies near the start, of drives in operation."""
+    if of.sub.part in ("swing", "boom_stick"):
+        x, u = point(of, rng)
+        u["oil_temperature"] = rng.uniform(263, 353)
+        x = np.array(
+            [rng.uniform() if n.endswith("_opening") else v for n, v in zip(of.states, x, strict=True)]
+        )
+    else:
+        x = of.start() * rng.uniform(0.9, 1.1, of.start().size)
+        u = {n: of.u[n] + 0.1 * rng.normal() * q.nominal for n, q in quantities(of.sub.inputs).items()}
+    return x, u | dict.fromkeys(faults(of.sub), 0.0)
+
+
+@pytest.mark.parametrize(("part", "variant"), CASES)
+def test_without_a_fault_a_part_is_healthy(part, variant):
+    """Rates and outputs are those of the part without faults, to rounding."""
+    healthy, faulty = Part(FERIC.families[part][variant]), Part(MACHINE.families[part][variant])
+    rng = np.random.default_rng(1)
+    none = dict.fromkeys(faults(faulty.sub), 0.0)
+    for _ in range(20):
+        x, u = state(healthy, rng)
+        for found, expected in zip(faulty(x, **u, **none), healthy(x, **u), strict=True):
+            found = found if isinstance(found, np.ndarray) else {n: found[n] for n in expected}
+            assert found == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("part", "variant"), [*CASES, ("valve_actuation", "")])
+def test_every_fault_acts(part, variant):
+    """Some rate or output depends on it, at some of 30 states."""
+    sub = MACHINE.families[part][variant] if variant else MACHINE.actuation
+    of, names = Part(sub), faults(sub)
+    everything = ca.vertcat(of.model.dx, of.model.y)
+    columns = [list(quantities(sub.inputs)).index(n) for n in names]
+    slopes = ca.Function("s", [of.model.x, of.model.u, of.model.p], [ca.jacobian(everything, of.model.u)])
+    found, rng = np.zeros(len(names)), np.random.default_rng(2)
+    for _ in range(30):
+        x, u = state(of, rng)
+        # cold oil does not reach the cooler; a relief valve acts from its pressure on
+        x = np.array([345.0 if n == "oil_temperature" else v for n, v in zip(of.states, x, strict=True)])
+        u |= {n: 0.9 if n.endswith("loss") else 0.01 for n in names}
+        slope = slopes(x, list((of.u | u).values()), list(of.p.values())).full()[:, columns]
+        found = np.maximum(found, np.abs(slope).max(axis=0))
+    assert (found > 0).all(), dict(zip(names, found, strict=True))
+
+
+@pytest.mark.parametrize("variant", ["lumped", "detailed", "compensated"])
+def test_energy_closes_with_faults_at_work(variant):
+    """Power in + convected = d(stored)/dt + heat, with leaks, seals and air; 1e-9 of the largest term."""
+    of = Part(MACHINE.families["boom_stick"][variant])
+    u, y, rng = of.expressions["u"], of.expressions["y"], np.random.default_rng(3)
+    power = (
+        u["supply_pressure"] * y["supply_flow"] - u["tank_pressure"] * y["return_flow"] + y["convected_power"]
+    )
+    power -= sum(y[f"{a}_force"] * u[f"{a}_velocity"] for a in ("boom", "stick"))
+    balance = of.of(power, of.along(y["stored_energy"]), y["dissipated_power"])
+    for _ in range(20):
+        x, given = state(of, rng)
+        declared = quantities(of.sub.inputs)
+        given |= {n: declared[n].nominal * rng.uniform(0, 0.5) for n in faults(of.sub)}
+        power_in, stored, heat = (b.item() for b in balance(x, **given))
+        assert power_in - stored - heat == pytest.approx(0, abs=1e-9 * (abs(power_in) + abs(stored) + heat))
+
+
+def test_a_leak_is_an_orifice_to_the_outside():
+    """C_d A sqrt(2 P/rho) above the laminar range: 100 bar, 1 mm2; no air comes in below 0."""
+    of = Part(MACHINE.families["boom_stick"]["lumped"])
+    out = flows(of, {"boom_head_pressure": 1e7}, boom_head_leak=LEAK)["leak_head_pressure"]
+    assert out == pytest.approx(0.62 * LEAK * np.sqrt(2 * 1e7 / of.p["density"]), rel=2e-3)
+    assert flows(of, {"boom_head_pressure": -1e4}, boom_head_leak=LEAK)["leak_head_pressure"] == 0
+
+
+def test_a_valve_with_a_fault():
+    """A stuck spool does not move; without current it goes to the centre; more hysteresis is a wider play."""
+    of = Part(MACHINE.actuation)
+    x = of.start(boom_valve_command=2.0, stick_valve_command=2.0)
+    at = {n: of.at(f"{n}_valve_command") for n in ("boom", "stick")}
+    half = of.p["hysteresis"] * of.p["full_command"] / 2
+    moving, stuck = (of(x, boom_command=8.0, stick_command=8.0, boom_spool_stuck=s)[0] for s in (0.0, 1.0))
+    assert moving[at["boom"]] > 0
+    assert stuck[at["boom"]] == 0
+    assert stuck[at["stick"]] == moving[at["stick"]]
+    dead = of(x, boom_command=8.0, boom_driver_loss=1.0)[0]
+    assert dead[at["boom"]] < 0
+    inside, wide = (
+        of(x, boom_command=2.0 + half + 0.2, boom_hysteresis_added=h)[0][at["boom"]] for h in (0.0, 0.1)
+    )
+    assert inside > 1.0  # V/s
+    assert abs(wide) < 1e-3
+
+
+def test_a_crane_has_faults_of_its_joints():
+    """Inputs by joint and part; without a fault its drives are those of the healthy crane."""
+    crane = read(data("../examples/cranes/loader.toml"))
+    machine = crane_machine(crane, faults=True)
+    named = {n for sub in machine.components.values() for n in faults(sub)} | {*faults(machine.actuation)}
+    assert named >= {"boom_head_leak", "slew_leak_a", "extension_seal_leakage", "jib_spool_stuck"}
+    healthy, faulty = (Part(m.subsystems["drives"]) for m in (crane_machine(crane), machine))
+    x, u = point(healthy, np.random.default_rng(4))
+    assert faulty(x, **u)[0] == pytest.approx(healthy(x, **u)[0], rel=1e-12)
+
+
+def test_an_input_takes_values_at_times(fmu_dir):
+    """As a scenario that has its corners; a name, a unit and an order that are wrong are told."""
+    fmu = fmu_dir / "harvester.fmu"
+    corners = {"time": [0, 0.5, 0.501, 1, 1.001, 2], "boom_command": [0, 0, 3, 3, 0, 0]}
+    given = run(fmu, corners, stop=2, record="boom_angle")
+    found = run(fmu, stop=2, record="boom_angle", fault={"boom_command": "3@0.5s,0@1s"})
+    assert np.array_equal(given["boom_angle"], found["boom_angle"])
+    both = run(fmu, {"time": [0, 2], "stick_command": [1, 1]}, fault={"boom_command": "3@0.5"})
+    alone = run(fmu, {"time": [0, 2], "stick_command": [1, 1]})
+    before = np.asarray(both.time) < 0.5
+    assert np.array_equal(both["boom_angle"][before], alone["boom_angle"][before])
+    assert abs(both["boom_angle"][-1] - alone["boom_angle"][-1]) > 1e-3
+    for fault, message in (
+        ({"boom_comand": "3@1s"}, "did you mean boom_command"),
+        ({"boom_command": "3bar@1s"}, "expected a unit like V"),
+        ({"boom_command": "3@2s,0@1s"}, "expected times in order, got 1s after 2.001 s"),
+        ({"boom_command": "3@soon"}, "expected a number of seconds"),
+    ):
+        with pytest.raises(Problem, match=message):
+            run(fmu, stop=2, fault=fault)
