@@ -3,8 +3,8 @@
     l' = (u - l)/T        d = 2 z - l,  z' = 2 (l - z)/tau
     y  = q round((d + b + s n(t))/q), within the range; the lowest reading without a connection
 
-u is the signal, T the lag of the sensor and tau the delay of the bus. The delay is an all-pass of first order.
-Its phase is that of a pure delay within 2 % up to 0.08/tau Hz. n is noise of unit variance, a new number every
+u is the signal, T the lag of the sensor and tau the delay of the bus, an all-pass of first order. Its phase
+is that of a pure delay within 2 % up to 0.08/tau Hz. n is noise of unit variance, a new number every
 `noise_period`, the sum of four uniform ones; the same at the same time and seed. b, s and q are bias,
 standard deviation and resolution. A stuck sensor keeps l. The drift of a sensor is a bias that grows.
 
