@@ -39,6 +39,7 @@ from fmus.machine.path_following import TrackedMachine
 from fmus.operator_input.model import OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
 from fmus.parameters import Number, numbers, parameters
+from fmus.sensors import sensors
 from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
@@ -98,7 +99,8 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     levers = {j.name: (motor.SENSE if j.drive == "motor" else cylinder.SENSE, j.part) for j in moved}
     head = actuation(levers, conditions=faults)
     head = faulty(head, [*levers]) if faults else head
-    return replace(machine, controller=controller(crane, machine), actuation=head)
+    machine = replace(machine, controller=controller(crane, machine), actuation=head)
+    return replace(machine, sensors=sensors(machine.measured)) if faults else machine
 
 
 def _with(sub: Subsystem, crane: CraneDescription) -> Subsystem:
@@ -260,7 +262,7 @@ def build_crane(
     """Write the FMUs of all parts and variants, the machine as one FMU, and its system (SSP); their files."""
     machine = crane_machine(crane, faults)
     others = [s for v in machine.families.values() for s in v.values() if s.name != s.component]
-    driver = (machine.controller, machine.actuation)
+    driver = (machine.controller, machine.actuation, machine.sensors)
     subs = [*others, one_block(crane, machine), *machine.components.values(), *filter(None, driver)]
     folders = {fmi: folder / SUBFOLDERS[fmi] for fmi in versions}
     built = build_all(
@@ -289,7 +291,10 @@ def _systems(crane: CraneDescription, machine: Machine) -> Iterator[tuple[str, t
         yield crane.file.stem, (machine.operator.name,), machine.operator_wires
     if machine.controller and machine.actuation:
         wires = machine.actuated(machine.controller_wires, machine.controller)
-        yield f"{crane.file.stem}_control", (machine.actuation.name, machine.controller.name), wires
+        drivers = machine.actuation.name, machine.controller.name
+        yield f"{crane.file.stem}_control", drivers, wires
+        if machine.sensors:
+            yield f"{crane.file.stem}_sensors", (machine.sensors.name, *drivers), machine.sensed(wires)
 
 
 def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose] | None:

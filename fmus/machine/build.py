@@ -55,7 +55,8 @@ def build_machine(
     whole = composed_machine({name: parts[name] for name in FERIC.subsystems})
     head = machine.actuation or ACTUATION
     head = with_parameters(head, read(parameters)["parameters"]) if parameters else head
-    subs = [*reversed(others), steering, head, whole, *parts.values()]
+    readers = [machine.sensors] if machine.sensors else []
+    subs = [*reversed(others), steering, head, *readers, whole, *parts.values()]
     names = [sub.name for sub in subs]
     subs = [with_partners(sub) for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
     if not subs:
@@ -71,7 +72,9 @@ def build_machine(
         default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]
         complete = fmus.keys() >= FERIC.components.keys()
-        systems = write_systems(folders[fmi], fmus, STEP, manipulator, boom_stick) if complete else []
+        systems = (
+            write_systems(folders[fmi], fmus, STEP, manipulator, boom_stick, machine) if complete else []
+        )
         paths += [*built, *systems, *default]
     return paths
 

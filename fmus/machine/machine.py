@@ -62,6 +62,7 @@ class Machine:
     supplies   the same; the machine in one FMU does not contain them
     operator, controller   each gives the commands in a system of its own; the controller also measures
     actuation  what is between the commands and the valves, in some systems
+    sensors    what is between the machine and the controller, in some systems
     shared     parameter -> parts that it describes together
     """
 
@@ -70,6 +71,7 @@ class Machine:
     operator: Subsystem | None = None
     controller: Subsystem | None = None
     actuation: Subsystem | None = None
+    sensors: Subsystem | None = None
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -148,6 +150,28 @@ class Machine:
         fed = {target for _, target in valves}
         others = (wire for wire in wires if wire[1] not in fed)
         return (*others, *plugged((driver, self.actuation)), *valves)
+
+    def sensed(self, wires: Connections) -> Connections:
+        """The wires of the controller, with the sensors between it and the machine."""
+        if self.sensors is None or self.controller is None:
+            return wires
+        signals, found = quantities(self.sensors.inputs), list[tuple[str, str]]()
+        for source, target in wires:
+            component, _, name = target.partition(".")
+            if component == self.controller.name and name in signals:
+                found.append((source, f"{self.sensors.name}.{name}"))
+                source = f"{self.sensors.name}.{name}_measured"
+            found.append((source, target))
+        return tuple(found)
+
+    @property
+    def measured(self) -> dict[str, str]:
+        """Signals of the machine that the controller measures -> their units."""
+        if self.controller is None:
+            return {}
+        declared = quantities(self.controller.inputs)
+        names = (target.partition(".")[2] for _, target in self.controller_wires)
+        return {n: declared[n].unit for n in names if n in declared}
 
     @cached_property
     def controller_wires(self) -> Connections:

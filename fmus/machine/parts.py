@@ -8,6 +8,7 @@ from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
 from fmus.machine.machine import Machine
 from fmus.operator_input.model import OPERATOR
+from fmus.sensors import sensors
 from fmus.valve_actuation import ACTUATION, actuation
 from fmus.valve_actuation.model import VALVES
 
@@ -44,6 +45,7 @@ def with_faults() -> Machine:
         },
         supplies={"supply": {v: faults.faulty(sub) for v, sub in supply.VARIANTS.items()}},
         actuation=faults.faulty(actuation(conditions=True), [*VALVES]),
+        sensors=sensors(FERIC.measured),
     )
 
 

@@ -2,6 +2,7 @@
 
 harvester.ssp            machine, supply and operator; parameter sets: poses, programs, `winter_oil`
 harvester_actuation.ssp  the same with the electrical actuation of the valves
+harvester_sensors.ssp    as harvester_control.ssp, the controller behind sensors; only with faults
 harvester_control.ssp    machine, supply, actuation and controller; parameter sets: poses, starts of paths,
                          `compensated`: section flows that the controller needs with compensated drives,
                          `winter_oil`
@@ -13,12 +14,14 @@ from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
+from fmus.machine.machine import Machine
 from fmus.machine.parts import DRIVES, FAMILIES, FERIC
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.machine.work_cycle import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
+from fmus.sensors import NAME as NAME_OF_SENSORS
 from fmus.supply import SUPPLY
 from fmus.valve_actuation import ACTUATION
 from orchestrator.ssp.load import assemble
@@ -44,6 +47,7 @@ HELD_COMMAND = (
 NAME, ACTUATED_NAME, CONTROL = "harvester", "harvester_actuation", "harvester_control"
 VIEW = Path(__file__).parent / NAME / "view.toml"  # displays and controls of `harvester view`
 COMPENSATED = "compensated"  # variant of the drives, parameter set of the controller
+SENSED = "harvester_sensors"
 CONTROL_STOP = 20.0  # s
 WINTER, WINTER_GRADE = "winter_oil", {"oil_viscosity_40": 46e-6, "oil_viscosity_100": 8.2e-6}  # HVLP 46, m2/s
 # some tools initialise in the order of the file, so sources of holding forces and supply pressure are first
@@ -51,7 +55,12 @@ ORDER = ("manipulator", "supply", "boom_stick", "swing")
 
 
 def write_systems(
-    folder: Path, fmus: Mapping[str, Path], step: float, manipulator: Subsystem, boom_stick: Subsystem
+    folder: Path,
+    fmus: Mapping[str, Path],
+    step: float,
+    manipulator: Subsystem,
+    boom_stick: Subsystem,
+    machine: Machine = FERIC,
 ) -> list[Path]:
     """Write the systems to `folder` whose operator or controller, and actuation, have an FMU.
 
@@ -67,10 +76,12 @@ def write_systems(
     own = controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
     operated = parameter_sets(manipulator)
     lever, head = (OPERATOR.name,), ACTUATION.name
+    behind = (CONTROLLER.name, head, NAME_OF_SENSORS)
     systems = (
         (NAME, lever, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
         (ACTUATED_NAME, (*lever, head), ACTUATED, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
         (CONTROL, (CONTROLLER.name, head), CONTROLLED, CONTROL_STOP, own, (NOMINAL,)),
+        (SENSED, behind, machine.sensed(CONTROLLED), CONTROL_STOP, own, (NOMINAL,)),
     )
     return [
         write_ssp(

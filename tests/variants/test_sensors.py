@@ -1,0 +1,119 @@
+"""Sensors: what they read of a signal, and what a fault of one does."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from kit import shards
+from kit.equations import Part
+from scipy.integrate import solve_ivp
+
+from fmus.controller.paths import start_angles
+from fmus.crane.description import read
+from fmus.crane.machine import crane_machine
+from fmus.machine.build import build_machine
+from fmus.machine.parts import FERIC, with_faults
+from fmus.machine.path_following import first_point, follow, read_machine
+from fmus.package_files import PACKAGE, data
+from fmus.sensors import noise, sensors
+from orchestrator import load
+
+OF = Part(sensors({"pressure": "Pa", "angle": "rad"}))
+QUIET = Part(sensors({"pressure": "Pa"}), pressure_noise=0.0, pressure_resolution=0.0)
+P = OF.p
+
+
+def reading(of, x, **u):
+    """Of the pressure."""
+    return of(x, **u)[1]["pressure_measured"]
+
+
+def test_the_noise_is_white_and_of_unit_variance():
+    """Of 20 000 samples: mean, variance, and the correlations with the next sample and another signal.
+
+    Four standard deviations of each; the sum of four uniform numbers has a kurtosis of 2.7.
+    """
+    n, k = ca.SX.sym("n"), 20_000
+    of = ca.Function("f", [n], [noise(n, 1.0, 0), noise(n, 1.0, 1), noise(n, 2.0, 0)])
+    first, other, seeded = (np.array(v)[0] for v in of(np.arange(k)[None, :]))
+    near = 4 / np.sqrt(k)
+    assert abs(first.mean()) < near
+    assert abs(first.var() - 1) < near * np.sqrt(1.7)
+    for pair in ((first[1:], first[:-1]), (first, other), (first, seeded)):
+        assert abs(np.corrcoef(*pair)[0, 1]) < near
+
+
+def test_a_reading_has_noise_and_resolution():
+    """Over 2000 samples at a constant pressure: multiples of the resolution, mean within its error."""
+    x = OF.start(pressure_lagged=1.2e7, pressure_delayed=1.2e7)
+    clock = OF.at("clock")
+    found = []
+    for k in range(2000):
+        x[clock] = (k + 0.5) * P["noise_period"]
+        found.append(reading(OF, x))
+    steps = np.array(found) / P["pressure_resolution"]
+    assert steps == pytest.approx(np.round(steps), abs=1e-9)
+    spread = np.hypot(P["pressure_noise"], P["pressure_resolution"] / np.sqrt(12))
+    assert np.mean(found) == pytest.approx(1.2e7, abs=4 * spread / np.sqrt(2000))
+    assert np.std(found) == pytest.approx(spread, rel=0.08)  # 4/sqrt(2 n)
+
+
+def test_lag_and_delay():
+    """A sine of 10 Hz: amplitude and phase are those of (1 + i w T)^-1 exp(-i w tau), to 0.5 % and 0.1 deg.
+
+    The all-pass has the phase of the delay within (w tau)^3/12, 0.15 deg at 5 ms.
+    """
+    w, (lag, delay) = 2 * np.pi * 10, (QUIET.p["pressure_lag"], QUIET.p["pressure_delay"])
+    time = np.arange(0, 1, 1e-3)
+
+    def slope(t, x):
+        return QUIET(x, pressure=5e6 + 1e6 * np.sin(w * t))[0]
+
+    x = solve_ivp(slope, (0, 1), QUIET.start(), t_eval=time, rtol=1e-9, atol=1e-3, max_step=2e-3).y
+    found = np.array([reading(QUIET, column) for column in x.T])[-300:] - 5e6
+    wave = np.exp(1j * w * time[-300:])
+    response = 2j * np.mean(found * wave.conj()) / 1e6
+    expected = np.exp(-1j * w * delay) / (1 + 1j * w * lag)
+    assert abs(response) == pytest.approx(abs(expected), rel=5e-3)
+    assert np.angle(response / expected) == pytest.approx(0, abs=np.radians(0.2))
+
+
+def test_faults_of_a_sensor():
+    """Bias, standstill, noise, no connection; the range ends the reading."""
+    x = QUIET.start(pressure_lagged=5e6, pressure_delayed=5e6)
+    assert reading(QUIET, x, pressure_bias=2e5) == pytest.approx(5.2e6, rel=1e-12)
+    assert QUIET(x, pressure=8e6)[0][QUIET.at("pressure_lagged")] > 0
+    assert QUIET(x, pressure=8e6, pressure_stuck=1.0)[0][QUIET.at("pressure_lagged")] == 0
+    assert reading(QUIET, x, pressure_noise_added=1e5) != 5e6
+    assert reading(QUIET, x, pressure_lost=1.0) == QUIET.p["pressure_lowest"]
+    high = QUIET.start(pressure_lagged=9e7, pressure_delayed=9e7)
+    assert reading(QUIET, high) == QUIET.p["pressure_highest"]
+
+
+def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures():
+    """Each measured input of the controller comes from a reading; the other wires are the same."""
+    crane = read(data("../examples/cranes/loader.toml"))
+    for machine in (with_faults(), crane_machine(crane, faults=True)):
+        wires, own = machine.sensed(machine.controller_wires), machine.sensors.name
+        into = {target: source for source, target in wires}
+        for name in machine.measured:
+            assert into[f"controller.{name}"] == f"{own}.{name}_measured"
+            assert (into[f"{own}.{name}"], f"controller.{name}") in machine.controller_wires
+        others = {w for w in machine.controller_wires if w[1].partition(".")[2] not in machine.measured}
+        assert others <= set(wires)
+    assert FERIC.sensed(FERIC.controller_wires) == FERIC.controller_wires
+
+
+@shards.machine
+def test_the_controller_draws_a_line_behind_sensors(tmp_path):
+    """With lag, delay, noise and resolution, valves with hysteresis: the line within 15 mm.
+
+    A boom angle that is 2 deg off puts the tip 2 deg times its radius of 4 m off, 0.14 m.
+    """
+    build_machine(tmp_path, (2,), faults=True)
+    system = load(tmp_path / "harvester_sensors.ssp")
+    names, path = read_machine(PACKAGE / "controller/tracking.toml"), data("scenarios/line.csv")
+    start = start_angles("line", first_point(path, names.path), {})
+    found = follow(system, names, path, "lumped", True, start)
+    assert found.largest < 15e-3
+    biased = follow(system, names, path, "lumped", True, {**start, "sensors.boom_angle_bias": np.radians(2)})
+    assert 0.05 < biased.largest < 0.3
