@@ -4,8 +4,8 @@ An input changes a parameter that exists, such as the pressure of a relief valve
 only a machine with faults has: openings to the outside, leakage past seals (`fmus.components.additions`),
 condition of a valve (`fmus.valve_actuation`). Leaks are branches of the circuit, so energy and oil close.
 
-At 0 the equations are those of the healthy machine. A size is held over a step; what it stores, such as the
-energy of oil that contains more air, jumps with it.
+At 0 the equations are those of the healthy machine. The stored energy, for example of oil with more air,
+jumps when a size jumps.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def _leakier(resistance: Scalar, size: Scalar) -> Scalar:
     return resistance / (1 + size * resistance)
 
 
-def _loss(text: str, *parameters: str) -> Fault:
-    return Fault("1", f"Fraction that is lost of {text}", 1.0, dict.fromkeys(parameters, _less), 1.0)
+def _loss(text: str, *parameters: str, most: float = 1.0) -> Fault:
+    return Fault("1", f"Fraction that is lost of {text}", 0.1, dict.fromkeys(parameters, _less), most)
 
 
 def _leak(side: str, *parameters: str) -> Fault:
@@ -75,7 +75,7 @@ def _leak(side: str, *parameters: str) -> Fault:
 SEAL, LEAK = "seal", "leak"  # additions
 CYLINDER_ADDITIONS: Additions = ((SEAL, PistonLeakage), (LEAK, CylinderLeaks))
 MOTOR_ADDITIONS: Additions = ((LEAK, MotorLeaks),)
-# of an axis, "{}" is its name; of motors without a name in their parameters also without it
+# of an axis, "{}" is its name; parameters of the swing have no name in front
 OF_AXIS = {
     "{}_seal_leakage": Fault(
         "m3/(s.Pa)",
@@ -91,7 +91,9 @@ OF_AXIS = {
     "{}_rod_leak": _leak("the rod side", "{}_leak_rod_pressure"),
     "{}_leak_a": _leak("line A", "{}_leak_pressure_a", "leak_pressure_a"),
     "{}_leak_b": _leak("line B", "{}_leak_pressure_b", "leak_pressure_b"),
-    "{}_brake_loss": _loss("the torque of the {} brake", "{}_brake_holding_torque", "brake_torque"),
+    "{}_brake_loss": _loss(
+        "the torque of the {} brake", "{}_brake_holding_torque", "brake_torque", most=0.99
+    ),
     "{}_spool_stuck": Fault("1", "1: the {} spool is stuck", 1.0, {"{}_stuck": _more}, 1.0),
     "{}_driver_loss": Fault(
         "1",
@@ -155,7 +157,7 @@ def faulty(sub: Subsystem, axes: Sequence[str] = ()) -> Subsystem:
         return sub
     declared = {
         n: Quantity(
-            f.unit, f"Fault: {f.text}", f.nominal, minimum=0.0, maximum=f.most, optional="it is healthy"
+            f.unit, f"Fault: {f.text}", f.nominal, minimum=0.0, maximum=f.most, optional="the part is healthy"
         )
         for n, f in faults.items()
     }

@@ -25,16 +25,20 @@ from fmus.parameters import Number
 
 NAME = "sensors"
 # unit -> begin of the names of its parameters
+NOMINAL = {"Pa": 1e7, "s": 0.01}
 KINDS = {"Pa": "pressure", "rad": "angle", "m": "length", "rad/s": "turning", "m/s": "velocity"}
 # lag [s], delay [s], noise, resolution, lowest and highest reading: of each kind, with the reason
-BUS = 0.005  # s
+BUS, TURN = 0.005, 2 * math.pi  # s, rad
 NUMBERS: Mapping[str, tuple[tuple[float, float, float, float, float, float], str]] = {
     "pressure": (
-        (2e-3, BUS, 1e4, 1e4, -1e5, 4e7),
-        "transducer of 400 bar, 0.25 % of which are 1 bar; 12 bits",
+        (2e-3, BUS, 1e4, 1e4, -1e5, 6e7),
+        "transducer of 600 bar; resolution and noise of 0.1 bar",
     ),
-    "angle": ((1e-3, BUS, 0.0, 2 * math.pi / 65536, -100.0, 100.0), "encoder of 65 536 counts per turn"),
-    "length": ((1e-3, BUS, 0.0, 1e-4, -1.0, 10.0), "linear encoder"),
+    "angle": (
+        (1e-3, BUS, 0.0, 2 * math.pi / 65536, -4 * math.pi, 4 * math.pi),
+        "encoder of 65 536 counts per turn",
+    ),
+    "length": ((1e-3, BUS, 0.0, 1e-4, -1.0, 100.0), "linear encoder"),
     "turning": ((0.01, BUS, 2e-3, 1e-4, -10.0, 10.0), "gyroscope, or an encoder differentiated over 20 ms"),
     "velocity": ((0.01, BUS, 1e-3, 1e-4, -10.0, 10.0), "linear encoder differentiated over 20 ms"),
 }
@@ -64,7 +68,10 @@ def sensors(signals: Mapping[str, str]) -> Subsystem:
         for (field, (own, text)), value in zip(FIELDS.items(), values, strict=True):
             name = f"{kind}_{field}"
             low = LEAST_LAG if field == "lag" else None if field in ("lowest", "highest") else 0.0
-            declared[name] = Quantity(own or unit, text.format(kind), 1.0, low, group=f"{kind.capitalize()}s")
+            size = NOMINAL.get(own or unit, 1.0) / (1e3 if field in ("noise", "resolution") else 1)
+            declared[name] = Quantity(
+                own or unit, text.format(kind), size, low, group=f"{kind.capitalize()}s"
+            )
             numbers[name] = Number(value, own or unit, "assumed", note)
     declared["noise_period"] = Quantity(
         "s", "Time between two numbers of the noise", 0.01, 1e-4, group="Noise"
@@ -73,18 +80,22 @@ def sensors(signals: Mapping[str, str]) -> Subsystem:
     numbers["noise_period"] = Number(1e-3, "s", "assumed", "sampling of a bus node")
     numbers["seed"] = Number(1.0, "1", "assumed", "any")
     parameters = make_group("Parameters", declared)
-    inputs = {n: Quantity(unit, f"Signal {n}") for n, unit in signals.items()}
+    nominal = {n: NOMINAL.get(unit, 1.0) for n, unit in signals.items()}
+    inputs = {n: Quantity(unit, f"Signal {n}", nominal[n]) for n, unit in signals.items()}
     for n, unit in signals.items():
         for field, (own, text) in FAULTS.items():
             most = None if field in ("bias", "noise_added") else 1.0
             least = None if field == "bias" else 0.0
+            size = 1.0 if own else 0.01 * nominal[n]
+            text = f"Fault: {text.format(n)}"
             inputs[f"{n}_{field}"] = Quantity(
-                own or unit, f"Fault: {text.format(n)}", minimum=least, maximum=most, optional="healthy"
+                own or unit, text, size, least, most, optional="the sensor is healthy"
             )
-    states = {f"{n}_lagged": Quantity(unit, f"{n} behind the lag") for n, unit in signals.items()}
-    states |= {f"{n}_delayed": Quantity(unit, f"{n} in the delay") for n, unit in signals.items()}
+    states = {f"{n}_lagged": Quantity(unit, f"{n} behind the lag", nominal[n]) for n, unit in signals.items()}
+    for n, unit in signals.items():
+        states[f"{n}_delayed"] = Quantity(unit, f"{n} in the delay", nominal[n])
     states["clock"] = Quantity("s", "Time of the noise; starts at 0, independent of the start time")
-    outputs = {f"{n}_measured": Quantity(unit, f"Reading of {n}") for n, unit in signals.items()}
+    outputs = {f"{n}_measured": Quantity(unit, f"Reading of {n}", nominal[n]) for n, unit in signals.items()}
     state, shown = make_group("States", states), make_group("Outputs", outputs)
 
     def dynamics(x: Any, u: Any, p: Any) -> Any:
@@ -131,7 +142,7 @@ def sensors(signals: Mapping[str, str]) -> Subsystem:
         next_event=next_event,
         numbers={"parameters": numbers, "start": {}},
         stiff=False,
-        validity="signals below about 20 Hz",
+        validity="signals below 16 Hz at the delay of the default values",
     )
 
 

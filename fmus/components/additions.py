@@ -68,17 +68,24 @@ class PistonLeakage(Addition):
 
 
 class Leaks(Addition):
-    """Sharp-edged openings from both sides of an actuator to the outside; its fields are their nodes."""
+    """Sharp-edged openings from both sides of an actuator to the outside; its fields are the chambers.
+
+    They are in the hoses: at the valve if a variant has its pressure, as in front of counterbalance valves,
+    else at the chamber.
+    """
 
     def added(self, at: Place) -> Circuit:
         """From each side to the atmosphere; no air flows in."""
         valve, found = getattr(at.own, "valve", None) or at.p.valve, dict[str, Branch]()
-        for node, area in vars(self).items():
+        for chamber, area in vars(self).items():
+            before = chamber.replace("pressure", "valve_pressure")
+            filled = before in at.circuit.nodes and at.circuit.nodes[before].capacitance is not None
+            node = before if filled else chamber
 
             def flow(drop: Scalar, area: Scalar = area) -> Scalar:
                 return valve.flow(area, ca.fmax(drop, 0), at.p)
 
-            found[f"{at.name}_{node}"] = Branch(node, GROUND, Kind.LEAKAGE, flow)
+            found[f"{at.name}_{chamber}"] = Branch(node, GROUND, Kind.LEAKAGE, flow)
         return Circuit({}, found)
 
 

@@ -1,7 +1,7 @@
 """Variables of the controller: parameters, states, inputs, outputs; signs as in model.py.
 
 The controller declares its gains (gains.py). Geometry and hydraulics are those of the machine's subsystems,
-which give their values (`model.tables`).
+which give their values (`model.controller_tables`).
 """
 
 from collections.abc import Sequence

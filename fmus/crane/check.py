@@ -6,8 +6,12 @@ The range of a joint is followed from its start pose in both directions, until t
 stroke, its lever passes zero, or the linkage no longer closes; the last two are mistakes.
 
 Holding pressures are those of the start pose without payload, with the other side of the piston at 0 bar.
-Speeds are those of a valve at full opening, half of the supply pressure lost in each edge, no load; the
-velocity of the oil is that in the hose then. The mode of an axis is that of its mass on the oil of both
+Speeds are those of a valve at full opening in steady motion without load; the oil passes both edges. The
+velocity of the oil is that in the hose of the larger flow then:
+
+    v = C_d A_v sqrt(2 P_s A_in/(rho (A_h^3 + A_r^3)))        A_in: area of the side that is filled
+
+The mode of an axis is that of its mass on the oil of both
 sides, with the hoses, at the start pose; all other joints are locked:
 
     f = sqrt((A_h^2/C_h + A_r^2/C_r) J^2 / M_ii) / (2 pi)           C = V/beta
@@ -135,16 +139,16 @@ def _axis(
     pressure = crane.numbers["supply"]["pressure_setting"].value
     density = crane.numbers["oil"]["density"].value
     coefficient = values(BOOM_STICK).p["valve_discharge_coefficient"]
-    flow = coefficient * joint["valve_area"] * math.sqrt(pressure / density)
+    root = coefficient * joint["valve_area"] * math.sqrt(2 * pressure / density)
     hose, inertia = math.pi / 4 * joint["hose_bore"] ** 2, _inertia(of, joint, v)
     capacitance = hose * joint["hose_length"] / crane.numbers["oil"]["bulk_modulus"].value
     if joint.drive == "motor":
         per_turn = joint["motor_displacement"] * joint["gear_ratio"]
-        torque, speed = pressure * per_turn, flow / per_turn
+        torque, speed = pressure * per_turn, root / math.sqrt(2) / per_turn
         capacitance += joint["motor_volume"] / crane.numbers["oil"]["bulk_modulus"].value
         mode = math.sqrt(2 * per_turn**2 / capacitance / inertia) / (2 * math.pi)
         ends = (-math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0, (speed, speed))
-        return AxisCheck(joint, *ends, flow / hose, mode)
+        return AxisCheck(joint, *ends, speed * per_turn / hose, mode)
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
     low, high, levers = _range(of, joint, v)
     force = start[f"{joint.name}_holding_force"]
@@ -158,6 +162,7 @@ def _axis(
     sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
     oils = [x / crane.numbers["oil"]["bulk_modulus"].value + capacitance for x in sizes]
     stiffness = head**2 / oils[0] + rod**2 / oils[1]
+    out, inwards = (root * math.sqrt(side / (head**3 + rod**3)) for side in (head, rod))
     return AxisCheck(
         joint,
         low,
@@ -166,8 +171,8 @@ def _axis(
         pressure * head,
         pressure * rod,
         holding,
-        (flow / head / lever, flow / rod / lever),
-        flow / hose,
+        (out / lever, inwards / lever),
+        out * head / hose,
         math.sqrt(stiffness * lever**2 / inertia) / (2 * math.pi),
     )
 

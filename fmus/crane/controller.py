@@ -82,6 +82,7 @@ def controlled(crane: CraneDescription) -> tuple[JointDescription, ...]:
     slew, *others = way
     moved = [j for j in others if not j.follows]
     sideways = {j.name for j in (*way[1:], end) if j and j["at_y"] != 0}
+    sideways |= {"payload"} if end is None and crane.numbers["payload"]["tip_y"].value else set()
     rules = {
         f"[{slew.name}] drive {slew.drive}, axis {slew.axis}": (slew.drive, slew.axis) == ("motor", "z"),
         f"{len(moved)} cylinders in the arm": len(moved) > 1,
@@ -266,7 +267,8 @@ def gains_of(crane: CraneDescription, arm: CraneArm) -> dict[str, Number]:
     }
     for a in pistons:
         flow = a.oil_velocity * math.pi / 4 * a.joint["hose_bore"] ** 2
-        found[f"{a.joint.name}_speed_limit"] = (flow / a.push * pressure / 2, "m/s")
+        inwards = flow / a.push * pressure * math.sqrt(a.pull / a.push)  # the slower direction
+        found[f"{a.joint.name}_speed_limit"] = (inwards / 2, "m/s")
     note = "of the modes and the speeds of the axes, as those of the harvester"
     return {n: Number(x, unit, "derived", note) for n, (x, unit) in found.items()}
 

@@ -131,6 +131,12 @@ WORDS = (
     *("shape", "source", "note"),
 )
 TEXTS = ("title", "source", "note")
+WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
+# begins of names of signals that are not those of joints; names of other components of a machine
+RESERVED = ("radial", "vertical", "turning", "path", "tip", "stop", "crane", "reference", "supply", "tank")
+COMPONENTS = (
+    *("manipulator", "supply", "controller", "valve_actuation", "operator_input", "sensors", "diagnosis"),
+)
 OPTIONAL = ("follows",)
 DEFAULT = "default"  # note of a number that the file does not have
 ONE = Number(1.0, "1", "assumed", DEFAULT)
@@ -214,14 +220,15 @@ class CraneDescription:
         """The joints from the base to the crane tip, and the joint there; None: the payload is there.
 
         The crane tip is on the way to the payload, where the first joint is that no cylinder moves, behind
-        the slewing joint.
+        the first driven one.
         """
         way, name = list[JointDescription](), self.payload_on
         while name:
             way.insert(0, self.joint(name))
             name = way[0].parent
-        moved = (k for k, j in enumerate(way) if k and j.drive in ("none", "motor") and not j.follows)
-        end = next(moved, len(way))
+        first = next((k for k, j in enumerate(way) if j.drive != "none"), 0)
+        still = (k for k, j in enumerate(way) if k > first and j.drive in ("none", "motor") and not j.follows)
+        end = next(still, len(way))
         return tuple(way[:end]), way[end] if end < len(way) else None
 
     @property
@@ -392,7 +399,9 @@ def _joint(
     starts: Mapping[str, Any],
     density: float,
 ) -> JointDescription:
-    if not re.fullmatch("[a-z][a-z0-9]*", name):
+    if name in RESERVED:
+        reader.wrong(name, f"expected another name: signals of other parts begin with {name}_")
+    if not re.fullmatch(WORD, name):
         expected = (
             f"a joint name of one word of small letters and digits: its signals are such as {name}_angle"
         )
@@ -431,7 +440,11 @@ def _joint(
         if "assembly" in own:
             assembly = reader.one_of(where, inner, "assembly", ("above", "below"))
         elif "part" in own:
-            part = str(inner.get("part", "drives"))
+            part = inner.get("part", "drives")
+            if not isinstance(part, str) or not re.fullmatch(PART, part) or part in COMPONENTS:
+                expected = f"a name of small letters, digits and _, none of {', '.join(COMPONENTS)}"
+                reader.wrong(where, f"part: expected {expected}, got {part!r}")
+                part = "drives"
             numbers |= _rated(reader, where, inner, numbers, density)
     if "rod" in numbers and numbers["rod"].value >= numbers["bore"].value:
         rod, bore = (1e3 * numbers[n].value for n in ("rod", "bore"))

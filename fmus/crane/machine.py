@@ -38,7 +38,7 @@ from fmus.machine.machine import Connections, Machine
 from fmus.machine.path_following import TrackedMachine
 from fmus.operator_input.model import OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
-from fmus.parameters import Number, numbers, parameters
+from fmus.parameters import Number, numbers, parameters, values
 from fmus.sensors import sensors
 from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
@@ -71,6 +71,7 @@ STEP, STOP = 1e-3, 20.0  # communication step and stop time of the system [s]
 FIRST, APART = 1.0, 2.5  # s: begin of the first stroke of the program, and between two joints
 STROKE = {"command": 3.0, "rise": 0.5, "hold": 0.5, "fall": 0.5}  # V, s; the next one goes back
 HELD = 1e6  # s, for which a payload of the description is held
+CONTROLLER, FLOW = "controller", "_section_flow"
 SOURCE = "crane.toml"  # the description, in the resources of a system
 SETTINGS = (  # that the paper's machine has as multiples of its supply pressure
     *("pressure_cut_off", "pump_1_pressure_setting", "pump_2_pressure_setting"),
@@ -138,9 +139,6 @@ def _drives(
     found = dict[str, Number]()
     for full, declared in quantities(sub.parameters).items():
         joint = next((j for j in joints if full.startswith(f"{j.name}_")), None)
-        if declared.value is not None:  # of a component that is only there with faults
-            found[full] = Number(declared.value, declared.unit, "derived", "healthy")
-            continue
         if joint is None:
             found[full] = common[full]
             continue
@@ -148,7 +146,9 @@ def _drives(
         shipped, axis = (rotary, swing) if joint.drive == "motor" else (hydraulic, boom_stick)
         names = axis.AXES[0].parameter(short), short, short.removeprefix("valve_")
         own = sized[joint.name].get(RENAMED.get(short, short))
-        found[full] = own or next(shipped[n] for n in names if n in shipped)
+        given = own or next((shipped[n] for n in names if n in shipped), None)
+        # else of a component that is only there with faults
+        found[full] = given or Number(declared.value or 0.0, declared.unit, "derived", "healthy")
     # of an FMU alone, whose inputs are not connected: the start pose, the pressure of the supply, warm oil
     start = {"supply_pressure": crane.numbers["supply"]["pressure_setting"]}
     start["oil_temperature"] = numbers(boom_stick.BOOM_STICK)["start"]["oil_temperature"]
@@ -281,8 +281,18 @@ def build_crane(
                 stop=STOP,
                 step=STEP,
             )
-            paths.append(write_ssp(system, folders[fmi] / f"{name}.ssp", resources=files_of))
+            sets = {"compensated": _section_flows(machine)} if CONTROLLER in drivers else {}
+            paths.append(write_ssp(system, folders[fmi] / f"{name}.ssp", sets, resources=files_of))
     return paths
+
+
+def _section_flows(machine: Machine) -> dict[str, float]:
+    """Flows of the compensated sections, for the controller."""
+    drives = (values(v["compensated"]).p for v in machine.parts.values() if "compensated" in v)
+    declared = quantities(machine.controller.parameters) if machine.controller else {}
+    return {
+        f"{CONTROLLER}.{n}": x for p in drives for n, x in p.items() if n in declared and n.endswith(FLOW)
+    }
 
 
 def _systems(crane: CraneDescription, machine: Machine) -> Iterator[tuple[str, tuple[str, ...], Connections]]:

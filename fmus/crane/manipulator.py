@@ -309,8 +309,10 @@ class CraneManipulator:
         shown = {"tip_force_power": ca.dot(force, chain.velocity(q, w, load.link, load.at))}
         shown["elastic_energy"] = self._elastic(x, p)
         end = chain.position(q, *self.crane_tip(p))
-        across = (end[i] - self._number(self.crane.joints[0], f"at_{n}", p) for i, n in enumerate("xy"))
-        shown["crane_tip_radius"], shown["crane_tip_height"] = ca.sqrt(sum(x**2 for x in across)), end[2]
+        way = self.crane.arm[0]
+        slew = next((j for j in way if j.drive != "none"), way[0])
+        across = (end - chain.position(q, self.crane.joints.index(slew)))[:2]
+        shown["crane_tip_radius"], shown["crane_tip_height"] = ca.sqrt(ca.sumsqr(across)), end[2]
         if self.crane.ground:
             shown["ground_force"] = self.ground(x, p)[0].force
         for j in self.crane.joints:
@@ -398,7 +400,7 @@ def manipulator(crane: CraneDescription) -> Subsystem:
     }
     shown["tip_force_power"] = Quantity("W", "Power of the external force on the tip", 1e3)
     shown["crane_tip_radius"] = Quantity(
-        "m", "Distance of the crane tip, the end of the driven arm, from the first joint, seen from above"
+        "m", "Distance of the crane tip, the end of the driven arm, from the slewing joint, seen from above"
     )
     shown["crane_tip_height"] = Quantity("m", "Height of the crane tip above the base")
     shown["elastic_energy"] = Quantity("J", "Elastic energy of springs in joints and of the ground", 1e3)

@@ -7,6 +7,7 @@ from itertools import permutations
 from typing import TypeAlias
 
 from fmus.contract import Subsystem, quantities
+from fmus.controller.variables import Setpoints
 from orchestrator.base.errors import Problem
 
 HOLDING = ("_holding_force", "_holding_torque")
@@ -181,6 +182,7 @@ class Machine:
         measured = (
             (f"{sub.name}.{name}", f"{self.controller.name}.{name}")
             for name in quantities(self.controller.inputs)
+            if name not in quantities(Setpoints)
             for sub in (*self.subsystems.values(), *self.feeding.values())
             if name in quantities(sub.outputs)
         )

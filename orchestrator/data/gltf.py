@@ -21,7 +21,10 @@ NUMBERS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126
 WIDTHS = {"SCALAR": 1, "VEC3": 3}
 TRIANGLES = 4  # mode of a primitive
 UPRIGHT = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], dtype=float)
-DAMAGED = KeyError, IndexError, TypeError, AttributeError, ValueError, struct.error, RecursionError
+DAMAGED = (
+    *(KeyError, IndexError, TypeError, AttributeError, ValueError, OverflowError),
+    *(struct.error, RecursionError),
+)
 EXPECTED = "expected the triangles of a binary glTF 2.0 file (.glb)"
 
 
@@ -65,11 +68,15 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _meshes(document: dict[str, Any], binary: bytes) -> Iterator[Mesh]:
-    left, roots = MAX_TRIANGLES, document["scenes"][document.get("scene", 0)]["nodes"]
+    left, nodes = MAX_TRIANGLES, document["nodes"]
+    below = {k for node in nodes for k in node.get("children", ())}
+    roots = [k for k in range(len(nodes)) if k not in below]
+    if "scenes" in document:
+        roots = document["scenes"][document.get("scene", 0)]["nodes"]
     for place, mesh in _placed(document, roots, UPRIGHT, set()):
         for primitive in document["meshes"][mesh]["primitives"]:
             if primitive.get("mode", TRIANGLES) != TRIANGLES:
-                continue
+                raise Problem(f"{EXPECTED}, got points, lines, strips or fans")
             at = _numbers(document, binary, primitive["attributes"]["POSITION"])
             points = (at @ place[:3, :3].T + place[:3, 3]).astype("<f4")
             order = np.arange(len(points))
@@ -108,7 +115,8 @@ def _matrix(node: dict[str, Any]) -> Array:
     """Place of a node in its parent."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=float).reshape(4, 4).T
-    matrix, (x, y, z, w) = np.eye(4), node.get("rotation", (0, 0, 0, 1))
+    matrix, turn = np.eye(4), np.array(node.get("rotation", (0, 0, 0, 1)), dtype=float)
+    x, y, z, w = turn / np.linalg.norm(turn)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=float)
     matrix[:3, :3] = (np.eye(3) + 2 * (w * cross + cross @ cross)) * node.get("scale", (1, 1, 1))
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
@@ -137,6 +145,8 @@ def _colour(document: dict[str, Any], material: int | None) -> str:
         document["materials"][material].get("pbrMetallicRoughness", {}).get("baseColorFactor", (1, 1, 1, 1))
     )
     linear = np.clip(np.array(base[:3], dtype=float), 0, 1)
+    if not np.isfinite(linear).all():
+        raise ValueError("a colour that is no number")
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     red, green, blue = (255 * encoded).round().astype(int).tolist()
     return f"#{red:02x}{green:02x}{blue:02x}"

@@ -127,7 +127,7 @@ class FaultArguments(TypedDict, total=False):
     """What changes during a run.
 
     fault   Input that takes a value during the run, such as boom_head_leak=2mm2@20s of a machine that was
-            built with faults; without a time from the start. Several after another:
+            built with faults; without a time from the start. Several values in sequence:
             boom_head_leak=2mm2@20s,0@30s.
     """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -314,7 +315,10 @@ def with_changes(
 
     changes   name -> "VALUE@TIME", several with commas; without a time from the start of the span [s] on
     """
-    columns = {name: values_over_time(system, name, str(text), span[0]) for name, text in changes.items()}
+    for name in changes:
+        if trace is not None and name in trace.signals:
+            raise Problem(f"fault {name}: expected an input that the scenario does not drive")
+    columns = {name: values_over_time(system, name, str(text), *span) for name, text in changes.items()}
     time = np.unique(np.concatenate([[*span], *(t for t, _ in columns.values())]))
     if trace is not None:
         time = np.unique(np.concatenate([time, trace.time]))
@@ -324,22 +328,27 @@ def with_changes(
 
 
 def values_over_time(
-    system: System, name: str, text: str, begin: float
+    system: System, name: str, text: str, begin: float, end: float = inf
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of an input that takes values at times: times [s], and values in its unit."""
-    port = system.targets(name)[0][0]
+    """Corners of an input that takes values at times within a span [s]: times [s], and values in its unit."""
+    port, items = system.targets(name)[0][0], text.split(",")
     times, values = [begin], [float(system.components[port.component].value(port.variable))]
-    for item in text.split(","):
-        value, _, at = item.partition("@")
-        started = system.with_start({name: value}, origin="")
-        time = seconds(at, f"fault {name}") if at else begin
-        if times[-1] > (time or 0.0):
+    for item in items:
+        given, _, at = item.partition("@")
+        if not at and len(items) > 1:
+            hint = "; a decimal point separates digits, a comma values" if len(items) == 2 else ""
+            raise Problem(f"fault {name}: expected VALUE@TIME for each of several values, got {item!r}{hint}")
+        started = system.with_start({name: given}, origin="")
+        value = float(started.components[port.component].value(port.variable))
+        time = float(seconds(at, f"fault {name}") or 0.0) if at else begin
+        if not (isfinite(value) and isfinite(time)):
+            raise Problem(f"fault {name}: expected finite numbers, got {item}")
+        if not begin <= time < end:
+            raise Problem(f"fault {name}: expected a time from {begin:g} s to {end:g} s, the end, got {at}")
+        if time < times[-1] and len(times) > 1:
             raise Problem(f"fault {name}: expected times in order, got {at} after {times[-1]:g} s")
-        if time is not None and time > begin:
-            times.append(time)
-            values.append(values[-1])
-        times.append((time or 0.0) + (AT_ONCE if at else 0.0))
-        values.append(float(started.components[port.component].value(port.variable)))
-    if times[0] == times[1]:
-        times, values = times[1:], values[1:]
+        if not at:
+            return np.array([begin]), np.array([value])
+        times += [max(time, np.nextafter(times[-1], inf)), min(time + AT_ONCE, end)]
+        values += [values[-1], value]
     return np.array(times), np.array(values)

@@ -248,8 +248,12 @@ class FrameStepper:
         times, self._steps = _grid(system, coupling, setup)
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
-        given = setup.fault.items()
-        self._faults = {n: values_over_time(system, n, str(text), self.t) for n, text in given}
+        driven_ports = {port for axis in setup.axes for port, _ in system.targets(axis.name)}
+        self._faults = {}
+        for name, text in setup.fault.items():
+            if driven_ports & {port for port, _ in system.targets(name)}:
+                raise Problem(f"fault {name}: expected an input that nobody drives here")
+            self._faults[name] = values_over_time(system, name, str(text), self.t)
         first = np.concatenate([self.axes, self._faults_at(self.t)])
         self._ramp = Ramp(self.t, times.start + self._steps * times.step, first)
         driven = None

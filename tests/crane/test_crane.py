@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from kit import shards
 from kit.mistakes import problem, table
 from kit.properties import examples
+from scipy.optimize import brentq
 
 from fmus.components.chain import Payload
 from fmus.contract import nested, quantities, symbolic
-from fmus.crane.check import capacity, check, lifting_moment
+from fmus.crane.check import capacity, check, levers_at_start, lifting_moment
 from fmus.crane.check import table as text_of
 from fmus.crane.description import new, read
 from fmus.crane.machine import crane_machine
@@ -147,6 +148,16 @@ def test_the_slewing_motor_holds_its_torque_from_the_start(variant):
     assert shown["slew_torque"] == pytest.approx(-8e3, rel=1e-4)
 
 
+def test_a_crane_on_tyres_has_its_tip(tmp_path):
+    """A stiff passive joint below the slewing one changes neither radius nor height."""
+    tyres = '[tyres]\naxis = "y"\nmass = 1\ninertia = [1, 1, 1]\nstiffness = 1e12\ndamping = 1e5\n'
+    slew = '[slew]\naxis = "z"'
+    soft = read(changed(tmp_path, (slew, tyres + slew)))
+    (_, own), (_, shown) = (at_start(c) for c in (soft, read(CRANES / "loader.toml")))
+    for name in ("crane_tip_radius", "crane_tip_height"):
+        assert own[name] == pytest.approx(shown[name], abs=1e-6)  # the spring gives way by 1e-7 rad
+
+
 @shards.machine
 @pytest.mark.parametrize("swap", [{}, *({"drives": d, "supply": "load_sensing"} for d in NEW)], ids=str)
 def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
@@ -233,6 +244,22 @@ def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
     told = text_of(crane, found, capacity(crane, found))
     assert "assumed: [boom] cylinder.dead_volume 0.0003 m3, cylinder.damping 2e+04 N.s/m" in told
     assert "hydraulics.hose 3 m" in told
+
+
+def test_speeds_are_those_of_both_edges_in_series():
+    """The steady state without load, by bisection: the forces of both pressures are in balance."""
+    crane = read(CRANES / "loader.toml")
+    supply, density, levers = 215e5, 870.0, levers_at_start(crane)
+    for axis in check(crane)[1:]:
+        joint = axis.joint
+        head, rod = (np.pi / 4 * d for d in (joint["bore"] ** 2, joint["bore"] ** 2 - joint["rod"] ** 2))
+        gain = 0.62 * joint["valve_area"] * np.sqrt(2 / density)
+        for (filled, emptied), speed in zip(((head, rod), (rod, head)), axis.speeds, strict=True):
+
+            def excess(v, filled=filled, emptied=emptied, gain=gain):
+                return filled * (supply - (filled * v / gain) ** 2) - emptied * (emptied * v / gain) ** 2
+
+            assert speed * abs(levers[joint.name]) == pytest.approx(brentq(excess, 0, 5), rel=1e-9)
 
 
 def test_a_payload_of_the_file_is_held_from_the_start(tmp_path):

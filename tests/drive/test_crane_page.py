@@ -263,6 +263,23 @@ def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:
         assert message.startswith(f"{tmp_path / 'one.glb'}: expected the triangles of a binary glTF 2.0 file")
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("nodes", [{"mesh": 0, "translation": [10**400, 0, 0]}], "a damaged one: OverflowError"),
+        ("materials", [{"pbrMetallicRoughness": {"baseColorFactor": ["nan", 0, 0]}}], "a colour that is no"),
+        (
+            "meshes",
+            [{"primitives": [{"mode": 5, "attributes": {"POSITION": 0}}]}],
+            "got points, lines",
+        ),
+    ],
+)
+def test_numbers_that_are_none_are_a_problem(key: str, value: Any, told: str, tmp_path: Path) -> None:
+    """In one line: numbers that are too large or none, strips."""
+    assert told in problem(lambda: points(glb.box(LOW, HIGH, {key: value}), tmp_path))
+
+
 SHAPES = {
     "three": 3,
     "text": '"text.glb"',

@@ -60,11 +60,13 @@ def test_every_fault_acts(part, variant):
     columns = [list(quantities(sub.inputs)).index(n) for n in names]
     slopes = ca.Function("s", [of.model.x, of.model.u, of.model.p], [ca.jacobian(everything, of.model.u)])
     found, rng = np.zeros(len(names)), np.random.default_rng(2)
-    for _ in range(30):
+    for k in range(30):
         x, u = state(of, rng)
         # cold oil does not reach the cooler; a relief valve acts from its pressure on
         x = np.array([345.0 if n == "oil_temperature" else v for n, v in zip(of.states, x, strict=True)])
-        u |= {n: 0.9 if n.endswith("loss") else 0.01 for n in names}
+        declared = quantities(sub.inputs)
+        share = 0.95 if k % 2 else 0.05
+        u |= {n: share * declared[n].maximum if n.endswith("loss") else 0.01 for n in names}
         slope = slopes(x, list((of.u | u).values()), list(of.p.values())).full()[:, columns]
         found = np.maximum(found, np.abs(slope).max(axis=0))
     assert (found > 0).all(), dict(zip(names, found, strict=True))
@@ -134,6 +136,7 @@ def test_an_input_takes_values_at_times(fmu_dir):
     found = run(fmu, stop=2, record="boom_angle", fault={"boom_command": "3@0.5s,0@1s"})
     assert np.array_equal(given["boom_angle"], found["boom_angle"])
     both = run(fmu, {"time": [0, 2], "stick_command": [1, 1]}, fault={"boom_command": "3@0.5"})
+    assert both.time[-1] == 2
     alone = run(fmu, {"time": [0, 2], "stick_command": [1, 1]})
     before = np.asarray(both.time) < 0.5
     assert np.array_equal(both["boom_angle"][before], alone["boom_angle"][before])
@@ -141,8 +144,22 @@ def test_an_input_takes_values_at_times(fmu_dir):
     for fault, message in (
         ({"boom_comand": "3@1s"}, "did you mean boom_command"),
         ({"boom_command": "3bar@1s"}, "expected a unit like V"),
-        ({"boom_command": "3@2s,0@1s"}, "expected times in order, got 1s after 2.001 s"),
+        ({"boom_command": "3@1s,0@0.5s"}, "expected times in order, got 0.5s after 1.001 s"),
+        ({"boom_command": "3@2s"}, "expected a time from 0 s to 2 s, the end, got 2s"),
+        ({"boom_command": "0,5"}, "expected VALUE@TIME for each of several values, got '0'; a decimal point"),
+        ({"boom_command": "inf@1s"}, "expected finite numbers"),
         ({"boom_command": "3@soon"}, "expected a number of seconds"),
     ):
         with pytest.raises(Problem, match=message):
             run(fmu, stop=2, fault=fault)
+    with pytest.raises(Problem, match="expected an input that the scenario does not drive"):
+        run(fmu, corners, fault={"boom_command": "1@0.1s"})
+
+
+def test_a_leak_is_in_front_of_the_counterbalance_valve():
+    """With compensated drives oil is lost at the valve, else at the chamber, where the load presses."""
+    for variant, node in (("compensated", "boom_head_valve_pressure"), ("lumped", "boom_head_pressure")):
+        of = Part(MACHINE.families["boom_stick"][variant])
+        healthy, leaking = (of(of.start(**{node: 1e7}), boom_head_leak=a)[0] for a in (0.0, LEAK))
+        changed = {n for n, a, b in zip(of.states, healthy, leaking, strict=True) if a != b}
+        assert changed == {node}

@@ -58,9 +58,10 @@ def test_a_reading_has_noise_and_resolution():
 
 
 def test_lag_and_delay():
-    """A sine of 10 Hz: amplitude and phase are those of (1 + i w T)^-1 exp(-i w tau), to 0.5 % and 0.1 deg.
+    """A sine of 10 Hz: amplitude and phase are those of (1 + i w T)^-1 exp(-i w tau), to 0.5 % and 0.2 deg.
 
-    The all-pass has the phase of the delay within (w tau)^3/12, 0.15 deg at 5 ms.
+    The all-pass has the phase of the delay within (w tau)^3/12, 0.15 deg at 5 ms; the rest is the mean over
+    a time that is no whole number of periods.
     """
     w, (lag, delay) = 2 * np.pi * 10, (QUIET.p["pressure_lag"], QUIET.p["pressure_delay"])
     time = np.arange(0, 1, 1e-3)
@@ -105,9 +106,10 @@ def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures(
 
 @shards.machine
 def test_the_controller_draws_a_line_behind_sensors(tmp_path):
-    """With lag, delay, noise and resolution, valves with hysteresis: the line within 15 mm.
+    """With lag, delay, noise and resolution, valves with hysteresis: within 15 mm, without sensors 5 mm.
 
-    A boom angle that is 2 deg off puts the tip 2 deg times its radius of 4 m off, 0.14 m.
+    The noise costs a few millimetres, by its seed (docs/faults.md). A boom angle that is 2 deg off puts the
+    tip off by 2 deg times its distance from the boom pivot, 4 to 4.5 m: 0.14 to 0.16 m, and 15 mm.
     """
     build_machine(tmp_path, (2,), faults=True)
     system = load(tmp_path / "harvester_sensors.ssp")
@@ -116,4 +118,4 @@ def test_the_controller_draws_a_line_behind_sensors(tmp_path):
     found = follow(system, names, path, "lumped", True, start)
     assert found.largest < 15e-3
     biased = follow(system, names, path, "lumped", True, {**start, "sensors.boom_angle_bias": np.radians(2)})
-    assert 0.05 < biased.largest < 0.3
+    assert 0.125 < biased.largest < 0.175
