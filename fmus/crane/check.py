@@ -309,7 +309,8 @@ def table(crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity) 
 def _doubts(crane: CraneDescription, found: Sequence[AxisCheck]) -> Iterator[str]:
     """What is possible but seldom meant."""
     for j in crane.joints:
-        if not (j["mass"] or j["stiffness"] or any(j[f"inertia_{n}"] for n in INERTIAS)):
+        weightless = not (j["stiffness"] or any(j[f"inertia_{n}"] for n in INERTIAS))
+        if j["mass"] == 0 and (weightless or j.drive in ("cylinder", "four-bar")):
             yield f"[{j.name}] has no mass"
         if j.drive == "none" and not j.follows and j["damping"] == 0:
             yield f"[{j.name}] passive and without damping: it swings for ever"
