@@ -317,7 +317,13 @@ def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose
     crane = read(Path(str(file)), file.read())
     controlled(crane)  # tells why the machine has no controller
     tip = ("crane_tip_radius", "crane_tip_height", crane.joints[0].coordinate)
-    own = replace(names, alone="drives=lumped", tip=tuple(f"{NAME}.{n}" for n in tip))
+    name = system.name.removesuffix("_control").removesuffix("_sensors")
+    own = replace(
+        names,
+        example=f"{name}_control.ssp",
+        alone="drives=lumped",
+        tip=tuple(f"{NAME}.{n}" for n in tip),
+    )
     return own, partial(start_pose, controller(crane, crane_machine(crane)))
 
 
