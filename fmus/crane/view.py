@@ -148,6 +148,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
                 slew: {"swing_velocity": 0.3},
                 lift: {"vertical_velocity": 0.8},
                 tilt: {"radial_velocity": -0.8},
+                **{name: own for name, own in full.items() if name not in moved},
             },
         }
     return {"functions": words, "patterns": hands, "modes": modes}
