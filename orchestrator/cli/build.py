@@ -76,7 +76,8 @@ def build(
 
         if not model.endswith(".py"):
             raise Problem(
-                f"{model}: expected a file such as my_actuator.py; fmus.build(...) builds one of equations"
+                f"{model}: expected a file such as my_actuator.py; fmus.build(...) builds one of equations, "
+                "--crane a machine from the description of a crane (.toml)"
             )
         if 2 not in versions[fmi]:
             raise Problem(f"--fmi {fmi}: expected 2, because an FMU whose code is Python uses FMI 2.0")
