@@ -59,6 +59,7 @@ bench-sensitivities: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.starts
 
 bench-live: $(TESTING)
+	test -f build/harvester.ssp || $(BIN)/harvester build
 	$(BIN)/python -m benchmarks.live --browser $(ARGS)
 
 bench-sweep: $(EVERYTHING)

@@ -10,7 +10,8 @@ takes half a minute. Wall times need an idle computer; the processor time of all
 them, depends less on other load. Some runs of the first study are repeated one by one, by `run` at 1 ms.
 
 Limits: LIMIT [s] for 2000 runs of 10 s on two cores; two workers RATIO times as fast as one; equal results;
-outputs within SAME of those of the single runs, relative to their range. Exit status 1 if one is missed.
+outputs within SAME of those of the single runs, relative to their range. Exit status 1 if one is missed. The
+times of a smaller study have no limits: most of its time is the start of processes.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ from orchestrator.data.trace import Trace
 from orchestrator.lanes.batch import BatchResult
 
 SYSTEM = Path("build/harvester.ssp")
-LIMIT, RATIO = 12.0, 1.7  # [s] for 2000 runs of 10 s; wall time of one worker over that of two
+RUNS, SECONDS = 2000, 10.0  # of the study whose times have limits
+LIMIT, RATIO = 12.0, 1.7  # [s] for this study; wall time of one worker over that of two
 SAME, SINGLE, MILLISECOND = 1e-4, 16, 1e-3  # of the range; number of single runs; their step [s]
 STUDY = """
 title = "Speed"
@@ -265,16 +267,19 @@ def measure(home: Path, runs: int, seconds: float) -> list[Check]:
     print(f"{runs // 2} runs, one worker:  {one}", flush=True)
     stored = kill_and_restart(half, home / "killed", runs // 2)
     print(f"{runs // 2} runs, two workers: killed when {stored} were stored, started again\n", flush=True)
-    limit, ratio = LIMIT * runs * seconds / (2000 * 10.0), one.wall / two.wall
+    limit, ratio = LIMIT * runs * seconds / (RUNS * SECONDS), one.wall / two.wall
     equal = {
         "one and two workers": equal_results(home / "two", home / "one"),
         "killed": equal_results(home / "two", home / "killed"),
     }
     different = [name for name, same in equal.items() if not same]
-    return [
+    times = [
         Check(f"{runs} runs of {seconds:g} s", f"{every.wall:.1f} s", f"< {limit:g} s", every.wall < limit),
-        Check("outputs: single runs", f"{apart:.1e} of range", f"< {SAME:g}", apart < SAME),
         Check("one worker over two", f"{ratio:.2f}", f">= {RATIO:g}", ratio >= RATIO),
+    ]
+    shorter = runs < RUNS or seconds < SECONDS
+    return ([] if shorter else times) + [
+        Check("outputs: single runs", f"{apart:.1e} of range", f"< {SAME:g}", apart < SAME),
         Check(
             "results: one, two, killed",
             f"differs: {', '.join(different)}" if different else "equal",
@@ -287,8 +292,8 @@ def measure(home: Path, runs: int, seconds: float) -> list[Check]:
 def main() -> int:
     """Run all studies, print the checks; status 1 if one is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=2000)
-    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--runs", type=int, default=RUNS)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--lanes", action="store_true", help="write the table of lanes against single runs")
     arguments = parser.parse_args()
     if arguments.lanes:

@@ -82,7 +82,8 @@ class Controller:
         most: Scalar = 0
         for (name, a), sign in zip(self._actuators(ref, p).items(), ref.directions, strict=True):
             up, down = needed_pressures(a, getattr(x, f"{name}_load"), u.tank_pressure)
-            needed = ca.fmax(ca.fmax(0, sign) * (up + MARGIN), ca.fmax(0, -sign) * (down + MARGIN))
+            # squares: no kink at rest
+            needed = ca.fmax(ca.fmax(0, sign) ** 2 * (up + MARGIN), ca.fmax(0, -sign) ** 2 * (down + MARGIN))
             most = ca.fmax(most, needed)
         return most / ca.fmax(u.supply_pressure, LEAST_SUPPLY)
 

@@ -43,7 +43,7 @@ from fmus.controller.valve import Actuator
 from fmus.controller.variables import parameters
 from fmus.crane.check import check, outputs_at_start
 from fmus.crane.description import CraneDescription, JointDescription
-from fmus.crane.manipulator import TEXTS, CraneManipulator, _own
+from fmus.crane.manipulator import TEXTS, CraneManipulator, numbers_of
 from fmus.drives import cylinder, motor
 from fmus.machine.machine import Machine
 from fmus.parameters import Number, numbers, read, values
@@ -61,7 +61,6 @@ CENTRING = 0.3  # 1
 SLOW = 1e-4  # m/s: rounds the speed of the tip at rest
 LEAST_SHARE = 1e-3  # of the weight of a joint in that of all: keeps the quotients finite at a small lever
 STEPS, LARGEST_STEP, CLOSE = 500, 0.1, 1e-9  # of the search for a pose; m, m
-TRACKING = "tracking.toml"
 
 
 class Centring(Group):
@@ -220,7 +219,7 @@ class CraneArm(Arm):
 
 def _geometry(joint: JointDescription, vectors: Sequence[str]) -> dict[str, Quantity]:
     """Geometry of a joint that is a parameter of the manipulator."""
-    own = _own(joint)
+    own = numbers_of(joint)
     names = [f"{v}_{n}" for v in vectors for n in "xyz"] + ([*LENGTHS] if len(vectors) > 1 else [])
     return {n: Quantity(own[n].unit, TEXTS[n], group="{}") for n in names if n in own}
 

@@ -104,7 +104,7 @@ def _of(group: type[Any], *names: str) -> dict[str, Quantity]:
     return {n: declared[n] for n in names}
 
 
-def _own(joint: JointDescription) -> dict[str, Number]:
+def numbers_of(joint: JointDescription) -> dict[str, Number]:
     """Numbers of a joint that are parameters of the manipulator; zeros are structure."""
     some = {n: x for n, x in joint.numbers.items() if n in TEXTS and x.value != 0}
     return some | ({"ratio": joint.ratio} if joint.follows else {})
@@ -122,7 +122,7 @@ class CraneManipulator:
     # ---- geometry at one instant
 
     def _number(self, joint: JointDescription, name: str, p: Any) -> Scalar:
-        return getattr(getattr(p, joint.name), name) if name in _own(joint) else 0
+        return getattr(getattr(p, joint.name), name) if name in numbers_of(joint) else 0
 
     def _link(self, joint: JointDescription, p: Any) -> Link:
         names, of = [j.name for j in self.crane.joints], partial(self._number, joint, p=p)
@@ -170,7 +170,7 @@ class CraneManipulator:
     def _springs(self, p: Any) -> dict[int, Scalar]:
         """Link -> stiffness of its joint."""
         joints = enumerate(self.crane.joints)
-        return {k: self._number(j, "stiffness", p) for k, j in joints if "stiffness" in _own(j)}
+        return {k: self._number(j, "stiffness", p) for k, j in joints if "stiffness" in numbers_of(j)}
 
     @cached_property
     def signs(self) -> dict[str, float]:
@@ -462,7 +462,7 @@ def _parameters(crane: CraneDescription) -> tuple[type[Any], Tables]:
             members[name] = Quantity(j.start.unit, f"{j.coordinate} at the start", group="Start pose")
     groups = {}
     for j in crane.joints:
-        own = _own(j)
+        own = numbers_of(j)
         declared = {
             n: Quantity(x.unit, TEXTS[n], max(abs(x.value), 1e-3), MINIMA.get(n), group="{}")
             for n, x in own.items()

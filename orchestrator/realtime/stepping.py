@@ -248,10 +248,10 @@ class FrameStepper:
         times, self._steps = _grid(system, coupling, setup)
         limits = RateLimiter(setup.axes, setup.frame)
         self.t, self.axes = times.start, limits.rest.copy()
-        driven_ports = {port for axis in setup.axes for port, _ in system.targets(axis.name)}
         self._faults = {}
         for name, text in setup.fault.items():
-            if driven_ports & {port for port, _ in system.targets(name)}:
+            meant = {port for port, _ in system.targets(name)}
+            if any(meant & {port for port, _ in system.targets(axis.name)} for axis in setup.axes):
                 raise Problem(f"fault {name}: expected an input that nobody drives here")
             self._faults[name] = values_over_time(system, name, str(text), self.t)
         first = np.concatenate([self.axes, self._faults_at(self.t)])

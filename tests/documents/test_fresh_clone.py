@@ -14,7 +14,7 @@ from kit.tutorial import Page
 SLOW = pytest.mark.timeout(6000)
 ROOT = Path(__file__).parents[2]
 EXTRAS = "model,build,view,sweep,identify,control"  # of README's commands
-ONE = "tests/documents/test_package.py"
+ONE, FAST = "tests/documents/test_package.py", "tests/cli/test_extras.py"
 # installation -> target -> variables of make with which it does little of everything. Targets with the same
 # installation follow each other in one clone, so none profits from what another installs
 TRIED = {
@@ -32,7 +32,7 @@ TRIED = {
         "matrix": ["ARGS=--tool harvester"],
     },
     "other tools": {"bench-peers": ["ARGS=--repeats 1"]},
-    "release": {"extras": [], "test-lowest": [f"FAST={ONE}"], "test-newest": [f"FAST={ONE}"]},
+    "release": {"extras": [], "test-lowest": [f"FAST={FAST}"], "test-newest": [f"FAST={FAST}"]},
 }
 # target -> where it is run, or why not
 ELSEWHERE = {

@@ -225,7 +225,7 @@ def pressure_use(ref: Group, x: Group, u: Group, p: Group) -> float:
         a, load = oil(name, ref.arm.pistons[i], p).a, getattr(x, f"{name}_load")
         for push, behind, sign in ((a[0], a[1], 1), (a[1], a[0], -1)):
             need = (sign * load + behind * u.tank_pressure) / push + 5e5
-            uses.append(max(0.0, sign * ref.toward[i]) * need / max(u.supply_pressure, 1e5))
+            uses.append(max(0.0, sign * ref.toward[i]) ** 2 * need / max(u.supply_pressure, 1e5))
     return max(uses)
 
 

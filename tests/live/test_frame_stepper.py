@@ -2,6 +2,7 @@
 
 import gc
 import tracemalloc
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -122,6 +123,7 @@ MISTAKES = {
     "step: expected at least 9.09e-15 s, got 1e-300 s": {"step": 1e-300},
     "step: expected at least 9.09e-15 s, got 9.99989e-321 s": {"step": 1e-320},
     "none.fmu: no such file": {"system": "none.fmu"},
+    "fault u: expected an input that nobody drives here": {"fault": {"u": "1@1s"}},
 }
 
 
@@ -129,6 +131,20 @@ MISTAKES = {
 def test_mistakes_are_told_in_one_line(drift, message):
     """Names and times that do not fit."""
     assert problem(lambda: FrameStepper(replace(drift, **MISTAKES[message]))) == message
+
+
+def test_an_input_takes_a_value_at_a_time(drift):
+    """Behind the axes, within a frame: no motion before, and then as if an axis had been moved."""
+    axis = Axis("u", 2.0, 1e3)
+    with (
+        closing(FrameStepper(replace(drift, axes=(), fault={"u": "1@0.04s"}))) as given,
+        closing(FrameStepper(replace(drift, axes=(axis,)))) as moved,
+    ):
+        for k in range(8):
+            given.advance(np.array([]))
+            moved.advance(np.array([0.0 if k < 4 else 1.0]))
+            assert given.values == pytest.approx(moved.values, rel=1e-9)
+        assert given.values[0] != 0
 
 
 def test_a_failing_fmu_tells_why_and_keeps_the_last_frame(failing):
