@@ -259,6 +259,8 @@ class Subsystem:
     step       longest communication step [s] at which its ports are exchanged without an error that matters:
                the FMU suggests no longer one
     stiff      whether modes are much faster than the motion; if not, an explicit method is tried first
+    sampling   of an algorithm of a control unit: interval [s] at which co-simulation advances its states, by
+               Euler's method with the inputs of that instant; 0: its states are integrated
     part, variant   component of a system, and the name of this variant of it (`family`)
     validity   range of validity, in one line
     names_of_variants   names in parameters.toml that only other variants of the part declare
@@ -285,6 +287,7 @@ class Subsystem:
     circuits: Callable[[Any, Any, Any], Mapping[str, Any]] = _none
     step: float = math.inf
     stiff: bool = True
+    sampling: float = 0.0
     part: str = ""
     variant: str = ""
     validity: str = ""

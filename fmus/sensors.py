@@ -1,7 +1,7 @@
 """Sensors between a machine and what measures it: lag, delay, range, noise, resolution, and their faults.
 
     l' = (u - l)/T        d = 2 z - l,  z' = 2 (l - z)/tau
-    y  = q round((d + b + s n(t))/q), within the range; the lowest reading without a connection
+    y  = q round((d + b + s n(t))/q), within the range; one beyond it without a connection
 
 u is the signal, T the lag of the sensor and tau the delay of the bus, an all-pass of first order. Its phase
 is that of a pure delay within 2 % up to 0.08/tau Hz. n is noise of unit variance, a new number every
@@ -27,28 +27,29 @@ NAME = "sensors"
 # unit -> begin of the names of its parameters
 NOMINAL = {"Pa": 1e7, "s": 0.01}
 KINDS = {"Pa": "pressure", "rad": "angle", "m": "length", "rad/s": "turning", "m/s": "velocity"}
-# lag [s], delay [s], noise, resolution, lowest and highest reading: of each kind, with the reason
+# lag [s], delay [s], noise, resolution, lowest and highest reading, that without a connection: of each kind
 BUS, TURN = 0.005, 2 * math.pi  # s, rad
-NUMBERS: Mapping[str, tuple[tuple[float, float, float, float, float, float], str]] = {
+NUMBERS: Mapping[str, tuple[tuple[float, ...], str]] = {
     "pressure": (
-        (2e-3, BUS, 1e4, 1e4, -1e5, 6e7),
-        "transducer of 600 bar; resolution and noise of 0.1 bar",
+        (2e-3, BUS, 1e4, 1e4, -1e5, 6e7, -1.5e7),
+        "transducer of 600 bar, 4 to 20 mA, so 0 mA reads -150 bar; resolution and noise of 0.1 bar",
     ),
     "angle": (
-        (1e-3, BUS, 0.0, 2 * math.pi / 65536, -4 * math.pi, 4 * math.pi),
+        (1e-3, BUS, 0.0, 2 * math.pi / 65536, -4 * math.pi, 4 * math.pi, -5 * math.pi),
         "encoder of 65 536 counts per turn",
     ),
-    "length": ((1e-3, BUS, 0.0, 1e-4, -1.0, 100.0), "linear encoder"),
-    "turning": ((0.01, BUS, 2e-3, 1e-4, -10.0, 10.0), "gyroscope, or an encoder differentiated over 20 ms"),
-    "velocity": ((0.01, BUS, 1e-3, 1e-4, -10.0, 10.0), "linear encoder differentiated over 20 ms"),
+    "length": ((1e-3, BUS, 0.0, 1e-4, -1.0, 100.0, -10.0), "linear encoder"),
+    "turning": ((0.01, BUS, 2e-3, 1e-4, -10.0, 10.0, -20.0), "gyroscope, or an encoder differentiated over 20 ms"),
+    "velocity": ((0.01, BUS, 1e-3, 1e-4, -10.0, 10.0, -20.0), "linear encoder differentiated over 20 ms"),
 }
 FIELDS = {
     "lag": ("s", "Lag of the {} sensors"),
     "delay": ("s", "Delay of the {} readings"),
     "noise": ("", "Standard deviation of the {} readings"),
     "resolution": ("", "Resolution of the {} readings; 0: as fine as numbers are"),
-    "lowest": ("", "Lowest {} reading, also that of a sensor that is not connected"),
+    "lowest": ("", "Lowest {} reading"),
     "highest": ("", "Highest {} reading"),
+    "unconnected": ("", "Reading of a {} sensor that is not connected"),
 }
 FAULTS = {
     "bias": ("", "Bias of the reading of {}"),
@@ -57,6 +58,7 @@ FAULTS = {
     "lost": ("1", "1: the sensor of {} is not connected"),
 }
 LEAST_LAG = 1e-4  # s
+SIGNED = ("lowest", "highest", "unconnected")
 
 
 def sensors(signals: Mapping[str, str]) -> Subsystem:
@@ -67,7 +69,7 @@ def sensors(signals: Mapping[str, str]) -> Subsystem:
         values, note = NUMBERS[kind]
         for (field, (own, text)), value in zip(FIELDS.items(), values, strict=True):
             name = f"{kind}_{field}"
-            low = LEAST_LAG if field == "lag" else None if field in ("lowest", "highest") else 0.0
+            low = LEAST_LAG if field == "lag" else None if field in SIGNED else 0.0
             size = NOMINAL.get(own or unit, 1.0) / (1e3 if field in ("noise", "resolution") else 1)
             declared[name] = Quantity(
                 own or unit, text.format(kind), size, low, group=f"{kind.capitalize()}s"
@@ -119,7 +121,7 @@ def sensors(signals: Mapping[str, str]) -> Subsystem:
             step = ca.fmax(own["resolution"], 1e-300)
             value = ca.if_else(own["resolution"] > 0, step * ca.floor(value / step + 0.5), value)
             value = ca.fmin(ca.fmax(value, own["lowest"]), own["highest"])
-            readings[f"{n}_measured"] = value + of["lost"] * (own["lowest"] - value)
+            readings[f"{n}_measured"] = value + of["lost"] * (own["unconnected"] - value)
         return shown(**readings)
 
     def initial(_: Any, u: Any, __: Any) -> dict[str, Scalar]:

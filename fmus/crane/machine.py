@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from fmus import boom_stick, ports, swing
 from fmus.components.cylinder import areas
@@ -24,6 +25,7 @@ from fmus.crane.controller import controlled, controller, start_pose
 from fmus.crane.description import CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, manipulator
 from fmus.crane.view import page_files
+from fmus.diagnosis import diagnosis
 from fmus.drives import cylinder, motor
 from fmus.drives.compensated import COMPENSATED
 from fmus.drives.cylinder import CYLINDER
@@ -101,7 +103,12 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     head = actuation(levers, conditions=faults)
     head = faulty(head, [*levers]) if faults else head
     machine = replace(machine, controller=controller(crane, machine), actuation=head)
-    return replace(machine, sensors=sensors(machine.measured)) if faults else machine
+    if not faults or machine.controller is None:
+        return machine
+    functions: Any = machine.controller.dynamics
+    arm, mechanics = functions.__self__.arm, machine.subsystems[NAME]
+    found = diagnosis(arm, numbers(machine.controller)["parameters"], mechanics)
+    return replace(machine, sensors=sensors(machine.measured), diagnosis=found)
 
 
 def _with(sub: Subsystem, crane: CraneDescription) -> Subsystem:
@@ -262,7 +269,7 @@ def build_crane(
     """Write the FMUs of all parts and variants, the machine as one FMU, and its system (SSP); their files."""
     machine = crane_machine(crane, faults)
     others = [s for v in machine.families.values() for s in v.values() if s.name != s.component]
-    driver = (machine.controller, machine.actuation, machine.sensors)
+    driver = (machine.controller, machine.actuation, machine.sensors, machine.diagnosis)
     subs = [*others, one_block(crane, machine), *machine.components.values(), *filter(None, driver)]
     folders = {fmi: folder / SUBFOLDERS[fmi] for fmi in versions}
     built = build_all(
@@ -303,8 +310,9 @@ def _systems(crane: CraneDescription, machine: Machine) -> Iterator[tuple[str, t
         wires = machine.actuated(machine.controller_wires, machine.controller)
         drivers = machine.actuation.name, machine.controller.name
         yield f"{crane.file.stem}_control", drivers, wires
-        if machine.sensors:
-            yield f"{crane.file.stem}_sensors", (machine.sensors.name, *drivers), machine.sensed(wires)
+        if machine.sensors and machine.diagnosis:
+            readers = machine.sensors.name, *drivers, machine.diagnosis.name
+            yield f"{crane.file.stem}_sensors", readers, machine.sensed(wires)
 
 
 def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose] | None:

@@ -234,6 +234,7 @@ def generated(interface: Interface, guid: str, printed: PrintedEquations | None 
         "statements": interface.equations.statements,
         "sizes": _sizes(interface, printed.lengths),
         "tolerance": repr(DEFAULT_TOLERANCE),
+        "sampling": interface.sampling,
         "guid": json.dumps(guid),
         "equations": printed.model.removesuffix("\n"),
         "row": partial(_row, [v.name for v in interface.inputs]),

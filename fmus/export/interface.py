@@ -54,6 +54,7 @@ class Interface:
     equations: Symbolic
     y: ca.SX  # expressions of `outputs`, shape (n, 1)
     stiff: bool = True  # see `Subsystem`
+    sampling: float = 0.0  # see `Subsystem`
     not_shipped: Mapping[str, Number] = field(default_factory=dict)  # see `parameters.not_shipped`
 
     @property
@@ -79,7 +80,8 @@ def interface_of(sub: Subsystem, values: Values) -> Interface:
     groups = variable_groups((parameters, quantities(sub.inputs), states, outputs), values, sym.calculated)
     rows = [i for i, name in enumerate(outputs) if name not in states]
     interface = make_interface(sub.name, sub.text, groups, sym, column(*(sym.y[i] for i in rows)))
-    return replace(interface, stiff=sub.stiff, not_shipped=not_shipped(sub) if sub.numbers else {})
+    return replace(
+        interface, stiff=sub.stiff, sampling=sub.sampling, not_shipped=not_shipped(sub) if sub.numbers else {})
 
 
 def _sorted_by_heading(

@@ -55,7 +55,7 @@ def build_machine(
     whole = composed_machine({name: parts[name] for name in FERIC.subsystems})
     head = machine.actuation or ACTUATION
     head = with_parameters(head, read(parameters)["parameters"]) if parameters else head
-    readers = [machine.sensors] if machine.sensors else []
+    readers = [sub for sub in (machine.sensors, machine.diagnosis) if sub]
     subs = [*reversed(others), steering, head, *readers, whole, *parts.values()]
     names = [sub.name for sub in subs]
     subs = [with_partners(sub) for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]

@@ -64,6 +64,7 @@ class Machine:
     operator, controller   each gives the commands in a system of its own; the controller also measures
     actuation  what is between the commands and the valves, in some systems
     sensors    what is between the machine and the controller, in some systems
+    diagnosis  what looks at the readings of the sensors and the commands of the controller there
     shared     parameter -> parts that it describes together
     """
 
@@ -73,6 +74,7 @@ class Machine:
     controller: Subsystem | None = None
     actuation: Subsystem | None = None
     sensors: Subsystem | None = None
+    diagnosis: Subsystem | None = None
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -163,6 +165,12 @@ class Machine:
                 found.append((source, f"{self.sensors.name}.{name}"))
                 source = f"{self.sensors.name}.{name}_measured"
             found.append((source, target))
+        if self.diagnosis:
+            others = (self.controller, *self.subsystems.values(), *self.feeding.values())
+            for name in quantities(self.diagnosis.inputs):
+                givers = [f"{sub.name}.{name}" for sub in others if name in quantities(sub.outputs)]
+                source = f"{self.sensors.name}.{name}_measured" if name in signals else next(iter(givers), "")
+                found += [(source, f"{self.diagnosis.name}.{name}")] if source else []
         return tuple(found)
 
     @property

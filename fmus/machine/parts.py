@@ -6,8 +6,11 @@ from dataclasses import replace
 from fmus import boom_stick, faults, manipulator, supply, swing
 from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER
+from fmus.controller.harvester import ARM
+from fmus.diagnosis import diagnosis
 from fmus.machine.machine import Machine
 from fmus.operator_input.model import OPERATOR
+from fmus.parameters import numbers
 from fmus.sensors import sensors
 from fmus.valve_actuation import ACTUATION, actuation
 from fmus.valve_actuation.model import VALVES
@@ -46,6 +49,7 @@ def with_faults() -> Machine:
         supplies={"supply": {v: faults.faulty(sub) for v, sub in supply.VARIANTS.items()}},
         actuation=faults.faulty(actuation(conditions=True), [*VALVES]),
         sensors=sensors(FERIC.measured),
+        diagnosis=diagnosis(ARM, numbers(CONTROLLER)["parameters"], manipulator.MANIPULATOR),
     )
 
 

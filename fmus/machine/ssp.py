@@ -14,6 +14,7 @@ from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
+from fmus.diagnosis import NAME as DIAGNOSIS
 from fmus.machine.machine import Machine
 from fmus.machine.parts import DRIVES, FAMILIES, FERIC
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
@@ -76,7 +77,7 @@ def write_systems(
     own = controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
     operated = parameter_sets(manipulator)
     lever, head = (OPERATOR.name,), ACTUATION.name
-    behind = (CONTROLLER.name, head, NAME_OF_SENSORS)
+    behind = (DIAGNOSIS, CONTROLLER.name, head, NAME_OF_SENSORS)
     systems = (
         (NAME, lever, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
         (ACTUATED_NAME, (*lever, head), ACTUATED, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),

@@ -6,6 +6,7 @@ They run in the process of the caller, so the code must be of an FMU that this i
 """
 
 import ctypes
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -155,6 +156,8 @@ def compiled_model(component: Component, begin: Callable[[], object] | None = No
     if others := [v.name for v in variables if not v.is_real]:
         raise NotInLanes(f"{component.name}.{others[0]} is not a Real variable")
     code = sources_of(component)
+    if re.search(rb"#define SAMPLING 0(\.0)? ", code["sizes.h"]) is None:
+        raise NotInLanes(f"{component.name} ({component.source}) is sampled, as a control unit")
     made = recipe(component.interface.identifier, "model.cpp", code, processor())
     library = _loaded(f"{component.name}: ", *made, begin=begin)
     library.lane_model.restype = ctypes.c_void_p

@@ -388,6 +388,28 @@ static double after_inner_step(void *owner, double tau, double length) {
     return end < length ? fmax(tau, end) : length;
 }
 
+/* The states of a sampled model advance by Euler's method at each multiple of SAMPLING, as in a control unit;
+   memory.step is the time since the last sample. Returns the number of samples, or -1 after an error. */
+static int advance_samples(Core *core, double length) {
+    State *s = &core->s;
+    Work *w = &core->work;
+    double tau = SAMPLING - s->memory.step; /* of the next sample */
+    int count = 0;
+    for (; tau <= length + 1e-9 * SAMPLING; tau += SAMPLING, count++) {
+        inputs_value(&core->inputs, fmin(tau, length), w->u);
+        model_dynamics(s->x, w->u, s->p, core->c, w->f0);
+        for (int i = 0; i < NX; i++) {
+            s->x[i] += SAMPLING * w->f0[i];
+            if (isfinite(w->f0[i])) continue;
+            const Report report = {NOT_FINITE, tau, SAMPLING, i};
+            report_failure(core, &report);
+            return -1;
+        }
+    }
+    s->memory.step = length - (tau - SAMPLING);
+    return count;
+}
+
 LOCAL int core_step(Core *core, double length) {
     State *s = &core->s;
     StepContext context = {core, s->time};
@@ -397,7 +419,12 @@ LOCAL int core_step(Core *core, double length) {
     prepare(core);
     watch_held_inputs(core);
     plan_inputs(s, s->last_set, 0.0, &core->inputs);
-    if (NX > 0) {
+    int observed = 0; /* 1: the states have not changed since z was computed */
+    if (SAMPLING > 0.0) {
+        const int samples = advance_samples(core, length);
+        if (samples < 0) return 0;
+        observed = core->z_valid && samples == 0;
+    } else if (NX > 0) {
         if (EXPLICIT_FIRST) {
             observe_states(core);
             model_derivatives(s->x, s->last_set, s->p, core->c, core->z, core->work.f0);
@@ -413,6 +440,7 @@ LOCAL int core_step(Core *core, double length) {
         tau = report.tau;
     }
     set_time(core, context.begin, tau);
+    core->z_valid = observed;
     memcpy(s->had_derivatives, s->has_derivatives, sizeof s->has_derivatives);
     memset(s->has_derivatives, 0, sizeof s->has_derivatives);
     if (core_check_state(core)) return 1;

@@ -1,0 +1,11 @@
+"""Diagnosis of a machine from the readings of its controller: what is broken, how much, and how certain.
+
+model.py      the subsystem, and what concerns all functions: lines, pump, oil, payload
+axis.py       one function: leaks, bursts, valve, spool, sensors, weight
+estimates.py  least squares with a fading memory, and when a size is told
+settings.py   limits and time constants, with their reasons
+"""
+
+from fmus.diagnosis.model import NAME, diagnosis, findings
+
+__all__ = ["NAME", "diagnosis", "findings"]

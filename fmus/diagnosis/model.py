@@ -1,0 +1,331 @@
+"""Diagnosis of a machine: its functions (axis.py), and what they have in common.
+
+**Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter.
+**Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled; with compensated sections above
+the largest pressure in them. It is told at `PUMP_FLOW`. **Lag of all valves**: the mean of those of the
+functions. **Weighing**: each cylinder tells the payload; the mean has the weights of their deviations. If two
+of them differ, a pressure or an angle is wrong.
+
+It is sampled, as a control unit, and its outputs depend on its states alone. Signs: those of the controller.
+
+Validity: readings every 10 ms or faster. On level ground both lines of a motor at rest have one pressure, so
+its seals do not show. A hose in front of counterbalance valves does not show at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+
+from fmus import ports
+from fmus.components import oil
+from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities
+from fmus.controller.arm import Arm
+from fmus.controller.gains import gains
+from fmus.diagnosis.axis import (
+    Axis,
+    HUNDRED,
+    Effort,
+    Efforts,
+    Finding,
+    efforts_of,
+    findings_of,
+    outside,
+    signals_of,
+    states_of,
+)
+from fmus.diagnosis.estimates import (
+    FEWEST,
+    QUICK,
+    SAMPLING,
+    Fit,
+    Prior,
+    Told,
+    either,
+    judged,
+    latched,
+    shown,
+    whether,
+)
+from fmus.diagnosis.settings import LITRE, NUMBERS, OF_MACHINE, REFERENCES, Settings, number
+from fmus.parameters import Number
+
+NAME = "diagnosis"
+LINES = {"supply_pressure": "Pressure of the supply line", "tank_pressure": "Pressure of the return line"}
+FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
+PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
+WORKING = 10 * LITRE  # m3/s, from which the lines are told
+WEIGHING = Fit("weighing", ("difference",))
+RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
+ALONE = {
+    "return_resistance": Finding("Pa.s/m3", "Resistance of the return line", 1e7, "return filter"),
+    "pump_pressure": Finding(
+        "Pa", "Supply pressure at 60 L/min, of a load-sensing pump above the load", 1e6, "pump"
+    ),
+    "valve_delay": Finding(
+        "s", "Lag of all valves more than that of the healthy machine", 0.01, "pilot filter"
+    ),
+    "oil_temperature_high": Finding("1", "1: the oil is hotter than its limit", 1.0, "cooler"),
+    "weighing": Finding("kg", "Difference of the weights by two cylinders", 100.0, "pressure sensors"),
+}
+
+
+NO_EFFORT = (Effort(0, 0), Effort(0, 0))
+
+
+class Nothing:
+    """States before the start, and inputs of outputs that do not depend on them: zeros."""
+
+    def __getattr__(self, _: str) -> Scalar:
+        return 0
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The functions of the subsystem for an arm."""
+
+    arm: Arm
+    efforts: Efforts
+    states: type[Any]
+    outputs: type[Any]
+
+    def _axes(self, x: Any, u: Any, p: Any) -> list[Axis]:
+        pistons = self.arm.pistons(self.arm.coordinates(u), p)
+        driven, lines = (
+            self.arm.actuators([at for at, _ in pistons], p),
+            1 - either(*self._wrong(x, u, p).values()),
+        )
+        efforts: Mapping[str, Any] = {} if isinstance(u, Nothing) else self.efforts(u)
+        return [
+            Axis(a, driven[a.name], at, lever, x, u, p, lines, efforts.get(a.name, NO_EFFORT))
+            for a, (at, lever) in zip(self.arm.axes, pistons, strict=True)
+        ]
+
+    def _wrong(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
+        """1: the reading of a line is not to be used."""
+        return {
+            n: either(outside(getattr(u, n), p), getattr(x, f"{n}_bad"), 1 - getattr(p, f"{n}_fitted"))
+            for n in LINES
+        }
+
+    def dynamics(self, x: Any, u: Any, p: Any) -> Any:
+        """Filters, clocks, latches and sums."""
+        rates, axes, sound = dict[str, Scalar](), self._axes(x, u, p), 1
+        for a in axes:
+            rates |= a.rates()
+            sound *= a.sound
+        for n in LINES:
+            rates[f"{n}_bad"] = latched(getattr(x, f"{n}_bad"), outside(getattr(u, n), p), u.reset)
+        filled = [(a, f, v) for a in axes for f, v in zip(a.flows, a.pressures, strict=True)]
+        load: Scalar = 0
+        for a, f, v in filled:
+            load = ca.fmax(load, v * a.compensated * whether(f > WORKING / 2) * (1 - a.closed))
+        inward, outward = (sum(ca.fmax(sign * f, 0) for _, f, _ in filled) for sign in (1, -1))
+        late = {
+            "inward": inward,
+            "outward": outward,
+            "supply": u.supply_pressure - load,
+            "tank": u.tank_pressure,
+        }
+        rates |= {f"late_{n}": (now - getattr(x, f"late_{n}")) / p.window for n, now in late.items()}
+        rates["late_load"] = (whether(load > 0) - x.late_load) / p.window
+        steady = either(whether(x.late_load > 0.95), whether(x.late_load < 0.05))
+        for fit, flow, pressure, counts in (
+            (RETURN, x.late_outward, x.late_tank, 1),
+            (PUMP, x.late_inward, x.late_supply, steady),
+        ):
+            counts *= sound * whether(flow > WORKING) / p.window
+            rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], p.slow_memory)
+        difference, spread, counts = self._weighed(axes)
+        counts *= (p.weighing_limit / spread) ** 2 / p.weighing_memory
+        rates |= WEIGHING.rates(x, counts, [([1], difference / HUNDRED)], p.balance_memory)
+        rates["thick"] = (oil.viscosity_ratio(u.oil_temperature, p) - x.thick) / QUICK
+        rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
+        return self.states(**rates)
+
+    def observe(self, x: Any, _: Any, p: Any) -> Any:
+        """Findings and payload."""
+        told, axes = dict[str, Told](), self._axes(x, Nothing(), p)
+        for a in axes:
+            told |= a.told()
+        told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
+        told["return_resistance"] = self._return(x, p)
+        told["pump_pressure"] = self._pump(x, p)
+        told["valve_delay"] = self._delay(told, p)
+        told["oil_temperature_high"] = shown(x.hot)
+        payload, told["weighing"] = self._payload(axes), self._weighing(x, p)
+        found = {"payload": payload[0], "payload_deviation": payload[1]}
+        for n, (size, deviation, state) in told.items():
+            found |= {n: size, f"{n}_deviation": deviation, f"{n}_state": state}
+        return self.outputs(**found)
+
+    def _return(self, x: Any, p: Any) -> Told:
+        scale, known = BAR / FLOW, number("return_resistance", p)
+        fitted = RETURN.solved(x, Prior((10, 10), (known / scale, 4.0), 0.1, 0.5))
+        (size, off), _ = ((scale * s, scale * d) for s, d in fitted)
+        return size, off, judged(size - known, off, p.return_limit, whether(fitted.samples > FEWEST))
+
+    def _pump(self, x: Any, p: Any) -> Told:
+        known = number("pump_pressure", p)
+        fitted = PUMP.solved(x, Prior((100, 1000), (0, known / BAR), 0.3, 3.0))
+        size, off = (BAR * v for v in fitted.along(PUMP_FLOW / FLOW, 1))
+        told = whether(fitted.samples > 3 * FEWEST) * whether(known > 0)
+        return size, off, judged(known - size, off, p.pump_limit, told)
+
+    def _delay(self, told: Mapping[str, Told], p: Any) -> Told:
+        """The mean with the weights of the deviations, as far as they are known."""
+        total, weights = 1e-9, 1e-6
+        for a in self.arm.axes:
+            size, off, state = told[f"{a.name}_valve_delay"]
+            weight = ca.if_else(state < 0, 0, 1 / (off**2 + 1e-12))
+            total += weight * (size - number(f"{a.name}_valve_delay", p))
+            weights += weight
+        size, off = total / weights, ca.sqrt(1 / weights)
+        return size, off, judged(size, off, p.delay_limit, whether(weights > 1e3))
+
+    def _weighed(self, axes: list[Axis]) -> tuple[Scalar, Scalar, Scalar]:
+        """Difference of the weights by the first two cylinders [kg], its deviation, and whether it counts."""
+        one, other = [a for a in axes if not a.axis.turns][:2]
+        (m, d), (n, e) = one.weight(), other.weight()
+        return m - n, ca.sqrt(d**2 + e**2), one.usable * other.usable
+
+    def _payload(self, axes: list[Axis]) -> tuple[Scalar, Scalar]:
+        """With its deviation, by all cylinders."""
+        total, inverse = 0, 1e-9
+        for a in axes:
+            if not a.axis.turns:
+                (size, off), usable = a.weight(), a.usable
+                total += usable * size / off**2
+                inverse += usable / off**2
+        return total / inverse, ca.sqrt(1 / inverse)
+
+    def _weighing(self, x: Any, p: Any) -> Told:
+        fitted = WEIGHING.solved(x, Prior((20,), (0,), 0.5, 1.0))
+        ((size, off),) = ((HUNDRED * s, HUNDRED * d) for s, d in fitted)
+        told = whether(fitted.samples > FEWEST / 2)
+        return size, off, judged(ca.fabs(size), off, p.weighing_limit, told)
+
+    def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
+        """Filters at the readings; sums of nothing."""
+        start = {"late_supply": u.supply_pressure, "late_tank": u.tank_pressure}
+        start["thick"] = oil.viscosity_ratio(u.oil_temperature, p)
+        for a in self._axes(Nothing(), u, p):
+            own = {f"late_{k}": a.reading(k) for k in range(4)} | {
+                "late_command": a.command,
+                "trailing": a.command,
+            }
+            own |= {f"{n}_{k}": now for n, both in a._contents.items() for k, now in enumerate(both)}
+            if not a.axis.turns:
+                own |= a.weighing_start()
+            start |= {f"{a.axis.name}_{n}": now for n, now in own.items()}
+        return start
+
+
+def findings(arm: Arm) -> dict[str, Finding]:
+    """All, in the order of the outputs."""
+    found = {n: f for a in arm.axes for n, f in findings_of(a).items()}
+    lines = {
+        f"{n}_sensor": Finding("1", f"1: the reading of {n} is wrong", 1.0, f"{n} sensor") for n in LINES
+    }
+    return found | lines | ALONE
+
+
+def _own_parameters(arm: Arm) -> dict[str, tuple[Quantity, Number]]:
+    """Sensors that a machine has, and references of a healthy one."""
+    names, found = findings(arm), dict[str, tuple[Quantity, Number]]()
+    for n in (*(n for a in arm.axes for n in signals_of(a)), *LINES):
+        text = f"1: there is a reading of {n}, 0: there is none"
+        quantity = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
+        found[f"{n}_fitted"] = quantity, Number(1.0, "1", "assumed", "all sensors of the controller")
+    healthy = {f"{a.name}_{n}": value for a in arm.axes for n, value in REFERENCES.items()} | OF_MACHINE
+    for n, value in healthy.items():
+        if n in names:
+            f, note = names[n], "no healthy machine was measured"
+            quantity = Quantity(
+                f.unit, f"{f.text}; of the healthy machine", f.nominal, group="Healthy machine"
+            )
+            found[f"{n}_reference"] = quantity, Number(value, f.unit, "assumed", note)
+    return found
+
+
+def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> Subsystem:
+    """The diagnosis of a machine.
+
+    known         values of the parameters of its controller
+    manipulator   its mechanics, from which the weight of the empty arm follows
+    """
+    inputs, states, outputs = dict[str, Quantity](), dict[str, Quantity](), dict[str, Quantity]()
+    for a in arm.axes:
+        inputs[f"{a.name}_command"] = Quantity("V", f"Command to the {a.name} valve", 10.0)
+        texts = (a.coordinate[1], a.speed[1], a.sides[0][1], a.sides[1][1])
+        for n, unit, text in zip(signals_of(a), (*a.units, "Pa", "Pa"), texts, strict=True):
+            inputs[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
+        states |= states_of(a)
+    for n, text in LINES.items():
+        inputs[n], states[f"{n}_bad"] = (
+            Quantity("Pa", text, 1e7),
+            Quantity("1", f"1: the reading of {n} is wrong"),
+        )
+    inputs["oil_temperature"] = ports.oil_temperature(
+        "Temperature of the oil", optional="the oil stays at 60 degC"
+    )
+    inputs["reset"] = Quantity(
+        "1", "1: forget faults", minimum=0.0, maximum=1.0, optional="nothing is forgotten"
+    )
+    for n, unit, text in (
+        ("inward", "m3/s", "Flow into all chambers"),
+        ("outward", "m3/s", "Flow out of all chambers"),
+        ("supply", "Pa", "Supply pressure, with compensated sections above their loads"),
+        ("tank", "Pa", "Pressure of the return line"),
+        ("load", "1", "1: a compensated section is open"),
+    ):
+        states[f"late_{n}"] = Quantity(
+            unit, f"{text}, behind the slow lag", {"Pa": 1e7, "m3/s": 1e-3}.get(unit, 1.0)
+        )
+    states["thick"] = Quantity("1", "Viscosity of the oil over that at 60 degC")
+    states["hot"] = Quantity("1", "1: the oil is hotter than its limit")
+    states |= {
+        n: Quantity("1", f"Sum of normal equations: {n}")
+        for fit in (RETURN, PUMP, WEIGHING)
+        for n in fit.states
+    }
+    outputs["payload"] = Quantity("kg", "Payload", 100.0)
+    outputs["payload_deviation"] = Quantity("kg", "Standard deviation of the payload", 100.0)
+    for n, f in findings(arm).items():
+        outputs[n] = Quantity(f.unit, f.text, f.nominal)
+        outputs[f"{n}_deviation"] = Quantity(f.unit, f"Standard deviation of {n}", f.nominal)
+        outputs[f"{n}_state"] = Quantity("1", f"{n}: 1 a fault ({f.repair}), 0 none, -1 cannot be told")
+    own = _own_parameters(arm)
+    flows = {n: q for n, q in quantities(gains(arm.axes)).items() if n.endswith("_section_flow")}
+    nominal = Quantity("Pa", "Supply pressure, above which relief valves may be open", 1e7, group="Supply")
+    declared = flows | {"nominal_supply_pressure": nominal} | {n: q for n, (q, _) in own.items()}
+    parameters = make_group("Parameters", declared, *arm.parameters, oil.Grade, Settings)
+    numbers = NUMBERS | {n: value for n, (_, value) in own.items()}
+    grade = quantities(oil.Grade)
+    numbers |= {
+        n: Number(q.value, q.unit, "assumed", "VG 46") for n, q in grade.items() if q.value is not None
+    }
+    numbers |= {n: known[n] for n in quantities(parameters) if n not in numbers}
+    of = Diagnosis(
+        arm, efforts_of(manipulator, arm.axes), make_group("States", states), make_group("Outputs", outputs)
+    )
+    sub = Subsystem(
+        name=NAME,
+        text="Diagnosis: leaks, bursts, valves, sensors, lines, air and payload, with their deviations",
+        parameters=parameters,
+        states=of.states,
+        inputs=make_group("Inputs", inputs),
+        outputs=of.outputs,
+        dynamics=of.dynamics,
+        observe=of.observe,
+        derive=arm.derive,
+        initial=of.initial,
+        numbers={"parameters": numbers, "start": {}},
+        stiff=False,
+        sampling=SAMPLING,
+        validity="readings every 10 ms or faster; leaks that act at rest",
+    )
+    return replace(oil.at_temperature(sub), observe=of.observe)
