@@ -8,7 +8,7 @@ The base of the crane is rigid; no variant has an elastic one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,16 @@ class Case:
     repair: str = ""
     stop: float = HEALTHY
     part: int = 0
-    start: Columns = field(default_factory=dict, compare=False)
+
+    @property
+    def actual(self) -> float:
+        """Leakage past seals [m3/(s.Pa)] at the temperature at which the machine starts."""
+        return self.size * viscosity(333.15) / viscosity(self.set["supply.oil_temperature_start"])
+
+    @property
+    def loss(self) -> float:
+        """Of a leak, at 100 bar [L/min]."""
+        return self.actual * 1e7 / LITRE if self.fault.endswith("seal_leakage") else self.size * JET / LITRE
 
     @property
     def name(self) -> str:
@@ -198,10 +207,11 @@ def recorded(case: Case, folder: Path) -> Path:
     return file
 
 
-def influence(columns: Columns, healthy: Columns) -> float:
-    """When [s] a fault first shows in a reading; infinite if it never does."""
-    rows = len(columns["time"])
-    first = np.inf
+def influence(case: Case, columns: Columns, healthy: Columns) -> float:
+    """When [s] a fault first shows in a reading; infinite if it never does. The bias of a sensor does at once."""
+    if case.fault.endswith("_bias"):
+        return BEGIN
+    rows, first = len(columns["time"]), np.inf
     for n in READINGS:
         seen = SEEN["Pa" if "pressure" in n else "rad" if n.endswith("angle") else "rad/s"]
         off = np.abs(columns[n] - healthy[n][:rows]) > seen

@@ -11,7 +11,7 @@ opening of area A to the outside, s the share of air in the volume V, which has 
     c (P_s + P_t - 2 P_h) - q_h = g (P_h - P_r) + k_h sqrt(P_h) - s V (a(P_h))'
     c (P_s + P_t - 2 P_r) - q_r = -g (P_h - P_r) + k_r sqrt(P_r) - s V (a(P_r))'
 
-g, k_h and k_r are not negative. g is given for the oil at 60 degC. The air is told from an own fit with a
+g, k_h and k_r are not negative. g is that of the oil as it is now. The air is told from an own fit with a
 longer memory.
 
 **Valve**, in motion. The flow into the chamber that is filled, the drop over its edge and the hose in series
@@ -23,7 +23,7 @@ give the opening, and this the command v that a healthy valve needs for it:
 with the command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the
 sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by `reversal`
 since it turned, the edge is open, and its drop is no small one. Gain and dead band are judged together, by
-what `usual_command` opens.
+what `usual_command` opens after it has risen.
 
 **Spool.** It does not follow if the flow stays below `response` of the least that the commands of the last
 time ask for, if a load-sensing pump stands by although they ask for flow, or if oil passes the closed valve,
@@ -143,11 +143,7 @@ def findings_of(axis: ControlledAxis) -> dict[str, Finding]:
     found = (
         {}
         if axis.turns
-        else {
-            SEAL: Finding(
-                "m3/(s.Pa)", "Leakage past the seals of the {} with oil of 60 degC", 1e-12, "{} seals"
-            )
-        }
+        else {SEAL: Finding("m3/(s.Pa)", "Leakage past the seals of the {}", 1e-12, "{} seals")}
     )
     for kind, unit, text, nominal in leaks:
         for mark, end in zip(marks, ends, strict=True):
@@ -627,7 +623,7 @@ class Axis:
         whole = usable * (1 - self._burst)
         leaks, _ = self._solved("leaks", 0.05, 0.15, 3)
         known = whole * whether(leaks.samples > FEWEST)
-        scales = (LITRE / PRESSURE * self.x.thick, LITRE / jet, LITRE / jet)
+        scales = (LITRE / PRESSURE, LITRE / jet, LITRE / jet)
         found = [
             (scale * size, scale * off, judged(size, off, p.leak_limit / LITRE, known))
             for (size, off), scale in zip(leaks, scales, strict=False)
@@ -644,7 +640,7 @@ class Axis:
     def _of_valve(self, usable: Scalar) -> list[Told]:
         p, (fitted, known) = self.p, self._solved("valve", 0.05, 0.15)
         told, normal, found = usable * whether(fitted.samples > FEWEST), p.usual_command, list[Told]()
-        rows = [[normal, -1, 0, 0, 0, 0]] * 2 + [[0, 0, normal, -1, 0, 0]] * 2 + [[0, 0, 0, 0, 1, 0]]
+        rows = [[normal, -1, 0, 0, -1, 0]] * 2 + [[0, 0, normal, -1, -1, 0]] * 2 + [[0, 0, 0, 0, 1, 0]]
         for k, (size, off) in enumerate(fitted):
             if k == len(rows):  # the lag is told of all valves together
                 found.append((size, off, ca.if_else(told > 0, 0, -1)))

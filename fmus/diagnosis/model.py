@@ -26,8 +26,8 @@ from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.controller.arm import Arm
 from fmus.controller.gains import gains
 from fmus.diagnosis.axis import (
-    Axis,
     HUNDRED,
+    Axis,
     Effort,
     Efforts,
     Finding,
@@ -142,7 +142,6 @@ class Diagnosis:
         difference, spread, counts = self._weighed(axes)
         counts *= (p.weighing_limit / spread) ** 2 / p.weighing_memory
         rates |= WEIGHING.rates(x, counts, [([1], difference / HUNDRED)], p.balance_memory)
-        rates["thick"] = (oil.viscosity_ratio(u.oil_temperature, p) - x.thick) / QUICK
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
         return self.states(**rates)
 
@@ -211,7 +210,6 @@ class Diagnosis:
     def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """Filters at the readings; sums of nothing."""
         start = {"late_supply": u.supply_pressure, "late_tank": u.tank_pressure}
-        start["thick"] = oil.viscosity_ratio(u.oil_temperature, p)
         for a in self._axes(Nothing(), u, p):
             own = {f"late_{k}": a.reading(k) for k in range(4)} | {
                 "late_command": a.command,
@@ -285,7 +283,6 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         states[f"late_{n}"] = Quantity(
             unit, f"{text}, behind the slow lag", {"Pa": 1e7, "m3/s": 1e-3}.get(unit, 1.0)
         )
-    states["thick"] = Quantity("1", "Viscosity of the oil over that at 60 degC")
     states["hot"] = Quantity("1", "1: the oil is hotter than its limit")
     states |= {
         n: Quantity("1", f"Sum of normal equations: {n}")

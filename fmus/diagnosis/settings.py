@@ -144,10 +144,10 @@ GROUPS: Mapping[str, Mapping[str, tuple[float, str, str, str]]] = {  # value, un
             "a third of full command",
         ),
         "valve_limit": (
-            0.35,
+            0.5,
             "V",
             "Change of what that command opens above which it is told",
-            "a driver that loses a tenth",
+            "a driver that loses a sixth",
         ),
         "hysteresis_limit": (
             0.15,

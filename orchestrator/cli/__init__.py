@@ -28,6 +28,7 @@ COMMANDS = (  # in the order of the help
         "rig",
         "describe",
         "identify",
+        "diagnose",
         "track",
         "linearize",
         "sweep",

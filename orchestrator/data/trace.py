@@ -312,15 +312,36 @@ def read_trace(path: str | Path | Location) -> Trace:
     return trace_of(file, description)
 
 
-def trace_of(file: Location, description: Description | None, gaps: bool = False) -> Trace:
-    """All columns of a file as a trace; its description has no signals. gaps: NaN is allowed."""
+def trace_of(
+    file: Location, description: Description | None, gaps: bool = False, sort: bool = False
+) -> Trace:
+    """All columns of a file as a trace; its description has no signals.
+
+    gaps   NaN is allowed
+    sort   rows may be out of order: they are sorted, and of those at one time the last counts
+    """
     columns = read_columns(file, None, description.file if description else None)
     time = description.time if description else TimeDescription()
     written = not file.members and file.path.with_suffix(METADATA_SUFFIX).is_file()  # by a run
     in_si = _in_si(columns, time, named=description is not None, of_text=not written)
-    trace = checked(in_si, gaps)
+    trace = checked(_sorted(in_si) if sort else in_si, gaps)
     trace = trace.window(*(limit if isfinite(limit) else None for limit in (time.start, time.stop)))
     return trace if file.members or trace.units else replace(trace, units=_units_of_run(file.path, trace))
+
+
+def _sorted(columns: Columns) -> Columns:
+    """The rows in the order of their times, the last one of each time, with a line about the others."""
+    time = columns.values[TIME]
+    if not (np.diff(time) <= 0).any():
+        return columns
+    _, last = np.unique(time[::-1], return_index=True)  # sorted; the first one from behind
+    order = len(time) - 1 - last
+    late, double = int((np.diff(time) < 0).sum()), len(time) - len(order)
+    tell_once(
+        f"{columns.file}: rows are out of order {late} times and {double} times double; they are sorted"
+    )
+    values = {name: column[order] for name, column in columns.values.items()}
+    return replace(columns, values=values, rows=np.arange(len(order)))
 
 
 def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) -> Columns:

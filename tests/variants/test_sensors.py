@@ -85,7 +85,7 @@ def test_faults_of_a_sensor():
     assert QUIET(x, pressure=8e6)[0][QUIET.at("pressure_lagged")] > 0
     assert QUIET(x, pressure=8e6, pressure_stuck=1.0)[0][QUIET.at("pressure_lagged")] == 0
     assert reading(QUIET, x, pressure_noise_added=1e5) != 5e6
-    assert reading(QUIET, x, pressure_lost=1.0) == QUIET.p["pressure_lowest"]
+    assert reading(QUIET, x, pressure_lost=1.0) == QUIET.p["pressure_unconnected"]
     high = QUIET.start(pressure_lagged=9e7, pressure_delayed=9e7)
     assert reading(QUIET, high) == QUIET.p["pressure_highest"]
 

@@ -1,0 +1,53 @@
+"""`harvester diagnose`: what is broken in a machine, from a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.options import Kind
+from orchestrator.cli.options import BUILD, File, Folder, command
+
+DEFAULT = BUILD / "faults" / "diagnosis.fmu"
+
+
+@command
+def diagnose(
+    recording: Annotated[Path, Kind("FILE", positional=True)],
+    fmu: File = DEFAULT,
+    parameters: Annotated[list[Path] | None, Kind("FILE")] = None,
+    learn: File | None = None,
+    out: Folder = BUILD,
+) -> bool:
+    """Tell what is broken in a machine, from a recording of its pressures, joint angles and commands.
+
+    Writes a report. The exit status is 1 if something is broken.
+
+    recording    Columns with the names of the inputs of the FMU, also COMPONENT.NAME or NAME_measured, at
+                 100 Hz or more (.csv, .parquet, .mat, .mf4, .tdms); a .toml of the same name can describe
+                 others.
+    fmu          FMU that diagnoses; `harvester build --faults` makes it.
+    parameters   Parameter sets (.ssv), such as what was learned of the healthy machine.
+    learn        The recording is of the healthy machine, without payload: write what was learned to this
+                 file (.ssv).
+    out          Folder of diagnosis.html.
+    """
+    from orchestrator.base.files import make_folder, require, write_whole
+    from orchestrator.results.diagnosis import diagnose as diagnosed
+    from orchestrator.results.diagnosis import learned, report
+
+    if fmu == DEFAULT and not fmu.exists():
+        raise Problem(
+            f"{fmu}: no such file; make it with: harvester build --faults --fmi 2 --out {fmu.parent}"
+        )
+    require(fmu, (".fmu",))
+    make_folder(out)
+    found = diagnosed(fmu, recording, parameters or ())
+    if learn is not None:
+        write_whole(learn, learned(found))
+        print(f"{learn}: {len(found.findings)} findings of the healthy machine")
+        return True
+    print(found.text())
+    print(f"Report: {report(found, out / 'diagnosis.html')}")
+    return not found.broken

@@ -1,0 +1,314 @@
+"""What is broken in a machine, from a recording: an FMU that diagnoses, run over it, and a report.
+
+Such an FMU has outputs NAME (size), NAME_deviation and NAME_state (1: a fault, 0: none, -1: cannot be told);
+the description of NAME_state names the repair in parentheses. A parameter NAME_fitted says whether there is a
+reading NAME; a parameter NAME_reference is the size of the healthy machine.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location, require, tell_once
+from orchestrator.base.text import DisplayUnit, TextTable, first_names, number
+from orchestrator.data.description import description_next_to
+from orchestrator.data.recording import read_recording
+from orchestrator.data.table import READABLE
+from orchestrator.data.trace import Array, Trace, trace_of
+from orchestrator.engine.result import Result
+from orchestrator.engine.run import run
+from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel, plot
+from orchestrator.pages.html_page import render, write_text
+from orchestrator.ssp.load import load
+from orchestrator.ssp.system import Component, System
+from orchestrator.ssp.write import parameter_set
+
+STEP = 0.01  # s
+INTERVAL = 1.96  # deviations of a 95 % interval
+REPAIR = re.compile(r": 1 a fault \((.*)\), 0 none")
+FITTED, REFERENCE = "_fitted", "_reference"
+LITRE = 1 / 6e4  # L/min in m3/s
+# unit -> factor and unit for a reader, of quantities whose usual one is another
+SHOWN = {
+    "m2": (1e6, "mm²"),
+    "m3/s": (1 / LITRE, "L/min"),
+    "m3/(s.Pa)": (1e7 / LITRE, "L/min at 100 bar"),
+    "Pa.s/m3": (1e-5 * 200 * LITRE, "bar at 200 L/min"),
+    "s": (1e3, "ms"),
+}
+TEMPLATE = Path(__file__).with_name("templates") / "diagnosis.html.j2"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What an FMU tells of one thing that may be broken; size, deviation and state over the time [s]."""
+
+    name: str
+    text: str
+    unit: str
+    repair: str
+    time: Array
+    size: Array
+    deviation: Array
+    state: Array
+
+    @property
+    def broken(self) -> bool:
+        """Whether it is a fault at any time."""
+        return bool((self.state > 0).any())
+
+    @property
+    def since(self) -> float:
+        """When it was first told [s]."""
+        return float(self.time[(self.state > 0).argmax()])
+
+    @property
+    def last(self) -> int:
+        """Row in which it was told last."""
+        return int(np.flatnonzero(self.state > 0)[-1])
+
+    @property
+    def certainty(self) -> float:
+        """Size over deviation where it was told last; infinite of what has no deviation."""
+        size, deviation = abs(self.size[self.last]), self.deviation[self.last]
+        return float(size / deviation) if deviation > 0 else math.inf
+
+    @property
+    def shown(self) -> tuple[float, str]:
+        """Factor and unit for a reader."""
+        if self.unit in SHOWN:
+            return SHOWN[self.unit]
+        display = DisplayUnit(self.unit, {"Pa": "bar"}.get(self.unit, self.unit))
+        return display.factor, display.name
+
+    def extent(self) -> str:
+        """The size with its 95 % interval, where it was told last."""
+        factor, unit = self.shown
+        size, off = factor * self.size[self.last], INTERVAL * factor * self.deviation[self.last]
+        if not off:
+            return "" if self.unit == "1" else f"{number(size)} {unit}"
+        low, high = (number(v) for v in (size - off, size + off))
+        return f"{number(size)} ({low} to {high}) {unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Findings of a recording, the broken ones first, and what was found in the recording itself."""
+
+    source: str
+    findings: Sequence[Finding]
+    result: Result
+    remarks: Sequence[str]
+
+    @property
+    def broken(self) -> list[Finding]:
+        """The faults, in the order of their certainty."""
+        return sorted((f for f in self.findings if f.broken), key=lambda f: (-f.certainty, f.since))
+
+    @property
+    def blind(self) -> dict[str, list[Finding]]:
+        """What can never be told in this recording, by repair."""
+        found = dict[str, list[Finding]]()
+        for f in self.findings:
+            if (f.state < 0).all():
+                found.setdefault(f.repair, []).append(f)
+        return found
+
+    def table(self) -> TextTable:
+        """The faults."""
+        rows = [[f.text, f.extent(), f"{f.since:.2f}", f.repair] for f in self.broken]
+        return TextTable(("fault", "size (95 % interval)", "since [s]", "look at"), rows, left=(0, 1, 3))
+
+    def text(self) -> str:
+        """For a terminal."""
+        lines = list(self.remarks)
+        lines += self.table().lines() if self.broken else [f"{self.source}: nothing found"]
+        if self.blind:
+            lines.append(f"Cannot be told from this recording: {', '.join(self.blind)}")
+        return "\n".join(lines)
+
+
+def readings(file: Path) -> Trace:
+    """A recording; rows out of order are sorted, and samples that are missing keep the value before them."""
+    place = Location(require(file, READABLE))
+    description = description_next_to(file)
+    if description and description.signals:
+        recording = read_recording(file)
+        trace = Trace(recording.time, recording.signals, recording.units)
+    else:
+        trace = trace_of(place, description, gaps=True, sort=True)
+    signals = dict[str, Array]()
+    for name, values in trace.signals.items():
+        known = np.isfinite(values)
+        if not known.any():
+            tell_once(f"{file}: {name} has no values; it counts as missing")
+            continue
+        if not known.all():
+            lacking = f"{int((~known).sum())} of {len(values)} samples"
+            tell_once(f"{file}: {name} lacks {lacking}; they keep the one before")
+            rows = np.maximum.accumulate(np.where(known, np.arange(len(values)), known.argmax()))
+            values = values[rows]
+        signals[name] = values
+    return Trace(trace.time, signals, trace.units)
+
+
+def _named(trace: Trace, component: str, inputs: Collection[str], file: Path) -> Trace:
+    """The columns of inputs: NAME, that of the component, that behind a sensor, or the only one of another part."""
+    found = dict[str, str]()
+    for name in inputs:
+        exact = [n for n in (name, f"{component}.{name}", f"{name}_measured") if n in trace.signals]
+        behind = [c for c in trace.signals if c.endswith(f".{name}_measured")]
+        others = [c for c in trace.signals if c.endswith(f".{name}")]
+        columns = exact[:1] or behind or others
+        if len(columns) > 1:
+            raise Problem(f"{file}: expected one column {name}, got {', '.join(columns)}")
+        found |= dict.fromkeys([name], *columns) if columns else {}
+    units = {n: trace.units[c] for n, c in found.items() if c in trace.units}
+    return Trace(trace.time, {n: trace.signals[c] for n, c in found.items()}, units)
+
+
+def diagnose(
+    fmu: Path, recording: Path, parameters: Sequence[Path] = (), set: Mapping[str, float] | None = None
+) -> Diagnosis:
+    """Run an FMU that diagnoses over a recording whose columns have the names of its inputs.
+
+    parameters   parameter sets (.ssv), such as that of a healthy machine (`learned`)
+    set          values of parameters
+
+    A reading that is missing or constant is named, and left out. Raises Problem if a command is missing.
+    """
+    system = load(fmu)
+    (component,) = system.components.values()
+    inputs = {n for n, v in component.interface.variables.items() if v.causality == "input"}
+    trace = _named(readings(recording), component.name, inputs, recording)
+    if not trace.signals:
+        names = first_names(sorted(inputs), 8)
+        raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
+    missing, remarks = _without(component, trace, recording)
+    values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing} | dict(set or {})
+    return _run(system, trace, recording.name, parameters, values, remarks)
+
+
+def _run(
+    system: System,
+    trace: Trace,
+    source: str,
+    parameters: Sequence[Path],
+    set: Mapping[str, float],
+    remarks: Sequence[str],
+) -> Diagnosis:
+    (component,) = system.components.values()
+    found = list(_findings_of(component))
+    if not found:
+        raise Problem(f"{component.source}: expected outputs NAME, NAME_deviation and NAME_state, found none")
+    variables = component.interface.variables
+    outputs = [n for n, v in variables.items() if v.causality == "output"]
+    start, stop = float(trace.time[0]), float(trace.time[-1])
+    result = run(
+        system, trace, record=outputs, start=start, stop=stop, step=STEP, parameters=parameters, set=set
+    )
+    time = np.asarray(result.time)
+    findings = [
+        Finding(*one, time, *(np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state")))
+        for one in found
+    ]
+    return Diagnosis(source, findings, result, remarks)
+
+
+def over(
+    fmu: Path, time: Array, signals: Mapping[str, Array], set: Mapping[str, float] | None = None
+) -> Diagnosis:
+    """Of signals with the names of the inputs, of shape (n,) each."""
+    return _run(load(fmu), Trace(np.asarray(time), dict(signals)), "signals", (), dict(set or {}), ())
+
+
+def _findings_of(component: Component) -> Iterator[tuple[str, str, str, str]]:
+    """Name, text, unit, repair."""
+    variables = component.interface.variables
+    for state, v in variables.items():
+        name = state.removesuffix("_state")
+        match = REPAIR.search(v.get("description"))
+        if match and name in variables and f"{name}_deviation" in variables:
+            text = (variables[name].get("description") or name).removeprefix("1: ")
+            yield name, text[:1].upper() + text[1:], variables[name].unit_name or "1", match[1]
+
+
+def _without(component: Component, trace: Trace, file: Path) -> tuple[list[str], list[str]]:
+    """Readings that are missing or constant, and lines about them."""
+    variables, missing, remarks = component.interface.variables, list[str](), list[str]()
+    for name, v in variables.items():
+        if v.causality != "input":
+            continue
+        fitted = f"{name}{FITTED}" in variables
+        if name in trace.signals:
+            if fitted and len(trace.time) > 1 and np.ptp(trace.signals[name]) == 0:
+                missing.append(name)
+                value = f"{trace.signals[name][0]:.6g}"
+                remarks.append(f"{file}: {name} is {value} all the time; its sensor counts as missing")
+        elif fitted:
+            missing.append(name)
+            remarks.append(f"{file}: no column {name}; what needs it is not examined")
+        elif name.endswith("_command"):
+            raise Problem(f"{file}: expected the column {name}, got {first_names(trace.signals, 8)}")
+        elif name == "oil_temperature":
+            remarks.append(f"{file}: no column {name}; the oil counts as 60 degC, so seals are less certain")
+    return missing, remarks
+
+
+def learned_values(diagnosis: Diagnosis) -> dict[str, float]:
+    """Sizes of a healthy machine as references, by parameter.
+
+    Each is the mean with the weights of its deviations while it was told, in the last two thirds if it was
+    told there.
+    """
+    (component,) = diagnosis.result.system.components.values()
+    found = dict[str, float]()
+    for f in diagnosis.findings:
+        known = f.state >= 0
+        name = f"{f.name}{REFERENCE}"
+        if name in component.interface.variables and known.any() and f.deviation[-1] > 0:
+            late = known & (np.arange(len(known)) > len(known) // 3)
+            weight = (late if late.any() else known) / np.maximum(f.deviation, 1e-300) ** 2
+            found[f"{component.name}.{name}"] = float((weight * f.size).sum() / weight.sum())
+    return found
+
+
+def learned(diagnosis: Diagnosis) -> bytes:
+    """The same as a parameter set (.ssv)."""
+    (component,) = diagnosis.result.system.components.values()
+    variables = component.interface.variables
+    values = {n: (variables[n.partition(".")[2]], v) for n, v in learned_values(diagnosis).items()}
+    return parameter_set("healthy", values)
+
+
+def report(diagnosis: Diagnosis, file: Path) -> Path:
+    """A page with the faults, the picture of each, and what cannot be told."""
+    figures = [(f, plot(_figure(f), f.name)) for f in diagnosis.broken]
+    others = [f for f in diagnosis.findings if not f.broken and (f.state >= 0).any()]
+    content = dict(diagnosis=diagnosis, table=diagnosis.table().html(), figures=figures, others=others)
+    return write_text(
+        file, render(TEMPLATE, title=f"Diagnosis of {diagnosis.source}", plots=bool(figures), **content)
+    )
+
+
+def _figure(f: Finding) -> TraceFigure:
+    """Size with its 95 % interval over the time, and when it is a fault."""
+    factor, unit = f.shown
+    size, off = factor * f.size, INTERVAL * factor * f.deviation
+    known = f.state >= 0
+    size, low, high = (np.where(known, v, np.nan) for v in (size, size - off, size + off))
+    line = TraceLine(f.time, size, {"color": PALETTE.ink, "linewidth": 1.3})
+    areas = [TraceArea(f.time, low, high, PALETTE.faint)] if off.any() else []
+    state = TraceLine(f.time, f.state, {"color": PALETTE.ink, "linewidth": 1.3})
+    panels = [
+        TracePanel(unit, [line], f.text, areas=areas),
+        TracePanel("1", [state], "1: a fault, -1: cannot be told"),
+    ]
+    return TraceFigure(panels if off.any() else panels[1:])

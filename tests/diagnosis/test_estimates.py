@@ -1,0 +1,86 @@
+"""Least squares of the diagnosis: their sizes are those of other libraries, and their deviations are right."""
+
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from fmus.diagnosis.estimates import Fit, Prior, gathered, judged, nonnegative
+
+RNG = np.random.default_rng(5)
+
+
+def states(fit, columns, right):
+    """Sums of the normal equations, without fading."""
+    sums = dict.fromkeys(fit.states, 0.0)
+    for c, y in zip(columns, right, strict=True):
+        rates = fit.rates(SimpleNamespace(**dict.fromkeys(fit.states, 0.0)), 1.0, [(list(c), y)], 1e9)
+        sums = {n: sums[n] + float(rates[n]) for n in sums}
+    return SimpleNamespace(**sums)
+
+
+def test_sizes_that_are_not_negative_are_those_of_scipy():
+    """Of 200 random problems, some with zeros: to rounding of the normal equations."""
+    for _ in range(200):
+        a, y = RNG.normal(size=(8, 3)), RNG.normal(size=8)
+        found = [float(v) for v in nonnegative(ca.SX(a.T @ a), ca.SX(a.T @ y))]
+        assert found == pytest.approx(nnls(a, y)[0], abs=1e-9)
+
+
+def test_the_last_size_is_free():
+    """With one free column the best of all bounded solutions is found, as by search over the free one."""
+    fit = Fit("f", ("a", "b", "c"))
+    prior = Prior((1e6, 1e6, 1e6), (0, 0, 0), 1.0, 1.0)
+    for _ in range(50):
+        a, y = RNG.normal(size=(9, 3)), RNG.normal(size=9)
+        found = np.array([float(s) for s, _ in fit.solved(states(fit, a, y), prior, 2)])
+        split = np.column_stack([a, -a[:, 2]])  # a free size is the difference of two that are not negative
+        best = nnls(split, y)[0]
+        assert found == pytest.approx([best[0], best[1], best[2] - best[3]], abs=1e-6)
+
+
+def test_intervals_hold_the_truth():
+    """Of 400 fits of 60 samples with unit noise, 95 % intervals hold 95 % of the sizes: within 4 deviations."""
+    fit, truth = Fit("f", ("a", "b")), np.array([0.7, -1.3])
+    prior, inside = Prior((100, 100), (0, 0), 0.01, 1.0), []
+    for _ in range(400):
+        a = RNG.normal(size=(60, 2))
+        solution = fit.solved(states(fit, a, a @ truth + RNG.normal(size=60)), prior)
+        inside += [abs(float(s) - t) < 1.96 * float(d) for (s, d), t in zip(solution, truth, strict=True)]
+    assert np.mean(inside) == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 800))
+
+
+def test_without_data_a_size_is_its_reference_with_the_deviation_of_its_prior():
+    """Exactly, as there is nothing else."""
+    fit = Fit("f", ("a", "b"))
+    empty = SimpleNamespace(**dict.fromkeys(fit.states, 0.0))
+    found = list(fit.solved(empty, Prior((0.5, 2.0), (1.0, -3.0), 0.1, 0.1)))
+    assert [float(v) for pair in found for v in pair] == pytest.approx([1.0, 0.5, -3.0, 2.0])
+
+
+def test_a_sum_of_sizes_has_the_deviation_of_their_covariance():
+    """Columns that are nearly equal leave their sum known and their difference not."""
+    fit, a = Fit("f", ("a", "b")), RNG.normal(size=50)
+    columns = np.column_stack([a, a + 1e-3 * RNG.normal(size=50)])
+    solution = fit.solved(states(fit, columns, columns @ [1.0, 1.0]), Prior((10, 10), (0, 0), 0.1, 0.1))
+    (total, of_total), (_, of_difference) = solution.along(1, 1), solution.along(1, -1)
+    assert float(total) == pytest.approx(2, abs=0.01)
+    assert float(of_difference) > 50 * float(of_total)
+
+
+def test_states_of_a_finding():
+    """1 above the limit by three deviations, 0 below, -1 if the deviation is too large or nothing is usable."""
+    told = [
+        float(judged(*case)) for case in ((2, 0.1, 1, 1), (1.2, 0.1, 1, 1), (2, 1.1, 1, 1), (2, 0.1, 1, 0))
+    ]
+    assert told == [1, 0, -1, -1]
+
+
+def test_a_volume_gathers_what_is_in_excess_and_is_never_negative():
+    """With Euler's step of the diagnosis it is emptied at once when it does not count."""
+    volume = 2e-5
+    assert volume + 0.01 * float(gathered(volume, 1e-3, 1)) == pytest.approx(3e-5)
+    assert volume + 0.01 * float(gathered(volume, -1.0, 1)) == pytest.approx(0, abs=1e-20)
+    assert volume + 0.01 * float(gathered(volume, 1e-3, 0)) == pytest.approx(0, abs=1e-20)
