@@ -23,8 +23,9 @@ from typing import Any
 import casadi as ca
 
 from fmus.contract import Scalar
-from fmus.controller import valve
+from fmus.controller import learning, valve
 from fmus.controller.arm import ControlledAxis
+from fmus.controller.learning import Lesson, learned_map
 from fmus.controller.valve import Actuator
 from fmus.smooth import direction, ramp
 
@@ -43,13 +44,15 @@ class ActuatorCommand:
     gain_rate: Scalar
     load_rate: Scalar
     missing: Scalar
+    lesson: Lesson
+    volt: Scalar
 
 
 def actuator_command(
     axis: ControlledAxis,
     a: Actuator,
     pressures: tuple[Scalar, Scalar],
-    motion: tuple[Scalar, Scalar],
+    motion: tuple[Scalar, Scalar, Scalar],
     error: Scalar,
     x: Any,
     u: Any,
@@ -61,7 +64,7 @@ def actuator_command(
     motion      v_ref [m/s, rad/s], with its lead, and the rate of the reference speed
     error       e [m, rad]
     """
-    speed, change = motion
+    speed, change, reference_rate = motion
     name = axis.name
     gain, load = getattr(x, f"{name}_gain"), getattr(x, f"{name}_load")  # h, F_load
     position_gain, integral_gain, damping_rate, load_time = (
@@ -85,7 +88,9 @@ def actuator_command(
         1 + p.feedback * ca.if_else(compensated, 0, factor - 1)
         for factor in valve.supply_margins(a, load, *lines)
     )
-    opening = valve.opening_for(a, commanded, (full[0], full[1]), (up, down))
+    known = learned_map(axis, x)
+    full = (full[0] * (1 + known.flows[0]), full[1] * (1 + known.flows[1]))
+    opening = valve.opening_for(a, commanded, full, (up, down))
     possible = valve.limited(opening)
     excess = (opening - possible) * (full[0] + full[1]) / 2
     slow = p.learning_share * getattr(p, f"{name}_speed_limit")
@@ -95,8 +100,10 @@ def actuator_command(
     rate = (integral_gain * error - excess / p.unwinding_time) * weight
     beyond_limit = ramp(gain - limit, limit / 10) - ramp(-gain - limit, limit / 10)
     return ActuatorCommand(
-        command=valve.command(a.valve, possible, p.foot_share),
+        command=valve.command(a.valve, possible, p.foot_share, known.dead_bands),
         gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,
         load_rate=oscillation / load_time,
         missing=error * weight * speed / volt * direction(change, BEND * getattr(p, f"{name}_speed_limit")),
+        volt=volt,
+        lesson=learning.lesson(axis, a, (speed, change, reference_rate), (commanded, opening), up * down, oscillation, error, volt, x, p),
     )

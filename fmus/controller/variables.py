@@ -13,6 +13,12 @@ from fmus.controller.gains import gains
 from fmus.ports import rate_output
 
 Axes = Sequence[ControlledAxis]
+LEARNED = {
+    "dead_band_up": ("Learned dead band of the {} valve for positive commands, beyond that of the parameters", "V"),
+    "dead_band_down": ("Learned dead band of the {} valve for negative commands, beyond that of the parameters", "V"),
+    "flow_up": ("Learned flow of the {} valve for positive commands, over that of the parameters, less 1", "1"),
+    "flow_down": ("Learned flow of the {} valve for negative commands, over that of the parameters, less 1", "1"),
+}
 
 
 def parameters(arm: Arm) -> type[Any]:
@@ -50,6 +56,18 @@ def states(axes: Axes) -> type[Any]:
         ("half_width", "Learned half width of the play of the {} valve", 0.1),
     ):
         found |= {f"{a.name}_{name}": Quantity("V", text.format(a.name), nominal) for a in axes}
+    for a in axes:
+        for name, (text, unit) in LEARNED.items():
+            found[f"{a.name}_{name}"] = Quantity(unit, text.format(a.name), 0.1)
+        for e in ("up", "down"):
+            for n in ("p00","p01","p02","p11","p12","p22"):
+                found[f"{a.name}_{n}_{e}"] = Quantity("1", f"Cov {a.name}", 0.1)
+        for n in ("volts", "spool", "side"):
+            found[f"{a.name}_{n}_late"] = Quantity("1", f"late {a.name}", 0.1)
+        unit = a.units[1] if a.turns else "m/s"
+        found[f"{a.name}_commanded"] = Quantity(unit, f"c {a.name}", 0.1)
+        unit = a.units[0] if a.turns else "m"
+        found[f"{a.name}_shift"] = Quantity(unit, f"s {a.name}", 0.01)
     found |= {
         "radial_lever": Quantity("m/s", "Commanded radial velocity of the tip, filtered"),
         "vertical_lever": Quantity("m/s", "Commanded vertical velocity of the tip, filtered"),
@@ -101,6 +119,9 @@ def outputs(axes: Axes) -> type[Any]:
         for a in axes
     }
     commands |= {f"{a.name}_command_rate": rate_output(f"{a.name}_command", "V/s", 10.0) for a in axes}
+    commands |= {f"{a.name}_{n}": Quantity(unit, text.format(a.name), 0.1) for a in axes for n, (text, unit) in LEARNED.items()}
+    commands |= {f"{a.name}_half_width": Quantity("V", f"Learned half width of the play of the {a.name} valve", 0.1) for a in axes}
+    commands |= {f"{a.name}_misfit": Quantity("V", "misfit", 0.1) for a in axes}
     return make_group("ControllerOutputs", quantities(Indicators), make_group("Commands", commands))
 
 
