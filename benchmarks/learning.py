@@ -54,12 +54,12 @@ Array = NDArray[np.float64]
 def work(start: Point, seconds: float, seed: int) -> tuple[Array, Array]:
     """Points and velocities (n, 3) of straight motions between random points, from rest to rest, and back."""
     rng, here, clock = np.random.default_rng(seed), start, 0.0
-    points, velocities = list[Array](), list[Array]()
+    points, velocities, sign = list[Array](), list[Array](), 1.0
     while here != start or clock == 0:
-        radius, angle, height = rng.uniform(3.4, 5.4), rng.uniform(-0.7, 0.7), rng.uniform(0.2, 2.0)
+        radius, angle, height = rng.uniform(3.6, 5.2), sign * rng.uniform(0.0, 0.5), rng.uniform(0.3, 1.9)
         there: Point = (radius * np.cos(angle), radius * np.sin(angle), height)
-        there = there if clock < seconds - 6 else start
-        _, way, speed = sample(Route((here, there), speed=rng.uniform(0.1, 0.8), wait=0.3))
+        there, sign = there if clock < seconds - 6 else start, -sign
+        _, way, speed = sample(Route((here, there), speed=rng.uniform(0.3, 0.9), wait=0.3))
         points.append(way)
         velocities.append(speed)
         here, clock = there, clock + len(way) / 200

@@ -1,4 +1,34 @@
-"""draft"""
+"""Learning of a valve: dead band and flow of each direction, and its play, from what the oil moves.
+
+The oil that the valve lets through moves piston and pressures at the speed
+
+    y' = x' + (F/k)'        F force from both pressures, k stiffness of the oil
+
+whatever the inertia and the load; y' is what the controller commanded, v, if it knows the valve. An observer
+with the time constant T, `learning_filter_time`, has the filtered excess n of speed, without a derivative of
+a measurement:
+
+    v_l' = (v - v_l)/(T_a + T_l)        s' = c v_l - x_r' - (F - F_load)/(k T_load) + n
+    n = ((F - F_load)/k - e - s)/T      r = n/(dv/dV) sgn(v_ref)
+
+T_a is the lag of the amplifier and T_l that of spool and sensors, `learning_lag`. c corrects the speed for the
+force, c = 1 - (F - F_load)/(2 S), with the force S that the supply has beyond the load. r [V] is what the
+valve was open too far. With the errors of the dead band D (known minus true), of the flow g and of the half
+width b (likewise), with Z = |v_l|/(dv/dV) beyond the dead band, and s the side of the play,
+
+    r = (D + D~) - D_true ... = D~ - g~ Z + b~ s sgn(v_ref)
+
+The three act differently: D~ at any opening, g~ in proportion to it, b~ with the sign of the change. Dead band
+and flow are a straight line, command over opening. Each motion corrects it at two points, Z = 0 and Z = Z_1, a
+quarter of full opening, by z = Z/Z_1:
+
+    D' = -w (1 - z) r_b/T_m        g' = w (2 z - 1) r_b/(Z_1 T_m)        b' = -w s sgn(v_ref) r_b/(4 T_m)
+
+T_m is `learning_time`, r_b = r/(1 + (r/r_0)^2). The weight w is 0 at rest and up to `learning_share` of the
+speed limit, near full opening, where the supply does not carry the load, and not engaged; it falls where the
+command changes so fast that a lag of T_l is an error of the valve.
+"""
+
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,84 +37,107 @@ import casadi as ca
 from fmus.contract import Scalar
 from fmus.controller.arm import ControlledAxis
 from fmus.controller.valve import Actuator
-from fmus.smooth import direction, ramp, s_curve
+from fmus.smooth import s_curve
 
-
-LARGEST = 0.3
+SIDES = ("up", "down")
+LARGEST = 0.6  # V: larger residuals come from stops, ends of strokes and lost supply
+NOISE = 0.06  # V: of a residual in steady motion
+SHARE = 0.15  # of full opening: the second point of the line
+PLAY_SHARE = 0.25  # of the rate of the others: a play shows in half of a motion only
+SATURATED, SATURATION = 0.85, 0.1  # opening from which on nothing is learned, and over what this begins
 
 
 @dataclass(frozen=True)
-class ValveMap:
-    dead_bands: tuple[Scalar, Scalar]
-    flows: tuple[Scalar, Scalar]
+class Wanted:
+    """What the controller asks of a valve.
 
+    speed       v_ref [m/s, rad/s]
+    reference   speed of the reference [m/s, rad/s]
+    commanded   v [m/s, rad/s]
+    opening     for it, not limited [1]
+    margin      G_+ G_-, 1 if the supply carries the load
+    volt        dv/dV beyond the dead band [m/(s.V), rad/(s.V)]
+    """
 
-def learned_map(axis: ControlledAxis, x: Any) -> ValveMap:
-    d, f = (tuple(getattr(x, f"{axis.name}_{n}_{side}") for side in ("up", "down")) for n in ("dead_band", "flow"))
-    return ValveMap(d, f)
+    speed: Scalar
+    reference: Scalar
+    commanded: Scalar
+    opening: Scalar
+    margin: Scalar
+    volt: Scalar
 
 
 @dataclass(frozen=True)
 class Lesson:
-    rates: dict
-    residual: Scalar  # V, sign of motion
-    weight: Scalar
-    volts: Scalar
-    sign: Scalar
-    change: Scalar
+    """Rates of the observer, and w r_b [V], z [1] and Z_1 [V]; ahead: v_ref is positive."""
+
+    rates: dict[str, Scalar]
+    residual: Scalar
+    share: Scalar
+    point: Scalar
+    ahead: Scalar
 
 
-def lesson(axis, a: Actuator, motion, wanted, margin, oscillation, error, volt, x, p) -> Lesson:
-    name = axis.name
-    (speed, change, reference_rate), (commanded, opening) = motion, wanted
-    limit = getattr(p, f"{name}_speed_limit")
-    slow = p.learning_share * limit
-    late, shift = getattr(x, f"{name}_commanded"), getattr(x, f"{name}_shift")
-    innovation = (oscillation / a.stiffness - error - shift) / p.learning_filter_time
+def lesson(
+    axis: ControlledAxis,
+    a: Actuator,
+    wanted: Wanted,
+    error: Scalar,
+    oscillation: Scalar,
+    spare: tuple[Scalar, Scalar],
+    x: Any,
+    p: Any,
+) -> Lesson:
+    """The equations above up to r_b.
+
+    error         e [m, rad]
+    oscillation   F - F_load [N, N.m]
+    spare         S [N, N.m] extending and retracting
+    """
+    name, speed = axis.name, wanted.speed
+    slow = p.learning_share * getattr(p, f"{name}_speed_limit")
+    late, shift = getattr(x, f"{name}_late_command"), getattr(x, f"{name}_oil_shift")
+    ahead = speed > 0
+    sign = ca.if_else(ahead, 1, -1)
+    force = ca.if_else(a.section_flows[0] > 0, 0, oscillation)
+    moved = late * (1 - force / (2 * ca.if_else(ahead, *spare)))
+    swing = oscillation / a.stiffness
+    excess = (swing - error - shift) / p.learning_filter_time
+    late_rate = (wanted.commanded - late) / (p.amplifier_time + p.learning_lag)
+    residual = excess / wanted.volt * sign
+    lag = late_rate / wanted.volt * p.learning_lag / NOISE
+    weight = s_curve(ca.fabs(speed) / slow - 1) * s_curve(late * sign / slow - 1) * wanted.margin
+    weight *= 1 - s_curve((ca.fabs(wanted.opening) - SATURATED) / SATURATION)
+    point = SHARE * (a.valve.full_command - a.valve.dead_band)
     load_time = getattr(p, f"{axis.loop}_load_time")
-    sign = direction(speed, slow)
-    inside = s_curve(ca.fabs(speed) / slow - 1) * s_curve(late * sign / slow - 1)
-    inside *= margin * (1 - s_curve(ca.fabs(opening) / 0.1 - 8.5))
-    residual = innovation / volt * sign
-    rates = {
-        f"{name}_commanded": (commanded - late) / (p.amplifier_time + p.learning_lag),
-        f"{name}_shift": late - reference_rate - oscillation / a.stiffness / load_time + innovation,
-    }
-    return Lesson(rates, residual, inside, late * sign / volt, speed, change / volt)
+    return Lesson(
+        rates={
+            f"{name}_late_command": late_rate,
+            f"{name}_oil_shift": moved - wanted.reference - swing / load_time + excess,
+        },
+        residual=weight * residual / (1 + (residual / LARGEST) ** 2) / (1 + lag**2),
+        share=late * sign / wanted.volt / point,
+        point=point,
+        ahead=ahead,
+    )
 
 
-def map_rates(name, found: Lesson, spool, spool_rate, side, x, p, on) -> dict:
-    """Rates."""
-    T = p.learning_filter_time
-    volts, moved, turned = (getattr(x, f"{name}_{n}") for n in ("volts_late", "spool_late", "side_late"))
-    moving = (spool - moved) / T
-    result = {
-        f"{name}_volts_late": (found.volts - volts) / T,
-        f"{name}_spool_late": moving,
-        f"{name}_side_late": (side - turned) / T,
-    }
-    up = found.sign > 0
-    d = ca.if_else(up, 1, -1)
-    noise2 = (p.learning_noise ** 2 + (moving * p.learning_lag) ** 2) * p.learning_correlation
-    r = found.residual / (1 + (found.residual / LARGEST) ** 2)
-    spread = (p.dead_band_spread, p.flow_spread, p.play_spread)
-    f = (-spread[0], volts * spread[1], -d * turned * spread[2])
-    active = on * p.learning * found.weight
-    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
-    half = 0
-    for end, mine in (("up", ca.if_else(up, active, 0)), ("down", ca.if_else(up, 0, active))):
-        P = {ij: getattr(x, f"{name}_p{ij[0]}{ij[1]}_{end}") for ij in pairs}
-        get = lambda i, j: P[min(i, j), max(i, j)]
-        k = [sum(get(i, j) * f[j] for j in range(3)) for i in range(3)]
-        gain = mine / noise2
-        dv, fv = (getattr(x, f"{name}_{n}_{end}") for n in ("dead_band", "flow"))
-        result[f"{name}_dead_band_{end}"] = gain * k[0] * r * spread[0] - over(dv, p.dead_band_limit) / p.unwinding_time
-        result[f"{name}_flow_{end}"] = gain * k[1] * r * spread[1] - over(fv, p.gain_limit) / p.unwinding_time
-        half += gain * k[2] * r * spread[2]
-        for (i, j), v in P.items():
-            result[f"{name}_p{i}{j}_{end}"] = mine * ((i == j) - v) / p.learning_memory - gain * k[i] * k[j]
-    return result, half
+def learned_rates(
+    name: str, found: Lesson, side: Scalar, x: Any, p: Any, active: Scalar
+) -> tuple[dict[str, Scalar], Scalar]:
+    """Rates of dead bands and flows of a valve [V/s, 1/s], and b' [V/s].
 
-
-def over(z, limit):
-    return z - ca.fmin(ca.fmax(z, -limit), limit)
+    side     s of the play
+    active   1 if the valve follows the controller, which learns
+    """
+    size = ca.fmax(1, (1 - found.share) ** 2 + found.share**2)
+    step = active * found.residual / p.learning_time / size
+    dead_band = step * (found.share - 1)
+    flow = step * (2 * found.share - 1) / found.point
+    rates = {}
+    for of, mine in zip(SIDES, (found.ahead, 1 - found.ahead), strict=True):
+        for kind, rate, limit in (("dead_band", dead_band, p.dead_band_limit), ("flow", flow, p.gain_limit)):
+            value = getattr(x, f"{name}_{kind}_{of}")
+            beyond = value - ca.fmin(ca.fmax(value, -limit), limit)
+            rates[f"{name}_{kind}_{of}"] = mine * rate - beyond / p.unwinding_time
+    return rates, -PLAY_SHARE * step * side * ca.if_else(found.ahead, 1, -1)

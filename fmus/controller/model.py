@@ -27,7 +27,7 @@ from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.arm import Arm, ControlledAxis, distance
 from fmus.controller.gains import gains
 from fmus.controller.harvester import ARM
-from fmus.controller.learning import map_rates
+from fmus.controller.learning import learned_rates
 from fmus.controller.play import Compensation, beyond_limits, learned_rate
 from fmus.controller.reference import Reference, engaged, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
@@ -113,11 +113,11 @@ class Controller:
             rates[f"{a.name}_trailing"] = play.trailing_rate
             on = engaged(u) * p.feedback
             rates |= command.lesson.rates
-            more, half = map_rates(a.name, command.lesson, play.spool, 0, play.side, x, p, on * x.coordination)
-            rates |= more
-            rates[f"{a.name}_half_width"] = (
-                on * learned * (1 - p.learning) + half - beyond / p.unwinding_time
-            )
+            active = on * p.learning * x.coordination
+            of_valve, widened = learned_rates(a.name, command.lesson, play.side, x, p, active)
+            rates |= of_valve
+            widened = ca.if_else(p.hysteresis > 0, widened, 0) + on * (1 - p.learning) * learned
+            rates[f"{a.name}_half_width"] = widened - beyond / p.unwinding_time
         return rates
 
     def dynamics(self, x: Any, u: Any, p: Any) -> Any:
@@ -148,7 +148,6 @@ class Controller:
             spool, half_width = (rates[f"{a.name}_{n}"] for n in ("spool", "half_width"))
             found[f"{a.name}_command"] = play.command
             found |= {n: getattr(x, n) for n in (f"{a.name}_{k}" for k in LEARNED)}
-            found[f"{a.name}_misfit"] = self._commands(x, u, p, ref)[a.name].lesson.residual
             found[f"{a.name}_command_rate"] = play.command_rate(spool, half_width, rates["coordination"])
         return self.outputs(
             **found,
@@ -174,7 +173,6 @@ class Controller:
         for a in self.arm.axes:
             start[f"{a.name}_load"] = driven[a.name].force(*pressures[a.name])
             start[f"{a.name}_half_width"] = p.hysteresis * self.arm.valve(a, p).full_command / 2
-            start |= {f"{a.name}_{n}_{e}": p.learning_doubt for n in ("p00", "p11", "p22") for e in ("up", "down")}
         return start | {"coordination": engaged(u)}
 
     def require(self, _x: Any, _u: Any, p: Any) -> dict[str, Scalar]:

@@ -130,6 +130,12 @@ def needed_pressures(a: Actuator, load: Scalar, tank: Scalar) -> tuple[Scalar, S
     return extending / a.head_area, retracting / a.rod_area
 
 
+def spare_forces(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
+    """Force [N, N.m] of the supply beyond the load, extending and retracting; at least that of `MARGIN`."""
+    up, down = (ca.fmax(supply - needed, MARGIN) for needed in needed_pressures(a, load, tank))
+    return a.head_area * up, a.rod_area * down
+
+
 def supply_margins(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
     """Factors on the opening, extending and retracting: 0 if the supply cannot move the load, else up to 1.
 

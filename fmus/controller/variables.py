@@ -59,15 +59,10 @@ def states(axes: Axes) -> type[Any]:
     for a in axes:
         for name, (text, unit) in LEARNED.items():
             found[f"{a.name}_{name}"] = Quantity(unit, text.format(a.name), 0.1)
-        for e in ("up", "down"):
-            for n in ("p00","p01","p02","p11","p12","p22"):
-                found[f"{a.name}_{n}_{e}"] = Quantity("1", f"Cov {a.name}", 0.1)
-        for n in ("volts", "spool", "side"):
-            found[f"{a.name}_{n}_late"] = Quantity("1", f"late {a.name}", 0.1)
-        unit = a.units[1] if a.turns else "m/s"
-        found[f"{a.name}_commanded"] = Quantity(unit, f"c {a.name}", 0.1)
-        unit = a.units[0] if a.turns else "m"
-        found[f"{a.name}_shift"] = Quantity(unit, f"s {a.name}", 0.01)
+        text = f"Commanded speed of the {a.name} drive behind the lag of amplifier, spool and sensors"
+        found[f"{a.name}_late_command"] = Quantity("rad/s" if a.turns else "m/s", text, 0.1)
+        text = f"Path of the oil in the {a.name} drive as commanded, less that of the reference"
+        found[f"{a.name}_oil_shift"] = Quantity("rad" if a.turns else "m", text, 0.01)
     found |= {
         "radial_lever": Quantity("m/s", "Commanded radial velocity of the tip, filtered"),
         "vertical_lever": Quantity("m/s", "Commanded vertical velocity of the tip, filtered"),
@@ -121,7 +116,6 @@ def outputs(axes: Axes) -> type[Any]:
     commands |= {f"{a.name}_command_rate": rate_output(f"{a.name}_command", "V/s", 10.0) for a in axes}
     commands |= {f"{a.name}_{n}": Quantity(unit, text.format(a.name), 0.1) for a in axes for n, (text, unit) in LEARNED.items()}
     commands |= {f"{a.name}_half_width": Quantity("V", f"Learned half width of the play of the {a.name} valve", 0.1) for a in axes}
-    commands |= {f"{a.name}_misfit": Quantity("V", "misfit", 0.1) for a in axes}
     return make_group("ControllerOutputs", quantities(Indicators), make_group("Commands", commands))
 
 
