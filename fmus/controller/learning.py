@@ -37,14 +37,14 @@ import casadi as ca
 from fmus.contract import Scalar
 from fmus.controller.arm import ControlledAxis
 from fmus.controller.valve import Actuator
-from fmus.smooth import s_curve
 
 SIDES = ("up", "down")
-LARGEST = 0.6  # V: larger residuals come from stops, ends of strokes and lost supply
+LARGEST = 0.5  # V: larger residuals come from stops, ends of strokes and lost supply
 NOISE = 0.06  # V: of a residual in steady motion
-SHARE = 0.15  # of full opening: the second point of the line
+SHARE = 0.1  # of full opening: the second point of the line
+MEMORY = 100
 PLAY_SHARE = 0.25  # of the rate of the others: a play shows in half of a motion only
-SATURATED, SATURATION = 0.85, 0.1  # opening from which on nothing is learned, and over what this begins
+SATURATED = 0.9  # opening from which on nothing is learned, and over what this begins
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,7 @@ class Lesson:
 
     rates: dict[str, Scalar]
     residual: Scalar
+    weight: Scalar
     share: Scalar
     point: Scalar
     ahead: Scalar
@@ -106,8 +107,8 @@ def lesson(
     late_rate = (wanted.commanded - late) / (p.amplifier_time + p.learning_lag)
     residual = excess / wanted.volt * sign
     lag = late_rate / wanted.volt * p.learning_lag / NOISE
-    weight = s_curve(ca.fabs(speed) / slow - 1) * s_curve(late * sign / slow - 1) * wanted.margin
-    weight *= 1 - s_curve((ca.fabs(wanted.opening) - SATURATED) / SATURATION)
+    moving = ca.fmin(speed * sign, late * sign) / slow
+    weight = wanted.margin * ca.fmin(ca.fmax(moving - 1, 0), 1) * (ca.fabs(wanted.opening) < SATURATED)
     point = SHARE * (a.valve.full_command - a.valve.dead_band)
     load_time = getattr(p, f"{axis.loop}_load_time")
     return Lesson(
@@ -115,7 +116,8 @@ def lesson(
             f"{name}_late_command": late_rate,
             f"{name}_oil_shift": moved - wanted.reference - swing / load_time + excess,
         },
-        residual=weight * residual / (1 + (residual / LARGEST) ** 2) / (1 + lag**2),
+        residual=residual / (1 + (residual / LARGEST) ** 2),
+        weight=weight / (1 + lag**2),
         share=late * sign / wanted.volt / point,
         point=point,
         ahead=ahead,
@@ -130,13 +132,21 @@ def learned_rates(
     side     s of the play
     active   1 if the valve follows the controller, which learns
     """
-    size = ca.fmax(1, (1 - found.share) ** 2 + found.share**2)
-    step = active * found.residual / p.learning_time / size
-    dead_band = step * (found.share - 1)
-    flow = step * (2 * found.share - 1) / found.point
-    rates = {}
+    p11, p12, p22 = (getattr(x, f"{name}_covariance_{n}") for n in ("11", "12", "22"))
+    z = found.share
+    k1, k2 = p12 * z - p11, p22 * z - p12
+    rate = active * found.weight / p.learning_time
+    step = rate * found.residual
+    rates = {
+        f"{name}_covariance_11": rate * (1 - k1 * k1 - p11 / MEMORY),
+        f"{name}_covariance_12": rate * (-k1 * k2 - p12 / MEMORY),
+        f"{name}_covariance_22": rate * (1 - k2 * k2 - p22 / MEMORY),
+    }
     for of, mine in zip(SIDES, (found.ahead, 1 - found.ahead), strict=True):
-        for kind, rate, limit in (("dead_band", dead_band, p.dead_band_limit), ("flow", flow, p.gain_limit)):
+        for kind, rate, limit in (
+            ("dead_band", step * k1, p.dead_band_limit),
+            ("flow", step * k2 / found.point, p.gain_limit),
+        ):
             value = getattr(x, f"{name}_{kind}_{of}")
             beyond = value - ca.fmin(ca.fmax(value, -limit), limit)
             rates[f"{name}_{kind}_{of}"] = mine * rate - beyond / p.unwinding_time
