@@ -12,21 +12,23 @@ a measurement:
     n = ((F - F_load)/k - e - s)/T      r = n/(dv/dV) sgn(v_ref)
 
 T_a is the lag of the amplifier and T_l that of spool and sensors, `learning_lag`. c corrects the speed for the
-force, c = 1 - (F - F_load)/(2 S), with the force S that the supply has beyond the load. r [V] is what the
-valve was open too far. With the errors of the dead band D (known minus true), of the flow g and of the half
-width b (likewise), with Z = |v_l|/(dv/dV) beyond the dead band, and s the side of the play,
+force, c = 1 - (F - F_load) sgn(v_ref)/(2 S), with the force S that the supply has beyond the load; of a compensated section
+c = 1. r [V] is what the valve was open too far. With the errors (known minus true) D~ of the dead band, g~ of
+the relative flow and b~ of the half width of the play, with Z = |c v_l|/(dv/dV), and s the side of the play,
 
-    r = (D + D~) - D_true ... = D~ - g~ Z + b~ s sgn(v_ref)
+    r = D~ - g~ Z + b~ s sgn(v_ref)
 
-The three act differently: D~ at any opening, g~ in proportion to it, b~ with the sign of the change. Dead band
-and flow are a straight line, command over opening. Each motion corrects it at two points, Z = 0 and Z = Z_1, a
-quarter of full opening, by z = Z/Z_1:
+D~ acts at any opening, g~ in proportion to it, b~ with the sign of the change. Dead band and flow of the
+direction of motion follow by recursive least squares (the Kalman-Bucy filter of two constants), with
+z = Z/Z_1, Z_1 a tenth of the commands beyond the dead band:
 
-    D' = -w (1 - z) r_b/T_m        g' = w (2 z - 1) r_b/(Z_1 T_m)        b' = -w s sgn(v_ref) r_b/(4 T_m)
+    k = P (-1, z)        (D', Z_1 g') = w r_b k/T_m        P' = w (I - k k^T - P/100)/T_m
+    b' = -w s sgn(v_ref) r_b/(4 T_m)        r_b = r/(1 + (r/r_0)^2)
 
-T_m is `learning_time`, r_b = r/(1 + (r/r_0)^2). The weight w is 0 at rest and up to `learning_share` of the
-speed limit, near full opening, where the supply does not carry the load, and not engaged; it falls where the
-command changes so fast that a lag of T_l is an error of the valve.
+T_m is `learning_time`. P starts at 0, so the first motions change little; both directions share it. The weight
+w is 0 at rest, up to `learning_share` of the speed limit, near full opening, where the supply does not carry
+the load, and not engaged; then nothing moves. It falls where the command changes so fast that an error of T_l
+in the lag would be one of the valve.
 """
 
 from dataclasses import dataclass
@@ -42,9 +44,9 @@ SIDES = ("up", "down")
 LARGEST = 0.5  # V: larger residuals come from stops, ends of strokes and lost supply
 NOISE = 0.06  # V: of a residual in steady motion
 SHARE = 0.1  # of full opening: the second point of the line
-MEMORY = 100
+MEMORY = 100  # times T_m: bound of P without excitation
 PLAY_SHARE = 0.25  # of the rate of the others: a play shows in half of a motion only
-SATURATED = 0.9  # opening from which on nothing is learned, and over what this begins
+SATURATED = 0.9  # opening from which on nothing is learned
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Lesson:
-    """Rates of the observer, and w r_b [V], z [1] and Z_1 [V]; ahead: v_ref is positive."""
+    """Rates of the observer; r_b [V], w [1], z [1] and Z_1 [V]; ahead: v_ref is positive."""
 
     rates: dict[str, Scalar]
     residual: Scalar
@@ -89,7 +91,7 @@ def lesson(
     x: Any,
     p: Any,
 ) -> Lesson:
-    """The equations above up to r_b.
+    """The equations above up to r_b and w.
 
     error         e [m, rad]
     oscillation   F - F_load [N, N.m]
@@ -101,7 +103,7 @@ def lesson(
     ahead = speed > 0
     sign = ca.if_else(ahead, 1, -1)
     force = ca.if_else(a.section_flows[0] > 0, 0, oscillation)
-    moved = late * (1 - force / (2 * ca.if_else(ahead, *spare)))
+    moved = late * (1 - force * sign / (2 * ca.if_else(ahead, *spare)))
     swing = oscillation / a.stiffness
     excess = (swing - error - shift) / p.learning_filter_time
     late_rate = (wanted.commanded - late) / (p.amplifier_time + p.learning_lag)
@@ -118,7 +120,7 @@ def lesson(
         },
         residual=residual / (1 + (residual / LARGEST) ** 2),
         weight=weight / (1 + lag**2),
-        share=late * sign / wanted.volt / point,
+        share=moved * sign / wanted.volt / point,
         point=point,
         ahead=ahead,
     )
@@ -127,7 +129,7 @@ def lesson(
 def learned_rates(
     name: str, found: Lesson, side: Scalar, x: Any, p: Any, active: Scalar
 ) -> tuple[dict[str, Scalar], Scalar]:
-    """Rates of dead bands and flows of a valve [V/s, 1/s], and b' [V/s].
+    """Rates of dead bands, flows and covariance of a valve, and b' [V/s].
 
     side     s of the play
     active   1 if the valve follows the controller, which learns
@@ -142,12 +144,13 @@ def learned_rates(
         f"{name}_covariance_12": rate * (-k1 * k2 - p12 / MEMORY),
         f"{name}_covariance_22": rate * (1 - k2 * k2 - p22 / MEMORY),
     }
+    learned = {
+        "dead_band": (step * k1, p.dead_band_limit),
+        "flow": (step * k2 / found.point, p.gain_limit),
+    }
     for of, mine in zip(SIDES, (found.ahead, 1 - found.ahead), strict=True):
-        for kind, rate, limit in (
-            ("dead_band", step * k1, p.dead_band_limit),
-            ("flow", step * k2 / found.point, p.gain_limit),
-        ):
+        for kind, (change, limit) in learned.items():
             value = getattr(x, f"{name}_{kind}_{of}")
             beyond = value - ca.fmin(ca.fmax(value, -limit), limit)
-            rates[f"{name}_{kind}_{of}"] = mine * rate - beyond / p.unwinding_time
+            rates[f"{name}_{kind}_{of}"] = mine * change - beyond / p.unwinding_time
     return rates, -PLAY_SHARE * step * side * ca.if_else(found.ahead, 1, -1)
