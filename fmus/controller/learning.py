@@ -12,8 +12,8 @@ a measurement:
     n = ((F - F_load)/k - e - s)/T      r = n/(dv/dV) sgn(v_ref)
 
 T_a is the lag of the amplifier and T_l that of spool and sensors, `learning_lag`. c corrects the speed for the
-force, c = 1 - (F - F_load) sgn(v_ref)/(2 S), with the force S that the supply has beyond the load; of a compensated section
-c = 1. r [V] is what the valve was open too far. With the errors (known minus true) D~ of the dead band, g~ of
+force, c = 1 - (F - F_load) sgn(v_ref)/(2 S), with the force S that the supply has beyond the load; of a
+compensated section c = 1. r [V] is what the valve was open too far. With the errors (known minus true) D~ of the dead band, g~ of
 the relative flow and b~ of the half width of the play, with Z = |c v_l|/(dv/dV), and s the side of the play,
 
     r = D~ - g~ Z + b~ s sgn(v_ref)

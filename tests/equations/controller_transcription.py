@@ -200,9 +200,10 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     beyond = (r(half - limit, limit / 10) - r(-half, limit / 10)) / p.unwinding_time
     spool, trailing = getattr(x, f"{name}_spool"), getattr(x, f"{name}_trailing")
     seen = Group(
-        name=name, speed=speed, v=v, opening=wide, margin=np.prod(gates), volt=mean / (o.full_command - o.dead_band),
+        name=name, speed=speed, v=v, opening=wide, margin=np.prod(gates),
+        volt=mean / (o.full_command - o.dead_band), point=0.1 * (o.full_command - o.dead_band),
         own=ref.arm.arms[i] * ref.rates[i], error=error, swinging=swinging, k=k, slowly=slowly, slow=slow,
-        spare=np.maximum(np.array(spare), 5e5 * o.a), compensated=o.q[0] > 0, point=0.1 * (o.full_command - o.dead_band),
+        spare=np.maximum(np.array(spare), 5e5 * o.a), compensated=o.q[0] > 0,
     )  # fmt: skip
     taught_valve, wider = learning(seen, x, p, ref.e * p.feedback * p.learning * x.coordination)
     wider *= p.hysteresis > 0
