@@ -3,9 +3,9 @@
     python -m benchmarks.learning [--combinations N] [--seed S]
 
 Each combination is a machine that its controller does not know: dead bands, areas and hysteresis of the
-valves, payload, supply pressure, oil temperature and hoses are drawn at random, and so are the variants of the
-drives, sensors or none, and the path. The machine does other work first (`work`) and then follows the path;
-the error counts along the path alone. Reads build/harvester_control.ssp and
+valves, payload, supply pressure, oil temperature and hoses are drawn at random, and so are the variants of
+the drives, sensors or none, and the path. The machine does other work first (`work`) and then follows the
+path; the error counts along the path alone. Reads build/harvester_control.ssp and
 build/faults/harvester_sensors.ssp.
 """
 

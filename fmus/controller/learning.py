@@ -11,10 +11,11 @@ a measurement:
     v_l' = (v - v_l)/(T_a + T_l)        s' = c v_l - x_r' - (F - F_load)/(k T_load) + n
     n = ((F - F_load)/k - e - s)/T      r = n/(dv/dV) sgn(v_ref)
 
-T_a is the lag of the amplifier and T_l that of spool and sensors, `learning_lag`. c corrects the speed for the
-force, c = 1 - (F - F_load) sgn(v_ref)/(2 S), with the force S that the supply has beyond the load; of a
-compensated section c = 1. r [V] is what the valve was open too far. With the errors (known minus true) D~ of the dead band, g~ of
-the relative flow and b~ of the half width of the play, with Z = |c v_l|/(dv/dV), and s the side of the play,
+T_a is the lag of the amplifier and T_l that of spool and sensors, `learning_lag`. c corrects the speed for
+the force, c = 1 - (F - F_load) sgn(v_ref)/(2 S), with the force S that the supply has beyond the load; of a
+compensated section c = 1. r [V] is what the valve was open too far. With the errors (known minus true) D~
+of the dead band, g~ of the relative flow and b~ of the half width of the play, with Z = |c v_l|/(dv/dV),
+and s the side of the play,
 
     r = D~ - g~ Z + b~ s sgn(v_ref)
 
@@ -25,10 +26,10 @@ z = Z/Z_1, Z_1 a tenth of the commands beyond the dead band:
     k = P (-1, z)        (D', Z_1 g') = w r_b k/T_m        P' = w (I - k k^T - P/100)/T_m
     b' = -w s sgn(v_ref) r_b/(4 T_m)        r_b = r/(1 + (r/r_0)^2)
 
-T_m is `learning_time`. P starts at 0, so the first motions change little; both directions share it. The weight
-w is 0 at rest, up to `learning_share` of the speed limit, near full opening, where the supply does not carry
-the load, and not engaged; then nothing moves. It falls where the command changes so fast that an error of T_l
-in the lag would be one of the valve.
+T_m is `learning_time`. P starts at 0, so the first motions change little; both directions share it. The
+weight w is 0 at rest, up to `learning_share` of the speed limit, near full opening, where the supply does
+not carry the load, and not engaged; then nothing moves. It falls where the command changes so fast that an
+error of T_l in the lag would be one of the valve.
 """
 
 from dataclasses import dataclass

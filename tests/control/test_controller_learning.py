@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from benchmarks.learning import AXES, Case, dead_band, tracked
 from kit.steering import PART, V, measured, rates
 
+from benchmarks.learning import AXES, Case, dead_band, tracked
 from orchestrator import Trace, run
 
 LEARNED = [f"{a}_{n}_{of}" for a in AXES for n in ("dead_band", "flow") for of in ("up", "down")]
@@ -64,9 +64,9 @@ def test_ten_minutes_at_rest_teach_nothing(machine):
 
 
 def test_a_jump_of_the_dead_band_is_learned_within_half_a_minute(machine, monkeypatch):
-    """Learned 0.2 V that are no longer there: after 30 s of work a quarter is left at most, of every direction.
+    """Learned 0.2 V that are no longer there: after 30 s of work a quarter is left at most.
 
-    The slowest direction moves for a few seconds of these only.
+    A direction moves for a few of these seconds only.
     """
     start = dict.fromkeys(BANDS, 0.2)
     _, trace, begin = worked(machine, monkeypatch, start, before=30.0)
