@@ -194,6 +194,21 @@ def shares(found: Sequence[Outcome], label: str) -> None:
         print(f"{label:40s} {len(found):4d}  10/4 mm: {inner:4.0%}  20/8 mm: {outer:4.0%}")
 
 
+def dead_bands() -> None:
+    """Print largest errors and RMS for dead bands that the controller does not know, without sensors."""
+    print("dead band, largest / RMS [mm]: line, square; with learning, without")
+    for kind in ("lumped", "detailed", "compensated"):
+        for by in (0.0, 0.2, -0.2):
+            cells = []
+            for learning in (1.0, 0.0):
+                for path in ("line", "square"):
+                    given = dead_band(kind, by) | {"controller.learning": learning}
+                    error, trace, begin = tracked(Case(kind, path, False, given))
+                    on = 1e3 * error[trace.time >= begin]
+                    cells.append(f"{on.max():5.1f} /{rms(on):5.1f}")
+            print(f"{kind:12s} {0.6 + by:.1f} V  " + "  ".join(cells), flush=True)
+
+
 def main() -> None:
     """Print shares and the worst combinations."""
     parser = argparse.ArgumentParser(description="Accuracy of the tip with learned valves")
@@ -202,6 +217,7 @@ def main() -> None:
     parser.add_argument("--off", action="store_true", help="without learning")
     args = parser.parse_args()
     begin, found, failed = time.monotonic(), list[Outcome](), 0
+    dead_bands()
     for number in range(args.combinations):
         case = drawn(number, args.seed)
         if args.off:
