@@ -30,6 +30,7 @@ IDEAL, SENSORS = Path("build/harvester_control.ssp"), Path("build/faults/harvest
 TIP = [f"manipulator.tip_{n}" for n in ("x", "y", "height")]
 USE = "controller.pressure_use"
 SUPPLY = "supply.supply_pressure"
+LEARNING = "controller.learning"
 DRIVES = ("swing", "boom_stick")
 LEAST_MARGIN = 25  # bar
 QUICK = ("lumped", "quasistatic")  # with sensors; the others take a minute, for noise every millisecond
@@ -116,7 +117,7 @@ def tracked(case: Case, record: Sequence[str] = ()) -> tuple[Array, Trace, float
         record_step=0.01,
         swap=KINDS[case.kind],
         parameters=["line", "compensated"] if "compensated" in case.kind else ["line"],
-        set={**route, **case.given},
+        set={**route, LEARNING: 1.0, **case.given},
     ).trace
     radius, height, angle = (
         np.interp(trace.time, wanted.time, wanted[f"path_{n}"]) for n in ("radius", "height", "angle")
@@ -202,7 +203,7 @@ def dead_bands() -> None:
             cells = []
             for learning in (1.0, 0.0):
                 for path in ("line", "square"):
-                    given = dead_band(kind, by) | {"controller.learning": learning}
+                    given = dead_band(kind, by) | {LEARNING: learning}
                     error, trace, begin = tracked(Case(kind, path, False, given))
                     on = 1e3 * error[trace.time >= begin]
                     cells.append(f"{on.max():5.1f} /{rms(on):5.1f}")
@@ -221,7 +222,7 @@ def main() -> None:
     for number in range(args.combinations):
         case = drawn(number, args.seed)
         if args.off:
-            case = replace(case, given={**case.given, "controller.learning": 0.0})
+            case = replace(case, given={**case.given, LEARNING: 0.0})
         try:
             found.append(outcome(case))
         except Problem as problem:
