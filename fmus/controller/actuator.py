@@ -25,6 +25,7 @@ import casadi as ca
 from fmus.contract import Scalar
 from fmus.controller import valve
 from fmus.controller.arm import ControlledAxis
+from fmus.controller.learning import SIDES, Lesson, Wanted, lesson
 from fmus.controller.valve import Actuator
 from fmus.smooth import direction, ramp
 
@@ -37,19 +38,21 @@ class ActuatorCommand:
     """Command of the spool [V], h' [1/s], F_load' [N/s, N.m/s], and what the spool lacks [V.s].
 
     missing   position error as a voltage, in motion: positive if the spool lags behind its changes
+    lesson    what the motion teaches of the valve
     """
 
     command: Scalar
     gain_rate: Scalar
     load_rate: Scalar
     missing: Scalar
+    lesson: Lesson
 
 
 def actuator_command(
     axis: ControlledAxis,
     a: Actuator,
     pressures: tuple[Scalar, Scalar],
-    motion: tuple[Scalar, Scalar],
+    motion: tuple[Scalar, Scalar, Scalar],
     error: Scalar,
     x: Any,
     u: Any,
@@ -58,10 +61,10 @@ def actuator_command(
     """The equations above for one axis.
 
     pressures   measured, head side (A) and rod side (B) [Pa]
-    motion      v_ref [m/s, rad/s], with its lead, and the rate of the reference speed
+    motion      v_ref [m/s, rad/s], with its lead, the rate of the reference speed, the speed of the reference
     error       e [m, rad]
     """
-    speed, change = motion
+    speed, change, reference_rate = motion
     name = axis.name
     gain, load = getattr(x, f"{name}_gain"), getattr(x, f"{name}_load")  # h, F_load
     position_gain, integral_gain, damping_rate, load_time = (
@@ -85,7 +88,9 @@ def actuator_command(
         1 + p.feedback * ca.if_else(compensated, 0, factor - 1)
         for factor in valve.supply_margins(a, load, *lines)
     )
-    opening = valve.opening_for(a, commanded, (full[0], full[1]), (up, down))
+    flows, dead_bands = (tuple(getattr(x, f"{name}_{n}_{of}") for of in SIDES) for n in ("flow", "dead_band"))
+    full = (full[0] * (1 + flows[0]), full[1] * (1 + flows[1]))
+    opening = valve.opening_for(a, commanded, full, (up, down))
     possible = valve.limited(opening)
     excess = (opening - possible) * (full[0] + full[1]) / 2
     slow = p.learning_share * getattr(p, f"{name}_speed_limit")
@@ -94,9 +99,11 @@ def actuator_command(
     volt = (full[0] + full[1]) / 2 / (a.valve.full_command - a.valve.dead_band)  # speed per volt
     rate = (integral_gain * error - excess / p.unwinding_time) * weight
     beyond_limit = ramp(gain - limit, limit / 10) - ramp(-gain - limit, limit / 10)
+    wanted = Wanted(speed, reference_rate, commanded, opening, up * down, volt)
     return ActuatorCommand(
-        command=valve.command(a.valve, possible, p.foot_share),
+        command=valve.command(a.valve, possible, p.foot_share, (dead_bands[0], dead_bands[1])),
         gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,
         load_rate=oscillation / load_time,
         missing=error * weight * speed / volt * direction(change, BEND * getattr(p, f"{name}_speed_limit")),
+        lesson=lesson(axis, a, wanted, error, oscillation, valve.spare_forces(a, load, *lines), x, p),
     )

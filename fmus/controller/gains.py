@@ -90,6 +90,25 @@ class Loops(Group):
         "1", "Largest hysteresis that is learned", 0.1, minimum=1e-3, maximum=0.5
     )
     hysteresis_gain: Scalar = _gain("1/s2", "Rate at which the hysteresis is learned, per error", 10.0)
+    learning: Scalar = Quantity(
+        "1",
+        "1: dead bands, flows and play of the valves are learned from motion, 0: only the play, from errors",
+        minimum=0.0,
+        maximum=1.0,
+        tunable=True,
+    )
+    learning_time: Scalar = Quantity(
+        "s", "Time of motion in which an error of the dead band falls to 1/e", minimum=0.1
+    )
+    learning_filter_time: Scalar = Quantity(
+        "s", "Time constant of the filter of the speed that the oil gives", 0.1, minimum=1e-3
+    )
+    learning_lag: Scalar = Quantity(
+        "s", "Lag of spool and sensors, behind that of the amplifier", 0.01, minimum=0.0
+    )
+    dead_band_limit: Scalar = Quantity(
+        "V", "Largest difference of a dead band from that of the parameters", 0.1, minimum=1e-3
+    )
     reversal: Scalar = Quantity(
         "V", "Change of a command that counts as a reversal of its valve", 0.1, minimum=1e-3
     )

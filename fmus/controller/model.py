@@ -27,6 +27,7 @@ from fmus.controller.actuator import ActuatorCommand, actuator_command
 from fmus.controller.arm import Arm, ControlledAxis, distance
 from fmus.controller.gains import gains
 from fmus.controller.harvester import ARM
+from fmus.controller.learning import learned_rates
 from fmus.controller.play import Compensation, beyond_limits, learned_rate
 from fmus.controller.reference import Reference, engaged, reference
 from fmus.controller.valve import MARGIN, Actuator, needed_pressures
@@ -38,6 +39,7 @@ from fmus.swing import SWING
 GAINS = tuple(quantities(gains(ARM.axes)))
 FILE = Path(__file__).with_name("parameters.toml")
 LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
+LEARNED = ("dead_band_up", "dead_band_down", "flow_up", "flow_down", "half_width")
 LEVERS = {
     "radial_lever": "radial_velocity",
     "vertical_lever": "vertical_velocity",
@@ -67,13 +69,13 @@ class Controller:
         """Command of the control law for each actuator."""
         driven, measured = self._actuators(ref, p), self.arm.pressures(u)
         result = {}
-        for a, speed, (_, lever), error in zip(
-            self.arm.axes, ref.speeds, ref.pistons, ref.errors, strict=True
+        for a, speed, rate, (_, lever), error in zip(
+            self.arm.axes, ref.speeds, ref.rates, ref.pistons, ref.errors, strict=True
         ):
             filtered = getattr(x, f"{a.name}_late_speed")
             change = (speed - filtered) / p.lead_filter_time
             leading = speed + p.lead_time * change
-            motion = (lever * leading, lever * change)
+            motion = (lever * leading, lever * change, lever * rate)
             result[a.name] = actuator_command(a, driven[a.name], measured[a.name], motion, error, x, u, p)
         return result
 
@@ -109,7 +111,13 @@ class Controller:
             beyond = beyond_limits(play.half_width, full * p.hysteresis_limit / 2)
             rates[f"{a.name}_spool"] = (target - play.spool) / p.amplifier_time
             rates[f"{a.name}_trailing"] = play.trailing_rate
-            rates[f"{a.name}_half_width"] = engaged(u) * p.feedback * learned - beyond / p.unwinding_time
+            on = engaged(u) * p.feedback
+            rates |= command.lesson.rates
+            active = on * p.learning * x.coordination
+            of_valve, widened = learned_rates(a.name, command.lesson, play.side, x, p, active)
+            rates |= of_valve
+            widened = ca.if_else(p.hysteresis > 0, widened, 0) + on * (1 - p.learning) * learned
+            rates[f"{a.name}_half_width"] = widened - beyond / p.unwinding_time
         return rates
 
     def dynamics(self, x: Any, u: Any, p: Any) -> Any:
@@ -139,6 +147,7 @@ class Controller:
             play = self._compensation(a, x, p)
             spool, half_width = (rates[f"{a.name}_{n}"] for n in ("spool", "half_width"))
             found[f"{a.name}_command"] = play.command
+            found |= {n: getattr(x, n) for n in (f"{a.name}_{k}" for k in LEARNED)}
             found[f"{a.name}_command_rate"] = play.command_rate(spool, half_width, rates["coordination"])
         return self.outputs(
             **found,

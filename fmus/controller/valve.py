@@ -130,6 +130,12 @@ def needed_pressures(a: Actuator, load: Scalar, tank: Scalar) -> tuple[Scalar, S
     return extending / a.head_area, retracting / a.rod_area
 
 
+def spare_forces(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
+    """Force [N, N.m] of the supply beyond the load, extending and retracting; at least that of `MARGIN`."""
+    up, down = (ca.fmax(supply - needed, MARGIN) for needed in needed_pressures(a, load, tank))
+    return a.head_area * up, a.rod_area * down
+
+
 def supply_margins(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
     """Factors on the opening, extending and retracting: 0 if the supply cannot move the load, else up to 1.
 
@@ -161,7 +167,9 @@ def limited(opening: Scalar) -> Scalar:
     return -capped(-capped(opening, CAP), CAP)
 
 
-def command(valve: Valve, opening: Scalar, rounding_opening: Scalar) -> Scalar:
+def command(
+    valve: Valve, opening: Scalar, rounding_opening: Scalar, offsets: tuple[Scalar, Scalar] = (0, 0)
+) -> Scalar:
     """Command [V] for an opening [1]: the inverse of `spool_valve.opening`.
 
     The step over the dead band is rounded for |opening| around `rounding_opening`; otherwise the command
@@ -169,6 +177,7 @@ def command(valve: Valve, opening: Scalar, rounding_opening: Scalar) -> Scalar:
     asked: by 7.7 % at 7 times `rounding_opening`, by 0.5 % at 20 times.
     """
     size = ca.sqrt(opening**2 + rounding_opening**2)
-    width = valve.command_rounding
-    z = ramp_inverse(size * ramp(valve.full_command - valve.dead_band, width), width)
-    return opening / size * (valve.dead_band + z)
+    width, (up, down) = valve.command_rounding, offsets
+    dead_band = valve.dead_band + ((up + down) + (up - down) * opening / size) / 2
+    z = ramp_inverse(size * ramp(valve.full_command - dead_band, width), width)
+    return opening / size * (dead_band + z)

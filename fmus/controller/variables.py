@@ -13,6 +13,24 @@ from fmus.controller.gains import gains
 from fmus.ports import rate_output
 
 Axes = Sequence[ControlledAxis]
+LEARNED = {
+    "dead_band_up": (
+        "Learned dead band of the {} valve for positive commands, beyond that of the parameters",
+        "V",
+    ),
+    "dead_band_down": (
+        "Learned dead band of the {} valve for negative commands, beyond that of the parameters",
+        "V",
+    ),
+    "flow_up": (
+        "Learned flow of the {} valve for positive commands, over that of the parameters, less 1",
+        "1",
+    ),
+    "flow_down": (
+        "Learned flow of the {} valve for negative commands, over that of the parameters, less 1",
+        "1",
+    ),
+}
 
 
 def parameters(arm: Arm) -> type[Any]:
@@ -50,6 +68,16 @@ def states(axes: Axes) -> type[Any]:
         ("half_width", "Learned half width of the play of the {} valve", 0.1),
     ):
         found |= {f"{a.name}_{name}": Quantity("V", text.format(a.name), nominal) for a in axes}
+    for a in axes:
+        for name, (text, unit) in LEARNED.items():
+            found[f"{a.name}_{name}"] = Quantity(unit, text.format(a.name), 0.1)
+        for n in ("11", "12", "22"):
+            text = f"Covariance of dead band and flow of the {a.name} valve, relative, element {n}"
+            found[f"{a.name}_covariance_{n}"] = Quantity("1", text)
+        text = f"Commanded speed of the {a.name} drive behind the lag of amplifier, spool and sensors"
+        found[f"{a.name}_late_command"] = Quantity("rad/s" if a.turns else "m/s", text, 0.1)
+        text = f"Path of the oil in the {a.name} drive as commanded, less that of the reference"
+        found[f"{a.name}_oil_shift"] = Quantity("rad" if a.turns else "m", text, 0.01)
     found |= {
         "radial_lever": Quantity("m/s", "Commanded radial velocity of the tip, filtered"),
         "vertical_lever": Quantity("m/s", "Commanded vertical velocity of the tip, filtered"),
@@ -101,6 +129,15 @@ def outputs(axes: Axes) -> type[Any]:
         for a in axes
     }
     commands |= {f"{a.name}_command_rate": rate_output(f"{a.name}_command", "V/s", 10.0) for a in axes}
+    commands |= {
+        f"{a.name}_{n}": Quantity(unit, text.format(a.name), 0.1)
+        for a in axes
+        for n, (text, unit) in LEARNED.items()
+    }
+    commands |= {
+        f"{a.name}_half_width": Quantity("V", f"Learned half width of the play of the {a.name} valve", 0.1)
+        for a in axes
+    }
     return make_group("ControllerOutputs", quantities(Indicators), make_group("Commands", commands))
 
 

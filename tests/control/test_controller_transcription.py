@@ -14,6 +14,7 @@ from kit.steering import OUTPUTS, PART, STATES, V
 def drawn(rng: np.random.Generator, wide: float) -> tuple[dict, dict, dict]:
     """States, inputs and parameters: around a pose in the strokes, `wide` times the usual spread."""
     p = {n: v * rng.uniform(0.9, 1.1) for n, v in V.p.items()} | {"feedback": rng.choice([0.0, 0.5, 1.0])}
+    p["learning"] = rng.choice([0.0, 0.5, 1.0])
     p["hysteresis"] *= rng.choice([0.0, 1.0])
     p["singular_share"] = rng.uniform(0, 0.8)  # the strokes end far from the singularity of the usual 0.2
     p |= {f"{n}_section_flow": rng.choice([0.0, rng.uniform(1e-3, 4e-3)]) for n in AXES}

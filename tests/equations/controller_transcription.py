@@ -132,12 +132,14 @@ def references(x: Group, u: Group, p: Group) -> Group:
     )  # fmt: skip
 
 
-def volts(opening: float, o: Group, foot: float) -> float:
+def volts(opening: float, o: Group, foot: float, offsets: np.ndarray) -> float:
     """Section command: the valve's curve turned round by bisection."""
     size = np.sqrt(opening**2 + foot**2)
-    value = size * r(o.full_command - o.dead_band, o.rounding)
+    share = (1 + opening / size) / 2  # of the positive direction
+    dead_band = o.dead_band + offsets @ [share, 1 - share]
+    value = size * r(o.full_command - dead_band, o.rounding)
     z = brentq(lambda volt: r(volt, o.rounding) - value, 0.0, 2 * o.full_command, xtol=1e-14, rtol=1e-14)
-    return opening / size * (o.dead_band + z)
+    return opening / size * (dead_band + z)
 
 
 def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
@@ -166,20 +168,23 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     forces = o.a[0] * p.nominal_supply_pressure - fixed, o.a[1] * p.nominal_supply_pressure + fixed
     plain = [o.k_valve * np.sqrt(m(z, w * o.a[0]) / (o.a**3).sum()) for z in forces]
     full = [n + p.feedback * (known - n) for n, known in zip(plain, (up, down), strict=True)]
-    mean = sum(full) / 2
     size = v**2 / np.sqrt(v**2 + 1e-8)
     spare = o.a[0] * s - o.a[1] * t - load, o.a[1] * s - o.a[0] * t + load
     gates = [1 + p.feedback * (rise(f / (a * 5e5)) - 1) for f, a in zip(spare, o.a, strict=True)]
     if o.q[0] > 0:  # a compensated section
         full, gates = o.q / o.a, [1.0, 1.0]
-        mean = full.mean()
+    flows, bands = (
+        np.array([getattr(x, f"{name}_{n}_{end}") for end in ("up", "down")]) for n in ("flow", "dead_band")
+    )
+    full = np.array(full) * (1 + flows)
+    mean = full.mean()
     y = gates[0] * (v + size) / 2 / full[0] + gates[1] * (v - size) / 2 / full[1]
     hose = 0.0 if o.q[0] > 0 else o.hose
     wide = y / np.sqrt(1 - hose * o.k_valve**2 * min(y**2, 1))
     had = wide - r(wide - 0.95, 0.1)
     had += r(-had - 0.95, 0.1)
     lever = clip(getattr(u, f"{name}_lever"), -o.full_command, o.full_command)
-    target = lever + x.coordination * (volts(had, o, p.foot_share) - lever)
+    target = lever + x.coordination * (volts(had, o, p.foot_share, bands) - lever)
     slow, most = p.learning_share * getattr(p, f"{name}_speed_limit"), p.gain_limit
     learn = ki * error - (wide - had) * mean / p.unwinding_time
     learn *= speed / (speed**2 + slow**2)
@@ -194,15 +199,60 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     f *= (o.full_command - o.dead_band) / mean * alpha / np.hypot(alpha, steady)
     beyond = (r(half - limit, limit / 10) - r(-half, limit / 10)) / p.unwinding_time
     spool, trailing = getattr(x, f"{name}_spool"), getattr(x, f"{name}_trailing")
-    return {
+    seen = Group(
+        name=name, speed=speed, v=v, opening=wide, margin=np.prod(gates),
+        volt=mean / (o.full_command - o.dead_band), point=0.1 * (o.full_command - o.dead_band),
+        own=ref.arm.arms[i] * ref.rates[i], error=error, swinging=swinging, k=k, slowly=slowly, slow=slow,
+        spare=np.maximum(np.array(spare), 5e5 * o.a), compensated=o.q[0] > 0,
+    )  # fmt: skip
+    taught_valve, wider = learning(seen, x, p, ref.e * p.feedback * p.learning * x.coordination)
+    wider *= p.hysteresis > 0
+    return taught_valve | {
         f"{name}_spool": (target - spool) / p.amplifier_time,
         f"{name}_trailing": trailing_rate(spool, trailing, p.reversal),
-        f"{name}_half_width": ref.e * p.feedback * f / (1 + (f / 0.3) ** 2) - beyond,
+        f"{name}_half_width": wider
+        + ref.e * p.feedback * (1 - p.learning) * f / (1 + (f / 0.3) ** 2)
+        - beyond,
         f"reference_{name}": ref.rates[i],
         f"{name}_gain": taught - (1 - ref.e) * h / p.tracking_time,
         f"{name}_load": swinging / slowly,
         f"{name}_late_speed": (b - late) / p.lead_filter_time,
     }
+
+
+def learning(o: Group, x: Group, p: Group, active: float) -> tuple[dict[str, float], float]:
+    """Section learning: rates of what is known of a valve, and the share of the play's."""
+    names = (
+        "late_command",
+        "oil_shift",
+        "covariance_11",
+        "covariance_12",
+        "covariance_22",
+        "spool",
+        "trailing",
+    )
+    late, shift, p11, p12, p22, spool, trailing = (getattr(x, f"{o.name}_{n}") for n in names)
+    sign, end = (1, "up") if o.speed > 0 else (-1, "down")
+    c = 1 - (not o.compensated) * sign * o.swinging / (2 * o.spare[0 if sign > 0 else 1])
+    n = (o.swinging / o.k - o.error - shift) / p.learning_filter_time
+    late_rate = (o.v - late) / (p.amplifier_time + p.learning_lag)
+    residual = sign * n / o.volt
+    w = clip(min(abs(o.speed), sign * late) / o.slow - 1, 0, 1) * o.margin * (abs(o.opening) < 0.9)
+    w /= 1 + (p.learning_lag * late_rate / (0.06 * o.volt)) ** 2
+    pace, bent = active * w / p.learning_time, residual / (1 + (residual / 0.5) ** 2)
+    cov = np.array([[p11, p12], [p12, p22]])
+    k = cov @ [-1, sign * c * late / o.volt / o.point]
+    change = pace * (np.eye(2) - np.outer(k, k) - cov / 100)
+    rates = {f"{o.name}_covariance_{i}{j}": change[i - 1, j - 1] for i, j in ((1, 1), (1, 2), (2, 2))}
+    rates |= {f"{o.name}_late_command": late_rate}
+    rates |= {f"{o.name}_oil_shift": c * late - o.own - o.swinging / o.k / o.slowly + n}
+    for kind, step, limit in (("dead_band", k[0], p.dead_band_limit), ("flow", k[1] / o.point, p.gain_limit)):
+        for side in ("up", "down"):
+            value = getattr(x, f"{o.name}_{kind}_{side}")
+            rates[f"{o.name}_{kind}_{side}"] = (side == end) * pace * bent * step
+            rates[f"{o.name}_{kind}_{side}"] -= (value - clip(value, -limit, limit)) / p.unwinding_time
+    s = (spool - trailing) / np.hypot(spool - trailing, p.reversal / 3)
+    return rates, -pace * s * sign * bent / 4
 
 
 def trailing_rate(spool, trailing, n):
@@ -239,6 +289,8 @@ def written(x: Group, u: Group, p: Group) -> tuple[dict[str, float], dict[str, f
     # the derivative along the rates by a step in the imaginary direction: exact to rounding
     moving = {n: v + 1e-20j * rates.get(n, 0.0) for n, v in vars(x).items()}
     shown = {f"{n}_command": command(n, moving, p).real for n in AXES}
+    learned = ("dead_band_up", "dead_band_down", "flow_up", "flow_down", "half_width")
+    shown |= {f"{n}_{k}": getattr(x, f"{n}_{k}") for n in AXES for k in learned}
     shown |= {f"{n}_command_rate": command(n, moving, p).imag / 1e-20 for n in AXES}
     shown |= {f"reference_{n}": v for n, v in zip(("radius", "height", "angle"), ref.at, strict=True)}
     apart = ref.at - ref.there
