@@ -1,9 +1,9 @@
-"""Recordings of machines, healthy and with one fault each, for `benchmarks.diagnosis`; knows nothing of the diagnosis.
+"""Recordings of machines, healthy and with one fault each, for `benchmarks.diagnosis`.
 
-The machines are not those that the diagnosis knows: other drives, friction and a head that swings, masses
-10 % off, payloads up to 800 kg, valves of other size and dead band, with hysteresis of 2 to 6 %, pressures with
-zeros 0.3 bar off, buses of 5 to 20 ms, oil that starts between -10 and 60 degC, a supply of 150 to 210 bar.
-The base of the crane is rigid; no variant has an elastic one.
+This file knows nothing of the diagnosis. The machines are not those that the diagnosis knows: other drives,
+friction and a head that swings, masses 10 % off, payloads up to 800 kg, valves of other size and dead band,
+with hysteresis of 2 to 6 %, pressures with zeros 0.3 bar off, buses of 5 to 20 ms, oil that starts between
+-10 and 60 degC, a supply of 150 to 210 bar. The base of the crane is rigid; no variant has an elastic one.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ LEARNED, HEALTHY = 180.0, 600.0  # s: length of the recordings
 BEGIN = 40.0  # s, of a fault
 AXES = ("swing", "boom", "stick")
 SIDES = {"swing": ("leak_a", "leak_b"), "boom": ("head_leak", "rod_leak"), "stick": ("head_leak", "rod_leak")}
-PRESSURES = ("swing_pressure_a", "swing_pressure_b") + tuple(
-    f"{a}_{c}_pressure" for a in ("boom", "stick") for c in ("head", "rod")
-)
+OF_CYLINDERS = tuple(f"{a}_{c}_pressure" for a in ("boom", "stick") for c in ("head", "rod"))
+PRESSURES = ("swing_pressure_a", "swing_pressure_b", *OF_CYLINDERS)
 ANGLES = tuple(f"{a}_angle" for a in AXES)
 SPEEDS = tuple(f"{a}_speed" for a in AXES)
 READINGS = (*PRESSURES, *ANGLES, *SPEEDS, "supply_pressure", "tank_pressure")
@@ -70,15 +69,16 @@ class Case:
     stop: float = HEALTHY
     part: int = 0
 
-    @property
-    def actual(self) -> float:
-        """Leakage past seals [m3/(s.Pa)] at the temperature at which the machine starts."""
-        return self.size * viscosity(333.15) / viscosity(self.set["supply.oil_temperature_start"])
+    def leakage(self, temperature: float) -> float:
+        """Past seals [m3/(s.Pa)] at a temperature [K]."""
+        return float(self.size * viscosity(333.15) / viscosity(temperature))
 
     @property
     def loss(self) -> float:
-        """Of a leak, at 100 bar [L/min]."""
-        return self.actual * 1e7 / LITRE if self.fault.endswith("seal_leakage") else self.size * JET / LITRE
+        """Of a leak, at 100 bar and the temperature at which the machine starts [L/min]."""
+        if self.fault.endswith("seal_leakage"):
+            return self.leakage(self.set["supply.oil_temperature_start"]) * 1e7 / LITRE
+        return float(self.size * JET / LITRE)
 
     @property
     def name(self) -> str:
@@ -87,7 +87,7 @@ class Case:
 
 
 def viscosity(temperature: float) -> float:
-    """Kinematic viscosity [mm2/s] of ISO VG 46 with an index of 100, by Walther (46 at 40 degC, 6.8 at 100 degC)."""
+    """Kinematic viscosity [mm2/s] of ISO VG 46 by Walther: 46 at 40 degC, 6.8 at 100 degC."""
     a, b = (np.log10(np.log10(v + 0.7)) for v in (46.0, 6.8))
     share = np.log10(temperature / 313.15) / np.log10(373.15 / 313.15)
     return float(10**10 ** (a + share * (b - a)) - 0.7)
@@ -108,6 +108,7 @@ def machine(seed: int) -> tuple[dict[str, str], dict[str, float]]:
         "sensors.seed": float(seed % 1000),
         "sensors.pressure_delay": rng.uniform(5e-3, 20e-3),
     }
+    given |= {"sensors.angle_lowest": -100.0, "sensors.angle_highest": 100.0}  # encoders that count turns
     given["sensors.angle_delay"] = given["sensors.turning_delay"] = given["sensors.pressure_delay"]
     for part in ("swing", "boom_stick"):
         band, area = rng.uniform(0.4, 0.8), rng.uniform(3.2e-5, 4.8e-5)
@@ -193,11 +194,19 @@ def recorded(case: Case, folder: Path) -> Path:
         return file
     fault: Any = {case.fault: f"{case.size}@{BEGIN:g}s"} if case.fault else {}
     signals = [*(f"sensors.{n}_measured" for n in READINGS), *(f"controller.{a}_command" for a in AXES)]
+    levers = work(case.seed, case.stop, shift=int(case.part == 0))
     result = run(
-        SYSTEM, work(case.seed, case.stop, shift=int(case.part == 0)), stop=case.stop, swap=case.swap, set=case.set, fault=fault,
-        record_step=STEP, record=[*signals, "supply.oil_temperature", "manipulator.held_mass"], step=1e-3,
-        master="gauss-seidel", yes=True,
-    )  # fmt: skip
+        SYSTEM,
+        levers,
+        stop=case.stop,
+        swap=case.swap,
+        set=case.set,
+        fault=fault,
+        record=[*signals, "supply.oil_temperature", "manipulator.held_mass"],
+        record_step=STEP,
+        step=1e-3,
+        yes=True,
+    )
     columns: dict[str, Any] = {"time": np.asarray(result.time)}
     for n in signals:
         columns[n.partition(".")[2].removesuffix("_measured")] = np.asarray(result[n])
@@ -208,7 +217,7 @@ def recorded(case: Case, folder: Path) -> Path:
 
 
 def influence(case: Case, columns: Columns, healthy: Columns) -> float:
-    """When [s] a fault first shows in a reading; infinite if it never does. The bias of a sensor does at once."""
+    """When [s] a fault first shows in a reading; infinite: never. The bias of a sensor does at once."""
     if case.fault.endswith("_bias"):
         return BEGIN
     rows, first = len(columns["time"]), np.inf

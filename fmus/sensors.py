@@ -39,7 +39,10 @@ NUMBERS: Mapping[str, tuple[tuple[float, ...], str]] = {
         "encoder of 65 536 counts per turn",
     ),
     "length": ((1e-3, BUS, 0.0, 1e-4, -1.0, 100.0, -10.0), "linear encoder"),
-    "turning": ((0.01, BUS, 2e-3, 1e-4, -10.0, 10.0, -20.0), "gyroscope, or an encoder differentiated over 20 ms"),
+    "turning": (
+        (0.01, BUS, 2e-3, 1e-4, -10.0, 10.0, -20.0),
+        "gyroscope, or an encoder differentiated over 20 ms",
+    ),
     "velocity": ((0.01, BUS, 1e-3, 1e-4, -10.0, 10.0, -20.0), "linear encoder differentiated over 20 ms"),
 }
 FIELDS = {

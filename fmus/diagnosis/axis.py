@@ -86,7 +86,7 @@ TORQUE = 1e4  # N.m, scale of torques
 HUNDRED = 100.0  # kg, scale of weights
 SMALL = 1e4  # Pa, over which the root of a pressure is rounded
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
-EMPTY = -5e4  # Pa, in a chamber that is empty
+EMPTY = 0.0  # Pa, below which a chamber may be empty: at -1 bar, with a zero that is off
 FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
 END = 0.01  # m, from the end of a stroke
@@ -108,7 +108,7 @@ SEAL, AIR = "seal_leakage", "air"
 
 @dataclass(frozen=True)
 class Effort:
-    """Of a joint of the arm: torque g - dT/dq [N.m] of weight and motion but for the momentum dT/dq' [N.m.s]."""
+    """Of a joint: torque d(V - T)/dq [N.m] of weight and motion, and momentum dT/dq' [N.m.s]."""
 
     torque: Scalar
     momentum: Scalar
@@ -326,9 +326,12 @@ class Axis:
 
     @property
     def outside(self) -> list[Scalar]:
-        """1: a reading is out of its range."""
-        p, limits = self.p, (self.p.largest_angle, self.p.largest_speed)
-        far = [whether(ca.fabs(self.reading(k)) > limits[k]) for k in (0, 1)]
+        """1: a reading is out of its range; a coordinate, which may count turns, jumps."""
+        p = self.p
+        far = [
+            whether(ca.fabs(self.behind(0)) > p.largest_jump),
+            whether(ca.fabs(self.reading(1)) > p.largest_speed),
+        ]
         return far + [outside(v, p) for v in self.pressures]
 
     @property

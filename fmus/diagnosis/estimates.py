@@ -21,6 +21,7 @@ from fmus.contract import Scalar
 
 SAMPLING = 0.01  # s, between two samples of the diagnosis
 QUICK = SAMPLING  # s, in which a latch or a clock is set
+FORGOTTEN = 0.1  # s, in which a volume is forgotten
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
 CERTAIN = 3.0  # deviations by which a size is above its limit
@@ -163,8 +164,8 @@ def counted(clock: Scalar, condition: Scalar, rate: Scalar = 1) -> Scalar:
 
 
 def gathered(volume: Scalar, excess: Scalar, counts: Scalar) -> Scalar:
-    """Rate of a volume [m3] that gathers an excess [m3/s] of either sign and is not negative."""
-    return ca.fmax(excess * counts - (1 - counts) * volume / QUICK, -volume / QUICK)
+    """Rate of a volume [m3] that gathers an excess [m3/s], and is forgotten while it does not count."""
+    return ca.fmax(excess * counts - (1 - counts) * volume / FORGOTTEN, -volume / QUICK)
 
 
 def judged(size: Scalar, deviation: Scalar, limit: Scalar, usable: Scalar) -> Scalar:

@@ -69,10 +69,10 @@ GROUPS: Mapping[str, Mapping[str, tuple[float, str, str, str]]] = {  # value, un
             "an hour of work",
         ),
         "air_limit": (
-            0.04,
+            0.06,
             "1",
             "Air beyond that of a healthy machine above which it is told",
-            "three times as much as healthy oil has",
+            "half of what a machine that is filled wrongly has",
         ),
     },
     "Burst and spool": {
@@ -182,7 +182,12 @@ GROUPS: Mapping[str, Mapping[str, tuple[float, str, str, str]]] = {  # value, un
             "Pressure at the end of the range of a sensor",
             "the range of a sensor is 600 bar",
         ),
-        "largest_angle": (12.5, "rad", "Largest angle that is a reading", "two turns"),
+        "largest_jump": (
+            1.0,
+            "rad",
+            "Largest step of an angle, or of a length in m",
+            "33 rad/s over the lag",
+        ),
         "largest_speed": (9.9, "rad/s", "Largest speed that is a reading", "range of a gyroscope"),
     },
     "Weighing": {

@@ -80,8 +80,8 @@ def interface_of(sub: Subsystem, values: Values) -> Interface:
     groups = variable_groups((parameters, quantities(sub.inputs), states, outputs), values, sym.calculated)
     rows = [i for i, name in enumerate(outputs) if name not in states]
     interface = make_interface(sub.name, sub.text, groups, sym, column(*(sym.y[i] for i in rows)))
-    return replace(
-        interface, stiff=sub.stiff, sampling=sub.sampling, not_shipped=not_shipped(sub) if sub.numbers else {})
+    others = not_shipped(sub) if sub.numbers else {}
+    return replace(interface, stiff=sub.stiff, sampling=sub.sampling, not_shipped=others)
 
 
 def _sorted_by_heading(

@@ -341,7 +341,7 @@ def _sorted(columns: Columns) -> Columns:
         f"{columns.file}: rows are out of order {late} times and {double} times double; they are sorted"
     )
     values = {name: column[order] for name, column in columns.values.items()}
-    return replace(columns, values=values, rows=np.arange(len(order)))
+    return replace(columns, values=values, rows=[int(columns.rows[k]) for k in order])
 
 
 def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) -> Columns:

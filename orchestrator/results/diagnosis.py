@@ -20,8 +20,8 @@ from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.text import DisplayUnit, TextTable, first_names, number
 from orchestrator.data.description import description_next_to
 from orchestrator.data.recording import read_recording
-from orchestrator.data.table import READABLE
-from orchestrator.data.trace import Array, Trace, trace_of
+from orchestrator.data.table import READABLE, Array
+from orchestrator.data.trace import Trace, trace_of
 from orchestrator.engine.result import Result
 from orchestrator.engine.run import run
 from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel, plot
@@ -160,7 +160,7 @@ def readings(file: Path) -> Trace:
 
 
 def _named(trace: Trace, component: str, inputs: Collection[str], file: Path) -> Trace:
-    """The columns of inputs: NAME, that of the component, that behind a sensor, or the only one of another part."""
+    """The columns of inputs: NAME, that of the component, that behind a sensor, or the only other one."""
     found = dict[str, str]()
     for name in inputs:
         exact = [n for n in (name, f"{component}.{name}", f"{name}_measured") if n in trace.signals]

@@ -43,7 +43,7 @@ def told(folder, work, fault="", swap=None, **given):
 
 @pytest.mark.parametrize("swap", [{}, DETAILED, SENSING], ids=["lumped", "detailed", "compensated"])
 def test_a_healthy_machine_has_no_fault(faulty, work, swap):
-    """Also with other drives than the known ones; a machine that was not learned is judged by its known valves.
+    """Also with other drives than the known ones; without learning it is judged by its known valves.
 
     The valves of `detailed` and `compensated` are others, so what is told of them does not count here.
     """
@@ -71,7 +71,7 @@ def test_a_healthy_machine_has_no_fault(faulty, work, swap):
 def test_a_fault_is_named(faulty, work, fault, size, named, within):
     """Within the time that its function needs to move, and nothing else before it.
 
-    Strokes come every 6 to 8 s: a stuck spool or angle shows in the next one, a leak at rests, a valve in some strokes.
+    Strokes come every 6 to 8 s: a stuck spool or angle shows in the next one, a leak at rests.
     """
     found, _ = told(faulty, work, fault, size=size)
     assert BEGIN <= found[named] <= BEGIN + within
@@ -97,7 +97,7 @@ def test_a_payload_is_weighed_in_motion(faulty, work):
 
 
 def test_the_step_of_the_system_does_not_matter(faulty):
-    """The diagnosis is sampled every 10 ms: with readings that are held, steps of 1 and 10 ms give the same sums.
+    """The diagnosis is sampled every 10 ms: steps of 1 and 10 ms give the same sums.
 
     Exactly, but for the rounding of the times: the same samples of the same readings.
     """
