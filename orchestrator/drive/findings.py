@@ -19,7 +19,7 @@ from orchestrator.base.signals import bare_name
 from orchestrator.base.units import factor_and_offset, pretty, reader_unit
 from orchestrator.data.table import Array
 from orchestrator.fmi.description import FmuVariable
-from orchestrator.ssp.system import Port, System
+from orchestrator.ssp.system import System
 
 REPAIR = re.compile(r"\b1 a fault \((.+)\)")
 RESET = "reset"
@@ -64,10 +64,12 @@ def findings(system: System) -> tuple[Finding, ...]:
     return tuple(one for one in found if one.name.rpartition(".")[0] in diagnosing)
 
 
-def resets(found: Sequence[Finding], free: Sequence[Port]) -> tuple[str, ...]:
-    """The free inputs that forget faults."""
+def resets(system: System, found: Sequence[Finding]) -> tuple[str, ...]:
+    """The inputs without a connection that forget faults."""
     diagnosing = {one.name.rpartition(".")[0] for one in found}
-    return tuple(str(port) for port in free if port.variable == RESET and port.component in diagnosing)
+    taken = {connection.target for connection in system.connections}
+    free = (port for port in system.ports("input") if port.variable == RESET and port not in taken)
+    return tuple(str(port) for port in free if port.component in diagnosing and system.variable(port).is_real)
 
 
 def _finding(name: str, variable: FmuVariable, repair: str) -> Finding:
@@ -76,7 +78,8 @@ def _finding(name: str, variable: FmuVariable, repair: str) -> Finding:
     shown = "degC" if unit == "K" else reader_unit(unit)
     factor, offset = factor_and_offset(unit, shown, name)
     text = (variable.description or bare_name(name)).removeprefix("1: ")  # of one that is there or not
-    text, repair = (words.replace("_", " ") for words in (text[:1].upper() + text[1:], repair))
+    text = f"{text[:1].upper()}{text[1:]}".replace("degC", "°C")
+    text, repair = text.replace("_", " "), repair.replace("_", " ")
     most = UNKNOWN * variable.nominal if variable.nominal and not repair else math.inf
     return Finding(name, text, repair, pretty(shown).replace("deg", "°"), factor, offset, most)
 

@@ -284,7 +284,7 @@ class ViewDescription:
             expected = f"expected an input to drive, such as {self.axes[0].name[-1]}"
             found = ", ".join(sorted(inputs)[:6]) or "none"
             raise Problem(f"{system.source or system.name}: {expected}, found {found}")
-        free = {port.variable: port for port in free_inputs(system)}
+        free = {port.variable: port for port in _free_inputs(system)}
         slid = (s for s in self.sliders if s.name in free and s.name not in axes)
         return axes | {s.name: s.driven(_start(system, free[s.name])) for s in slid}
 
@@ -339,7 +339,7 @@ def of_variables(system: System) -> ViewDescription:
         groups.append(GaugeGroup(unit, tuple(lines)))
         curves = tuple(map(ChartCurve, shown, texts, COLOURS))
         charts.append(Chart("Outputs", unit, curves, ends, fmu_unit=fmu_unit))
-    sliders = tuple(_slider(system, port) for port in free_inputs(system)[:MOST_SLIDERS])
+    sliders = tuple(_slider(system, port) for port in _free_inputs(system)[:MOST_SLIDERS])
     return ViewDescription(tuple(groups), tuple(charts[:MOST_CHARTS]), sliders=sliders)
 
 
@@ -353,7 +353,7 @@ def _gauge(name: str, text: str, variable: FmuVariable) -> Gauge:
     return Gauge(name, text, unit, high, low, digits, fmu_unit)
 
 
-def free_inputs(system: System) -> list[Port]:
+def _free_inputs(system: System) -> list[Port]:
     """Real inputs without a connection, but for those that take the slope of another one."""
     taken = {connection.target for connection in system.connections}
     for name, component in system.components.items():

@@ -9,7 +9,7 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS
 from orchestrator.drive.findings import RESET, Finding, findings, resets
 from orchestrator.drive.scene import Values, parameters, pose_names
-from orchestrator.drive.view_description import ViewDescription, free_inputs, view_description
+from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.ssp.load import configured, load
 from orchestrator.ssp.swap import with_swaps
@@ -73,7 +73,7 @@ def plan(choice: MachineChoice) -> ViewPlan:
     driven, found = description.driven(system), findings(system)
     axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven.items())
     if RESET not in driven:
-        axes += tuple(Axis(name, limit=1.0, rate=100.0) for name in resets(found, free_inputs(system)))
+        axes += tuple(Axis(name, limit=1.0, rate=100.0) for name in resets(system, found))
     watched = (*description.watched(system), *(name for one in found for name in one.signals))
     setup = Setup(
         str(choice.system), axes, tuple(dict.fromkeys(watched)), choice.swap, sets, choice.set, choice.fault

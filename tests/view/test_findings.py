@@ -1,0 +1,140 @@
+"""Findings of a diagnosis: what a system has of them, what a page is told, and since when each is a fault."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from view import garage
+from view.standin import StandIn
+
+from orchestrator.drive.findings import Finding, FindingTable, findings
+from orchestrator.realtime.stepping import FrameStepper
+from orchestrator.ssp.load import load
+from orchestrator.view.choice import MachineChoice, ViewPlan, plan
+from orchestrator.view.live import Broadcast
+from orchestrator.view.session import columns
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A system with a diagnosis."""
+    return garage.system(tmp_path_factory.mktemp("workshop"))
+
+
+def test_findings_of_a_system(workshop: Path) -> None:
+    """Three outputs are a finding, in a mechanic's words and units; two an estimate, next to findings."""
+    leak, heat, switch, *estimates = findings(load(workshop))
+    assert (leak.text, leak.repair) == ("Opening of hose one at 60 \N{DEGREE SIGN}C", "hose one (left)")
+    assert (leak.unit, leak.factor) == ("mm\N{SUPERSCRIPT TWO}", pytest.approx(1e6))
+    assert (heat.unit, heat.factor, heat.offset) == ("\N{DEGREE SIGN}C", 1.0, pytest.approx(-273.15))
+    assert (switch.text, switch.unit) == ("The <b>switch</b> does not close", "")
+    assert [one.name for one in (leak, heat, switch)] == ["garage.leak", "garage.heat", "garage.switch"]
+    assert [(one.name, one.repair, one.unit) for one in estimates] == [("garage.load", "", "kg")]
+    assert estimates[0].most == 1000.0, "ten times the nominal value"
+
+
+def test_what_is_watched(workshop: Path, tmp_path: Path) -> None:
+    """Each of their signals once, and the input of the diagnosis that forgets, once, also with a slider."""
+    found = plan(MachineChoice(workshop))
+    assert [axis.name for axis in found.setup.axes] == ["garage.reset"], "not that of the scale"
+    assert set(found.setup.signals) == {name for one in found.findings for name in one.signals}
+    assert "garage.speed_state" not in found.setup.signals, "a state of what has no deviation"
+    slid = plan(MachineChoice(garage.system(tmp_path, {})))
+    assert len(slid.findings) == len(found.findings)
+    assert [axis.name for axis in slid.setup.axes].count("reset") == 1
+    assert "garage.reset" not in [axis.name for axis in slid.setup.axes]
+    assert len(set(slid.setup.signals)) == len(slid.setup.signals), "some are gauges, too"
+
+
+def test_a_system_without_a_diagnosis(fmu_dir: Path) -> None:
+    """It has no findings, and nothing more is recorded of it."""
+    found = plan(MachineChoice(fmu_dir / "harvester.ssp"))
+    assert found.findings == ()
+    assert not [axis.name for axis in found.setup.axes if axis.name.endswith("reset")]
+
+
+def test_forgotten(workshop: Path) -> None:
+    """The axis that forgets is at its value in the next frame, so a short word is enough."""
+    live = FrameStepper(plan(MachineChoice(workshop)).setup)
+    try:
+        live.advance(np.array([1.0]))
+        assert live.axes == pytest.approx([1.0])
+    finally:
+        live.close()
+
+
+HOLE = Finding("a.hole", "", "hose", "mm2", factor=1e6)
+HEAT = Finding("a.heat", "", "cooler", "", offset=-273.15)
+LOAD = Finding("a.load", "", "", "kg", most=1000.0)
+SIGNALS = ("a.other", *HOLE.signals, *LOAD.signals, *HEAT.signals)
+
+
+def frames(*rows: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Of times, states of the hole, deviations of the load."""
+    table = [[9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0] for _, state, off in rows]
+    return np.array([t for t, *_ in rows]), np.array(table)
+
+
+def test_since_when() -> None:
+    """Since its first frame without an interruption, also of an earlier look; a restart is one."""
+    table = FindingTable((HOLE, LOAD, HEAT), SIGNALS)
+    assert len(table.rows) == 0
+    table.add(*frames((0.1, 1, 5), (0.2, 0, 5), (0.3, 1, 5), (0.4, 1, 5)))
+    assert table.rows[0] == pytest.approx([3.0, 1.0, 1.0, 0.3])
+    assert table.rows[2] == pytest.approx([26.85, 2.0, -1.0, math.nan], nan_ok=True)
+    table.add(*frames((0.5, 1, 5)))
+    assert table.rows[0, 3] == 0.3
+    table.add(*frames())
+    assert table.rows[0, 3] == 0.3, "no frame while the machine is paused"
+    table.add(*frames((0.6, -1, 5)))
+    assert math.isnan(table.rows[0, 3])
+    table.add(*frames((0.7, 1, 5), (0.01, 1, 5)))
+    assert table.rows[0, 3] == 0.01
+
+
+def test_an_estimate_that_is_not_known() -> None:
+    """It has a size while its deviation is not far beyond what is usual; state and time it has none."""
+    table = FindingTable((HOLE, LOAD, HEAT), SIGNALS)
+    table.add(*frames((0.1, 0, 999.0)))
+    assert table.rows[1] == pytest.approx([50.0, 999.0, math.nan, math.nan], nan_ok=True)
+    table.add(*frames((0.2, 0, 1001.0)))
+    assert table.rows[1] == pytest.approx([math.nan, 1001.0, math.nan, math.nan], nan_ok=True)
+
+
+def session(machine: StandIn, found: ViewPlan) -> Any:
+    """Of a machine whose frames a test writes."""
+    named = {"machine": machine, "plan": found, "columns": columns(machine), "starts": 0, "factor": 1.0}
+    return SimpleNamespace(**named, title="")
+
+
+def test_what_a_page_is_told(workshop: Path) -> None:
+    """Texts once, values five times a second and not with each picture; a new start begins anew."""
+    found = plan(MachineChoice(workshop))
+    row = [3e-6, 2e-7, 1.0, 353.15, 2.0, 0.0, 1.0, 0.0, -1.0, 200.0, 30.0]
+    machine = StandIn(("garage.reset",), found.setup.signals, frames=[(0.5, row), (0.51, row)])
+    shown = session(machine, found)
+    told = Broadcast(shown)
+    assert [one["repair"] for one in told.hello["findings"]] == [
+        "hose one (left)",
+        "cooler",
+        "<i>switch</i>",
+        "",
+    ]
+    assert (told.hello["names"], told.hello["forget"]) == (["reset"], "reset")
+    leak, heat, switch, load_ = told.info["findings"]
+    assert leak == [3.0, 0.2, 1.0, 0.5]
+    assert heat == [80.0, 2.0, 0.0, None]
+    assert (switch, load_) == ([1.0, 0.0, -1.0, None], [200.0, 30.0, None, None])
+    machine.frames += [(0.52, [0.0] * len(row))]
+    for _ in range(4):
+        told.look()
+    assert told.info["findings"][0] == leak, "with the next info"
+    told.look()
+    assert told.info["findings"][0] == [0.0, 0.0, 0.0, None]
+    machine.frames[:] = [(0.0, row)]
+    shown.starts = 1
+    told.look()
+    assert told.info["findings"][0] == [3.0, 0.2, 1.0, 0.0]
