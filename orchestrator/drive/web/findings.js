@@ -78,7 +78,7 @@ export class Findings {
   line(k, [value, deviation, , since]) {
     const { text, repair, unit } = this.findings[k];
     const [title, number, more] = this.lines[k].children;
-    write(title, text);
+    write(title, repair ? text : `${text}:`);
     write(number, repair ? size(value, deviation, unit) : estimate(value ?? NaN, deviation, unit));
     write(more, repair && `since ${since.toFixed(1)} s. Repair: ${repair}`);
   }
