@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS
-from orchestrator.drive.findings import RESET, Finding, findings, resets
+from orchestrator.drive.findings import RESET, Finding, findings
 from orchestrator.drive.scene import Values, parameters, pose_names
 from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.realtime.setup import Axis, Setup
@@ -70,10 +70,9 @@ def plan(choice: MachineChoice) -> ViewPlan:
     system = configured(loaded, swap=choice.swap, parameters=sets, set=choice.set)
     description = view_description(loaded)
     scene = description.scene
-    driven, found = description.driven(system), findings(system)
+    driven, (found, resets) = description.driven(system), findings(system)
     axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven.items())
-    if RESET not in driven:
-        axes += tuple(Axis(name, limit=1.0, rate=100.0) for name in resets(system, found))
+    axes += tuple(Axis(name, limit=1.0, rate=100.0) for name in resets if RESET not in driven)
     watched = (*description.watched(system), *(name for one in found for name in one.signals))
     setup = Setup(
         str(choice.system), axes, tuple(dict.fromkeys(watched)), choice.swap, sets, choice.set, choice.fault

@@ -150,7 +150,7 @@ class Broadcast:
         self._session = session
         self._fitted: tuple[object, ...] = ()
         self.number, self.hello, self.info = 0, dict[str, Any](), dict[str, Any]()
-        self.jumps, self._found = 0, -1
+        self.jumps = 0
         self.frame: list[Any] | None = None
         self._ticks = 0
         self.look()
@@ -168,30 +168,21 @@ class Broadcast:
         self.frame = [round(time, 4), frame.state, numbers_of(row)]
         if self._ticks % round(RATE / INFO) == 0:
             self.history.look()
-            self._look_at_findings()
+            self.findings.look()
             timing, factor = asdict(frame.timing), session.factor
-            self.info = {"factor": factor, "message": frame.message, "timing": timing}
-            self.info["findings"] = list(map(numbers_of, self.findings.rows))
+            rows = list(map(numbers_of, self.findings.rows))
+            self.info = {"factor": factor, "message": frame.message, "timing": timing, "findings": rows}
         self._ticks += 1
-
-    def _look_at_findings(self) -> None:
-        """Add the frames since the last call."""
-        if self._session.plan.findings:
-            numbers, times, _, values = self._session.machine.since(self._found)
-            self._found = int(numbers[-1]) if len(numbers) else self._found
-            self.findings.add(times, values)
 
     def _begin(self) -> None:
         """Another machine, or another part of its time."""
         session, plan = self._session, self._session.plan
         description, columns = plan.description, session.columns
-        told = {bare_name(name) for one in plan.findings for name in one.signals}
-        others = (name for name in columns if name not in told)
-        names = [n for n in dict.fromkeys((*description.shown, *others)) if n in columns]
+        told = {bare_name(name) for one in plan.findings for name in one.signals} - set(description.shown)
+        names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns and n not in told]
         self._columns = [columns[name] for name in names]
         self.history = History(session.machine, columns, description.curves)
-        self.findings = FindingTable(plan.findings, session.machine.signals)
-        self._found = -1  # number of the last frame that was added to them
+        self.findings = FindingTable(plan.findings, session.machine.signals, session.machine.since)
         self.jumps += 1
         self._ticks = 0
         hello = page_data(description, plan.parameters)

@@ -26,14 +26,17 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_findings_of_a_system(workshop: Path) -> None:
     """Three outputs are a finding, in a mechanic's words and units; two an estimate, next to findings."""
-    leak, heat, switch, *estimates = findings(load(workshop))
+    (leak, heat, switch, *estimates), resets = findings(load(workshop))
+    assert resets == ("garage.reset",)
     assert (leak.text, leak.repair) == ("Opening of hose one at 60 \N{DEGREE SIGN}C", "hose one (left)")
-    assert (leak.unit, leak.factor) == ("mm\N{SUPERSCRIPT TWO}", pytest.approx(1e6))
-    assert (heat.unit, heat.factor, heat.offset) == ("\N{DEGREE SIGN}C", 1.0, pytest.approx(-273.15))
+    assert (leak.unit, leak.scale) == ("mm\N{SUPERSCRIPT TWO}", pytest.approx((1e6, 0, math.inf)))
+    assert (heat.unit, heat.scale[:2]) == ("\N{DEGREE SIGN}C", pytest.approx((1.0, -273.15)))
     assert (switch.text, switch.unit) == ("The <b>switch</b> does not close", "")
-    assert [one.name for one in (leak, heat, switch)] == ["garage.leak", "garage.heat", "garage.switch"]
-    assert [(one.name, one.repair, one.unit) for one in estimates] == [("garage.load", "", "kg")]
-    assert estimates[0].most == 1000.0, "ten times the nominal value"
+    assert [one.signals[0] for one in (leak, heat, switch)] == ["garage.leak", "garage.heat", "garage.switch"]
+    assert [(one.signals, one.repair, one.unit) for one in estimates] == [
+        (("garage.load", "garage.load_deviation"), "", "kg")
+    ]
+    assert estimates[0].scale == (1.0, 0.0, 1000.0), "ten times the nominal value"
 
 
 def test_what_is_watched(workshop: Path, tmp_path: Path) -> None:
@@ -66,42 +69,56 @@ def test_forgotten(workshop: Path) -> None:
         live.close()
 
 
-HOLE = Finding("a.hole", "", "hose", "mm2", factor=1e6)
-HEAT = Finding("a.heat", "", "cooler", "", offset=-273.15)
-LOAD = Finding("a.load", "", "", "kg", most=1000.0)
+def three(name: str) -> tuple[str, ...]:
+    return name, f"{name}_deviation", f"{name}_state"
+
+
+HOLE = Finding(three("a.hole"), "", "hose", "mm2", (1e6, 0.0, math.inf))
+HEAT = Finding(three("a.heat"), "", "cooler", "", (1.0, -273.15, math.inf))
+LOAD = Finding(three("a.load")[:2], "", "", "kg", (1.0, 0.0, 1000.0))
 SIGNALS = ("a.other", *HOLE.signals, *LOAD.signals, *HEAT.signals)
 
 
-def frames(*rows: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Of times, states of the hole, deviations of the load."""
-    table = [[9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0] for _, state, off in rows]
-    return np.array([t for t, *_ in rows]), np.array(table)
+class Frames:
+    """A table of findings, from frames: times, states of the hole, deviations of the load."""
+
+    def __init__(self) -> None:
+        self.kept = list[tuple[float, float, float]]()
+        self.table = FindingTable((HOLE, LOAD, HEAT), SIGNALS, self.since)
+
+    def since(self, number: int) -> tuple[np.ndarray, ...]:
+        numbers = np.arange(number + 1, len(self.kept))
+        new = self.kept[number + 1 :]
+        values = [[9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0] for _, state, off in new]
+        return numbers, np.array([t for t, *_ in new]), np.empty((len(new), 0)), np.array(values)
+
+    def rows(self, *more: tuple[float, float, float]) -> np.ndarray:
+        """After further frames."""
+        self.kept += more
+        self.table.look()
+        return self.table.rows
 
 
 def test_since_when() -> None:
     """Since its first frame without an interruption, also of an earlier look; a restart is one."""
-    table = FindingTable((HOLE, LOAD, HEAT), SIGNALS)
-    assert len(table.rows) == 0
-    table.add(*frames((0.1, 1, 5), (0.2, 0, 5), (0.3, 1, 5), (0.4, 1, 5)))
-    assert table.rows[0] == pytest.approx([3.0, 1.0, 1.0, 0.3])
-    assert table.rows[2] == pytest.approx([26.85, 2.0, -1.0, math.nan], nan_ok=True)
-    table.add(*frames((0.5, 1, 5)))
-    assert table.rows[0, 3] == 0.3
-    table.add(*frames())
-    assert table.rows[0, 3] == 0.3, "no frame while the machine is paused"
-    table.add(*frames((0.6, -1, 5)))
-    assert math.isnan(table.rows[0, 3])
-    table.add(*frames((0.7, 1, 5), (0.01, 1, 5)))
-    assert table.rows[0, 3] == 0.01
+    frames = Frames()
+    assert len(frames.rows()) == 0
+    hole, _, heat = frames.rows((0.1, 1, 5), (0.2, 0, 5), (0.3, 1, 5), (0.4, 1, 5))
+    assert hole == pytest.approx([3.0, 1.0, 1.0, 0.3])
+    assert heat == pytest.approx([26.85, 2.0, -1.0, math.nan], nan_ok=True)
+    assert frames.rows((0.5, 1, 5))[0, 3] == 0.3
+    assert frames.rows()[0, 3] == 0.3, "no frame while the machine is paused"
+    assert math.isnan(frames.rows((0.6, -1, 5))[0, 3])
+    assert frames.rows((0.7, 1, 5), (0.01, 1, 5))[0, 3] == 0.01
 
 
 def test_an_estimate_that_is_not_known() -> None:
     """It has a size while its deviation is not far beyond what is usual; state and time it has none."""
-    table = FindingTable((HOLE, LOAD, HEAT), SIGNALS)
-    table.add(*frames((0.1, 0, 999.0)))
-    assert table.rows[1] == pytest.approx([50.0, 999.0, math.nan, math.nan], nan_ok=True)
-    table.add(*frames((0.2, 0, 1001.0)))
-    assert table.rows[1] == pytest.approx([math.nan, 1001.0, math.nan, math.nan], nan_ok=True)
+    frames = Frames()
+    known = frames.rows((0.1, 0, 999.0))[1]
+    assert known == pytest.approx([50.0, 999.0, math.nan, math.nan], nan_ok=True)
+    unknown = frames.rows((0.2, 0, 1001.0))[1]
+    assert unknown == pytest.approx([math.nan, 1001.0, math.nan, math.nan], nan_ok=True)
 
 
 def session(machine: StandIn, found: ViewPlan) -> Any:

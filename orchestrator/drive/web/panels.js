@@ -10,11 +10,10 @@ export const UNHEARD = "no connection: trying again"; // state of a machine whos
 const TONES = { running: "good", failed: "bad", [UNHEARD]: "bad" };
 
 export const make = (tag, properties = {}, ...children) => {
-  const { role, ariaLabel, ariaLive, ...others } = properties; // as attributes, since older browsers lack these properties
+  const { role, ariaLabel, ...others } = properties; // as attributes, since older browsers lack these properties
   const element = Object.assign(document.createElement(tag), others);
   if (role) element.setAttribute("role", role);
   if (ariaLabel) element.setAttribute("aria-label", ariaLabel);
-  if (ariaLive) element.setAttribute("aria-live", ariaLive);
   element.append(...children);
   return element;
 };
