@@ -1,6 +1,7 @@
 """Findings of a diagnosis: what a system has of them, what a page is told, and since when each is a fault."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,9 +11,11 @@ import pytest
 from view import garage
 from view.standin import StandIn
 
+from orchestrator.base.signals import bare_name
 from orchestrator.drive.findings import Finding, FindingTable, findings
 from orchestrator.realtime.stepping import FrameStepper
 from orchestrator.ssp.load import load
+from orchestrator.ssp.system import Connection, Port
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.live import Broadcast
 from orchestrator.view.session import columns
@@ -37,6 +40,13 @@ def test_findings_of_a_system(workshop: Path) -> None:
         (("garage.load", "garage.load_deviation"), "", "kg")
     ]
     assert estimates[0].scale == (1.0, 0.0, 1000.0), "ten times the nominal value"
+
+
+def test_a_reset_that_is_connected(workshop: Path) -> None:
+    """The system forgets then, and not the page."""
+    loaded = load(workshop)
+    other = Connection(Port("garage", "switch"), Port("garage", "reset"))
+    assert findings(replace(loaded, connections=(other,))) == (findings(loaded)[0], ())
 
 
 def test_what_is_watched(workshop: Path, tmp_path: Path) -> None:
@@ -87,6 +97,7 @@ class Frames:
         self.table = FindingTable((HOLE, LOAD, HEAT), SIGNALS, self.since)
 
     def since(self, number: int) -> tuple[np.ndarray, ...]:
+        self.asked = number
         numbers = np.arange(number + 1, len(self.kept))
         new = self.kept[number + 1 :]
         values = [[9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0] for _, state, off in new]
@@ -108,6 +119,7 @@ def test_since_when() -> None:
     assert heat == pytest.approx([26.85, 2.0, -1.0, math.nan], nan_ok=True)
     assert frames.rows((0.5, 1, 5))[0, 3] == 0.3
     assert frames.rows()[0, 3] == 0.3, "no frame while the machine is paused"
+    assert frames.asked == len(frames.kept) - 1, "no frame is read twice"
     assert math.isnan(frames.rows((0.6, -1, 5))[0, 3])
     assert frames.rows((0.7, 1, 5), (0.01, 1, 5))[0, 3] == 0.01
 
@@ -155,3 +167,16 @@ def test_what_a_page_is_told(workshop: Path) -> None:
     shown.starts = 1
     told.look()
     assert told.info["findings"][0] == [3.0, 0.2, 1.0, 0.0]
+
+
+def test_a_finding_that_is_a_gauge(tmp_path: Path) -> None:
+    """It comes with each picture, too; the others do not."""
+    found = plan(MachineChoice(garage.system(tmp_path, {})))
+    description = replace(found.description, gauges=found.description.gauges[:1], charts=())
+    shown = {line.name for group in description.gauges for line in group.lines}
+    machine = StandIn(tuple(axis.name for axis in found.setup.axes), found.setup.signals)
+    told = Broadcast(session(machine, replace(found, description=description)))
+    assert shown
+    assert set(told.hello["names"]) - {axis.name for axis in found.setup.axes} >= shown
+    all_ = {bare_name(name) for one in found.findings for name in one.signals}
+    assert set(told.hello["names"]) & all_ == shown & all_
