@@ -11,6 +11,7 @@ reference. All of it is the same section and the same scripts, ES modules in `we
     levers.js       keys, gamepad, sticks on the screen
     scene.js        the machine in space, with rig.js and brush.js
     panels.js       gauges, sliders, status line
+    findings.js     what a diagnosis in the machine finds
     charts.js       strip charts
     task.js         training task
     dialogs.js      dialogs of `harvester view`

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS
+from orchestrator.drive.findings import RESET, Finding, findings
 from orchestrator.drive.scene import Values, parameters, pose_names
 from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.realtime.setup import Axis, Setup
@@ -48,6 +49,7 @@ class ViewPlan:
 
     parameters   of the drawn machine; None if the system does not describe a drawing
     begin        time at the start [s]
+    findings     of a diagnosis in the system; an input that forgets them is among the axes
     """
 
     choice: MachineChoice
@@ -55,6 +57,7 @@ class ViewPlan:
     description: ViewDescription
     parameters: Values | None
     begin: float = 0.0
+    findings: tuple[Finding, ...] = ()
 
 
 def plan(choice: MachineChoice) -> ViewPlan:
@@ -67,13 +70,15 @@ def plan(choice: MachineChoice) -> ViewPlan:
     system = configured(loaded, swap=choice.swap, parameters=sets, set=choice.set)
     description = view_description(loaded)
     scene = description.scene
-    driven = description.driven(system).items()
-    axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven)
-    watched = description.watched(system)
-    setup = Setup(str(choice.system), axes, watched, choice.swap, sets, choice.set, choice.fault)
-    return ViewPlan(
-        choice, setup, description, parameters(scene, system) if scene else None, loaded.start or 0.0
+    driven, (found, resets) = description.driven(system), findings(system)
+    axes = tuple(Axis(name, a.limit, a.rate, a.rest, a.rest_delay) for name, a in driven.items())
+    axes += tuple(Axis(name, limit=1.0, rate=100.0) for name in resets if RESET not in driven)
+    watched = (*description.watched(system), *(name for one in found for name in one.signals))
+    setup = Setup(
+        str(choice.system), axes, tuple(dict.fromkeys(watched)), choice.swap, sets, choice.set, choice.fault
     )
+    drawn = parameters(scene, system) if scene else None
+    return ViewPlan(choice, setup, description, drawn, loaded.start or 0.0, found)
 
 
 def poses(system: Path) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ dropped, and the end of the connection ends driving. The server sends objects wi
     frame    number, time, state, and the values of `names` in the hello
     bins     extremes of the charts in bins of time
     status   of the controls; ten times a second, so that it is the heartbeat of the server, too
-    info     the rest: timing, speed, message
+    info     the rest: timing, speed, message, and of a diagnosis the rows of `FindingTable`
     answer   to an action: a line, what there is to choose, or that what was chosen is done
 
 A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
@@ -32,7 +32,9 @@ import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from orchestrator.base.errors import Problem, one_line
+from orchestrator.base.signals import bare_name
 from orchestrator.data.table import Array
+from orchestrator.drive.findings import RESET, FindingTable
 from orchestrator.drive.page import page_data
 from orchestrator.realtime.setup import Machine
 from orchestrator.view.authority import ControlAuthority, OperatorStation, finite
@@ -166,22 +168,28 @@ class Broadcast:
         self.frame = [round(time, 4), frame.state, numbers_of(row)]
         if self._ticks % round(RATE / INFO) == 0:
             self.history.look()
+            self.findings.look()
             timing, factor = asdict(frame.timing), session.factor
-            self.info = {"factor": factor, "message": frame.message, "timing": timing}
+            rows = list(map(numbers_of, self.findings.rows))
+            self.info = {"factor": factor, "message": frame.message, "timing": timing, "findings": rows}
         self._ticks += 1
 
     def _begin(self) -> None:
         """Another machine, or another part of its time."""
         session, plan = self._session, self._session.plan
         description, columns = plan.description, session.columns
-        names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns]
+        told = {bare_name(name) for one in plan.findings for name in one.signals} - set(description.shown)
+        names = [n for n in dict.fromkeys((*description.shown, *columns)) if n in columns and n not in told]
         self._columns = [columns[name] for name in names]
         self.history = History(session.machine, columns, description.curves)
+        self.findings = FindingTable(plan.findings, session.machine.signals, session.machine.since)
         self.jumps += 1
         self._ticks = 0
         hello = page_data(description, plan.parameters)
         inputs = description.free(session.machine.axes)
         hello |= {"names": names, "title": session.title, "inputs": inputs}
+        hello["findings"] = [{"text": f.text, "repair": f.repair, "unit": f.unit} for f in plan.findings]
+        hello["forget"] = RESET if plan.findings and RESET in inputs else ""
         if hello != self.hello:
             self.number, self.hello = self.number + 1, hello
 

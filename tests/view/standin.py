@@ -80,7 +80,7 @@ def pages(
     parameters: Mapping[str, float] | None = None,
 ) -> Pages:
     """The pages of a machine; without parameters it has no scene."""
-    plan = SimpleNamespace(description=description, parameters=parameters)
+    plan = SimpleNamespace(description=description, parameters=parameters, findings=())
     session = SimpleNamespace(
         machine=machine,
         columns=columns(machine),

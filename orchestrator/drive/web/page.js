@@ -9,6 +9,7 @@
 //
 // and a source of this browser `advance(seconds, read)` and `begin(angles)`, which the page calls.
 import { Charts } from "drive/charts.js";
+import { Findings } from "drive/findings.js";
 import { Levers, WHEEL_BUTTONS, WHEEL_KEYS, elsewhere, readGamepad } from "drive/levers.js";
 import { Gauges, Pace, Sliders, StatusLine, UNHEARD, colour, make, notices, write } from "drive/panels.js";
 import { Scene } from "drive/scene.js";
@@ -72,6 +73,7 @@ export class Page {
     if (drawing !== this.drawing) [this.drawing] = [drawing, this.draw(data.scene)];
     this.data = data;
     this.gauges = new Gauges(this.at("panel"), data, names);
+    this.findings = new Findings(this.at("findings"), data.findings ?? [], data.forget, (name, value) => this.source.set(name, value));
     this.charts?.close();
     this.charts = new Charts(this.at("charts"), data.charts, names);
     const driven = this.sources.drive ?? this.sources.live;
@@ -455,6 +457,7 @@ export class Page {
     this.shown = performance.now();
     this.forget();
     this.gauges.show(source.values);
+    this.findings.show(source.info?.findings, this.shared && source.driving);
     this.charts.show(source.curves(), this.slowed);
     this.sliders?.show();
     this.choices();
