@@ -4,8 +4,8 @@
 
 Needs `harvester build --faults --fmi 2 --out build/faults`. The recordings of `benchmarks.diagnosis_machines`
 are made once, in build/recordings, which takes half an hour. Each machine is learned from 180 s of healthy
-work without payload, at the temperature at which it starts; everything else is that of the FMU. The machines
-from seed 2000 on were not looked at while the diagnosis was written; those below 12 and from 1000 to 1019 were.
+work without payload, at the temperature at which it starts; everything else is that of the FMU. Machines from
+seed 2000 on were not looked at while the diagnosis was written; those below 12 and from 1000 to 1019 were.
 
 - three clocks, from the first influence of a fault on the work (`influence`): safety 0.3 s, function 20 s;
   what wears is to be told by the end of the recording

@@ -23,7 +23,7 @@ give the opening, and this the command v that a healthy valve needs for it:
 with the command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the
 sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by `reversal`
 since it turned, the edge is open, and its drop is no small one. Gain and dead band are judged together, by
-what `usual_command` opens after it has risen.
+the mean of v over all samples of a direction.
 
 **Spool.** It does not follow if the flow stays below `response` of the least that the commands of the last
 time ask for, if a load-sensing pump stands by although they ask for flow, or if oil passes the closed valve,
@@ -213,6 +213,7 @@ def states_of(axis: ControlledAxis) -> dict[str, Quantity]:
     for n, unit, text in (
         ("rest", "s", "Time for which the valve is closed and nothing else is open, limited"),
         ("usable", "1", "1: the readings are usable"),
+        ("rated", "1", "1: those of all speeds are"),
         ("missing", "s", "Time for which the valve does not follow"),
         ("spool", "1", "1: the spool does not follow"),
         ("late_command", "V", "Command behind the lag"),
@@ -279,6 +280,7 @@ class Axis:
 
     lever    dx/dq
     lines    1: the readings of both lines are usable
+    speeds   1: those of all speeds are
     effort   of the empty arm, and of a kilogram of payload
     """
 
@@ -290,6 +292,7 @@ class Axis:
     u: Any
     p: Any
     lines: Scalar
+    speeds: Scalar
     effort: tuple[Effort, Effort]
 
     def __getattr__(self, name: str) -> Any:
@@ -493,7 +496,8 @@ class Axis:
             force = self.torque - (empty.momentum - self.momentum) / lag
             per_mass = self.mass_torque + (mass.momentum - self.mass_momentum) / lag
             weighed = [([HUNDRED * per_mass / TORQUE], force / TORQUE)]
-            sums |= fits["weight"].rates(self.x, self.sound * free / lag, weighed, p.weighing_memory)
+            counts = self.sound * self.speeds * free / lag
+            sums |= fits["weight"].rates(self.x, counts, weighed, p.weighing_memory)
         return {f"{self.axis.name}_{n}": rate for n, rate in found.items()} | sums
 
     def _of_weight(self) -> dict[str, Scalar]:
@@ -514,7 +518,7 @@ class Axis:
         return momenta | {"torque": now - empty.torque, "mass_torque": mass.torque}
 
     def _of_sensors(self) -> dict[str, Scalar]:
-        found = {"usable": (self.sound - self.usable) / QUICK}
+        found = {"usable": (self.sound - self.usable) / QUICK, "rated": (self.speeds - self.rated) / QUICK}
         for k, ((still, changed), out) in enumerate(zip(self.stands, self.outside, strict=True)):
             clock, bad = getattr(self, f"still_{k}"), getattr(self, f"bad_{k}")
             found[f"late_{k}"] = self.rate(k)
@@ -635,15 +639,16 @@ class Axis:
         found += [shown(burst, usable) for burst in self.pair("burst")]
         found += [shown(self.spool, self.usable), *self._of_valve(whole)]
         if not self.axis.turns:
-            found += [self._of_air(usable), (*self.weight(), ca.if_else(self.usable > 0, 0, -1))]
+            found += [self._of_air(usable), (*self.weight(), ca.if_else(self.weighable > 0, 0, -1))]
         for k, n in enumerate(signals_of(self.axis)):
             found.append(shown(getattr(self, f"bad_{k}"), getattr(p, f"{n}_fitted")))
         return dict(zip(names, found, strict=True))
 
     def _of_valve(self, usable: Scalar) -> list[Told]:
         p, (fitted, known) = self.p, self._solved("valve", 0.05, 0.15)
-        told, normal, found = usable * whether(fitted.samples > FEWEST), p.usual_command, list[Told]()
-        rows = [[normal, -1, 0, 0, -1, 0]] * 2 + [[0, 0, normal, -1, -1, 0]] * 2 + [[0, 0, 0, 0, 1, 0]]
+        told, found = usable * whether(fitted.samples > FEWEST), list[Told]()
+        fit = fits_of(self.axis)["valve"]
+        rows = [fit.centre(self.x, k) for k in (1, 1, 3, 3)] + [[0, 0, 0, 0, 1, 0]]
         for k, (size, off) in enumerate(fitted):
             if k == len(rows):  # the lag is told of all valves together
                 found.append((size, off, ca.if_else(told > 0, 0, -1)))
@@ -662,6 +667,11 @@ class Axis:
             off,
             judged(share - known, off, self.p.air_limit, usable * whether(air.samples > 5 * FEWEST)),
         )
+
+    @property
+    def weighable(self) -> Scalar:
+        """1: the readings that its weight needs were usable at the last sample."""
+        return self.usable * self.rated
 
     def weight(self) -> tuple[Scalar, Scalar]:
         """Payload [kg] with its deviation, less the weight of the empty arm beyond the known one."""

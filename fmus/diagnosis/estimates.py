@@ -93,6 +93,12 @@ class Fit:
         fade = ca.if_else(weight > 0, 1 / memory, 0)
         return {n: weight * t - fade * getattr(x, n) for n, t in zip(self.states, terms, strict=True)}
 
+    def centre(self, x: Any, k: int) -> list[Scalar]:
+        """Mean of the columns, where the column k is -1 and not 0: what is known best along it."""
+        sums = {frozenset(pair): getattr(x, f"{self.name}_{pair[0]}{pair[1]}") for pair in self._products}
+        count = ca.fmax(sums[frozenset((k,))], 1e-9)
+        return [-sums.get(frozenset((k, i)), 0) / count for i in range(len(self.columns))]
+
     def solved(self, x: Any, prior: Prior, positive: int = 0) -> Solution:
         """Sizes with their covariance; positive: how many of the first ones are not negative, all but one."""
         size = len(self.columns)

@@ -99,10 +99,12 @@ class Diagnosis:
             1 - either(*self._wrong(x, u, p).values()),
         )
         efforts: Mapping[str, Any] = {} if isinstance(u, Nothing) else self.efforts(u)
-        return [
-            Axis(a, driven[a.name], at, lever, x, u, p, lines, efforts.get(a.name, NO_EFFORT))
+        axes = [
+            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, efforts.get(a.name, NO_EFFORT))
             for a, (at, lever) in zip(self.arm.axes, pistons, strict=True)
         ]
+        speeds = 1 - either(*(a.faulty[1] for a in axes))
+        return [replace(a, speeds=speeds) for a in axes]
 
     def _wrong(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """1: the reading of a line is not to be used."""
@@ -190,14 +192,14 @@ class Diagnosis:
         """Difference of the weights by the first two cylinders [kg], its deviation, and whether it counts."""
         one, other = [a for a in axes if not a.axis.turns][:2]
         (m, d), (n, e) = one.weight(), other.weight()
-        return m - n, ca.sqrt(d**2 + e**2), one.usable * other.usable
+        return m - n, ca.sqrt(d**2 + e**2), one.weighable * other.weighable
 
     def _payload(self, axes: list[Axis]) -> tuple[Scalar, Scalar]:
         """With its deviation, by all cylinders."""
         total, inverse = 0, 1e-9
         for a in axes:
             if not a.axis.turns:
-                (size, off), usable = a.weight(), a.usable
+                (size, off), usable = a.weight(), a.weighable
                 total += usable * size / off**2
                 inverse += usable / off**2
         return total / inverse, ca.sqrt(1 / inverse)

@@ -137,17 +137,11 @@ GROUPS: Mapping[str, Mapping[str, tuple[float, str, str, str]]] = {  # value, un
         "reversal": (0.8, "V", "Command after a reversal from which a valve follows", "8 % of full command"),
         "valve_window": (0.15, "s", "Time in which the command is one sample", "five lags"),
         "valve_memory": (2.0, "s", "Time of motion over which older readings fade", "some ten strokes"),
-        "usual_command": (
-            3.0,
-            "V",
-            "Command at which gain and dead band are judged together",
-            "a third of full command",
-        ),
         "valve_limit": (
             0.5,
             "V",
-            "Change of what that command opens above which it is told",
-            "a driver that loses a sixth",
+            "Change of the mean command of an opening above which it is told",
+            "a driver that loses a sixth at 3 V",
         ),
         "hysteresis_limit": (
             0.15,

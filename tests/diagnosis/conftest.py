@@ -20,9 +20,9 @@ def work():
     time = np.arange(0, 60.01, 0.02)
     columns = {"time": time}
     for axis, begin, size, period in (
-        ("swing", 0.5, 2.5, 6.0),
-        ("boom", 2.5, 2.2, 7.0),
-        ("stick", 4.0, 2.5, 8.0),
+        ("swing", 0.5, 3.0, 6.0),
+        ("boom", 2.5, 3.0, 7.0),
+        ("stick", 4.0, 3.0, 8.0),
     ):
         phase = (time - begin) % period
         stroke = np.clip(np.minimum(phase, 1.2 - phase) / 0.3, 0, 1) - np.clip(
