@@ -519,11 +519,13 @@ class Axis:
 
     def _of_sensors(self) -> dict[str, Scalar]:
         found = {"usable": (self.sound - self.usable) / QUICK, "rated": (self.speeds - self.rated) / QUICK}
-        for k, ((still, changed), out) in enumerate(zip(self.stands, self.outside, strict=True)):
+        signals = signals_of(self.axis)
+        for k, (n, (still, changed), out) in enumerate(zip(signals, self.stands, self.outside, strict=True)):
             clock, bad = getattr(self, f"still_{k}"), getattr(self, f"bad_{k}")
             found[f"late_{k}"] = self.rate(k)
             found[f"still_{k}"] = counted(clock, still, changed)
-            found[f"bad_{k}"] = latched(bad, either(out, whether(clock > self.p.still_time)), self.u.reset)
+            wrong = either(out, whether(clock > self.p.still_time)) * getattr(self.p, f"{n}_fitted")
+            found[f"bad_{k}"] = latched(bad, wrong, self.u.reset)
         return found
 
     def _of_oil(self) -> dict[str, Scalar]:

@@ -120,7 +120,8 @@ class Diagnosis:
             rates |= a.rates()
             sound *= a.sound
         for n in LINES:
-            rates[f"{n}_bad"] = latched(getattr(x, f"{n}_bad"), outside(getattr(u, n), p), u.reset)
+            wrong = outside(getattr(u, n), p) * getattr(p, f"{n}_fitted")
+            rates[f"{n}_bad"] = latched(getattr(x, f"{n}_bad"), wrong, u.reset)
         filled = [(a, f, v) for a in axes for f, v in zip(a.flows, a.pressures, strict=True)]
         load: Scalar = 0
         for a, f, v in filled:

@@ -219,7 +219,8 @@ def _run(
         Finding(*one, time, *(np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state")))
         for one in found
     ]
-    return Diagnosis(source, findings, result, remarks)
+    doubts = [w for w in result.system.warnings if "did you mean" in w]
+    return Diagnosis(source, findings, result, [*remarks, *doubts])
 
 
 def over(

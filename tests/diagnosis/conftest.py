@@ -7,11 +7,18 @@ from fmus.machine.build import build_machine
 
 
 @pytest.fixture(scope="session")
-def faulty(tmp_path_factory):
+def faulty(once):
     """Folder of the FMUs and systems."""
-    folder = tmp_path_factory.mktemp("faulty")
-    build_machine(folder, (2,), faults=True)
-    return folder
+    return once("faulty", lambda folder: build_machine(folder, (2,), faults=True))
+
+
+@pytest.fixture(scope="session")
+def fmu(once):
+    """The diagnosis of the harvester alone."""
+    return (
+        once("diagnosis", lambda f: build_machine(f, (2,), only=("diagnosis",), faults=True))
+        / "diagnosis.fmu"
+    )
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,193 @@
+"""`harvester diagnose`: what it makes of recordings as they come."""
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, read_trace
+from orchestrator.__main__ import main
+from orchestrator.base.files import Location
+from orchestrator.data.trace import trace_of
+from orchestrator.results.diagnosis import diagnose, learned, readings
+
+COMMANDS = ("swing_command", "boom_command", "stick_command")
+
+
+@pytest.fixture
+def columns():
+    """Two seconds of readings that change, of an arm that rests."""
+    rng, time = np.random.default_rng(2), np.arange(0, 2.005, 0.01)
+    sizes = {
+        "boom_angle": 0.3,
+        "stick_angle": -1.5,
+        "swing_angle": 0.1,
+        "supply_pressure": 2e7,
+        "tank_pressure": 4e5,
+    }
+    sizes |= {f"{a}_{c}_pressure": 6e6 for a in ("boom", "stick") for c in ("head", "rod")}
+    sizes |= {"swing_pressure_a": 3e6, "swing_pressure_b": 3e6, "oil_temperature": 330.0}
+    found = {"time": time} | {n: v * (1 + 1e-3 * rng.normal(size=len(time))) for n, v in sizes.items()}
+    found |= {f"{a}_speed": 2e-3 * rng.normal(size=len(time)) for a in ("swing", "boom", "stick")}
+    return found | {n: 0.1 * np.sin(time + k) for k, n in enumerate(COMMANDS)}
+
+
+def written(folder, columns, name="log.csv"):
+    """A recording as a file."""
+    table = np.column_stack(list(columns.values()))
+    lines = [",".join(columns), *(",".join("" if np.isnan(v) else f"{v:.9g}" for v in row) for row in table)]
+    file = folder / name
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_a_recording_without_a_fault_ends_with_status_0(fmu, columns, tmp_path, capsys):
+    """It is said that nothing was found, what cannot be told, and where the report is."""
+    status = main(["diagnose", str(written(tmp_path, columns)), "--fmu", str(fmu), "--out", str(tmp_path)])
+    told = capsys.readouterr().out
+    assert not status
+    assert "log.csv: nothing found" in told
+    assert "Cannot be told from this recording: " in told
+    assert "Nothing found." in (tmp_path / "diagnosis.html").read_text()
+
+
+def test_a_sensor_that_is_not_connected_ends_with_status_1(fmu, columns, tmp_path, capsys):
+    """The reading and the sensor are named, in the table and in the report."""
+    columns["boom_rod_pressure"][120:] = -1.5e7
+    status = main(["diagnose", str(written(tmp_path, columns)), "--fmu", str(fmu), "--out", str(tmp_path)])
+    told = capsys.readouterr().out
+    assert status == 1
+    assert "The reading of boom_rod_pressure is wrong" in told
+    assert "boom_rod_pressure sensor" in told
+    assert "<h2>The reading of boom_rod_pressure is wrong</h2>" in (tmp_path / "diagnosis.html").read_text()
+
+
+@pytest.mark.parametrize("name", ["boom_speed", "stick_head_pressure", "tank_pressure", "oil_temperature"])
+def test_a_column_that_is_missing_is_named_and_the_rest_goes_on(fmu, columns, tmp_path, name):
+    """One line; what needs it cannot be told, and what does not still can."""
+    del columns[name]
+    found = diagnose(fmu, written(tmp_path, columns))
+    (line,) = found.remarks
+    assert f"no column {name}" in line
+    assert not found.broken
+    state = {f.name: f.state[-1] for f in found.findings}
+    if name == "stick_head_pressure":
+        assert state["stick_head_burst"] == -1
+        assert state["boom_head_burst"] == 0
+    if name == "tank_pressure":
+        assert state["boom_head_burst"] == -1
+        assert state["boom_head_pressure_sensor"] == 0
+
+
+def test_a_reading_that_is_constant_counts_as_missing(fmu, columns, tmp_path):
+    """With its value, and without an alarm: the logger may have had no sensor there."""
+    columns["stick_rod_pressure"][:] = 4.2e6
+    found = diagnose(fmu, written(tmp_path, columns))
+    (line,) = found.remarks
+    assert "stick_rod_pressure is 4.2e+06 all the time" in line
+    assert not found.broken
+
+
+def test_rows_out_of_order_are_sorted(columns, tmp_path, capsys):
+    """The readings are those of the rows in order, with a line that counts what was out of order."""
+    rows = np.arange(len(columns["time"]))
+    rows[50:60] = rows[50:60][::-1]
+    file = written(tmp_path, {n: c[rows] for n, c in columns.items()})
+    trace = readings(file)
+    assert trace.time == pytest.approx(columns["time"])
+    assert trace["boom_angle"] == pytest.approx(columns["boom_angle"], rel=1e-8)
+    assert "out of order" in capsys.readouterr().err
+    with pytest.raises(Problem, match="expected a time after"):
+        trace_of(Location(file), None)
+
+
+def test_of_two_rows_at_one_time_the_last_counts(tmp_path):
+    """Also if a clock was set back."""
+    file = tmp_path / "twice.csv"
+    file.write_text("time,a\n0,1\n1,2\n1,3\n2,4\n1,9\n")
+    assert readings(file)["a"].tolist() == [1, 9, 4]
+
+
+def test_missing_samples_keep_the_one_before(columns, tmp_path, capsys):
+    """With a line; a column without any value is a missing one."""
+    columns["boom_angle"][30:40] = np.nan
+    columns["stick_angle"][:] = np.nan
+    trace = readings(written(tmp_path, columns))
+    assert trace["boom_angle"][39] == pytest.approx(columns["boom_angle"][29])
+    assert "stick_angle" not in trace
+    told = capsys.readouterr().err
+    assert "boom_angle lacks 10 of 201 samples" in told
+    assert "stick_angle has no values" in told
+
+
+def test_pressures_in_bar_are_told(fmu, columns, tmp_path):
+    """Without units in the file they count as Pa, which is doubted."""
+    for name in columns:
+        columns[name] = columns[name] / 1e5 if "pressure" in name else columns[name]
+    found = diagnose(fmu, written(tmp_path, columns))
+    assert any("did you mean" in line and "bar" in line for line in found.remarks)
+
+
+def test_pressures_with_their_unit_are_converted(fmu, columns, tmp_path):
+    """`supply_pressure [bar]` is the same reading."""
+    bar = {
+        f"{n} [bar]" if "pressure" in n else n: v / 1e5 if "pressure" in n else v for n, v in columns.items()
+    }
+    one, other = (diagnose(fmu, written(tmp_path, c, f"{k}.csv")) for k, c in enumerate((columns, bar)))
+    for f, g in zip(one.findings, other.findings, strict=True):
+        assert g.size == pytest.approx(f.size, rel=1e-4, abs=1e-4 * max(abs(f.size).max(), 1e-12)), f.name
+
+
+def test_a_recording_of_something_else_is_refused(fmu, tmp_path):
+    """One line with the names that are expected."""
+    with pytest.raises(Problem, match=r"no column has the name of an input of diagnosis\.fmu"):
+        diagnose(fmu, written(tmp_path, {"time": np.arange(9.0), "speed": np.arange(9.0)}))
+
+
+def test_commands_are_needed(fmu, columns, tmp_path):
+    """Without a command no function can be judged."""
+    del columns["boom_command"]
+    with pytest.raises(Problem, match="expected the column boom_command"):
+        diagnose(fmu, written(tmp_path, columns))
+
+
+def test_two_columns_of_one_reading_are_refused(fmu, columns, tmp_path):
+    """Which one is meant is not guessed."""
+    columns["a.boom_command"], columns["b.boom_command"] = (
+        columns["boom_command"],
+        columns.pop("boom_command"),
+    )
+    with pytest.raises(
+        Problem, match=r"expected one column boom_command, got a\.boom_command, b\.boom_command"
+    ):
+        diagnose(fmu, written(tmp_path, columns))
+
+
+def test_another_fmu_is_refused(fmu_dir, columns, tmp_path):
+    """It has no findings."""
+    with pytest.raises(Problem, match=r"no column|expected outputs NAME, NAME_deviation and NAME_state"):
+        diagnose(fmu_dir / "swing.fmu", written(tmp_path, columns))
+
+
+def test_what_is_learned_is_a_parameter_set(fmu, columns, tmp_path):
+    """It is read back with the values that were found."""
+    file = written(tmp_path, columns)
+    found = diagnose(fmu, file)
+    target = tmp_path / "healthy.ssv"
+    target.write_bytes(learned(found))
+    again = diagnose(fmu, file, [target])
+    assert {f.name for f in again.findings} == {f.name for f in found.findings}
+
+
+def test_the_default_fmu_has_a_hint(tmp_path, columns, capsys, monkeypatch):
+    """One line that says how to make it."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["diagnose", str(written(tmp_path, columns))]) == 2
+    assert "make it with: harvester build --faults" in capsys.readouterr().err
+
+
+def test_a_result_of_a_run_is_a_recording(tmp_path):
+    """Names of a component's readings, rather those behind a sensor."""
+    file = tmp_path / "run.csv"
+    file.write_text("time,part.a,sensors.a_measured\n0,1,2\n1,1,3\n2,1,4\n")
+    from orchestrator.results.diagnosis import _named
+
+    assert _named(read_trace(file), "diagnosis", {"a"}, file)["a"].tolist() == [2, 3, 4]
