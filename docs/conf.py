@@ -68,6 +68,7 @@ NAVIGATION = {
         "docs/tutorials/swap-fidelity.md",
         "docs/tutorials/measurements.md",
         "docs/tutorials/crane.md",
+        "docs/tutorials/diagnosis.md",
         "docs/tutorials/subsystem.md",
         "docs/tutorials/control.md",
         "docs/tutorials/sweep.md",
@@ -104,6 +105,7 @@ NAVIGATION = {
     "Control, driving, studies": [
         "docs/control.md",
         "docs/crane.md",
+        "docs/diagnosis.md",
         "docs/patu.md",
         "docs/faults.md",
         "docs/linearize.md",

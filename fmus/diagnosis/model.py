@@ -54,7 +54,10 @@ from fmus.diagnosis.settings import LITRE, NUMBERS, OF_MACHINE, REFERENCES, Sett
 from fmus.parameters import Number
 
 NAME = "diagnosis"
-LINES = {"supply_pressure": "Pressure of the supply line", "tank_pressure": "Pressure of the return line"}
+LINES = {
+    "supply_pressure": ("Pressure of the supply line", 1e7),
+    "tank_pressure": ("Pressure of the return line", 1e5),
+}
 FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
@@ -266,11 +269,9 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         for n, unit, text in zip(signals_of(a), (*a.units, "Pa", "Pa"), texts, strict=True):
             inputs[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
         states |= states_of(a)
-    for n, text in LINES.items():
-        inputs[n], states[f"{n}_bad"] = (
-            Quantity("Pa", text, 1e7),
-            Quantity("1", f"1: the reading of {n} is wrong"),
-        )
+    for n, (text, size) in LINES.items():
+        inputs[n] = Quantity("Pa", text, size)
+        states[f"{n}_bad"] = Quantity("1", f"1: the reading of {n} is wrong")
     inputs["oil_temperature"] = ports.oil_temperature(
         "Temperature of the oil", optional="the oil stays at 60 degC"
     )

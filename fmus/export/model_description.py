@@ -106,7 +106,7 @@ def model_description(
         token=token,
         version=package_version(),
         generation_tool=generation_tool(),
-        capabilities=capabilities or CAPABILITIES[fmi],
+        capabilities=capabilities or _capabilities(interface, fmi),
         sources=sources,
         units={name: (base_unit(name), display_conversion(name)) for name in sorted(units)},
         categories=LOG_CATEGORIES,
@@ -121,6 +121,17 @@ def model_description(
         variables=list(_variables(interface, fmi)),
         structure={group: [_unknown(*row, fmi) for row in members] for group, members in rows},
     )
+
+
+def _capabilities(interface: Interface, fmi: int) -> Mapping[str, Mapping[str, str]]:
+    """Of an FMU with C code; a sampled one has no derivatives of outputs, and stops nowhere within a step."""
+    found = dict(CAPABILITIES[fmi])
+    if interface.sampling:
+        none = {"maxOutputDerivativeOrder": "0"}
+        if fmi == 3:
+            none |= {"providesIntermediateUpdate": "false", "canReturnEarlyAfterIntermediateUpdate": "false"}
+        found["CoSimulation"] = {**found["CoSimulation"], **none}
+    return found
 
 
 def base_unit(unit: str) -> dict[str, str]:

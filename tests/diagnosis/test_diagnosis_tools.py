@@ -1,0 +1,89 @@
+"""The diagnosis in other tools, over the readings of a machine with a leak."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+from fmpy import simulate_fmu
+from fmpy.validation import validate_fmu
+from kit import shards
+from kit.work_cycle import load
+
+from orchestrator import run
+from orchestrator.modelica import write_package
+
+pytestmark = shards.tools
+LEAK = {"stick_head_leak": "0.5mm2@8s"}
+SHOWN = ("stick_head_leak", "stick_head_leak_state", "boom_head_burst", "payload", "swing_gain_up")
+STOP = 30.0  # s
+
+
+@pytest.fixture(scope="module")
+def readings(faulty, work):
+    """Inputs of the diagnosis every 10 ms, and what it tells in the orchestrator."""
+    names = [f"diagnosis.{n}" for n in SHOWN]
+    result = run(
+        faulty / "harvester_sensors.ssp", work, stop=STOP, step=1e-3, fault=LEAK, record="*", record_step=0.01
+    )
+    inputs = {n.partition(".")[2]: np.asarray(result[n]) for n in result if n.startswith("diagnosis.")}
+    known = {n: v for n, v in inputs.items() if not n.endswith(("_state", "_deviation")) and n not in SHOWN}
+    return np.asarray(result.time), known, {n: np.asarray(result[n]) for n in names}
+
+
+def test_fmpy_runs_it_over_readings(faulty, readings):
+    """A valid description, and the leak with its size as `run` finds it.
+
+    FMPy gives the readings of the begin of each step, as the orchestrator does.
+    """
+    fmu = str(faulty / "diagnosis.fmu")
+    assert validate_fmu(fmu) == []
+    time, known, _ = readings
+    names = [
+        n
+        for n in known
+        if n.endswith(("_command", "_angle", "_speed", "_pressure", "_pressure_a", "_pressure_b"))
+    ]
+    table = np.zeros(len(time), [("time", float), *((n, float) for n in names)])
+    table["time"] = time
+    for n in names:
+        table[n] = known[n]
+    found = simulate_fmu(fmu, input=table, stop_time=STOP, output_interval=0.01, output=list(SHOWN))
+    ours = run(fmu, {"time": time, **{n: known[n] for n in names}}, stop=STOP, step=0.01, record=list(SHOWN))
+    assert found["stick_head_leak_state"][-1] == 1
+    for n in SHOWN:
+        there, here = found[n][1:], np.asarray(ours[n])[: len(found) - 1]
+        size = max(np.abs(here).max(), 1e-12)
+        assert np.abs(there[-1] - here[-1]) < 0.05 * size, n
+
+
+def test_ecos_steps_the_system_with_it(faulty):
+    """The system as it is, with the machine at rest: nothing is told, and all is finite."""
+    ecos = load("ecospy")
+    names = ("boom_spool", "stick_head_burst", "boom_speed_sensor", "payload")
+    with ecos.EcosSimulation(step_size=1e-3, ssp_path=str(faulty / "harvester_sensors.ssp")) as simulation:
+        assert simulation.init()
+        for _ in range(3000):
+            simulation.step()
+        *states, payload = (simulation.get_real(f"diagnosis::{n}") for n in names)
+        simulation.terminate()
+    assert states == [0, 0, 0]
+    assert np.isfinite(payload)
+
+
+def test_openmodelica_integrates_it(faulty, tmp_path):
+    """For Model Exchange, with inputs that are zero: its filters are stable, and nothing is told."""
+    omc = shutil.which("omc")
+    if omc is None:
+        pytest.skip("no OpenModelica found: omc is not on the search path")
+    write_package([faulty / "diagnosis.fmu"], tmp_path, "Told")
+    (tmp_path / "run.mos").write_text(
+        'loadModel(Modelica, {"4.0.0"}); loadFile("Told/package.mo"); getErrorString();\n'
+        'simulate(Told.FMUs.Diagnosis, stopTime = 1, tolerance = 1e-4, outputFormat = "csv"); getErrorString();\n'
+    )
+    done = subprocess.run([omc, "run.mos"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "The simulation finished successfully" in done.stdout, done.stdout[-2000:]
+    (file,) = tmp_path.glob("*_res.csv")
+    rows = pd.read_csv(file)
+    assert (rows["boom_head_burst_state"].iloc[-1], rows["boom_spool_state"].iloc[-1]) == (0, 0)
