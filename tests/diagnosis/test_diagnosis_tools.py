@@ -80,7 +80,8 @@ def test_openmodelica_integrates_it(faulty, tmp_path):
     write_package([faulty / "diagnosis.fmu"], tmp_path, "Told")
     (tmp_path / "run.mos").write_text(
         'loadModel(Modelica, {"4.0.0"}); loadFile("Told/package.mo"); getErrorString();\n'
-        'simulate(Told.FMUs.Diagnosis, stopTime = 1, tolerance = 1e-4, outputFormat = "csv"); getErrorString();\n'
+        'simulate(Told.FMUs.Diagnosis, stopTime = 1, tolerance = 1e-4, outputFormat = "csv");\n'
+        "getErrorString();\n"
     )
     done = subprocess.run([omc, "run.mos"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert "The simulation finished successfully" in done.stdout, done.stdout[-2000:]
