@@ -33,8 +33,9 @@ in on one side and out on the other.
 
     -q - `outlet` K a(u) sqrt(P - P_t) - `burst_margin`        P < P_s: no relief valve is open
 
-u: the largest command of the last time. The margin is smaller after a while at rest. A chamber at less than
-`lost_pressure` that does not fill although its valve is open has a burst hose, too.
+u: the largest command of the last time. The margin falls after a while at rest, so a leak is found that
+empties a chamber before its size is known. A chamber at less than `lost_pressure` that does not fill although
+its valve is open has a burst hose, too.
 
 **Sensors.** A reading outside of its range; one that stands still while another one of the function says that
 it should not. What has no reading, or a wrong one, is not examined.
@@ -90,7 +91,7 @@ EMPTY = 0.0  # Pa, below which a chamber may be empty: at -1 bar, with a zero th
 FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
 END = 0.01  # m, from the end of a stroke
-LONG = 0.6  # s, after which a chamber is at rest
+LONG, LONGER = 0.6, 1.5  # s, after which a chamber is at rest, and its arm as well
 STILL = (1e-5, 1e-6, 2e3, 2e3)  # rad, rad/s, Pa: distance from its lag at which a reading stands still
 MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
 LIVELY = 5e3  # Pa, from the lag of a pressure that changes
@@ -212,6 +213,7 @@ def states_of(axis: ControlledAxis) -> dict[str, Quantity]:
             )
     for n, unit, text in (
         ("rest", "s", "Time for which the valve is closed and nothing else is open, limited"),
+        ("shut", "s", "Time for which the valve is closed, limited"),
         ("usable", "1", "1: the readings are usable"),
         ("rated", "1", "1: those of all speeds are"),
         ("missing", "s", "Time for which the valve does not follow"),
@@ -537,6 +539,7 @@ class Axis:
             falling = ca.if_else(void > 0, -1, 0)
             found[f"void_{k}"] = ca.if_else(self._blind(pressure) > 0, (2 * BLIND - void) / QUICK, falling)
         counting = whether(self.rest < p.settling + 10 * p.window)
+        found["shut"] = counted(self.shut, self.closed * self.sound, whether(self.shut < 2 * LONGER))
         return found | {"rest": counted(self.rest, self.closed * self.sound * self.calm, counting)}
 
     def _of_commands(self) -> dict[str, Scalar]:
@@ -589,7 +592,8 @@ class Axis:
 
     def _of_bursts(self) -> dict[str, Scalar]:
         p, tank, found = self.p, self.u.tank_pressure, dict[str, Scalar]()
-        margin = ca.if_else(self.rest > LONG, p.rest_margin, p.burst_margin)
+        margin = ca.if_else(self.shut > LONG, p.rest_margin, p.burst_margin)
+        margin = ca.if_else(self.shut > LONGER, p.slow_margin, margin)
         for k, (flow, pressure) in enumerate(zip(self.flows, self.pressures, strict=True)):
             other, lost, burst = 1 - k, self.pair("lost")[k], self.pair("burst")[k]
             most = self._opened(other, self.pair("most")[other], 1)

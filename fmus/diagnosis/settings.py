@@ -100,6 +100,12 @@ GROUPS: Mapping[str, Mapping[str, tuple[float, str, str, str]]] = {  # value, un
             "The margin after a while at rest, and of oil that passes a closed valve",
             "a fifth of a burst hose at 10 bar",
         ),
+        "slow_margin": (
+            1 * LITRE,
+            "m3/s",
+            "The margin when the arm is at rest, too",
+            "ten times the noise of flows",
+        ),
         "passed_volume": (
             5e-5,
             "m3",

@@ -35,7 +35,7 @@ def diagnose(
     """
     from orchestrator.base.files import make_folder, require, write_whole
     from orchestrator.results.diagnosis import diagnose as diagnosed
-    from orchestrator.results.diagnosis import learned, report
+    from orchestrator.results.diagnosis import learned, learned_values, report
 
     if fmu == DEFAULT and not fmu.exists():
         raise Problem(
@@ -46,7 +46,7 @@ def diagnose(
     found = diagnosed(fmu, recording, parameters or ())
     if learn is not None:
         write_whole(learn, learned(found))
-        print(f"{learn}: {len(found.findings)} findings of the healthy machine")
+        print(f"{learn}: {len(learned_values(found))} values of the healthy machine")
         return True
     print(found.text())
     print(f"Report: {report(found, out / 'diagnosis.html')}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -114,24 +114,35 @@ class Diagnosis:
 
     @property
     def blind(self) -> dict[str, list[Finding]]:
-        """What can never be told in this recording, by repair."""
+        """What cannot be told at the end of the recording, by repair; without what is broken."""
+        broken = {f.repair for f in self.broken}
+        return self._by_repair(f for f in self.findings if f.state[-1] < 0 and f.repair not in broken)
+
+    @property
+    def sound(self) -> dict[str, list[Finding]]:
+        """What has no fault at the end, as far as all that tells it can be told, by repair."""
+        known = self._by_repair(f for f in self.findings if not f.broken and f.state[-1] == 0)
+        broken = {f.repair for f in self.broken}
+        return {n: some for n, some in known.items() if n not in broken and n not in self.blind}
+
+    @staticmethod
+    def _by_repair(findings: Iterable[Finding]) -> dict[str, list[Finding]]:
         found = dict[str, list[Finding]]()
-        for f in self.findings:
-            if (f.state < 0).all():
-                found.setdefault(f.repair, []).append(f)
+        for f in findings:
+            found.setdefault(f.repair, []).append(f)
         return found
 
     def table(self) -> TextTable:
         """The faults."""
         rows = [[f.text, f.extent(), f"{f.since:.2f}", f.repair] for f in self.broken]
-        return TextTable(("fault", "size (95 % interval)", "since [s]", "look at"), rows, left=(0, 1, 3))
+        return TextTable(("fault", "size (95 % interval)", "told at [s]", "look at"), rows, left=(0, 1, 3))
 
     def text(self) -> str:
         """For a terminal."""
         lines = list(self.remarks)
         lines += self.table().lines() if self.broken else [f"{self.source}: nothing found"]
         if self.blind:
-            lines.append(f"Cannot be told from this recording: {', '.join(self.blind)}")
+            lines.append(f"Cannot be told at the end: {', '.join(self.blind)}")
         return "\n".join(lines)
 
 
@@ -168,7 +179,8 @@ def _named(trace: Trace, component: str, inputs: Collection[str], file: Path) ->
         others = [c for c in trace.signals if c.endswith(f".{name}")]
         columns = exact[:1] or behind or others
         if len(columns) > 1:
-            raise Problem(f"{file}: expected one column {name}, got {', '.join(columns)}")
+            text = f"{file}: expected one column {name}, got {', '.join(columns)}"
+            raise Problem(f"{text}; name the reading {name}, or leave the others out")
         found |= dict.fromkeys([name], *columns) if columns else {}
     units = {n: trace.units[c] for n, c in found.items() if c in trace.units}
     return Trace(trace.time, {n: trace.signals[c] for n, c in found.items()}, units)
@@ -258,8 +270,8 @@ def _without(component: Component, trace: Trace, file: Path) -> tuple[list[str],
             remarks.append(f"{file}: no column {name}; what needs it is not examined")
         elif name.endswith("_command"):
             raise Problem(f"{file}: expected the column {name}, got {first_names(trace.signals, 8)}")
-        elif name == "oil_temperature":
-            remarks.append(f"{file}: no column {name}; the oil counts as 60 degC, so seals are less certain")
+        elif v.unit_name not in (None, "1"):
+            remarks.append(f"{file}: no column {name}; its start value counts")
     return missing, remarks
 
 
@@ -292,8 +304,7 @@ def learned(diagnosis: Diagnosis) -> bytes:
 def report(diagnosis: Diagnosis, file: Path) -> Path:
     """A page with the faults, the picture of each, and what cannot be told."""
     figures = [(f, plot(_figure(f), f.name)) for f in diagnosis.broken]
-    others = [f for f in diagnosis.findings if not f.broken and (f.state >= 0).any()]
-    content = dict(diagnosis=diagnosis, table=diagnosis.table().html(), figures=figures, others=others)
+    content = dict(diagnosis=diagnosis, table=diagnosis.table().html(), figures=figures)
     return write_text(
         file, render(TEMPLATE, title=f"Diagnosis of {diagnosis.source}", plots=bool(figures), **content)
     )
@@ -308,8 +319,6 @@ def _figure(f: Finding) -> TraceFigure:
     line = TraceLine(f.time, size, {"color": PALETTE.ink, "linewidth": 1.3})
     areas = [TraceArea(f.time, low, high, PALETTE.faint)] if off.any() else []
     state = TraceLine(f.time, f.state, {"color": PALETTE.ink, "linewidth": 1.3})
-    panels = [
-        TracePanel(unit, [line], f.text, areas=areas),
-        TracePanel("1", [state], "1: a fault, -1: cannot be told"),
-    ]
+    told = TracePanel("", [state], "1: a fault, 0: none, -1: cannot be told", heights=(1.2, 1.0))
+    panels = [TracePanel(unit, [line], f.text, areas=areas), told]
     return TraceFigure(panels if off.any() else panels[1:])

@@ -45,7 +45,7 @@ def test_a_recording_without_a_fault_ends_with_status_0(fmu, columns, tmp_path, 
     told = capsys.readouterr().out
     assert not status
     assert "log.csv: nothing found" in told
-    assert "Cannot be told from this recording: " in told
+    assert "Cannot be told at the end: " in told
     assert "Nothing found." in (tmp_path / "diagnosis.html").read_text()
 
 
