@@ -69,8 +69,7 @@ def columns_of(case: Case) -> Columns:
 
 def told(case: Case, columns: Columns, healthy: dict[str, float]) -> Diagnosis:
     """What the FMU tells."""
-    flows = section_flows() if case.swap.get("boom_stick") == "compensated" else {}
-    own = {f"diagnosis.{n.partition('.')[2]}": v for n, v in flows.items()}
+    own = section_flows("diagnosis") if case.swap.get("boom_stick") == "compensated" else {}
     signals = {n: v for n, v in columns.items() if n not in ("time", "held_mass")}
     return over(FMU, columns["time"], signals, set=own | healthy)
 

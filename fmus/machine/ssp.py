@@ -75,6 +75,7 @@ def write_systems(
     poses = controlled_poses(manipulator).items()
     controlled = {name: controller_set(pose, manipulator, boom_stick) for name, pose in poses}
     own = controlled | {COMPENSATED: section_flows(), WINTER: winter_oil()}
+    told = own | {COMPENSATED: section_flows() | section_flows(DIAGNOSIS)}
     operated = parameter_sets(manipulator)
     lever, head = (OPERATOR.name,), ACTUATION.name
     behind = (DIAGNOSIS, CONTROLLER.name, head, NAME_OF_SENSORS)
@@ -82,7 +83,7 @@ def write_systems(
         (NAME, lever, FERIC.operator_wires, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
         (ACTUATED_NAME, (*lever, head), ACTUATED, WORK_CYCLE_STOP, operated, (NOMINAL, DEFAULT)),
         (CONTROL, (CONTROLLER.name, head), CONTROLLED, CONTROL_STOP, own, (NOMINAL,)),
-        (SENSED, behind, machine.sensed(CONTROLLED), CONTROL_STOP, own, (NOMINAL,)),
+        (SENSED, behind, machine.sensed(CONTROLLED), CONTROL_STOP, told, (NOMINAL,)),
     )
     return [
         write_ssp(
@@ -105,11 +106,11 @@ def write_systems(
     ]
 
 
-def section_flows() -> dict[str, float]:
-    """Flows of the compensated sections, for the controller."""
+def section_flows(component: str = CONTROLLER.name) -> dict[str, float]:
+    """Flows of the compensated sections, for the controller or the diagnosis."""
     drives = (FAMILIES[part][COMPENSATED] for part in DRIVES)
     flows = {n: v for sub in drives for n, v in values(sub).p.items() if n.endswith("_section_flow")}
-    return {f"{CONTROLLER.name}.{n}": v for n, v in flows.items()}
+    return {f"{component}.{n}": v for n, v in flows.items()}
 
 
 def winter_oil() -> dict[str, float]:
