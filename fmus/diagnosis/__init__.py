@@ -3,7 +3,7 @@
 model.py      the subsystem, and what concerns all functions: lines, pump, oil, payload
 axis.py       one function: leaks, bursts, valve, spool, sensors, weight
 estimates.py  least squares with a fading memory, and when a size is told
-settings.py   limits and time constants, with their reasons
+settings.py   limits and time constants from settings.toml, with their reasons
 """
 
 from fmus.diagnosis.model import NAME, diagnosis, findings
