@@ -21,9 +21,9 @@ give the opening, and this the command v that a healthy valve needs for it:
     v = s |u| - d - h m - T |u|'
 
 with the command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the
-sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by `reversal`
-since it turned, the edge is open, and its drop is no small one. Gain and dead band are judged together, by
-the mean of v over all samples of a direction.
+sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by
+`valve_travel` since it turned, the edge is open, and its drop is no small one. Gain and dead band are judged
+together, by the mean of v over all samples of a direction.
 
 **Spool.** It does not follow if the flow stays below `response` of the least that the commands of the last
 time ask for, if a load-sensing pump stands by although they ask for flow, or if oil passes the closed valve,
@@ -219,7 +219,7 @@ def states_of(axis: ControlledAxis) -> dict[str, Quantity]:
         ("missing", "s", "Time for which the valve does not follow"),
         ("spool", "1", "1: the spool does not follow"),
         ("late_command", "V", "Command behind the lag"),
-        ("trailing", "V", "That behind a play of `reversal`"),
+        ("trailing", "V", "That behind a play of `valve_travel`"),
         *(
             ()
             if axis.turns
@@ -458,7 +458,7 @@ class Axis:
         flow, drop, full = (
             ca.if_else(up > 0, a, b) for a, b in zip(self._edge(0), self._edge(1), strict=True)
         )
-        share, size, gone = flow / full, ca.fabs(late), (late - self.trailing) / p.reversal
+        share, size, gone = flow / full, ca.fabs(late), (late - self.trailing) / p.valve_travel
         counts = (
             whether(size > v.dead_band + 0.3)
             * whether(size < 0.95 * v.full_command)
@@ -546,7 +546,7 @@ class Axis:
         late = self.late_command
         found = {
             "late_command": (self.command - late) / (2 * self.p.lag),
-            "trailing": play_rate(late, self.trailing, self.p.reversal, 50.0, self.p.reversal / 10),
+            "trailing": play_rate(late, self.trailing, self.p.valve_travel, 50.0, self.p.valve_travel / 10),
         }
         for k, sign in enumerate((1, -1)):
             now, most, least = sign * self.command, self.pair("most")[k], self.pair("least")[k]
