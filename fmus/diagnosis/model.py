@@ -177,9 +177,8 @@ class Diagnosis:
         known = number("pump_pressure", p)
         fitted = PUMP.solved(x, Prior((100, 1000), (0, known / BAR), 0.3, 3.0))
         size, off = (BAR * v for v in fitted.along(PUMP_FLOW / FLOW, 1))
-        told = whether(fitted.samples > 3 * FEWEST)
-        lost = ca.if_else(known > 0, known - size, 0)  # 0: no healthy machine was measured
-        return size, off, judged(lost, off, p.pump_limit, told)
+        told = whether(fitted.samples > 3 * FEWEST) * whether(known > 0)  # 0: no healthy machine was measured
+        return size, off, judged(known - size, off, p.pump_limit, told)
 
     def _delay(self, told: Mapping[str, Told], p: Any) -> Told:
         """The mean with the weights of the deviations, as far as they are known."""

@@ -1,15 +1,13 @@
 """What is broken in a machine, from a recording: an FMU that diagnoses, run over it, and a report.
 
-Such an FMU has outputs NAME (size), NAME_deviation and NAME_state (1: a fault, 0: none, -1: cannot be told);
-the description of NAME_state names the repair in parentheses. A parameter NAME_fitted says whether there is a
+Its findings are those of `orchestrator.drive.findings`. A parameter NAME_fitted says whether there is a
 reading NAME; a parameter NAME_reference is the size of the healthy machine.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from orchestrator.data.description import description_next_to
 from orchestrator.data.recording import read_recording
 from orchestrator.data.table import READABLE, Array
 from orchestrator.data.trace import Trace, trace_of
+from orchestrator.drive.findings import findings as findings_in
 from orchestrator.engine.result import Result
 from orchestrator.engine.run import run
 from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel, plot
@@ -32,7 +31,7 @@ from orchestrator.ssp.write import parameter_set
 
 STEP = 0.01  # s
 INTERVAL = 1.96  # deviations of a 95 % interval
-REPAIR = re.compile(r": 1 a fault \((.*)\), 0 none")
+KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 FITTED, REFERENCE = "_fitted", "_reference"
 LITRE = 1 / 6e4  # L/min in m3/s
 # unit -> factor and unit for a reader, of quantities whose usual one is another
@@ -217,10 +216,12 @@ def _run(
     remarks: Sequence[str],
 ) -> Diagnosis:
     (component,) = system.components.values()
-    found = list(_findings_of(component))
+    variables, found = component.interface.variables, list[tuple[str, str, str, str]]()
+    for f in findings_in(system)[0]:
+        name = f.signals[0].partition(".")[2]
+        found += [(name, f.text, variables[name].unit_name or "1", f.repair)] if f.repair else []
     if not found:
         raise Problem(f"{component.source}: expected outputs NAME, NAME_deviation and NAME_state, found none")
-    variables = component.interface.variables
     outputs = [n for n, v in variables.items() if v.causality == "output"]
     start, stop = float(trace.time[0]), float(trace.time[-1])
     result = run(
@@ -240,17 +241,6 @@ def over(
 ) -> Diagnosis:
     """Of signals with the names of the inputs, of shape (n,) each."""
     return _run(load(fmu), Trace(np.asarray(time), dict(signals)), "signals", (), dict(set or {}), ())
-
-
-def _findings_of(component: Component) -> Iterator[tuple[str, str, str, str]]:
-    """Name, text, unit, repair."""
-    variables = component.interface.variables
-    for state, v in variables.items():
-        name = state.removesuffix("_state")
-        match = REPAIR.search(v.get("description"))
-        if match and name in variables and f"{name}_deviation" in variables:
-            text = (variables[name].get("description") or name).removeprefix("1: ")
-            yield name, text[:1].upper() + text[1:], variables[name].unit_name or "1", match[1]
 
 
 def _without(component: Component, trace: Trace, file: Path) -> tuple[list[str], list[str]]:
@@ -285,6 +275,8 @@ def learned_values(diagnosis: Diagnosis) -> dict[str, float]:
     found = dict[str, float]()
     for f in diagnosis.findings:
         known = f.state >= 0
+        if not known.any():  # what is judged against a healthy machine alone
+            known = f.deviation < f.deviation[0] / KNOWN
         name = f"{f.name}{REFERENCE}"
         if name in component.interface.variables and known.any() and f.deviation[-1] > 0:
             late = known & (np.arange(len(known)) > len(known) // 3)

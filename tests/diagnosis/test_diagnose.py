@@ -55,9 +55,9 @@ def test_a_sensor_that_is_not_connected_ends_with_status_1(fmu, columns, tmp_pat
     status = main(["diagnose", str(written(tmp_path, columns)), "--fmu", str(fmu), "--out", str(tmp_path)])
     told = capsys.readouterr().out
     assert status == 1
-    assert "The reading of boom_rod_pressure is wrong" in told
-    assert "boom_rod_pressure sensor" in told
-    assert "<h2>The reading of boom_rod_pressure is wrong</h2>" in (tmp_path / "diagnosis.html").read_text()
+    assert "The reading of boom rod pressure is wrong" in told
+    assert "boom rod pressure sensor" in told
+    assert "<h2>The reading of boom rod pressure is wrong</h2>" in (tmp_path / "diagnosis.html").read_text()
 
 
 @pytest.mark.parametrize("name", ["boom_speed", "stick_head_pressure", "tank_pressure", "oil_temperature"])
