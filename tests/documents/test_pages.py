@@ -120,7 +120,8 @@ def opened(chromium: Any) -> Iterator[Callable[..., Any]]:
 
 
 def drawn(page: Any) -> None:
-    """Wait for all plots, each scrolled into view."""
+    """Wait for all plots, each unfolded and scrolled into view."""
+    page.evaluate("document.querySelectorAll('details:has(.plot)').forEach(d => d.open = true)")
     for host in page.locator(".plot").all():
         host.scroll_into_view_if_needed()
         host.locator(".live canvas").first.wait_for()
