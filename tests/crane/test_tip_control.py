@@ -158,7 +158,7 @@ def test_the_loader_draws_a_line(loader_folder, tmp_path):
     from fmus.controller.paths import write_route
 
     system = load(loader_folder / "loader_control.ssp")
-    names, pose = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
+    names, pose, _ = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
     path, _ = write_route(["7.5,0,1", "3.5,0,1", "7.5,0,1"], 0.5, tmp_path)
     start = pose((7.5, 1.0, 0.0), system.components["manipulator"].real_parameters())
     found = follow(system, names, path, "loader", True, start)
