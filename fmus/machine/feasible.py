@@ -141,13 +141,14 @@ def exceeded(
         inside &= (ends := (low <= x) & (x <= high))
         if not ends[row]:
             yield f"{at(row)}: the piston of {name} is at {x[row]:.3f} m, expected {low:.3f} to {high:.3f} m"
-    speed = np.where(inside, np.abs(found.speeds), 0.0)
-    over = np.where(speed > SLOW * found.limits, found.needed / supply.pressure, 0.0)
+    moving = inside & (np.abs(found.speeds) > SLOW * found.limits)
+    speed = np.where(moving, np.abs(found.speeds), 0.0)
+    over = np.where(moving, found.needed / supply.pressure, 0.0)
     k, row = map(int, np.unravel_index(np.argmax(over), over.shape))
     if over[k, row] > 1:
         needs = f"{names[k]} needs {found.needed[k, row] / 1e5:.0f} bar for its load and its valve"
         yield f"{at(row)}: {needs}, the supply gives {supply.pressure / 1e5:.0f} bar"
-    lasting = float((speed > SLOW * found.limits).any(axis=0).sum() / RATE)
+    lasting = float(moving.any(axis=0).sum() / RATE)
     possible = np.minimum(found.limits, np.where(over < 1, found.full, np.inf))
     k, row = map(int, np.unravel_index(np.argmax(speed / possible), speed.shape))
     if (use := speed[k, row] / possible[k, row]) > 1:
