@@ -4,7 +4,8 @@
 
 Moves from rest to rest at random places, straight or along a circle about the column, at random speeds, on
 machines whose head swings. The residual sway is the largest angle of the head from the vertical within a
-period after the move. The shaper has the period of the head, or one that is wrong by a share. Reads build/harvester_control.ssp.
+period after the move. The shaper has the period of the head, or one that is wrong by a share. Reads
+build/harvester_control.ssp.
 """
 
 import argparse
