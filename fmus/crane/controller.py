@@ -61,6 +61,7 @@ STRETCHED = 25  # square of the trace over the determinant that counts as 1: of 
 CENTRING = 0.3  # 1
 SLOW = 1e-4  # m/s: rounds the speed of the tip at rest
 LEAST_SHARE = 1e-3  # of the weight of a joint in that of all: keeps the quotients finite at a small lever
+TURNS = 1e-3  # 1/s2: square of the frequency below which a passive joint turns freely, as a rotator
 STEPS, LARGEST_STEP, CLOSE = 500, 0.1, 1e-9  # of the search for a pose; m, m
 
 
@@ -360,12 +361,13 @@ def hanging_sway(sub: Subsystem, component: Component) -> tuple[float, float] | 
     terms = ca.Function("terms", [q], [motion.mass, ca.jacobian(motion.gravity, q)])
     rest = ca.Function("rest", [q], [of.at_rest(q, held, p)])(at)
     mass, stiffness = (m.full()[np.ix_(hanging, hanging)] for m in terms(rest))
-    own_joints = [vars(getattr(p, free[k].name)) for k in hanging]
-    stiffness += np.diag([j.get("stiffness", 0.0) for j in own_joints])
-    squares, modes = np.linalg.eig(np.linalg.solve(mass, stiffness))
-    damping = np.diag([j.get("damping", 0.0) for j in own_joints])
-    ratios = [
-        m @ damping @ m / (2 * math.sqrt(w) * (m @ mass @ m)) for w, m in zip(squares, modes.T, strict=True)
+    joints = [vars(getattr(p, free[k].name)) for k in hanging]
+    springs, losses = (np.diag([j.get(n, 0.0) for j in joints]) for n in ("stiffness", "damping"))
+    squares, modes = np.linalg.eig(np.linalg.solve(mass, stiffness + springs))
+    found = [
+        (2 * math.pi / math.sqrt(w), m @ losses @ m / (2 * math.sqrt(w) * (m @ mass @ m)))
+        for w, m in zip(squares, modes.T, strict=True)
+        if w > TURNS
     ]
-    period, ratio = float(np.mean(2 * math.pi / np.sqrt(squares))), float(np.mean(ratios))
-    return (period, ratio) if ratio < 1 else None
+    period, ratio = np.mean(found or [(0.0, 1.0)], axis=0)
+    return (float(period), float(ratio)) if ratio < 1 else None

@@ -20,6 +20,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from fmus.contract import (
     Subsystem,
@@ -109,6 +110,15 @@ class Demand:
     flows: Array
 
 
+@dataclass(frozen=True)
+class Supply:
+    """What a supply gives: its highest pressure [Pa], its flow at a pressure [Pa] of the loads [m3/s]."""
+
+    pressure: float
+    tank: float
+    flow: Callable[[Array], Array]
+
+
 def exceeded(
     system: System, mechanics: Mechanics, parts: tuple[str, str], time: Array, path: Array
 ) -> Iterator[str]:
@@ -134,48 +144,49 @@ def exceeded(
     found = _demand(
         mechanics, p, joints, _loads(mechanics, manipulator, joints), supply.pressure, supply.tank
     )
-    inside, names = np.ones(even.size, bool), [a.name for a in arm.axes]
-    for name, x in zip(names[1:], found.positions[1:], strict=True):
-        low, high = p.stroke_margin, getattr(p, name).stroke - p.stroke_margin
+    inside = np.ones(even.size, bool)
+    for a, x in zip(arm.axes[1:], found.positions[1:], strict=True):
+        low, high = p.stroke_margin, getattr(p, a.name).stroke - p.stroke_margin
         row = int(np.argmax(np.abs(x - (low + high) / 2)))
         inside &= (ends := (low <= x) & (x <= high))
         if not ends[row]:
-            yield f"{at(row)}: the piston of {name} is at {x[row]:.3f} m, expected {low:.3f} to {high:.3f} m"
+            place = f"the piston of {a.name} is at {x[row]:.3f} m"
+            yield f"{at(row)}: {place}, expected {low:.3f} to {high:.3f} m"
+    for row, line in _beyond(arm, found, supply, inside):
+        yield f"{at(row)}: {line}"
+
+
+def _beyond(arm: Arm, found: Demand, supply: Supply, inside: NDArray[np.bool_]) -> Iterator[tuple[int, str]]:
+    """Row and text of too little pressure, speed and flow, where all pistons are within their strokes."""
     moving = inside & (np.abs(found.speeds) > SLOW * found.limits)
-    speed = np.where(moving, np.abs(found.speeds), 0.0)
-    over = np.where(moving, found.needed / supply.pressure, 0.0)
-    k, row = map(int, np.unravel_index(np.argmax(over), over.shape))
-    if over[k, row] > 1:
-        needs = f"{names[k]} needs {found.needed[k, row] / 1e5:.0f} bar for its load and its valve"
-        yield f"{at(row)}: {needs}, the supply gives {supply.pressure / 1e5:.0f} bar"
     lasting = float(moving.any(axis=0).sum() / RATE)
-    possible = np.minimum(found.limits, np.where(over < 1, found.full, np.inf))
-    k, row = map(int, np.unravel_index(np.argmax(speed / possible), speed.shape))
-    if (use := speed[k, row] / possible[k, row]) > 1:
-        unit, own = UNITS[arm.axes[k].turns], possible[k, row] < found.limits[k, row]
-        of = "its valve gives" if own else "the controller allows"
-        needs = f"{names[k]} needs {speed[k, row]:.3g} {unit}, {of} {possible[k, row]:.3g} {unit}"
-        yield f"{at(row)}: {needs}; {_lasting(use, lasting)}"
-    asked, given = np.where(inside, found.flows.sum(axis=0), 0.0), supply.flow(found.needed.max(axis=0))
-    row = int(np.argmax(asked / given))
-    if (use := asked[row] / given[row]) > 1:
-        needs = (
-            f"the functions need {6e4 * asked[row]:.0f} L/min, the pump gives {6e4 * given[row]:.0f} L/min"
-        )
-        yield f"{at(row)}: {needs}; {_lasting(use, lasting)}"
+    need = np.where(moving, found.needed, 0.0)
+    k, row = _largest(need)
+    if need[k, row] > supply.pressure:
+        needs = f"{arm.axes[k].name} needs {need[k, row] / 1e5:.0f} bar for its load and its valve"
+        yield row, f"{needs}, the supply gives {supply.pressure / 1e5:.0f} bar"
+    speed = np.where(moving, np.abs(found.speeds), 0.0)
+    full = np.where(need < supply.pressure, found.full, math.inf)  # else that is the reason
+    most = np.where(moving, np.minimum(found.limits, full), math.inf)
+    k, row = _largest(speed / most)
+    if (use := speed[k, row] / most[k, row]) > 1:
+        of = "its valve gives" if full[k, row] < found.limits[k, row] else "the controller allows"
+        needs, unit = f"{arm.axes[k].name} needs {speed[k, row]:.3g}", UNITS[arm.axes[k].turns]
+        yield row, f"{needs} {unit}, {of} {most[k, row]:.3g} {unit}; {_lasting(use, lasting)}"
+    flow, given = np.where(moving, found.flows, 0.0).sum(axis=0), supply.flow(need.max(axis=0))
+    _, row = _largest((flow / given)[None])
+    if (use := flow[row] / given[row]) > 1:
+        needs = f"the functions need {6e4 * flow[row]:.0f} L/min"
+        yield row, f"{needs}, the pump gives {6e4 * given[row]:.0f} L/min; {_lasting(use, lasting)}"
+
+
+def _largest(values: Array) -> tuple[int, int]:
+    k, row = np.unravel_index(np.argmax(values), values.shape)
+    return int(k), int(row)
 
 
 def _lasting(use: float, duration: float) -> str:
     return f"the motion needs {use * duration:.1f} s, asked {duration:.1f} s"
-
-
-@dataclass(frozen=True)
-class Supply:
-    """What a supply gives: its highest pressure [Pa], its flow at a pressure [Pa] of the loads [m3/s]."""
-
-    pressure: float
-    tank: float
-    flow: Callable[[Array], Array]
 
 
 def _supply(system: System, nominal: float) -> Supply:

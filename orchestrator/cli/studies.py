@@ -93,21 +93,22 @@ def track(
     --swap supply=ideal. What a path asks beyond strokes, speeds, flow or pressure is a warning before the
     first run; a path out of reach is refused.
 
-    system    The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one in
-              the installed package.
-    path      line, square, or a table (.csv) of time, path_radius, path_height, path_angle; default: line and
-              square.
-    through   Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; replaces `path`;
-              two points or more.
-    speed     With `through`: speed along the path [m/s], if the path is long enough to reach it.
-    compare   Also run without the controller's feedback.
-    shape_sway  Shape the time law of each path so that the hanging head is at rest after each move, which
-              takes a period of the head longer; writes PATH_shaped.csv.
-    sway_period  Shape it for this period of the head [s]; default: that of the machine with its payload.
-    learned   With controller.learning=1 on one machine: write the valves that the controller has learned to
-              this file (.ssv), for --parameters; each path begins with what it learned on the one before.
-    limit     Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.
-    out       Folder of tracking.png and tracking.json.
+    system       The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one in
+                 the installed package.
+    path         line, square, or a table (.csv) of time, path_radius, path_height, path_angle; default: line
+                 and square.
+    through      Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; replaces `path`;
+                 two points or more.
+    speed        With `through`: speed along the path [m/s], if the path is long enough to reach it.
+    compare      Also run without the controller's feedback.
+    shape_sway   Shape each move so that the hanging head is at rest after it; a move lasts one period of the
+                 head longer. Writes PATH_shaped.csv.
+    sway_period  Shape moves for this period of the head [s]; default: that of the machine.
+    learned      Write what the controller of one machine has learned of its valves to this file (.ssv), for
+                 `parameters`; each path begins with what was learned on the one before. Needs
+                 --set controller.learning=1.
+    limit        Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.
+    out          Folder of tracking.png and tracking.json.
     """
     require("model", "harvester track")
     from fmus.controller import CONTROLLER
