@@ -32,18 +32,21 @@ from fmus.contract import (
     unstack,
     with_derived,
 )
+from fmus.controller import CONTROLLER
 from fmus.controller.arm import Arm, Cylindrical
 from fmus.controller.reference import speed_limits
 from fmus.controller.valve import MARGIN, needed_pressures, nominal_full_speeds, section_speeds
 from fmus.controller.variables import LEARNED
+from fmus.machine.sway import head_sway
+from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.ssp.system import Component, System
 
 RATE = 100.0  # Hz, at which a path is examined
-SEARCHES = 3  # of the pose at each instant, from that before
-FAR = 0.01  # m: a tip this far from its path does not reach it
+SEARCHES, LARGEST_STEP = 3, 0.1  # m; of the pose at each instant, from that before
+FAR, LONG = 0.01, 20  # m, rows: a tip so far from its path for so long does not reach it; less is a jump
 SLOW = 0.02  # of its limit: a slower actuator asks for nothing
 SETTINGS = ("pressure_setting", "pump_1_pressure_setting", "pump_2_pressure_setting", "pressure_cut_off")
 UNITS = {True: "rad/s", False: "m/s"}  # of an axis that turns the column, of a piston
@@ -89,6 +92,9 @@ class Mechanics:
             plays.append(2 * last[f"{name}.{a.name}_half_width"] / float(self.arm.valve(a, p).full_command))
         found = {n: x for n, x in last.items() if not n.endswith("_half_width")}
         return found | ({f"{name}.hysteresis": float(np.mean(plays))} if p.hysteresis > 0 else {})
+
+
+MECHANICS = Mechanics(CONTROLLER, MANIPULATOR, head_sway)  # of the harvester
 
 
 @dataclass(frozen=True)
@@ -138,8 +144,9 @@ def exceeded(
     def at(row: int) -> str:
         return f"at {even[row]:.1f} s (radius {path[0, row]:.2f} m, height {path[1, row]:.2f} m)"
 
-    if not (away <= FAR).all():
-        row = int(np.argmax(~(away <= FAR)))
+    ends = np.minimum(np.arange(even.size) + np.arange(LONG)[:, None], even.size - 1)
+    if (lost := ~(away <= FAR)[ends].any(axis=0)).any():
+        row = int(np.argmax(lost))
         raise Problem(f"{at(row)}: out of reach, the tip stays {away[row]:.2g} m away")
     found = _demand(
         mechanics, p, joints, _loads(mechanics, manipulator, joints), supply.pressure, supply.tank
@@ -211,8 +218,11 @@ def _follow(arm: Arm, p: Any, path: Array, given: Mapping[str, float]) -> tuple[
     q, point = ca.SX.sym("q", len(arm.axes)), ca.SX.sym("point", 3)
     at, tip = ca.vertsplit(q), arm.tip(ca.vertsplit(q), p)
     away = [a - b for a, b in zip(ca.vertsplit(point), (tip.radius, tip.height, tip.angle), strict=True)]
-    step = ca.Function("step", [q, point], [q + column(*arm.joint_speeds(at, Cylindrical(*away), p))])
-    far = ca.Function("far", [q, point], [ca.sqrt(away[0] ** 2 + away[1] ** 2 + (tip.radius * away[2]) ** 2)])
+    length = ca.sqrt(away[0] ** 2 + away[1] ** 2 + (tip.radius * away[2]) ** 2)
+    share = LARGEST_STEP / ca.fmax(length, LARGEST_STEP)
+    speeds = arm.joint_speeds(at, Cylindrical(*(share * x for x in away)), p)
+    step = ca.Function("step", [q, point], [q + column(*speeds)])
+    far = ca.Function("far", [q, point], [length])
     often = np.repeat(path, SEARCHES, axis=1)
     start = [given[f"initial_{a.coordinate[0]}"] for a in arm.axes]
     joints = step.mapaccum(often.shape[1])(start, often).full()[:, SEARCHES - 1 :: SEARCHES]

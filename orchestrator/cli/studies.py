@@ -111,20 +111,17 @@ def track(
     out          Folder of tracking.png and tracking.json.
     """
     require("model", "harvester track")
-    from fmus.controller import CONTROLLER
     from fmus.controller.paths import route_start_angles, start_angles, write_route
     from fmus.crane.machine import tracked
-    from fmus.machine.feasible import Mechanics
+    from fmus.machine.feasible import MECHANICS
     from fmus.machine.parts import MACHINES
     from fmus.machine.path_following import first_point, read_machine
     from fmus.machine.path_following import track as run_study
-    from fmus.machine.sway import head_sway
-    from fmus.manipulator import MANIPULATOR
     from fmus.package_files import PACKAGE
     from orchestrator.ssp.load import load
 
     names, pose, own = read_machine(PACKAGE / "controller/tracking.toml"), None, False
-    mechanics = Mechanics(CONTROLLER, MANIPULATOR, head_sway)
+    mechanics = MECHANICS
     machine = system_file(system, "harvester_control.ssp")
     if crane := tracked(load(machine), names):
         (names, pose, mechanics), own = crane, True

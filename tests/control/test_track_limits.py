@@ -13,15 +13,13 @@ from benchmarks.sway import NAMES, circular, straight
 from fmus.controller import CONTROLLER
 from fmus.controller.harvester import arm_angles
 from fmus.controller.paths import PATHS, controller_inputs, sample, start_angles
-from fmus.machine.feasible import Mechanics, _follow, _loads, exceeded
-from fmus.machine.sway import head_sway
+from fmus.machine.feasible import MECHANICS, _follow, _loads, exceeded
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator import Trace, load, run
 from orchestrator.__main__ import main
 from orchestrator.ssp.swap import with_swaps
 
-HARVESTER = Mechanics(CONTROLLER, MANIPULATOR, head_sway)
 PARTS = NAMES.follower, NAMES.controller
 UP = straight((4.0, 0.0, 0.2), (4.0, 0.0, 1.8), 0.5)
 PUMPS = {"swing": "detailed", "boom_stick": "detailed", "supply": "engine_pump"}
@@ -36,17 +34,17 @@ def placed(machine, move, swaps=(), **given):
 
 def told(machine, move, swaps=(), **given) -> list[str]:
     path = np.array([move[n] for n in NAMES.path])
-    return list(exceeded(placed(machine, move, swaps, **given), HARVESTER, PARTS, move.time, path))
+    return list(exceeded(placed(machine, move, swaps, **given), MECHANICS, PARTS, move.time, path))
 
 
 def test_joints_and_loads_along_a_path_are_those_of_the_machine(machine):
     """On a diagonal: angles of the law of cosines, holding forces of the manipulator there."""
     move = straight((3.7, -0.5, 0.4), (5.0, 0.6, 1.6), 0.5)
     path, part = np.array([move[n] for n in NAMES.path])[:, ::20], placed(machine, move).components
-    p = HARVESTER.parameters(part["controller"])
-    joints, away = _follow(HARVESTER.arm, p, path, part["manipulator"].real_parameters())
+    p = MECHANICS.parameters(part["controller"])
+    joints, away = _follow(MECHANICS.arm, p, path, part["manipulator"].real_parameters())
     assert away.max() < 1e-6  # three steps of Newton's method from 50 mm away
-    loads, arm = _loads(HARVESTER, part["manipulator"], joints), Part(MANIPULATOR)
+    loads, arm = _loads(MECHANICS, part["manipulator"], joints), Part(MANIPULATOR)
     for k in range(0, path.shape[1], 7):
         boom, stick = arm_angles(path[0, k], path[1, k], values(MANIPULATOR).p)
         assert joints[:, k] == pytest.approx([path[2, k], boom, stick], abs=1e-6)
@@ -139,6 +137,14 @@ def test_a_path_that_leaves_the_reach_midway_is_refused(machine, tmp_path, capsy
     assert re.search(
         r"machine lumped, path far: at [23]\.\d s \(radius 6\.\d\d m, height 1\.00 m\): out of reach", line
     )
+
+
+def test_a_jump_of_the_path_is_too_fast_and_not_out_of_reach(machine):
+    """1.8 m in a hundredth of a second: a warning of the speed, and the elbow stays above."""
+    move = replace(UP, signals={**UP.signals, "path_radius": np.where(UP.time < 2, 4.0, 5.8)})
+    move = replace(move, signals={**move.signals, "path_height": np.full(UP.time.size, 0.5)})
+    (line,) = told(machine, move)
+    assert re.search(r"at 2\.\d s .* needs .* the controller allows ", line)
 
 
 def test_a_path_that_is_not_followed_is_not_judged(machine, tmp_path, capsys):
