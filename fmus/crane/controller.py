@@ -49,6 +49,7 @@ from fmus.machine.machine import Machine
 from fmus.parameters import Number, numbers, read, values
 from fmus.smooth import positive
 from orchestrator.base.errors import Problem
+from orchestrator.ssp.system import Component
 
 NEEDED = (
     "the controller needs a slewing joint with a motor about z first, then cylinders in the plane of the arm"
@@ -60,6 +61,7 @@ STRETCHED = 25  # square of the trace over the determinant that counts as 1: of 
 CENTRING = 0.3  # 1
 SLOW = 1e-4  # m/s: rounds the speed of the tip at rest
 LEAST_SHARE = 1e-3  # of the weight of a joint in that of all: keeps the quotients finite at a small lever
+TURNS = 1e-3  # 1/s2: square of the frequency below which a passive joint turns freely, as a rotator
 STEPS, LARGEST_STEP, CLOSE = 500, 0.1, 1e-9  # of the search for a pose; m, m
 
 
@@ -338,3 +340,34 @@ def start_pose(
     if ended := [j.name for j, r in zip(arm.joints[1:], room, strict=True) if not r > 0]:
         raise Problem(f"{place}: the stroke of {', '.join(ended)} ends before")
     return {f"manipulator.initial_{n}": float(x) for n, x in zip(names, (tip[2], *at[1:]), strict=True)}
+
+
+def hanging_sway(sub: Subsystem, component: Component) -> tuple[float, float] | None:
+    """Mean period [s] and damping ratio of the passive joints at rest in the start pose; None: none swings.
+
+    sub         manipulator of the crane
+    component   it in a system, with its parameters and payload
+    """
+    functions: Any = sub.dynamics
+    of, own, v = functions.__self__, component.real_parameters(), values(sub)
+    free = [j for j in of.crane.joints if not j.follows]
+    hanging = [k for k, j in enumerate(free) if j.drive == "none" and j.kind == "revolute"]
+    if not hanging:
+        return None
+    p = nested(of.parameters, {n: own.get(n, x) for n, x in v.p.items()})
+    held = float(component.value("payload_mass"))
+    q, at = ca.SX.sym("q", len(free)), [getattr(p, f"initial_{j.coordinate}") for j in free]
+    motion = of.chain(p).equations(q, ca.SX.zeros(len(free)), of.payload(held, p))
+    terms = ca.Function("terms", [q], [motion.mass, ca.jacobian(motion.gravity, q)])
+    rest = ca.Function("rest", [q], [of.at_rest(q, held, p)])(at)
+    mass, stiffness = (m.full()[np.ix_(hanging, hanging)] for m in terms(rest))
+    joints = [vars(getattr(p, free[k].name)) for k in hanging]
+    springs, losses = (np.diag([j.get(n, 0.0) for j in joints]) for n in ("stiffness", "damping"))
+    squares, modes = np.linalg.eig(np.linalg.solve(mass, stiffness + springs))
+    found = [
+        (2 * math.pi / math.sqrt(w), m @ losses @ m / (2 * math.sqrt(w) * (m @ mass @ m)))
+        for w, m in zip(squares, modes.T, strict=True)
+        if w > TURNS
+    ]
+    period, ratio = np.mean(found or [(0.0, 1.0)], axis=0)
+    return (float(period), float(ratio)) if ratio < 1 else None

@@ -21,7 +21,7 @@ from fmus.composition import compose
 from fmus.contract import Quantity, Subsystem, family, make_group, quantities
 from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
-from fmus.crane.controller import controlled, controller, start_pose
+from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
 from fmus.crane.description import CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, manipulator
 from fmus.crane.view import page_files
@@ -36,6 +36,7 @@ from fmus.drives.motor import MOTOR
 from fmus.drives.quasistatic import QUASISTATIC
 from fmus.export.build import build_all
 from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS, faulty
+from fmus.machine.feasible import Mechanics
 from fmus.machine.machine import Connections, Machine
 from fmus.machine.path_following import TrackedMachine
 from fmus.operator_input.model import OperatorOutputs, operator
@@ -315,8 +316,8 @@ def _systems(crane: CraneDescription, machine: Machine) -> Iterator[tuple[str, t
             yield f"{crane.file.stem}_sensors", readers, machine.sensed(wires)
 
 
-def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose] | None:
-    """Names and start poses of a crane that follows paths; None: the system is not one of a crane.
+def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose, Mechanics] | None:
+    """Names, start poses and mechanics of a crane that follows paths; None: the system is not one of a crane.
 
     names   of the harvester
     """
@@ -332,7 +333,10 @@ def tracked(system: System, names: TrackedMachine) -> tuple[TrackedMachine, Pose
         alone="drives=lumped",
         tip=tuple(f"{NAME}.{n}" for n in tip),
     )
-    return own, partial(start_pose, controller(crane, crane_machine(crane)))
+    machine = crane_machine(crane)
+    arm = machine.subsystems[NAME]
+    steering = controller(crane, machine)
+    return own, partial(start_pose, steering), Mechanics(steering, arm, partial(hanging_sway, arm))
 
 
 def _order(machine: Machine) -> Iterator[str]:

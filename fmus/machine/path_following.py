@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,9 +23,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from fmus.machine.feasible import Mechanics, exceeded
+from fmus.machine.sway import shaped
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import make_folder, write_whole
+from orchestrator.base.files import make_folder, write_columns, write_whole
 from orchestrator.base.signals import rms
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
@@ -36,9 +38,11 @@ from orchestrator.pages.figures import PALETTE
 from orchestrator.pages.html_page import write_json
 from orchestrator.pages.plotting import legend, new_figure, png, style_axes
 from orchestrator.ssp.load import load
+from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
+from orchestrator.ssp.write import parameter_set
 
 RECORD_STEP = 5e-3  # [s], sampling interval of the paths
 SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal
@@ -115,6 +119,7 @@ class PathRun:
     failure    why the run ended early; empty if it did not
     uses       use of each limit of the controller {name: shape (n,)}
     limits     these limits
+    final      further outputs at the end {name: value}
     """
 
     path: str
@@ -126,6 +131,7 @@ class PathRun:
     failure: str = ""
     uses: Mapping[str, Array] = field(default_factory=dict)
     limits: Mapping[str, Limit] = field(default_factory=dict)
+    final: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def error(self) -> Array:
@@ -189,15 +195,19 @@ def follow(
     feedback: bool,
     start: Starts,
     yes: bool = False,
+    also: Sequence[str] = (),
 ) -> PathRun:
-    """Run a system along the path of a scenario; a Problem names machine and path."""
+    """Run a system along the path of a scenario; a Problem names machine and path.
+
+    also   further outputs, of which the run has the last values
+    """
     scenario = read_trace(path)
     points(scenario, names.path, str(path))  # a file without a path is reported before anything runs
     scenario = unwrapped(scenario, names.path[-1])
     driven, values = completed(scenario, names), {**start, names.feedback: float(feedback)}
     limits = {name: limit for name, limit in names.limits.items() if system.has(name)}
     try:
-        recorded = [*names.tip, *limits]
+        recorded = [*names.tip, *limits, *also]
         result, failure = attempt(system, driven, recorded, record_step=RECORD_STEP, set=values, yes=yes)
     except Problem as problem:
         raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
@@ -205,7 +215,8 @@ def follow(
     commanded = points(scenario.at(trace.time), names.path, str(path))
     tip = points(trace, names.tip, names.follower)
     uses = {name: _lasting(trace[name], round(limit.lasting / RECORD_STEP)) for name, limit in limits.items()}
-    return PathRun(path.stem, machine, feedback, trace.time, commanded, tip, failure, uses, limits)
+    final = {n: float(trace[n][-1]) for n in also}
+    return PathRun(path.stem, machine, feedback, trace.time, commanded, tip, failure, uses, limits, final)
 
 
 def _lasting(use: Array, count: int) -> Array:
@@ -259,6 +270,7 @@ def first_point(path: Path, columns: Sequence[str]) -> tuple[float, float, float
 def track(
     system: Path,
     names: TrackedMachine,
+    mechanics: Mechanics,
     paths: Sequence[tuple[Path, Start]],
     machines: Mapping[str, Mapping[str, str]],
     out: Path,
@@ -267,9 +279,13 @@ def track(
     given: Starts,
     report: Callable[[str], object],
     yes: bool = False,
+    sets: Sequence[str | Path] = (),
+    sway: float | None = None,
+    learned: Path | None = None,
 ) -> bool:
     """Run every machine along every path; report a table, write tracking.png and tracking.json.
 
+    mechanics what is known of all machines; what a path asks beyond it is reported before the first run
     paths     scenarios, each with a function from parameter values of its follower to start values for the
               first point of the path; the function raises a Problem if that point is out of reach
     machines  name -> variants {component: variant}
@@ -277,6 +293,10 @@ def track(
     given     start values of all runs
     yes       as of `run`
     report    called with notes before the first run, and with the table and the files after the last
+    sets      parameter sets, as `parameters` of `run`
+    sway      period of the head [s] for which the paths are shaped (`sway.shaped`); 0: that of the machines
+    learned   file (.ssv) for what the controller of one machine has learned; each path begins with what it
+              learned on the one before
 
     Returns True if all runs came to the end, within the limit.
     """
@@ -285,7 +305,10 @@ def track(
         example = f"a machine with the controller, such as {names.example}"
         raise Problem(f"{system}: expected {example}, got no variable {names.feedback}")
     make_folder(out)
-    systems = swapped_systems(loaded, names, machines, given)
+    systems = swapped_systems(loaded, names, machines, given, sets)
+    also = _learned_outputs(systems, names, mechanics, learned) if learned else []
+    if sway is not None:
+        paths = list(_shaped(paths, names, systems, mechanics, sway, out, report))
     # All start values are computed first: a point out of reach is reported before anything runs.
     tasks = [
         (path, name, {**start(machine.components[names.follower].real_parameters()), **given})
@@ -296,8 +319,19 @@ def track(
         report(f"note: {note}")
     for doubts in dict.fromkeys(filter(None, (d for m in systems.values() for d in doubtful_starts(m)))):
         report(f"warning: {doubts}")
-    given_tasks = itertools.product(tasks, feedback)
-    runs = [follow(systems[name], names, path, name, on, at, yes) for (path, name, at), on in given_tasks]
+    for line in [*dict.fromkeys(x for t in tasks for x in _exceeded(systems, names, mechanics, *t))]:
+        report(f"warning: {line}")
+    runs, kept = list[PathRun](), dict[str, float]()
+    for (path, name, at), on in itertools.product(tasks, feedback):
+        runs.append(follow(systems[name], names, path, name, on, {**at, **kept}, yes, also))
+        if learned and on:
+            kept = mechanics.learned(systems[name].components[names.controller], runs[-1].final)
+    if learned:
+        (machine,) = systems.values()
+        of = machine.components[names.controller].interface.variables
+        values = {n: (of[n.partition(".")[2]], x) for n, x in kept.items()}
+        write_whole(learned, parameter_set("learned", values))
+        report(f"{learned}: {len(kept)} values that the controller has learned")
     figure, json = out / "tracking.png", out / "tracking.json"
     report(text(runs))
     write_whole(figure, png(draw(runs, names.radius)))
@@ -310,11 +344,76 @@ def track(
     return not beyond and not any(r.failure for r in runs)
 
 
+def _shaped(
+    paths: Sequence[tuple[Path, Start]],
+    names: TrackedMachine,
+    systems: Mapping[str, System],
+    mechanics: Mechanics,
+    period: float,
+    out: Path,
+    report: Callable[[str], object],
+) -> Iterator[tuple[Path, Start]]:
+    """The paths, shaped for the head of the first machine that has one; they are written to a folder."""
+    heads = filter(None, (mechanics.sway(m.components[names.follower]) for m in systems.values()))
+    found, damping = next(heads, (0.0, 0.0))
+    period = period or found
+    if not period > 0:
+        swinging = "a machine whose head swings, or --sway-period"
+        raise Problem(f"--shape-sway: expected {swinging}, got {', '.join(systems)}")
+    for path, start in paths:
+        scenario = read_trace(path)
+        points(scenario, names.path, str(path))
+        scenario = unwrapped(scenario, names.path[-1])
+        made = shaped(scenario, names.path, names.velocity, period, damping)
+        rows = np.column_stack([made.time, *made.signals.values()])
+        write_columns(file := out / f"{path.stem}_shaped.csv", ("time", *made.signals), rows, 10)
+        seconds = " s become ".join(f"{np.ptp(t.time):.1f}" for t in (scenario, made))
+        head = f"a head with a period of {period:.2f} s, damping ratio {damping:.2f}"
+        report(f"note: {path.stem} is shaped for {head}: {seconds} s, {file}")
+        yield file, start
+
+
+def _exceeded(
+    systems: Mapping[str, System],
+    names: TrackedMachine,
+    mechanics: Mechanics,
+    path: Path,
+    machine: str,
+    at: Starts,
+) -> Iterator[str]:
+    """What a path asks of a machine beyond its limits; none of one that is not followed all the time."""
+    scenario = completed(unwrapped(read_trace(path), names.path[-1]), names)
+    if min(scenario[n].min() for n in names.engaged) < 1:
+        return
+    columns, parts = np.array([scenario[n] for n in names.path]), (names.follower, names.controller)
+    try:
+        for line in exceeded(systems[machine].with_start(at), mechanics, parts, scenario.time, columns):
+            yield f"{path.stem}, {machine}: {line}"
+    except Problem as problem:
+        raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
+
+
+def _learned_outputs(
+    systems: Mapping[str, System], names: TrackedMachine, mechanics: Mechanics, file: Path
+) -> list[str]:
+    """Outputs with what the controller has learned; a Problem if it learns nothing, or on two machines."""
+    if len(systems) > 1:
+        raise Problem(f"--learned {file}: expected one machine, such as with --swap {names.alone}")
+    (machine,) = systems.values()
+    if not float(machine.components[names.controller].value("learning")) > 0:
+        raise Problem(f"--learned {file}: expected --set {names.controller}.learning=1, got 0")
+    return mechanics.learned_outputs(names.controller)
+
+
 def swapped_systems(
-    system: System, names: TrackedMachine, machines: Mapping[str, Mapping[str, str]], start: Starts
+    system: System,
+    names: TrackedMachine,
+    machines: Mapping[str, Mapping[str, str]],
+    start: Starts,
+    sets: Sequence[str | Path] = (),
 ) -> dict[str, System]:
     """Every machine {name: variants} with these start values; all machines must have these variables."""
-    systems = {name: with_swaps(system, variants) for name, variants in machines.items()}
+    systems = {name: with_sets(with_swaps(system, variants), sets) for name, variants in machines.items()}
     for variable in start:
         having = [name for name, machine in systems.items() if machine.has(variable)]
         lacking = [name for name in systems if name not in having]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Unpack
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.base.options import Kind, Patterns, Swaps, Values
+from orchestrator.base.options import Kind, Patterns, Sets, Swaps, Values
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, command, system_file, tell_built
 from orchestrator.engine.arguments import CaseArguments
 
@@ -76,8 +76,12 @@ def track(
     through: Annotated[list[str] | None, Kind("X,Y,Z")] = None,
     speed: Annotated[float, Kind("V")] = 0.5,
     swap: Swaps = None,
+    parameters: Sets = None,
     set_: Values = None,
     compare: bool = True,
+    shape_sway: bool = False,
+    sway_period: Annotated[float | None, Kind("S", "s", least=0.1)] = None,
+    learned: File | None = None,
     limit: Annotated[float | None, Kind("MM")] = None,
     yes: bool = False,
     out: Folder = BUILD,
@@ -86,22 +90,30 @@ def track(
 
     Runs the machine as built and the detailed one; with --swap only the machine with these variants. A
     variable of --set must exist in each machine, so --set supply.pressure_setting=15e6 needs
-    --swap supply=ideal.
+    --swap supply=ideal. What a path asks beyond strokes, speeds, flow or pressure is a warning before the
+    first run; a path out of reach is refused.
 
-    system    The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one in
-              the installed package.
-    path      line, square, or a table (.csv) of time, path_radius, path_height, path_angle; default: line and
-              square.
-    through   Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; replaces `path`;
-              two points or more.
-    speed     With `through`: speed along the path [m/s], if the path is long enough to reach it.
-    compare   Also run without the controller's feedback.
-    limit     Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.
-    out       Folder of tracking.png and tracking.json.
+    system       The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one in
+                 the installed package.
+    path         line, square, or a table (.csv) of time, path_radius, path_height, path_angle; default: line
+                 and square.
+    through      Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; replaces `path`;
+                 two points or more.
+    speed        With `through`: speed along the path [m/s], if the path is long enough to reach it.
+    compare      Also run without the controller's feedback.
+    shape_sway   Shape each move so that the hanging head is at rest after it; a move lasts one period of the
+                 head longer. Writes PATH_shaped.csv.
+    sway_period  Shape moves for this period of the head [s]; default: that of the machine.
+    learned      Write what the controller of one machine has learned of its valves to this file (.ssv), for
+                 `parameters`; each path begins with what was learned on the one before. Needs
+                 --set controller.learning=1.
+    limit        Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.
+    out          Folder of tracking.png and tracking.json.
     """
     require("model", "harvester track")
     from fmus.controller.paths import route_start_angles, start_angles, write_route
     from fmus.crane.machine import tracked
+    from fmus.machine.feasible import MECHANICS
     from fmus.machine.parts import MACHINES
     from fmus.machine.path_following import first_point, read_machine
     from fmus.machine.path_following import track as run_study
@@ -109,9 +121,10 @@ def track(
     from orchestrator.ssp.load import load
 
     names, pose, own = read_machine(PACKAGE / "controller/tracking.toml"), None, False
+    mechanics = MECHANICS
     machine = system_file(system, "harvester_control.ssp")
     if crane := tracked(load(machine), names):
-        (names, pose), own = crane, True
+        (names, pose, mechanics), own = crane, True
         if not (path or through):
             harvester = f"{' and '.join(PATHS)} are paths of the harvester"
             raise Problem(f"{machine}: expected --through or --path, got neither: {harvester}")
@@ -132,7 +145,25 @@ def track(
     modes = (True, False) if compare else (True,)
     tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
-    return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {}, print, yes)
+    sets = [parameters] if isinstance(parameters, str | Path) else parameters or ()
+    sway = sway_period or (0.0 if shape_sway else None)
+    given = set_ or {}
+    return run_study(
+        machine,
+        names,
+        mechanics,
+        paths,
+        machines,
+        out,
+        modes,
+        allowed,
+        given,
+        print,
+        yes,
+        sets,
+        sway,
+        learned,
+    )
 
 
 def _file(name: str) -> Path:

@@ -3,6 +3,7 @@
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -18,7 +19,7 @@ from fmus.contract import column, nested
 from fmus.controller import CONTROLLER
 from fmus.controller.arm import Cylindrical
 from fmus.crane.check import check
-from fmus.crane.controller import controlled, start_pose
+from fmus.crane.controller import controlled, hanging_sway, start_pose
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine, tracked
 from fmus.machine.path_following import follow, read_machine
@@ -152,13 +153,26 @@ def test_a_place_out_of_reach_is_told():
     assert pose[0] == 0.3
 
 
+def test_the_sway_of_a_grapple_is_the_mean_of_its_axes():
+    """Of loader.toml by hand: link and grapple together about the pin, the grapple alone about its axis."""
+    arm = crane_machine(read(CRANES / "loader.toml")).subsystems["manipulator"]
+    as_it_is = SimpleNamespace(real_parameters=dict, value=lambda _: 0.0)
+    both = (0.3 + 20 * 0.15**2 + 15 + 180 * 0.8**2) / (20 * 0.15 + 180 * 0.8)
+    alone = (15 + 180 * 0.5**2) / (180 * 0.5)
+    mean = math.pi * sum(math.sqrt(length / 9.81) for length in (both, alone))
+    period, damping = hanging_sway(arm, as_it_is)
+    assert period == pytest.approx(mean, rel=1e-3)  # gravity to three digits
+    own = [60 / (2 * math.sqrt(g * 9.81 * g * x)) for g, x in ((147, both), (90, alone))]
+    assert damping == pytest.approx(sum(own) / 2, rel=1e-3)
+
+
 @shards.machine
 def test_the_loader_draws_a_line(loader_folder, tmp_path):
     """4 m in its plane with boom, jib and extension moving, valves with hysteresis: within 10 mm."""
     from fmus.controller.paths import write_route
 
     system = load(loader_folder / "loader_control.ssp")
-    names, pose = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
+    names, pose, _ = tracked(system, read_machine(PACKAGE / "controller/tracking.toml"))
     path, _ = write_route(["7.5,0,1", "3.5,0,1", "7.5,0,1"], 0.5, tmp_path)
     start = pose((7.5, 1.0, 0.0), system.components["manipulator"].real_parameters())
     found = follow(system, names, path, "loader", True, start)

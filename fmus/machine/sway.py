@@ -1,0 +1,87 @@
+"""Moves that leave the hanging head at rest: the time law of a path, shaped by three impulses.
+
+A head that hangs from the tip swings with its period T and damping ratio z. The motion of the tip, convolved
+with the impulses of zero vibration and derivative,
+
+    A = (1, 2 K, K^2)/(1 + K)^2    at    t = 0, T_d/2, T_d        K = exp(-pi z/sqrt(1 - z^2))
+
+with T_d = T/sqrt(1 - z^2), leaves no sway behind, and little if T is wrong by a tenth (Singer and Seering,
+J. Dyn. Syst. Meas. Control 112, 1990, 76). Shaped is the distance along the path, of one move from rest to
+rest:
+
+    s(t) = sum A_i s_0(t - t_i)
+
+So the tip stays on its path, and each move lasts T_d longer. Validity: small angles of the head. On a
+straight path this is the shaped motion of the tip; on a curved one the acceleration across the path is not
+shaped.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from orchestrator.data.table import Array
+from orchestrator.data.trace import Trace
+from orchestrator.ssp.system import Component
+
+RATE = 200.0  # Hz, of a shaped path
+REST = 0.01  # of the highest speed: slower, a path rests
+
+
+def impulses(period: float, damping: float) -> tuple[Array, Array]:
+    """Times [s] and amplitudes [1] of the shaper for an undamped period [s] and a damping ratio."""
+    root = math.sqrt(1 - damping**2)
+    k = math.exp(-math.pi * damping / root)
+    return np.array([0.0, 0.5, 1.0]) * period / root, np.array([1.0, 2 * k, k**2]) / (1 + k) ** 2
+
+
+def head_sway(manipulator: Component) -> tuple[float, float] | None:
+    """Period [s] and damping ratio of the head of a harvester with what it holds; None: it does not swing."""
+    p = manipulator.real_parameters()
+    if "head_length" not in p:
+        return None
+    mass = p["head_mass"] + float(manipulator.value("payload_mass"))
+    inertia = p["head_inertia"] + mass * p["head_length"] ** 2
+    stiffness = mass * p["gravity"] * p["head_length"]
+    ratio = p["head_joint_damping"] / (2 * math.sqrt(stiffness * inertia))
+    return (2 * math.pi * math.sqrt(inertia / stiffness), ratio) if ratio < 1 else None
+
+
+def shaped(
+    scenario: Trace, path: Sequence[str], velocity: Sequence[str], period: float, damping: float
+) -> Trace:
+    """The scenario with its moves shaped for this period [s] and damping ratio of the head.
+
+    path       columns: radius [m], height [m] and angle [rad]
+    velocity   columns that are left out: the derivatives of the path
+    """
+    late, weights = impulses(period, damping)
+    radius, out, up, turn = scenario[path[0]], *(np.diff(scenario[n]) for n in path)
+    steps = np.sqrt(out**2 + up**2 + ((radius[1:] + radius[:-1]) / 2 * turn) ** 2)
+    distance = np.concatenate([[0.0], np.cumsum(steps)])
+    ways, sources = list[Array](), list[Array]()
+    for begin, end in pairwise(_ends(scenario.time, distance)):
+        time = begin + np.arange(math.ceil((end - begin + late[-1]) * RATE)) / RATE
+        shifted = (np.interp(np.clip(time - t, begin, end), scenario.time, distance) for t in late)
+        ways.append(sum(a * s for a, s in zip(weights, shifted, strict=True)))
+        sources.append(np.minimum(time, end))
+    way = np.append(np.concatenate(ways), distance[-1])
+    source = np.append(np.concatenate(sources), scenario.time[-1])
+    once, rows = np.unique(distance, return_index=True)
+    signals = dict(scenario.at(source).signals)
+    signals |= {n: np.interp(way, once, scenario[n][rows]) for n in path}
+    time = scenario.time[0] + np.arange(way.size) / RATE
+    return Trace(time, {n: v for n, v in signals.items() if n not in velocity}, dict(scenario.units))
+
+
+def _ends(time: Array, distance: Array) -> list[float]:
+    """Begin of the path, the middle of each rest on it, and its end [s]."""
+    speed = np.diff(distance) / np.diff(time)
+    moving = (speed > REST * speed.max(initial=0.0)).astype(int)
+    change = np.flatnonzero(np.diff(moving)) + 1  # rows at which it begins to move or to rest
+    rests = change[moving[0] ^ 1 :]  # from the first stop on
+    stops, starts = rests[::2], rests[1::2]
+    middles = (time[stops[: starts.size]] + time[starts]) / 2
+    return [float(time[0]), *middles.tolist(), float(time[-1])]
