@@ -5,14 +5,16 @@ The oil in a chamber follows from its piston and its pressure alone:
     q = A x' + C P'                      flow into a chamber, with the opposite sign of A for the rod side
 
 **Leaks**, from `settling` after a valve has closed and while no relief, counterbalance or anti-cavitation
-valve is open. c is the leakage of the closed valve, g that of the seals, k = C_d A sqrt(2/rho) that of an
-opening of area A to the outside, s the share of air in the volume V, which has the volume a(P) at a pressure:
+valve of the chamber is open. c is the leakage of the closed valve, g that of the seals, k = C_d A sqrt(2/rho)
+that of an opening of area A to the outside, s the share of air in the volume V, which has the volume a(P) at a
+pressure. Each rest, and each part of a long one, is one equation of each chamber, over its time:
 
-    c (P_s + P_t - 2 P_h) - q_h = g (P_h - P_r) + k_h sqrt(P_h) - s V (a(P_h))'
-    c (P_s + P_t - 2 P_r) - q_r = -g (P_h - P_r) + k_r sqrt(P_r) - s V (a(P_r))'
+    int c (P_s + P_t - 2 P_h) - q_h dt = g int P_h - P_r dt + k_h int sqrt(P_h) dt - s V [a(P_h)]
+    int c (P_s + P_t - 2 P_r) - q_r dt = -g int P_h - P_r dt + k_r int sqrt(P_r) dt - s V [a(P_r)]
 
-g, k_h and k_r are not negative. g is that of the oil as it is now. The air is told from an own fit with a
-longer memory.
+g, k_h and k_r are not negative. g is that of the oil as it is now. An equation is uncertain by the readings at
+both ends, by a flow, and by the capacitance times the change of the pressure. The air is told from an own fit
+with a longer memory.
 
 **Valve**, in motion. The flow into the chamber that is filled, the drop over its edge and the hose in series
 give the opening, and this the command v that a healthy valve needs for it:
@@ -92,14 +94,17 @@ FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
 END = 0.01  # m, from the end of a stroke
 LONG, LONGER = 0.6, 1.5  # s, after which a chamber is at rest, and its arm as well
+SHORTEST, PART = 0.15, 1.0  # s, a rest that counts, and a part of a long one
 STILL = (1e-5, 1e-6, 2e3, 2e3)  # rad, rad/s, Pa: distance from its lag at which a reading stands still
 MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
 LIVELY = 5e3  # Pa, from the lag of a pressure that changes
+EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
 WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
 EXPONENT = 1.4  # of the air
 
 # prior standard deviations: a seal that is gone [L/min at 100 bar]; a valve that is another one; foam
-LEAKS = {"seal": 10.0, "head": 10.0, "rod": 10.0, "air": 0.02}
+LEAKS = {"seal": 10.0, "head": 10.0, "rod": 10.0, "air": 0.02}  # in L/min at 100 bar
+FEWEST_RESTS = 3.0  # equations, from which a leak is told
 VALVE = dict(zip(OF_VALVE, (0.5, 0.5, 0.5, 0.5, 1.0, 0.1), strict=True))
 APART = frozenset(
     frozenset((f"{n}_up", f"{m}_down")) for n in ("gain", "dead_band") for m in ("gain", "dead_band")
@@ -198,8 +203,9 @@ def states_of(axis: ControlledAxis) -> dict[str, Quantity]:
         found[f"bad_{k}"] = Quantity("1", f"1: the reading of {n} is wrong")
     for k, (of, end) in enumerate((("m3", "head side or line A"), ("m3", "rod side or line B"))):
         for n, unit, text in (
-            ("slow", of, "Oil by position and pressure, behind the slow lag"),
-            ("air", of, "Volume of nothing but air, behind the slow lag"),
+            ("missing_oil", of, "Oil that left in another way than through the closed valve, in this rest"),
+            ("pressed", "Pa", "Change of its pressure in this rest"),
+            ("spoiled", "1", "1: another valve was open at the begin of this rest"),
             ("most", "V", "Largest command that fills it, of the last time"),
             ("least", "V", "Least command that fills it, of the last time"),
             ("void", "s", "Time since it was empty, counted down"),
@@ -209,10 +215,13 @@ def states_of(axis: ControlledAxis) -> dict[str, Quantity]:
             ("burst", "m3/s", "Largest loss beyond its valve"),
         ):
             found[f"{n}_{k}"] = Quantity(
-                unit, f"{text}: {end} of the {axis.name}", {"V": 10.0}.get(unit, 1e-3)
+                unit, f"{text}: {end} of the {axis.name}", {"V": 10.0, "Pa": 1e7, "1": 1.0}.get(unit, 1e-3)
             )
     for n, unit, text in (
-        ("rest", "s", "Time for which the valve is closed and nothing else is open, limited"),
+        ("rest", "s", "Length of this rest, or of its present part"),
+        ("difference", "Pa.s", "Integral of the difference of both pressures over this rest"),
+        ("root_0", "1", "Integral of the root of the first pressure over this rest"),
+        ("root_1", "1", "Integral of the root of the second pressure over this rest"),
         ("shut", "s", "Time for which the valve is closed, limited"),
         ("usable", "1", "1: the readings are usable"),
         ("rated", "1", "1: those of all speeds are"),
@@ -394,25 +403,16 @@ class Axis:
         return either(whether(pressure < EMPTY), whether(pressure > self.p.highest_reading))
 
     @property
-    def _contents(self) -> dict[str, tuple[Scalar, Scalar]]:
-        """Of both chambers [m3]: oil A x + C P, and the volume of nothing but air."""
-        a, (head, rod) = self.actuator, self.pressures
-        c_head, c_rod, bulk = a.head_capacitance, a.rod_capacitance, self.p.bulk_modulus
-        return {
-            "slow": (a.head_area * self.position + c_head * head, -a.rod_area * self.position + c_rod * rod),
-            "air": (c_head * bulk * air_volume(head), c_rod * bulk * air_volume(rod)),
-        }
-
-    @property
     def closed(self) -> Scalar:
         """1: the command closes the valve."""
         return whether(ca.fabs(self.command) < self.p.closed_command)
 
     @property
-    def calm(self) -> Scalar:
-        """1: no relief, counterbalance or anti-cavitation valve is open at these pressures."""
-        low, high = ca.fmin(*self.pressures), ca.fmax(*self.pressures)
-        return whether(low > self.p.calm_pressure) * whether(high < self.p.nominal_supply_pressure)
+    def calm(self) -> list[Scalar]:
+        """1: no relief or anti-cavitation valve of a chamber is open at its pressure, and nothing pushes the arm."""
+        low, high = self.p.calm_pressure, self.p.nominal_supply_pressure
+        pushed = whether(ca.fabs(self.actuator.head_area * self.lever * self.rate(0)) > self.p.burst_margin)
+        return [whether(v > low) * whether(v < high) * (1 - pushed) for v in self.pressures]
 
     def _edge(self, direction: int) -> tuple[Scalar, Scalar, Scalar]:
         """Of the chamber that is filled: flow, drop over the edge, and flow at full opening [m3/s]."""
@@ -432,24 +432,44 @@ class Axis:
 
     # ---- equations
 
-    def _leak_equations(self) -> Equations:
-        """Losses of both chambers [L/min], at rest."""
-        seen = self.p.window * (
-            1 - ca.exp(-ca.fmax(self.rest - self.p.settling, self.p.window) / self.p.window)
-        )
+    @property
+    def _resting(self) -> tuple[Scalar, Scalar]:
+        """1: this rest goes on; 1: it ends now, and counts."""
+        spoils = either(*((1 - c) * (1 - before) for c, before in zip(self.calm, self.pair("spoiled"), strict=True)))
+        settling = self.p.settling + self.compensated * (self.p.holding - self.p.settling)
+        begun, whole = whether(self.rest > 0), self.closed * self.sound * whether(self.shut > settling)
+        goes_on = whole * (1 - spoils * begun) * whether(self.rest < PART)
+        return goes_on, (1 - goes_on) * whether(self.rest > SHORTEST) * self.usable * (1 - self.spool)
+
+    def _leak_equations(self) -> tuple[Equations, Scalar]:
+        """Losses of both chambers in this rest, over their uncertainty; how many count."""
+        p, a, found, count = self.p, self.actuator, [], 0
+        for k, (oil, pressed, spoiled, end) in enumerate(
+            zip(self.pair("missing_oil"), self.pair("pressed"), self.pair("spoiled"), (2, 3), strict=True)
+        ):
+            late, c = getattr(self, f"late_{end}"), (a.head_capacitance, a.rod_capacitance)[k]
+            air = c * p.bulk_modulus * (air_volume(late) - air_volume(late - pressed))
+            off = ca.sqrt(p.end_volume**2 + (p.rest_flow * self.rest) ** 2 + (p.softness * c * pressed) ** 2)
+            scale, sign = (1 - spoiled) / off, 1 - 2 * k
+            through = [sign * self.difference / PRESSURE, (1 - k) * self.root_0, k * self.root_1, -air / LITRE]
+            found.append(([scale * LITRE * v for v in through], scale * oil))
+            count += 1 - spoiled
+        return found, count
+
+    def _of_rest(self) -> dict[str, Scalar]:
+        """Sums over a rest, forgotten at its end."""
+        goes_on, p = self._resting[0], self.p
         leakage = ca.if_else(self.compensated > 0, 0, self.actuator.valve.leakage)
-        level, (head, rod) = self.u.supply_pressure + self.u.tank_pressure, self.pressures
-        rates = {
-            n: [(now - then) / seen / LITRE for now, then in zip(contents, self.pair(n), strict=True)]
-            for n, contents in self._contents.items()
-        }
-        h, r = (ca.sqrt(positive(v, SMALL) / PRESSURE) for v in self.pressures)
-        d, (air_h, air_r) = (head - rod) / PRESSURE, rates["air"]
-        lost_h, lost_r = (
-            leakage * (level - 2 * v) / LITRE - flow
-            for v, flow in zip(self.pressures, rates["slow"], strict=True)
-        )
-        return [([d, h, 0, -air_h], lost_h), ([-d, 0, r, -air_r], lost_r)]
+        level = self.u.supply_pressure + self.u.tank_pressure
+        growth: dict[str, Scalar] = {"rest": 1, "difference": self.pressures[0] - self.pressures[1]}
+        for k, (flow, v) in enumerate(zip(self.flows, self.pressures, strict=True)):
+            growth[f"missing_oil_{k}"] = leakage * (level - 2 * v) - flow
+            growth[f"pressed_{k}"] = self.rate(2 + k)
+            growth[f"root_{k}"] = ca.sqrt(positive(v, SMALL) / PRESSURE)
+        found = {n: ca.if_else(goes_on > 0, v, -getattr(self, n) / QUICK) for n, v in growth.items()}
+        for k, (calm, spoiled) in enumerate(zip(self.calm, self.pair("spoiled"), strict=True)):
+            found[f"spoiled_{k}"] = ca.if_else(goes_on * whether(self.rest > 0) > 0, 0, (1 - calm - spoiled) / QUICK)
+        return found
 
     def _valve_equation(self) -> tuple[Scalar, Equations]:
         """Weight 0 or 1, and the equation [V]."""
@@ -482,15 +502,15 @@ class Axis:
         found = (
             self._of_sensors() | self._of_oil() | self._of_commands() | self._of_spool() | self._of_bursts()
         )
-        rests = whether(self.rest > p.settling + p.window) * self.closed * self.sound * (1 - self.spool)
-        leaks = self._leak_equations()
-        sums = fits["leaks"].rates(self.x, rests / p.window, leaks, p.memory)
+        ends, (leaks, count) = self._resting[1], self._leak_equations()
+        gone = {n: QUICK / (1 - ca.exp(-self.rest / m)) for n, m in (("leaks", p.memory), ("trapped", p.air_memory))}
+        sums = fits["leaks"].rates(self.x, ends / QUICK, leaks, gone["leaks"], count)
         counts, equation = self._valve_equation()
         counts *= self.sound * (1 - self.spool) * (1 - self._burst)
         sums |= fits["valve"].rates(self.x, counts / p.valve_window, equation, p.valve_memory)
         if not self.axis.turns:
             alone = [(columns[3:], right) for columns, right in leaks]
-            sums |= fits["trapped"].rates(self.x, rests / p.window, alone, p.air_memory)
+            sums |= fits["trapped"].rates(self.x, ends / QUICK, alone, gone["trapped"], count)
             found |= self._of_weight()
             stroke = getattr(self.p, self.axis.name).stroke
             free = whether(self.position > END) * whether(self.position < stroke - END)
@@ -531,16 +551,12 @@ class Axis:
         return found
 
     def _of_oil(self) -> dict[str, Scalar]:
-        p, found = self.p, dict[str, Scalar]()
-        lag = ca.if_else(self.rest > p.settling, p.window, p.lag)
-        for n, contents in self._contents.items():
-            found |= {f"{n}_{k}": (now - self.pair(n)[k]) / lag for k, now in enumerate(contents)}
+        found = self._of_rest()
         for k, (void, pressure) in enumerate(zip(self.pair("void"), self.pressures, strict=True)):
             falling = ca.if_else(void > 0, -1, 0)
             found[f"void_{k}"] = ca.if_else(self._blind(pressure) > 0, (2 * BLIND - void) / QUICK, falling)
-        counting = whether(self.rest < p.settling + 10 * p.window)
         found["shut"] = counted(self.shut, self.closed * self.sound, whether(self.shut < 2 * LONGER))
-        return found | {"rest": counted(self.rest, self.closed * self.sound * self.calm, counting)}
+        return found
 
     def _of_commands(self) -> dict[str, Scalar]:
         late = self.late_command
@@ -559,21 +575,24 @@ class Axis:
         supply, tank = self.u.supply_pressure, self.u.tank_pressure
         idle = whether(supply < p.standby_pressure) * whether(supply > p.stopped_pressure)
         missing, passed = [], [whether(v > p.passed_volume) for v in self.pair("passed")]
+        speed = ca.fabs(self.reading(1)) * (1 - self.faulty[1])
         for k, area in enumerate((a.head_area, -a.rod_area)):
             flow, drop, full = self._edge(k)
             by_speed = area * self.lever * self.reading(1) * (1 - self.faulty[1])
             moved, opened = ca.fmax(flow, by_speed), self._opened(k, self.pair("least")[k], -1)
             asked = p.response * opened * full * whether(drop > LEAST_DROP)
-            late = whether(asked > p.response * p.response_flow) * whether(moved < asked) * self.full[k]
-            # a motor that stands has low pressures; a hose of a compensated section has none from the load
-            low = (
-                0
-                if self.axis.turns
-                else whether(self.pressures[k] < p.lost_pressure) * (1 - self.compensated)
-            )
+            late = whether(asked > p.response * p.response_flow) * whether(moved < asked)
+            late *= ca.if_else(self.full[k] > 0, 1, EMPTIED * whether(speed < MOVES))
+            # an open valve lets the pressure of the other side down; a motor that stands has none, and a hose
+            # of a compensated section has none from the load
+            held = self.full[1 - k] * whether(self.pressures[1 - k] - tank > p.lost_pressure)
+            low = 0
+            if not self.axis.turns:
+                low = whether(self.pressures[k] < p.lost_pressure) * (1 - held) * (1 - self.compensated)
             waits = WAITING * idle * whether(opened > 0) * whether(moved < p.response_flow)
             missing += [late * (1 - low), waits]
-            found[f"hidden_{k}"] = counted(self.pair("hidden")[k], late * low * self.sound)
+            hidden = late * low * self.sound
+            found[f"hidden_{k}"] = counted(self.pair("hidden")[k], whether(hidden > 0), hidden)
             closed = whether(self.pair("most")[k] < p.closed_command) * whether(
                 self.pressures[k] - tank > FILLED
             )
@@ -601,7 +620,8 @@ class Axis:
             loss = (
                 -flow - out - ca.fmax(self.flows[other], 0) * whether(self.pressures[other] - tank > FILLED)
             )
-            counts = whether(pressure < self.u.supply_pressure) * self.sound * self.full[k]
+            before = pressure - ca.if_else(self.shut > LONGER, BLIND * self.rate(2 + k), 0)  # a relief valve closes late
+            counts = whether(ca.fmax(pressure, before) < self.u.supply_pressure) * self.sound * self.full[k]
             found[f"lost_{k}"] = gathered(lost, loss - margin, counts)
             hidden = whether(self.pair("hidden")[k] > p.response_time)
             size = ca.fmax(whether(lost > p.burst_volume) * loss, hidden * p.burst_margin)
@@ -634,8 +654,8 @@ class Axis:
         p, a, names = self.p, self.actuator, list(findings_of(self.axis))
         usable, jet = self.usable * (1 - self.spool), a.gain / a.valve.area * math.sqrt(PRESSURE)
         whole = usable * (1 - self._burst)
-        leaks, _ = self._solved("leaks", 0.05, 0.15, 3)
-        known = whole * whether(leaks.samples > FEWEST)
+        leaks, _ = self._solved("leaks", 1.0, 2.0, 3)
+        known = whole * whether(leaks.samples > FEWEST_RESTS)
         scales = (LITRE / PRESSURE, LITRE / jet, LITRE / jet)
         found = [
             (scale * size, scale * off, judged(size, off, p.leak_limit / LITRE, known))
@@ -660,18 +680,19 @@ class Axis:
                 found.append((size, off, ca.if_else(told > 0, 0, -1)))
                 continue
             change, spread = fitted.along(*rows[k])
-            limit = p.hysteresis_limit if k == len(rows) - 1 else p.valve_limit
+            # the compensator of a section follows the load, so its flow has a hysteresis of its own
+            limit = p.hysteresis_limit * (1 + self.compensated) if k == len(rows) - 1 else p.valve_limit
             off_known = ca.fabs(change - sum(w * r for w, r in zip(rows[k], known, strict=True)))
             found.append((size, off, judged(off_known, spread, limit, told)))
         return found
 
     def _of_air(self, usable: Scalar) -> Told:
-        air, (known,) = self._solved("trapped", 0.05, 0.5)
+        air, (known,) = self._solved("trapped", 1.0, 4.0)
         ((share, off),) = air
         return (
             share,
             off,
-            judged(share - known, off, self.p.air_limit, usable * whether(air.samples > 5 * FEWEST)),
+            judged(share - known, off, self.p.air_limit, usable * whether(air.samples > 2 * FEWEST)),
         )
 
     @property

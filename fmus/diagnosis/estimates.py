@@ -85,11 +85,13 @@ class Fit:
         sums = [f"{i}{j}" for i, j in self._products] + [f"{i}y" for i in range(len(self.columns))]
         return [f"{self.name}_{s}" for s in (*sums, "yy", "w")]
 
-    def rates(self, x: Any, weight: Scalar, equations: Equations, memory: Scalar) -> dict[str, Scalar]:
-        """Of the sums; weight [1/s], memory [s]."""
+    def rates(
+        self, x: Any, weight: Scalar, equations: Equations, memory: Scalar, count: Scalar | None = None
+    ) -> dict[str, Scalar]:
+        """Of the sums; weight [1/s], memory [s]; count: of equations, without it all."""
         terms = [sum(c[i] * c[j] for c, _ in equations) for i, j in self._products]
         terms += [sum(c[i] * y for c, y in equations) for i in range(len(self.columns))]
-        terms += [sum(y * y for _, y in equations), len(equations)]
+        terms += [sum(y * y for _, y in equations), len(equations) if count is None else count]
         fade = ca.if_else(weight > 0, 1 / memory, 0)
         return {n: weight * t - fade * getattr(x, n) for n, t in zip(self.states, terms, strict=True)}
 

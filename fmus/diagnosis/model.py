@@ -1,8 +1,8 @@
 """Diagnosis of a machine: its functions (axis.py), and what they have in common.
 
 **Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter.
-**Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled; with compensated sections above
-the largest pressure in them. It is told at `PUMP_FLOW`. **Lag of all valves**: the mean of those of the
+**Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
+compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of all valves**: the mean of those of the
 functions. **Weighing**: each cylinder tells the payload; the mean has the weights of their deviations. If two
 of them differ, a pressure or an angle is wrong.
 
@@ -66,7 +66,7 @@ RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
 ALONE = {
     "return_resistance": Finding("Pa.s/m3", "Resistance of the return line", 1e7, "return filter"),
     "pump_pressure": Finding(
-        "Pa", "Supply pressure at 60 L/min, of a load-sensing pump above the load", 1e6, "pump"
+        "Pa", "Supply pressure at 60 L/min, unless it follows the load", 1e6, "pump"
     ),
     "valve_delay": Finding(
         "s", "Lag of all valves more than that of the healthy machine", 0.01, "pilot filter"
@@ -125,23 +125,14 @@ class Diagnosis:
         for n in LINES:
             wrong = outside(getattr(u, n), p) * getattr(p, f"{n}_fitted")
             rates[f"{n}_bad"] = latched(getattr(x, f"{n}_bad"), wrong, u.reset)
-        filled = [(a, f, v) for a in axes for f, v in zip(a.flows, a.pressures, strict=True)]
-        load: Scalar = 0
-        for a, f, v in filled:
-            load = ca.fmax(load, v * a.compensated * whether(f > WORKING / 2) * (1 - a.closed))
-        inward, outward = (sum(ca.fmax(sign * f, 0) for _, f, _ in filled) for sign in (1, -1))
-        late = {
-            "inward": inward,
-            "outward": outward,
-            "supply": u.supply_pressure - load,
-            "tank": u.tank_pressure,
-        }
+        flows = [f for a in axes for f in a.flows]
+        inward, outward = (sum(ca.fmax(sign * f, 0) for f in flows) for sign in (1, -1))
+        late = {"inward": inward, "outward": outward, "supply": u.supply_pressure, "tank": u.tank_pressure}
         rates |= {f"late_{n}": (now - getattr(x, f"late_{n}")) / p.window for n, now in late.items()}
-        rates["late_load"] = (whether(load > 0) - x.late_load) / p.window
-        steady = either(whether(x.late_load > 0.95), whether(x.late_load < 0.05))
+        constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
         for fit, flow, pressure, counts in (
             (RETURN, x.late_outward, x.late_tank, 1),
-            (PUMP, x.late_inward, x.late_supply, steady),
+            (PUMP, x.late_inward, x.late_supply, constant),
         ):
             counts *= sound * whether(flow > WORKING) / p.window
             rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], p.slow_memory)
@@ -221,7 +212,6 @@ class Diagnosis:
                 "late_command": a.command,
                 "trailing": a.command,
             }
-            own |= {f"{n}_{k}": now for n, both in a._contents.items() for k, now in enumerate(both)}
             if not a.axis.turns:
                 own |= a.weighing_start()
             start |= {f"{a.axis.name}_{n}": now for n, now in own.items()}
@@ -280,9 +270,8 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     for n, unit, text in (
         ("inward", "m3/s", "Flow into all chambers"),
         ("outward", "m3/s", "Flow out of all chambers"),
-        ("supply", "Pa", "Supply pressure, with compensated sections above their loads"),
+        ("supply", "Pa", "Supply pressure"),
         ("tank", "Pa", "Pressure of the return line"),
-        ("load", "1", "1: a compensated section is open"),
     ):
         states[f"late_{n}"] = Quantity(
             unit, f"{text}, behind the slow lag", {"Pa": 1e7, "m3/s": 1e-3}.get(unit, 1.0)
