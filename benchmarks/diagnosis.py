@@ -22,12 +22,13 @@ import argparse
 from collections import Counter, defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from benchmarks.diagnosis_machines import AXES, BEGIN, Case, Columns, cases, influence, recorded
+from benchmarks.diagnosis_machines import AXES, BEGIN, Case, Columns, cases, further, influence, recorded
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
 from fmus.machine.ssp import section_flows
@@ -90,12 +91,12 @@ def size_of(case: Case, columns: Columns, found: Diagnosis) -> bool | None:
     return bool(abs(f.size[-1] - truth) < INTERVAL * f.deviation[-1])
 
 
-def examined(seed: int) -> list[Outcome]:
-    """All cases of a machine."""
+def examined(seed: int, more: int = 0) -> list[Outcome]:
+    """All cases of a machine, and further healthy recordings of it."""
     first, healthy, *broken = cases(seed)
     reference = learned_values(told(first, columns_of(first), {}))
     quiet, found = columns_of(healthy), list[Outcome]()
-    for case in (healthy, *broken):
+    for case in (healthy, *further(seed, more), *broken):
         columns = columns_of(case)
         seen = influence(case, columns, quiet) if case.fault else np.inf
         result = told(case, columns, reference)
@@ -164,16 +165,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--machines", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=3000)
+    parser.add_argument("--healthy", type=int, default=1, help="recordings of 10 min of each healthy machine")
     parser.add_argument("--verbose", action="store_true", help="print each case")
     given, begin = parser.parse_args(), perf_counter()
     if not FMU.exists():
         raise SystemExit(f"{FMU}: no such file; harvester build --faults --fmi 2 --out {FMU.parent}")
     FOLDER.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor() as pool:
-        outcomes = [
-            o for group in pool.map(examined, range(given.seed, given.seed + given.machines)) for o in group
-        ]
+        seeds = range(given.seed, given.seed + given.machines)
+        groups = pool.map(partial(examined, more=given.healthy - 1), seeds)
+        outcomes = [o for group in groups for o in group]
     healthy, broken = [o for o in outcomes if not o.case.fault], [o for o in outcomes if o.case.fault]
     for o in outcomes if given.verbose else []:
         kind = f"{o.case.name} {o.case.swap.get('boom_stick', 'lumped')} {o.case.size:.3g}"

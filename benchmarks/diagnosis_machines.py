@@ -21,6 +21,8 @@ SYSTEM = "build/faults/harvester_sensors.ssp"
 STEP = 0.01  # s, of the recordings
 LEARNED, HEALTHY = 180.0, 600.0  # s: length of the recordings
 BEGIN = 40.0  # s, of a fault
+FURTHER = 100  # first part of further healthy recordings
+LEARNING = 1  # shift of the work from which a machine is learned
 AXES = ("swing", "boom", "stick")
 SIDES = {"swing": ("leak_a", "leak_b"), "boom": ("head_leak", "rod_leak"), "stick": ("head_leak", "rod_leak")}
 OF_CYLINDERS = tuple(f"{a}_{c}_pressure" for a in ("boom", "stick") for c in ("head", "rod"))
@@ -137,7 +139,7 @@ def work(seed: int, stop: float, shift: int = 0) -> Columns:
             begin, sign = begin + length + rng.uniform(0.3, pause), -sign
         columns[f"{axis}_lever"] = command
     payload, at = np.zeros_like(time), rng.uniform(15, 30)
-    while at < stop and not shift:  # a machine is learned without payload
+    while at < stop and shift != LEARNING:  # a machine is learned without payload
         held = rng.uniform(8, 30)
         payload[(time >= at) & (time < at + held)] = rng.uniform(100, 800)
         at += held + rng.uniform(5, 30)
@@ -187,6 +189,12 @@ def cases(seed: int) -> list[Case]:
     return found
 
 
+def further(seed: int, count: int) -> list[Case]:
+    """More recordings of a healthy machine, each with other work."""
+    swap, given = machine(seed)
+    return [Case(seed, swap, given, part=FURTHER + k) for k in range(count)]
+
+
 def recorded(case: Case, folder: Path) -> Path:
     """The recording of a case, made if it is not there."""
     file = folder / f"{case.name}.npz"
@@ -194,7 +202,9 @@ def recorded(case: Case, folder: Path) -> Path:
         return file
     fault: Any = {case.fault: f"{case.size}@{BEGIN:g}s"} if case.fault else {}
     signals = [*(f"sensors.{n}_measured" for n in READINGS), *(f"controller.{a}_command" for a in AXES)]
-    levers = work(case.seed, case.stop, shift=int(case.part == 0))
+    # all cases of a machine have the same work, but for that from which it is learned and further healthy ones
+    shift = LEARNING if case.part == 0 else case.part if case.part >= FURTHER else 0
+    levers = work(case.seed, case.stop, shift)
     result = run(
         SYSTEM,
         levers,

@@ -1,10 +1,10 @@
-"""Diagnosis of a machine: its functions (axis.py), and what they have in common.
+"""Diagnosis of a machine: the checks of its functions, and what the functions have in common.
 
 **Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
-compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of all valves**: the mean of those of the
-functions. **Weighing**: each cylinder tells the payload; the mean has the weights of their deviations. If two
-of them differ, a pressure or an angle is wrong.
+compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of
+all valves**: the mean of those of the functions. **Weighing**: each cylinder tells the payload; the mean has
+the weights of their deviations. If two of them differ, a pressure or an angle is wrong.
 
 It is sampled, as a control unit, and its outputs depend on its states alone. Signs: those of the controller.
 
@@ -23,20 +23,10 @@ import casadi as ca
 from fmus import ports
 from fmus.components import oil
 from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities
-from fmus.controller.arm import Arm
+from fmus.controller.arm import Arm, ControlledAxis
 from fmus.controller.gains import gains
-from fmus.diagnosis.axis import (
-    HUNDRED,
-    Axis,
-    Effort,
-    Efforts,
-    Finding,
-    efforts_of,
-    findings_of,
-    outside,
-    signals_of,
-    states_of,
-)
+from fmus.diagnosis import leaks, sensors, valves, weight
+from fmus.diagnosis.axis import Axis, Effort, Finding, outside, shared_states, signals_of
 from fmus.diagnosis.estimates import (
     FEWEST,
     QUICK,
@@ -65,9 +55,7 @@ WEIGHING = Fit("weighing", ("difference",))
 RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
 ALONE = {
     "return_resistance": Finding("Pa.s/m3", "Resistance of the return line", 1e7, "return filter"),
-    "pump_pressure": Finding(
-        "Pa", "Supply pressure at 60 L/min, unless it follows the load", 1e6, "pump"
-    ),
+    "pump_pressure": Finding("Pa", "Supply pressure at 60 L/min, unless it follows the load", 1e6, "pump"),
     "valve_delay": Finding(
         "s", "Lag of all valves more than that of the healthy machine", 0.01, "pilot filter"
     ),
@@ -77,6 +65,31 @@ ALONE = {
 
 
 NO_EFFORT = (Effort(0, 0), Effort(0, 0))
+CHECKS, FITTING = (leaks, valves, sensors, weight), (leaks, valves, weight)
+
+
+def _full(axis: ControlledAxis, name: str) -> str:
+    """Of a finding; those of sensors have the name of the axis."""
+    return name if name.endswith("_sensor") else f"{axis.name}_{name}"
+
+
+def _findings_of(axis: ControlledAxis) -> dict[str, Finding]:
+    """Of all checks of an axis."""
+    found = {n: f for check in CHECKS for n, f in check.findings(axis).items()}
+    return {
+        _full(axis, n): replace(f, text=f.text.format(axis.name), repair=f.repair.format(axis.name))
+        for n, f in found.items()
+    }
+
+
+def _states_of(axis: ControlledAxis) -> dict[str, Quantity]:
+    """Of all checks of an axis, with their sums."""
+    found = shared_states(axis)
+    for check in CHECKS:
+        found |= check.states(axis)
+    sums = (n for check in FITTING for fit in check.fits(axis).values() for n in fit.states)
+    found |= {n: Quantity("1", f"Sum of normal equations: {n}, {axis.name}") for n in sums}
+    return {f"{axis.name}_{n}": q for n, q in found.items()}
 
 
 class Nothing:
@@ -91,7 +104,7 @@ class Diagnosis:
     """The functions of the subsystem for an arm."""
 
     arm: Arm
-    efforts: Efforts
+    efforts: weight.Efforts
     states: type[Any]
     outputs: type[Any]
 
@@ -120,7 +133,8 @@ class Diagnosis:
         """Filters, clocks, latches and sums."""
         rates, axes, sound = dict[str, Scalar](), self._axes(x, u, p), 1
         for a in axes:
-            rates |= a.rates()
+            own = a.rates() | {n: rate for check in CHECKS for n, rate in check.rates(a).items()}
+            rates |= {f"{a.axis.name}_{n}": rate for n, rate in own.items()}
             sound *= a.sound
         for n in LINES:
             wrong = outside(getattr(u, n), p) * getattr(p, f"{n}_fitted")
@@ -138,7 +152,7 @@ class Diagnosis:
             rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], p.slow_memory)
         difference, spread, counts = self._weighed(axes)
         counts *= (p.weighing_limit / spread) ** 2 / p.weighing_memory
-        rates |= WEIGHING.rates(x, counts, [([1], difference / HUNDRED)], p.balance_memory)
+        rates |= WEIGHING.rates(x, counts, [([1], difference / weight.HUNDRED)], p.balance_memory)
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
         return self.states(**rates)
 
@@ -146,7 +160,7 @@ class Diagnosis:
         """Findings and payload."""
         told, axes = dict[str, Told](), self._axes(x, Nothing(), p)
         for a in axes:
-            told |= a.told()
+            told |= {_full(a.axis, n): t for check in CHECKS for n, t in check.told(a).items()}
         told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
         told["return_resistance"] = self._return(x, p)
         told["pump_pressure"] = self._pump(x, p)
@@ -176,31 +190,31 @@ class Diagnosis:
         total, weights = 1e-9, 1e-6
         for a in self.arm.axes:
             size, off, state = told[f"{a.name}_valve_delay"]
-            weight = ca.if_else(state < 0, 0, 1 / (off**2 + 1e-12))
-            total += weight * (size - number(f"{a.name}_valve_delay", p))
-            weights += weight
+            certainty = ca.if_else(state < 0, 0, 1 / (off**2 + 1e-12))
+            total += certainty * (size - number(f"{a.name}_valve_delay", p))
+            weights += certainty
         size, off = total / weights, ca.sqrt(1 / weights)
         return size, off, judged(size, off, p.delay_limit, whether(weights > 1e3))
 
     def _weighed(self, axes: list[Axis]) -> tuple[Scalar, Scalar, Scalar]:
         """Difference of the weights by the first two cylinders [kg], its deviation, and whether it counts."""
         one, other = [a for a in axes if not a.axis.turns][:2]
-        (m, d), (n, e) = one.weight(), other.weight()
-        return m - n, ca.sqrt(d**2 + e**2), one.weighable * other.weighable
+        (m, d), (n, e) = weight.size(one), weight.size(other)
+        return m - n, ca.sqrt(d**2 + e**2), weight.usable(one) * weight.usable(other)
 
     def _payload(self, axes: list[Axis]) -> tuple[Scalar, Scalar]:
         """With its deviation, by all cylinders."""
         total, inverse = 0, 1e-9
         for a in axes:
             if not a.axis.turns:
-                (size, off), usable = a.weight(), a.weighable
+                (size, off), usable = weight.size(a), weight.usable(a)
                 total += usable * size / off**2
                 inverse += usable / off**2
         return total / inverse, ca.sqrt(1 / inverse)
 
     def _weighing(self, x: Any, p: Any) -> Told:
         fitted = WEIGHING.solved(x, Prior((20,), (0,), 0.5, 1.0))
-        ((size, off),) = ((HUNDRED * s, HUNDRED * d) for s, d in fitted)
+        ((size, off),) = ((weight.HUNDRED * s, weight.HUNDRED * d) for s, d in fitted)
         told = whether(fitted.samples > FEWEST / 2)
         return size, off, judged(ca.fabs(size), off, p.weighing_limit, told)
 
@@ -212,15 +226,14 @@ class Diagnosis:
                 "late_command": a.command,
                 "trailing": a.command,
             }
-            if not a.axis.turns:
-                own |= a.weighing_start()
+            own |= weight.start(a)
             start |= {f"{a.axis.name}_{n}": now for n, now in own.items()}
         return start
 
 
 def findings(arm: Arm) -> dict[str, Finding]:
     """All, in the order of the outputs."""
-    found = {n: f for a in arm.axes for n, f in findings_of(a).items()}
+    found = {n: f for a in arm.axes for n, f in _findings_of(a).items()}
     lines = {
         f"{n}_sensor": Finding("1", f"1: the reading of {n} is wrong", 1.0, f"{n} sensor") for n in LINES
     }
@@ -257,7 +270,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         texts = (a.coordinate[1], a.speed[1], a.sides[0][1], a.sides[1][1])
         for n, unit, text in zip(signals_of(a), (*a.units, "Pa", "Pa"), texts, strict=True):
             inputs[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
-        states |= states_of(a)
+        states |= _states_of(a)
     for n, (text, size) in LINES.items():
         inputs[n] = Quantity("Pa", text, size)
         states[f"{n}_bad"] = Quantity("1", f"1: the reading of {n} is wrong")
@@ -300,7 +313,10 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     }
     numbers |= {n: known[n] for n in quantities(parameters) if n not in numbers}
     of = Diagnosis(
-        arm, efforts_of(manipulator, arm.axes), make_group("States", states), make_group("Outputs", outputs)
+        arm,
+        weight.efforts_of(manipulator, arm.axes),
+        make_group("States", states),
+        make_group("Outputs", outputs),
     )
     sub = Subsystem(
         name=NAME,

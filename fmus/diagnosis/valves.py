@@ -1,0 +1,224 @@
+"""The valve of one function, and hoses that burst.
+
+**Spool.** It does not follow if the flow stays below `response` of the least that the commands of the last
+time ask for, if a load-sensing pump stands by although they ask for flow, or if oil passes the closed valve,
+in on one side and out on the other.
+
+**Burst.** What a chamber loses beyond what its valve can let out, unless the other side gains it:
+
+    -q - `outlet` K a(u) sqrt(P - P_t) - `burst_margin`        P < P_s: no relief valve is open
+
+u: the largest command of the last time. The margin falls after a while at rest, so a leak is found that
+empties a chamber before its size is known. A chamber at less than `lost_pressure` that does not fill has a
+burst hose, too, if the pressure of the other side says that its valve is open.
+
+**Map**, in motion. The flow into the chamber that is filled, the drop over its edge and the hose in series
+give the opening, and this the command v that a healthy valve needs for it:
+
+    a = q/(K sqrt(dP - C_R q^2)), of a compensated section q/q_0        v = D + a (U - D)
+    v = s |u| - d - h m - T |u|'
+
+with the command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the
+sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by
+`valve_travel` since it turned, the edge is open, and its drop is no small one. Gain and dead band are judged
+together, by the mean of v over all samples of a direction.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from fmus.components.play import play_rate
+from fmus.contract import Quantity, Scalar
+from fmus.controller.arm import ControlledAxis
+from fmus.diagnosis.axis import (
+    BLIND,
+    FILLED,
+    LONG,
+    LONGER,
+    SMALL,
+    Axis,
+    Finding,
+    chambers_of,
+    of_chambers,
+)
+from fmus.diagnosis.estimates import (
+    FEWEST,
+    QUICK,
+    Equations,
+    Fit,
+    Told,
+    counted,
+    either,
+    gathered,
+    judged,
+    latched,
+    shown,
+    whether,
+)
+from fmus.diagnosis.settings import OF_VALVE
+from fmus.smooth import positive
+
+LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
+MOVES = 0.015  # rad/s or m/s, at which a joint moves
+WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
+EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
+# prior standard deviations: a valve that is another one
+MAP = dict(zip(OF_VALVE, (0.5, 0.5, 0.5, 0.5, 1.0, 0.1), strict=True))
+APART = frozenset(
+    frozenset((f"{n}_up", f"{m}_down")) for n in ("gain", "dead_band") for m in ("gain", "dead_band")
+)
+
+
+def findings(axis: ControlledAxis) -> dict[str, Finding]:
+    """Bursts, spool, map."""
+    ends, marks = chambers_of(axis)
+    text = "Loss beyond that of the valve at {} of the {{}}"
+    found = {
+        mark.format("burst"): Finding("m3/s", text.format(end), 1e-3, "{} hose")
+        for mark, end in zip(marks, ends, strict=True)
+    }
+    found["spool"] = Finding("1", "1: the {} spool does not follow its command", 1.0, "{} valve")
+    texts = (
+        "Gain of the positive {} command",
+        "Dead band of the positive {} command, more than known",
+        "Gain of the negative {} command",
+        "Dead band of the negative {} command, more than known",
+        "Half of the hysteresis of the {} valve",
+        "Lag of the {} valve with that of the readings",
+    )
+    for name, text, unit in zip(OF_VALVE, texts, ("1", "V", "1", "V", "V", "s"), strict=True):
+        found[name] = Finding(unit, text, 0.1, "{} valve")
+    return found
+
+
+def states(axis: ControlledAxis) -> dict[str, Quantity]:
+    """Volumes, clocks, latches."""
+    found = of_chambers(
+        axis,
+        ("passed", "m3", "Oil that came through the closed valve"),
+        ("lost", "m3", "Oil lost beyond its valve"),
+        ("hidden", "s", "Time for which it does not fill although its valve is open"),
+        ("burst", "m3/s", "Largest loss beyond its valve"),
+    )
+    for n, unit, text in (
+        ("missing", "s", "Time for which the valve does not follow"),
+        ("spool", "1", "1: the spool does not follow"),
+        ("late_command", "V", "Command behind the lag"),
+        ("trailing", "V", "That behind a play of `valve_travel`"),
+    ):
+        found[n] = Quantity(unit, f"{text}: {axis.name}", 10.0 if unit == "V" else 1.0)
+    return found
+
+
+def fits(_: ControlledAxis) -> dict[str, Fit]:
+    """The map."""
+    return {"valve": Fit("valve", tuple(MAP), APART)}
+
+
+def _of_spool(a: Axis) -> dict[str, Scalar]:
+    p, found = a.p, dict[str, Scalar]()
+    supply, tank = a.u.supply_pressure, a.u.tank_pressure
+    idle = whether(supply < p.standby_pressure) * whether(supply > p.stopped_pressure)
+    missing, passed = [], [whether(v > p.passed_volume) for v in a.pair("passed")]
+    speed = ca.fabs(a.reading(1)) * (1 - a.faulty[1])
+    for k, area in enumerate((a.actuator.head_area, -a.actuator.rod_area)):
+        flow, drop, full = a.edge(k)
+        by_speed = area * a.lever * a.reading(1) * (1 - a.faulty[1])
+        moved, opened = ca.fmax(flow, by_speed), a.opened(k, a.pair("least")[k], -1)
+        asked = p.response * opened * full * whether(drop > LEAST_DROP)
+        late = whether(asked > p.response * p.response_flow) * whether(moved < asked)
+        late *= ca.if_else(a.full[k] > 0, 1, EMPTIED * whether(speed < MOVES))
+        # an open valve lets the pressure of the other side down; a motor that stands has none, and a hose
+        # of a compensated section has none from the load
+        held = a.full[1 - k] * whether(a.pressures[1 - k] - tank > p.lost_pressure)
+        low = 0
+        if not a.axis.turns:
+            low = whether(a.pressures[k] < p.lost_pressure) * (1 - held) * (1 - a.compensated)
+        waits = WAITING * idle * whether(opened > 0) * whether(moved < p.response_flow)
+        missing += [late * (1 - low), waits]
+        hidden = late * low * a.sound
+        found[f"hidden_{k}"] = counted(a.pair("hidden")[k], whether(hidden > 0), hidden)
+        closed = whether(a.pair("most")[k] < p.closed_command) * whether(a.pressures[k] - tank > FILLED)
+        through = ca.fmin(flow, -a.flows[1 - k]) - p.rest_margin
+        counts = closed * a.sound * a.full[0] * a.full[1]
+        found[f"passed_{k}"] = gathered(a.pair("passed")[k], through, counts)
+    wrong = either(*missing) * a.sound
+    told = either(whether(a.missing > p.response_time), *passed) * (1 - a.burst_told)
+    found["missing"] = counted(a.missing, wrong, wrong)
+    return found | {"spool": latched(a.spool, told, a.u.reset)}
+
+
+def _of_bursts(a: Axis) -> dict[str, Scalar]:
+    p, tank, found = a.p, a.u.tank_pressure, dict[str, Scalar]()
+    margin = ca.if_else(a.shut > LONG, p.rest_margin, p.burst_margin)
+    margin = ca.if_else(a.shut > LONGER, p.slow_margin, margin)
+    for k, (flow, pressure) in enumerate(zip(a.flows, a.pressures, strict=True)):
+        other, lost, burst = 1 - k, a.pair("lost")[k], a.pair("burst")[k]
+        most = a.opened(other, a.pair("most")[other], 1)
+        out = p.outlet * a.actuator.gain * most * ca.sqrt(positive(pressure - tank, SMALL))
+        loss = -flow - out - ca.fmax(a.flows[other], 0) * whether(a.pressures[other] - tank > FILLED)
+        before = pressure - ca.if_else(
+            a.shut > LONGER, BLIND * a.rate(2 + k), 0
+        )  # a relief valve closes late
+        counts = whether(ca.fmax(pressure, before) < a.u.supply_pressure) * a.sound * a.full[k]
+        found[f"lost_{k}"] = gathered(lost, loss - margin, counts)
+        hidden = whether(a.pair("hidden")[k] > p.response_time)
+        size = ca.fmax(whether(lost > p.burst_volume) * loss, hidden * p.burst_margin)
+        rise = ca.fmax(size - burst, 0) * (1 - a.spool) * a.sound
+        found[f"burst_{k}"] = (rise - burst * a.u.reset) / QUICK
+    return found
+
+
+def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
+    """Weight 0 or 1, and the equation [V]."""
+    p, v, late = a.p, a.actuator.valve, a.late_command
+    up = whether(late > 0)
+    flow, drop, full = (ca.if_else(up > 0, a, b) for a, b in zip(a.edge(0), a.edge(1), strict=True))
+    share, size, gone = flow / full, ca.fabs(late), (late - a.trailing) / p.valve_travel
+    counts = (
+        whether(size > v.dead_band + 0.3)
+        * whether(size < 0.95 * v.full_command)
+        * whether(share > 0.02)
+        * whether(share < 0.95)
+        * whether(drop > LEAST_DROP)
+        * whether(ca.fabs(gone) > 0.9)
+        * (1 - a.closed)
+        * ca.if_else(up > 0, *a.full)
+    )
+    way = 2 * up - 1
+    change = way * (a.command - late) / (2 * p.lag)
+    columns = [up * size, -up, (1 - up) * size, up - 1, -way * ca.sign(gone), -change]
+    return counts, [(columns, v.dead_band + share * (v.full_command - v.dead_band))]
+
+
+def rates(a: Axis) -> dict[str, Scalar]:
+    """Of the states, and the sums of the map."""
+    p, late = a.p, a.late_command
+    found = {
+        "late_command": (a.command - late) / (2 * p.lag),
+        "trailing": play_rate(late, a.trailing, p.valve_travel, 50.0, p.valve_travel / 10),
+    }
+    counts, equation = _map_equation(a)
+    counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
+    sums = fits(a.axis)["valve"].rates(a, counts, equation, p.valve_memory)
+    return found | _of_spool(a) | _of_bursts(a) | sums
+
+
+def told(a: Axis) -> dict[str, Told]:
+    """A change of the map is one of the mean command of a direction, or of the hysteresis."""
+    marks, fit, p = chambers_of(a.axis)[1], fits(a.axis)["valve"], a.p
+    usable = a.usable * (1 - a.spool)
+    found = {m.format("burst"): shown(b, usable) for m, b in zip(marks, a.pair("burst"), strict=True)}
+    found["spool"] = shown(a.spool, a.usable)
+    fitted, known = a.solved(fit, MAP, 0.05, 0.15)
+    enough = usable * (1 - a.burst_told) * whether(fitted.samples > FEWEST)
+    # the compensator of a section follows the load, so its flow has a hysteresis of its own
+    limits = [p.valve_limit] * 4 + [p.hysteresis_limit * (1 + a.compensated)]
+    rows = [fit.centre(a, k) for k in (1, 1, 3, 3)] + [[0, 0, 0, 0, 1, 0]]
+    for n, (size, off), row, limit in zip(MAP, fitted, rows, limits, strict=False):
+        change, spread = fitted.along(*row)
+        off_known = ca.fabs(change - sum(w * r for w, r in zip(row, known, strict=True)))
+        found[n] = (size, off, judged(off_known, spread, limit, enough))
+    (*_, (size, off)) = fitted
+    return found | {OF_VALVE[-1]: (size, off, ca.if_else(enough > 0, 0, -1))}  # told of all valves together
