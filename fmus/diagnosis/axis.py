@@ -17,6 +17,7 @@ A check is a module with these functions; names of findings and states are those
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -236,11 +237,17 @@ class Axis:
         return getattr(self.p, f"{self.axis.name}_{name}_reference", 0)
 
     def solved(
-        self, fit: Fit, deviations: Mapping[str, float], least: float, rough: float, positive: int = 0
+        self,
+        fit: Fit,
+        deviations: Mapping[str, float],
+        least: float,
+        rough: float,
+        most: float = math.inf,
+        rare: int = 0,
     ) -> tuple[Solution, list[Scalar]]:
         """Sizes of a fit, with the deviations of their priors by name; and their references."""
         known = [self.reference(n) if n in REFERENCES else 0 for n in deviations]
-        return fit.solved(self, Prior([*deviations.values()], known, least, rough), positive), known
+        return fit.solved(self, Prior([*deviations.values()], known, least, rough, most), rare), known
 
     @property
     def burst_told(self) -> Scalar:

@@ -10,6 +10,7 @@ than the known one. Samples, of one per time constant of the weight, count as in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -55,12 +56,14 @@ class Prior:
     deviations, references   of the sizes
     least                    standard deviation of the right side, at least
     rough                    that before any data
+    most                     that at most: what differs more is a change
     """
 
     deviations: Sequence[float]
     references: Sequence[Scalar]
     least: float
     rough: float
+    most: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,8 @@ class Fit:
         count = ca.fmax(sums[frozenset((k,))], 1e-9)
         return [-sums.get(frozenset((k, i)), 0) / count for i in range(len(self.columns))]
 
-    def solved(self, x: Any, prior: Prior, positive: int = 0) -> Solution:
-        """Sizes with their covariance; positive: how many of the first ones are not negative, all but one."""
+    def solved(self, x: Any, prior: Prior, rare: int = 0) -> Solution:
+        """Sizes with their covariance; rare: how many of the first ones are faults, see `few`."""
         size = len(self.columns)
         n, b = ca.SX(size, size), ca.SX(size, 1)
         for i, j in self._products:
@@ -111,41 +114,56 @@ class Fit:
         for i, (weight, reference) in enumerate(zip(weights, prior.references, strict=True)):
             b[i] = getattr(x, f"{self.name}_{i}y") + weight * reference
             n[i, i] += weight
-        factors = ca.ldl(ca.densify(n))
-        inverse = ca.ldl_solve(ca.SX.eye(size), *factors)
-        found = _bounded(n, b, positive) if positive else ca.vertsplit(ca.ldl_solve(b, *factors))
+        if rare:
+            found, inverse = _with_few(n, b, rare, (CERTAIN * prior.least) ** 2)
+        else:
+            factors = ca.ldl(ca.densify(n))
+            inverse = ca.ldl_solve(ca.SX.eye(size), *factors)
+            found = ca.vertsplit(ca.ldl_solve(b, *factors))
         s, samples = ca.vertcat(*found), getattr(x, f"{self.name}_w")
         squares = getattr(x, f"{self.name}_yy") + sum(
             w * r**2 for w, r in zip(weights, prior.references, strict=True)
         )
         residual = ca.fmax(squares - 2 * ca.dot(b, s) + s.T @ n @ s, 0)
         variance = (residual + DOUBT * prior.rough**2) / (samples + DOUBT)
-        return Solution(found, ca.fmax(variance, prior.least**2) * inverse, samples)
+        variance = ca.fmin(ca.fmax(variance, prior.least**2), prior.most**2)
+        return Solution(found, variance * inverse, samples)
 
 
 def _root(variance: Scalar) -> Scalar:
     return ca.sqrt(ca.fmax(variance, 0))
 
 
-def _bounded(n: ca.SX, b: ca.SX, positive: int) -> list[Scalar]:
-    """Least squares in which the first sizes are not negative; the last one is free."""
-    some: Any = list(range(positive))
-    shared = n[some, positive] / n[positive, positive]
-    sizes = nonnegative(n[some, some] - shared @ n[positive, some], b[some] - shared * b[positive])
-    return [*sizes, b[positive] / n[positive, positive] - ca.dot(shared, ca.vertcat(*sizes))]
+def _with_few(n: ca.SX, b: ca.SX, rare: int, worth: float) -> tuple[list[Scalar], ca.SX]:
+    """Least squares in which the first sizes are few and the last one is free; their variances on a diagonal."""
+    some: Any = list(range(rare))
+    shared = n[some, rare] / n[rare, rare]
+    sizes, variances = few(n[some, some] - shared @ n[rare, some], b[some] - shared * b[rare], worth)
+    free = b[rare] / n[rare, rare] - ca.dot(shared, ca.vertcat(*sizes))
+    return [*sizes, free], ca.diag(ca.vertcat(*variances, 1 / n[rare, rare]))
 
 
-def nonnegative(n: ca.SX, b: ca.SX) -> list[Scalar]:
-    """Least squares with sizes that are not negative: the best of the solutions with some of them at zero."""
+def few(n: ca.SX, b: ca.SX, worth: float = 0.0) -> tuple[list[Scalar], list[Scalar]]:
+    """Least squares with sizes that are not negative, as few as explain the data, and their variances.
+
+    The best of the solutions with some of the sizes at zero; a further size has to lessen the sum of squares by
+    `worth`. Faults are rare: a leak of one side is no leak of the seals with one of the other side. The
+    variance of a size at zero is that which it had alone.
+    """
     best, found = ca.SX(0), [ca.SX(0)] * n.shape[0]
+    variances = [1 / n[i, i] for i in range(n.shape[0])]
     for kept in (k for size in range(1, n.shape[0] + 1) for k in combinations(range(n.shape[0]), size)):
         some: Any = list(kept)
-        sizes = ca.inv_minor(n[some, some]) @ b[some]
-        gain = ca.if_else(ca.mmin(sizes) >= 0, ca.dot(b[some], sizes), -1)
+        inverse = ca.inv_minor(n[some, some])
+        sizes = inverse @ b[some]
+        gain = ca.if_else(ca.mmin(sizes) >= 0, ca.dot(b[some], sizes), -1) - worth * len(some)
         better, best = gain > best, ca.fmax(gain, best)
         own = dict(zip(some, ca.vertsplit(sizes), strict=True))
         found = [ca.if_else(better, own.get(k, 0), value) for k, value in enumerate(found)]
-    return found
+        if len(some) > 1:
+            its = {k: inverse[i, i] for i, k in enumerate(some)}
+            variances = [ca.if_else(better, its.get(k, v), v) for k, v in enumerate(variances)]
+    return found, variances
 
 
 def whether(condition: Scalar) -> Scalar:

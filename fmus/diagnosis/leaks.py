@@ -29,6 +29,7 @@ from fmus.smooth import positive
 
 SHORTEST, PART = 0.15, 1.0  # s, a rest that counts, and a part of a long one
 FEWEST_RESTS = 3.0  # equations, from which a leak is told
+MOST = 3.0  # deviations by which equations differ unless the machine changes
 EXPONENT = 1.4  # of the air
 SEAL, AIR = "seal_leakage", "air"
 # prior standard deviations: a seal or a fitting that is gone [L/min at 100 bar]; foam
@@ -124,7 +125,7 @@ def rates(a: Axis) -> dict[str, Scalar]:
     for name, fit in fits(a.axis).items():
         memory = {"leaks": p.memory, "trapped": p.air_memory}[name]
         own = [(columns[-len(fit.columns) :], right) for columns, right in equations]
-        gone = QUICK / (1 - ca.exp(-a.rest / memory))
+        gone = QUICK / (1 - ca.exp(-1 / memory))
         found |= fit.rates(a, ends / QUICK, own, gone, count)
     return found
 
@@ -133,7 +134,7 @@ def told(a: Axis) -> dict[str, Told]:
     """Sizes above their limits by three deviations."""
     of, jet = fits(a.axis), a.actuator.gain / a.actuator.valve.area * math.sqrt(PRESSURE)
     usable = a.usable * (1 - a.spool)
-    leaks, _ = a.solved(of["leaks"], LEAKS, 1.0, 2.0, 3)
+    leaks, _ = a.solved(of["leaks"], LEAKS, 1.0, 2.0, MOST, 3)
     known = usable * (1 - a.burst_told) * whether(leaks.samples > FEWEST_RESTS)
     names = (SEAL, *(m.format("leak") for m in chambers_of(a.axis)[1]))
     found = {

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from fmus.diagnosis.estimates import Fit, Prior, gathered, judged, nonnegative
+from fmus.diagnosis.estimates import Fit, Prior, few, gathered, judged
 
 RNG = np.random.default_rng(5)
 
