@@ -51,6 +51,7 @@ class Quantity:
     group        parameters only: heading in documentation; default: heading of the previous parameter
     held         inputs only: constant within a communication step. What depends on held inputs and parameters
                  alone is computed when one of them changes
+    noisy        outputs only: jumps by noise or a resolution, which no shorter communication step resolves
     warmed       parameters only: exponents of the ratios of viscosity, density and bulk modulus in the factor
                  by which a temperature of the oil changes the value (`components.oil`)
     value        parameter or start value, for a subsystem without parameters.toml
@@ -74,6 +75,7 @@ class Quantity:
     optional: str = ""
     meaning: str = ""
     held: bool = False
+    noisy: bool = False
     warmed: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:

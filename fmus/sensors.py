@@ -100,7 +100,10 @@ def sensors(signals: Mapping[str, str]) -> Subsystem:
     for n, unit in signals.items():
         states[f"{n}_delayed"] = Quantity(unit, f"{n} in the delay", nominal[n])
     states["clock"] = Quantity("s", "Time of the noise; starts at 0, independent of the start time")
-    outputs = {f"{n}_measured": Quantity(unit, f"Reading of {n}", nominal[n]) for n, unit in signals.items()}
+    outputs = {
+        f"{n}_measured": Quantity(unit, f"Reading of {n}", nominal[n], noisy=True)
+        for n, unit in signals.items()
+    }
     state, shown = make_group("States", states), make_group("Outputs", outputs)
 
     def dynamics(x: Any, u: Any, p: Any) -> Any:

@@ -117,6 +117,7 @@ def model_description(
         rates=[v for v in interface.inputs if v.quantity.rate and fmi == 2],
         optional=[v for v in interface.inputs if v.quantity.optional],
         held=[v for v in interface.inputs if v.quantity.held],
+        noisy=[v for v in interface.outputs if v.quantity.noisy],
         not_shipped=_not_shipped(interface),
         variables=list(_variables(interface, fmi)),
         structure={group: [_unknown(*row, fmi) for row in members] for group, members in rows},

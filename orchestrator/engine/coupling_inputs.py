@@ -158,6 +158,7 @@ class CouplingInputs:
     def _from_output(self, port: Port, connection: Connection) -> dict[str, Any]:
         network, plan, varied = self._network, self._plan, port in self._varied
         slave, source = network.slaves[port.component], connection.source
+        interface = network.system.components[source.component].interface
         coupling = plan.coupling
         degree = max(coupling.extrapolation, plan.degree) if varied else 0
         return {
@@ -169,7 +170,8 @@ class CouplingInputs:
             "fmu_degree": slave.input_degree(port.variable, degree),
             "requested_degree": degree,
             "order": coupling.extrapolation if varied else self._rate_wire_count(port),
-            "autonomous": not network.system.components[source.component].interface.of("input"),
+            "autonomous": not interface.of("input"),
+            "noisy": source.variable in interface.model.noisy_outputs,
         }
 
     def _rate_wire_count(self, port: Port) -> int:

@@ -320,6 +320,7 @@ class ModelDescription(Entry):
     input_rates     input -> input that is its time derivative, from this project's annotation in FMI 2.0
     optional_inputs input -> what it means if nothing feeds it, from this project's annotation
     held_inputs     inputs that the FMU takes as constant in a step, from this project's annotation
+    noisy_outputs   outputs that jump by noise or a resolution, from this project's annotation
     parameter_sets  files of parameters that the FMU was built with, from this project's annotation
     """
 
@@ -335,6 +336,7 @@ class ModelDescription(Entry):
     input_rates: Mapping[str, str] = field(default_factory=dict)
     optional_inputs: Mapping[str, str] = field(default_factory=dict)
     held_inputs: frozenset[str] = frozenset()
+    noisy_outputs: frozenset[str] = frozenset()
     parameter_sets: tuple[ParameterSetFile, ...] = ()
 
     @cached_property
@@ -401,6 +403,10 @@ OWN_ANNOTATION = (
     "VendorAnnotations/Tool[@name='harvester-cosim']",
     "Annotations/Annotation[@type='harvester-cosim']",
 )
+NOISY = (
+    "VendorAnnotations/Tool[@name='harvester-cosim.outputs']//NoisyOutput",
+    "Annotations/Annotation[@type='harvester-cosim.outputs']//NoisyOutput",
+)
 PARAMETERS = (
     "VendorAnnotations/Tool[@name='harvester-cosim.parameters']//ParameterSet",
     "Annotations/Annotation[@type='harvester-cosim.parameters']//ParameterSet",
@@ -445,6 +451,7 @@ def read_description(root: Element | None, major: int) -> ModelDescription:
         input_rates={e.get("input"): e.get("derivative") for e in rates},
         optional_inputs={e.get("input"): text for e in optional if (text := e.get("without"))},
         held_inputs=frozenset(e.get("input") for e in held),
+        noisy_outputs=frozenset(e.get("output") for e in root.iterfind(NOISY[major - 2])),
         parameter_sets=tuple(map(_parameter_set, root.iterfind(PARAMETERS[major - 2]))),
     )
 

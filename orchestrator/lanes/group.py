@@ -34,7 +34,7 @@ from orchestrator.ssp.system import Component, Connection, Port, System
 
 ALIGNMENT = 64  # bytes, of a vector
 # members of a coupling input that any number of machines have in common
-COMMON = ("target", "source", "source_component", "order", "autonomous", "factor", "offset", "scale")
+COMMON = ("target", "source", "source_component", "order", "autonomous", "noisy", "factor", "offset", "scale")
 COMPILING = "compiling the FMUs for this processor, which is done once; lanes=False compiles nothing"
 OK, EARLY, FAILED, NOT_RELIABLE = "ok", "early", "failed", "unreliable"
 

@@ -14,6 +14,7 @@ from fmus.export.build import build
 from fmus.export.interface import interface_of
 from fmus.export.model_description import model_description
 from fmus.parameters import Values, values
+from fmus.sensors import sensors
 from fmus.supply import SUPPLY
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
@@ -80,6 +81,17 @@ def test_held_inputs_are_declared(tmp_path, fmi):
     description = model_description(interface_of(SWING, values(SWING)), fmi, "token", 1e-3, 1.0)
     (tmp_path / "modelDescription.xml").write_bytes(description)
     assert read_interface(Location(tmp_path)).model.held_inputs == {"oil_temperature"}
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_noisy_outputs_are_declared(tmp_path, fmi):
+    """All readings of sensors, beside their optional inputs."""
+    sub = sensors({"pressure": "Pa", "angle": "rad"})
+    description = model_description(interface_of(sub, values(sub)), fmi, "token", 1e-3, 1.0)
+    (tmp_path / "modelDescription.xml").write_bytes(description)
+    model = read_interface(Location(tmp_path)).model
+    assert model.noisy_outputs == {"pressure_measured", "angle_measured"}
+    assert "pressure_bias" in model.optional_inputs
 
 
 def test_dependencies_are_those_of_the_equations(chamber):

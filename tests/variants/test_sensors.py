@@ -15,7 +15,7 @@ from fmus.machine.parts import FERIC, with_faults
 from fmus.machine.path_following import first_point, follow, read_machine
 from fmus.package_files import PACKAGE, data
 from fmus.sensors import noise, sensors
-from orchestrator import load
+from orchestrator import load, run
 
 OF = Part(sensors({"pressure": "Pa", "angle": "rad"}))
 QUIET = Part(sensors({"pressure": "Pa"}), pressure_noise=0.0, pressure_resolution=0.0)
@@ -104,18 +104,35 @@ def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures(
     assert FERIC.sensed(FERIC.controller_wires) == FERIC.controller_wires
 
 
+@pytest.fixture(scope="module")
+def sensed(tmp_path_factory):
+    """The machine with its controller behind sensors."""
+    folder = tmp_path_factory.mktemp("sensed")
+    build_machine(folder, (2,), faults=True)
+    return load(folder / "harvester_sensors.ssp")
+
+
 @shards.machine
-def test_the_controller_draws_a_line_behind_sensors(tmp_path):
+def test_noise_and_resolution_divide_no_steps(sensed):
+    """The pump suggests shorter steps, so there is a guard; at the start it adds 381, without noise, too.
+
+    With a division at each change of the tank pressure by its resolution there were 27 000.
+    """
+    found = run(sensed, swap={"supply": "engine_pump"}, step=1e-3, stop=2.0, record="sensors.*")
+    assert found.coupling.guard_tolerance > 0
+    assert 2000 <= found.card.steps < 2500
+
+
+@shards.machine
+def test_the_controller_draws_a_line_behind_sensors(sensed):
     """With lag, delay, noise and resolution, valves with hysteresis: within 15 mm, without sensors 5 mm.
 
     The noise costs a few millimetres, by its seed (docs/faults.md). A boom angle that is 2 deg off puts the
     tip off by 2 deg times its distance from the boom pivot, 4 to 4.5 m: 0.14 to 0.16 m, and 15 mm.
     """
-    build_machine(tmp_path, (2,), faults=True)
-    system = load(tmp_path / "harvester_sensors.ssp")
     names, path = read_machine(PACKAGE / "controller/tracking.toml"), data("scenarios/line.csv")
     start = start_angles("line", first_point(path, names.path), {})
-    found = follow(system, names, path, "lumped", True, start)
+    found = follow(sensed, names, path, "lumped", True, start)
     assert found.largest < 15e-3
-    biased = follow(system, names, path, "lumped", True, {**start, "sensors.boom_angle_bias": np.radians(2)})
+    biased = follow(sensed, names, path, "lumped", True, {**start, "sensors.boom_angle_bias": np.radians(2)})
     assert 0.125 < biased.largest < 0.175

@@ -234,10 +234,12 @@ int communication_step(Simulation *sim, Real h, int *passes) {
 
 /* ---- the estimated error of the step */
 
+/* The largest of the inputs, relative to their magnitudes, without those that a shorter step would leave as large. */
 Real step_error(const Simulation *sim, Real h) {
     Real worst = 0.0;
     for (int32_t i = 0; i < sim->input_count; i++) {
         const CouplingInput *s = &sim->inputs[i];
+        if (s->noisy) continue;
         const Real deviation = input_deviation(s, h, sim->passes > 1);
         worst = worse(worst, input_relative(s, deviation));
     }

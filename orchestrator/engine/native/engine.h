@@ -234,6 +234,7 @@ typedef struct CouplingInput {
     int32_t requested_degree; /* the degree that the master asks for; 0: the input is only watched */
     int32_t order;            /* order of extrapolation */
     int32_t autonomous;       /* the source has no inputs: its slope may jump, but no further pass changes it */
+    int32_t noisy;            /* the source jumps by noise or a resolution, which no shorter step resolves */
     int32_t in_loop;          /* the source is in an algebraic loop: computed when all components have stepped */
     int32_t predicted;        /* linear_prediction.c makes the polynomial */
     int32_t slopes_known;     /* successive points up to the beginning of the step that have a slope: 0, 1 or 2 */
