@@ -202,7 +202,7 @@ def recorded(case: Case, folder: Path) -> Path:
         return file
     fault: Any = {case.fault: f"{case.size}@{BEGIN:g}s"} if case.fault else {}
     signals = [*(f"sensors.{n}_measured" for n in READINGS), *(f"controller.{a}_command" for a in AXES)]
-    # all cases of a machine have the same work, but for that from which it is learned and further healthy ones
+    # all cases of a machine have the same work, but the one that it is learned from and further healthy ones
     shift = LEARNING if case.part == 0 else case.part if case.part >= FURTHER else 0
     levers = work(case.seed, case.stop, shift)
     result = run(

@@ -135,7 +135,7 @@ def _root(variance: Scalar) -> Scalar:
 
 
 def _with_few(n: ca.SX, b: ca.SX, rare: int, worth: float) -> tuple[list[Scalar], ca.SX]:
-    """Least squares in which the first sizes are few and the last one is free; their variances on a diagonal."""
+    """Least squares in which the first sizes are few and the last one is free; variances on a diagonal."""
     some: Any = list(range(rare))
     shared = n[some, rare] / n[rare, rare]
     sizes, variances = few(n[some, some] - shared @ n[rare, some], b[some] - shared * b[rare], worth)
@@ -146,8 +146,8 @@ def _with_few(n: ca.SX, b: ca.SX, rare: int, worth: float) -> tuple[list[Scalar]
 def few(n: ca.SX, b: ca.SX, worth: float = 0.0) -> tuple[list[Scalar], list[Scalar]]:
     """Least squares with sizes that are not negative, as few as explain the data, and their variances.
 
-    The best of the solutions with some of the sizes at zero; a further size has to lessen the sum of squares by
-    `worth`. Faults are rare: a leak of one side is no leak of the seals with one of the other side. The
+    The best of the solutions with some of the sizes at zero; a further size has to lessen the sum of squares
+    by `worth`. Faults are rare: a leak of one side is no leak of the seals with one of the other side. The
     variance of a size at zero is that which it had alone.
     """
     best, found = ca.SX(0), [ca.SX(0)] * n.shape[0]

@@ -32,8 +32,8 @@ FEWEST_RESTS = 3.0  # equations, from which a leak is told
 MOST = 3.0  # deviations by which equations differ unless the machine changes
 EXPONENT = 1.4  # of the air
 SEAL, AIR = "seal_leakage", "air"
-# prior standard deviations: a seal or a fitting that is gone [L/min at 100 bar]; foam
-LEAKS = {"seal": 10.0, "head": 10.0, "rod": 10.0, AIR: 0.02}
+# prior standard deviations: a seal or fitting that is gone [L/min at 100 bar]; air; hoses of a motor, foam
+LEAKS, AIRY, FOAM = dict.fromkeys(("seal", "head", "rod"), 10.0), {AIR: 0.005}, {AIR: 0.02}
 
 
 def findings(axis: ControlledAxis) -> dict[str, Finding]:
@@ -67,7 +67,7 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
 
 def fits(axis: ControlledAxis) -> dict[str, Fit]:
     """Leaks, and the air alone."""
-    found = {"leaks": Fit("leaks", tuple(LEAKS))}
+    found = {"leaks": Fit("leaks", (*LEAKS, AIR))}
     return found if axis.turns else found | {"trapped": Fit("trapped", (AIR,))}
 
 
@@ -134,7 +134,7 @@ def told(a: Axis) -> dict[str, Told]:
     """Sizes above their limits by three deviations."""
     of, jet = fits(a.axis), a.actuator.gain / a.actuator.valve.area * math.sqrt(PRESSURE)
     usable = a.usable * (1 - a.spool)
-    leaks, _ = a.solved(of["leaks"], LEAKS, 1.0, 2.0, MOST, 3)
+    leaks, _ = a.solved(of["leaks"], LEAKS | (FOAM if a.axis.turns else AIRY), 1.0, 2.0, MOST, 3)
     known = usable * (1 - a.burst_told) * whether(leaks.samples > FEWEST_RESTS)
     names = (SEAL, *(m.format("leak") for m in chambers_of(a.axis)[1]))
     found = {
@@ -145,7 +145,7 @@ def told(a: Axis) -> dict[str, Told]:
     }
     if a.axis.turns:
         return {n: t for n, t in found.items() if n != SEAL}
-    air, (reference,) = a.solved(of["trapped"], {AIR: LEAKS[AIR]}, 1.0, 4.0)
+    air, (reference,) = a.solved(of["trapped"], FOAM, 1.0, 4.0)
     ((share, off),) = air
     enough = usable * whether(air.samples > 2 * FEWEST)
     return found | {AIR: (share, off, judged(share - reference, off, a.p.air_limit, enough))}

@@ -213,8 +213,8 @@ def told(a: Axis) -> dict[str, Told]:
     found["spool"] = shown(a.spool, a.usable)
     fitted, known = a.solved(fit, MAP, 0.05, 0.15)
     enough = usable * (1 - a.burst_told) * whether(fitted.samples > FEWEST)
-    # the compensator of a section follows the load, so its flow has a hysteresis of its own
-    limits = [p.valve_limit] * 4 + [p.hysteresis_limit * (1 + a.compensated)]
+    # the compensator of a section follows the load, so its flow is not that of its opening alone
+    limits = [(1 + a.compensated) * v for v in (*[p.valve_limit] * 4, p.hysteresis_limit)]
     rows = [fit.centre(a, k) for k in (1, 1, 3, 3)] + [[0, 0, 0, 0, 1, 0]]
     for n, (size, off), row, limit in zip(MAP, fitted, rows, limits, strict=False):
         change, spread = fitted.along(*row)

@@ -25,20 +25,56 @@ def test_sizes_that_are_not_negative_are_those_of_scipy():
     """Of 200 random problems, some with zeros: to rounding of the normal equations."""
     for _ in range(200):
         a, y = RNG.normal(size=(8, 3)), RNG.normal(size=8)
-        found = [float(v) for v in nonnegative(ca.SX(a.T @ a), ca.SX(a.T @ y))]
+        found = [float(v) for v in few(ca.SX(a.T @ a), ca.SX(a.T @ y))[0]]
         assert found == pytest.approx(nnls(a, y)[0], abs=1e-9)
 
 
 def test_the_last_size_is_free():
     """With one free column the best of all bounded solutions is found, as by search over the free one."""
     fit = Fit("f", ("a", "b", "c"))
-    prior = Prior((1e6, 1e6, 1e6), (0, 0, 0), 1.0, 1.0)
+    prior = Prior((1e6, 1e6, 1e6), (0, 0, 0), 1e-4, 1.0)  # a further size is worth nothing
     for _ in range(50):
         a, y = RNG.normal(size=(9, 3)), RNG.normal(size=9)
         found = np.array([float(s) for s, _ in fit.solved(states(fit, a, y), prior, 2)])
         split = np.column_stack([a, -a[:, 2]])  # a free size is the difference of two that are not negative
         best = nnls(split, y)[0]
         assert found == pytest.approx([best[0], best[1], best[2] - best[3]], abs=1e-6)
+
+
+def test_one_fault_is_no_sum_of_others():
+    """Of a leak that two others together explain as well, it alone is told, with its own deviation."""
+    fit, prior = Fit("f", ("a", "b", "c", "free")), Prior((100,) * 4, (0,) * 4, 1.0, 1.0)
+    for _ in range(50):
+        a = np.abs(RNG.normal(3, 1, size=(40, 4)))
+        a[:, 2] = a[:, 0] + a[:, 1] + 1e-3 * RNG.normal(size=40)
+        a[:, 3] = RNG.normal(size=40)
+        solution = fit.solved(states(fit, a, 2 * a[:, 2] + RNG.normal(size=40)), prior, 3)
+        (*others, (size, off)), _ = [*solution][:3], None
+        assert [float(s) for s, _ in others] == [0, 0]
+        assert float(size) == pytest.approx(2, abs=4 * float(off))
+        assert float(off) < 0.05  # 1/sqrt(40 (6^2 + 2)) = 0.026
+
+
+def test_what_is_not_certain_is_no_size():
+    """Noise alone makes no size that is rare, but for one in some hundred; it makes a free one."""
+    fit, prior, found = Fit("f", ("a", "free")), Prior((100, 100), (0, 0), 1.0, 1.0), []
+    for _ in range(300):
+        a = RNG.normal(size=(20, 2))
+        ((rare, _), (free, _)) = fit.solved(states(fit, a, RNG.normal(size=20)), prior, 1)
+        found.append((float(rare) > 0, float(free) != 0))
+    # one side of three deviations: 0.13 %
+    assert np.mean(found, axis=0) == pytest.approx([0, 1], abs=0.015)
+
+
+def test_equations_that_differ_more_are_a_change_not_noise():
+    """The deviation grows with the residual up to `most`."""
+    fit, a = Fit("f", ("a",)), np.ones((20, 1))
+    jump = np.repeat([0.0, 10.0], 10)
+    offs = [
+        float(next(iter(fit.solved(states(fit, a, jump), Prior((100,), (0,), 1.0, 1.0, most))))[1])
+        for most in (2, 1e9)
+    ]
+    assert offs == pytest.approx([2 / np.sqrt(20), 5 / np.sqrt(20)], rel=0.1)  # doubt counts as 4 samples
 
 
 def test_intervals_hold_the_truth():

@@ -130,6 +130,7 @@ def test_a_leak_in_closed_form(fmu):
     """
     seen = load(fmu).components["diagnosis"].interface.variables
     value = {n: float(v.starts[0]) for n, v in seen.items() if v.starts and v.causality == "parameter"}
+    value["swing_valve_leakage"] *= 50  # 0.5 L/min
     supply, tank, a, b = 2e7, 0.0, 9e6, 4e6
     jet = value["swing_valve_discharge_coefficient"] * np.sqrt(2 / value["swing_density"])
     displacement, leakage = value["motor_displacement"] * value["gear_ratio"], value["swing_valve_leakage"]
@@ -145,7 +146,9 @@ def test_a_leak_in_closed_form(fmu):
         ("tank_pressure", tank),
     ):
         columns[n] = np.full(len(time), v)
-    result = run(fmu, columns, stop=29, step=0.01, record="*", set={"diagnosis.oil_temperature": 333.15})
+    given = {"oil_temperature": 333.15, "swing_valve_leakage": value["swing_valve_leakage"]}
+    set_ = {f"diagnosis.{n}": v for n, v in given.items()}
+    result = run(fmu, columns, stop=29, step=0.01, record="*", set=set_)
     assert float(result["swing_leak_b"][-1]) == pytest.approx(
         opening, rel=0.02
     )  # the prior draws it by 0.1 %
