@@ -143,16 +143,16 @@ def _with_few(n: ca.SX, b: ca.SX, rare: int, worth: float) -> tuple[list[Scalar]
     return [*sizes, free], ca.diag(ca.vertcat(*variances, 1 / n[rare, rare]))
 
 
-def few(n: ca.SX, b: ca.SX, worth: float = 0.0) -> tuple[list[Scalar], list[Scalar]]:
-    """Least squares with sizes that are not negative, as few as explain the data, and their variances.
+def few(n: ca.SX, b: ca.SX, worth: float = 0.0, most: int = 2) -> tuple[list[Scalar], list[Scalar]]:
+    """Least squares with at most `most` sizes that are not negative, the others zero, and their variances.
 
-    The best of the solutions with some of the sizes at zero; a further size has to lessen the sum of squares
+    The best of all such solutions; a further size has to lessen the sum of squares
     by `worth`. Faults are rare: a leak of one side is no leak of the seals with one of the other side. The
     variance of a size at zero is that which it had alone.
     """
     best, found = ca.SX(0), [ca.SX(0)] * n.shape[0]
     variances = [1 / n[i, i] for i in range(n.shape[0])]
-    for kept in (k for size in range(1, n.shape[0] + 1) for k in combinations(range(n.shape[0]), size)):
+    for kept in (k for size in range(1, most + 1) for k in combinations(range(n.shape[0]), size)):
         some: Any = list(kept)
         inverse = ca.inv_minor(n[some, some])
         sizes = inverse @ b[some]

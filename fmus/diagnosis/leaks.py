@@ -8,9 +8,11 @@ equation of each chamber, over its time:
     int c (P_s + P_t - 2 P_h) - q_h dt = g int P_h - P_r dt + k_h int sqrt(P_h) dt - s V [a(P_h)]
     int c (P_s + P_t - 2 P_r) - q_r dt = -g int P_h - P_r dt + k_r int sqrt(P_r) dt - s V [a(P_r)]
 
-g, k_h and k_r are not negative. g is that of the oil as it is now. An equation is uncertain by the readings
-at both ends, by a flow, and by a share of the capacitance times the change of the pressure. The air is told
-from a fit of its own with a longer memory.
+A valve that stays open after a stroke, by k_v, lets oil into the chamber that was filled last, and out of the
+other one: -k_v int sqrt(P_s - P) dt and k_v int sqrt(P - P_t) dt are added to the right sides. g and each k
+are not negative, and at most two of them are not zero. g is that of the oil as it is now. An equation is
+uncertain by the readings at both ends, by a flow, and by a share of the capacitance times the change of the
+pressure. The air is told from a fit of its own with a longer memory.
 """
 
 from __future__ import annotations
@@ -30,10 +32,11 @@ from fmus.smooth import positive
 SHORTEST, PART = 0.15, 1.0  # s, a rest that counts, and a part of a long one
 FEWEST_RESTS = 3.0  # equations, from which a leak is told
 MOST = 3.0  # deviations by which equations differ unless the machine changes
+SWAYING = 4.0  # of the limit, for a motor: the column swings on its oil for long
 EXPONENT = 1.4  # of the air
-SEAL, AIR = "seal_leakage", "air"
+SEAL, OPEN, AIR = "seal_leakage", "valve_opening", "air"
 # prior standard deviations: a seal or fitting that is gone [L/min at 100 bar]; air; hoses of a motor, foam
-LEAKS, AIRY, FOAM = dict.fromkeys(("seal", "head", "rod"), 10.0), {AIR: 0.005}, {AIR: 0.02}
+LEAKS, AIRY, FOAM = dict.fromkeys(("seal", "head", "rod", "valve"), 10.0), {AIR: 0.005}, {AIR: 0.02}
 
 
 def findings(axis: ControlledAxis) -> dict[str, Finding]:
@@ -44,6 +47,7 @@ def findings(axis: ControlledAxis) -> dict[str, Finding]:
         mark.format("leak"): Finding("m2", text.format(end), 1e-6, "{} hose")
         for mark, end in zip(marks, ends, strict=True)
     }
+    found[OPEN] = Finding("m2", "Opening of the {} valve at rest", 1e-6, "{} valve")
     if axis.turns:
         return found
     seal = Finding("m3/(s.Pa)", "Leakage past the seals of the {}", 1e-12, "{} seals")
@@ -58,6 +62,7 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
         ("missing_oil", "m3", "Oil that left in another way than through the closed valve, in this rest"),
         ("pressed", "Pa", "Change of its pressure in this rest"),
         ("root", "s", "Integral of the root of its pressure over this rest"),
+        ("through", "s", "Integral of the root of the drop over the edge that was open last, in this rest"),
         ("spoiled", "1", "1: another valve was open at the begin of this rest"),
     )
     found["rest"] = Quantity("s", f"Length of this rest, or of its present part: {axis.name}")
@@ -96,11 +101,12 @@ def _equations(a: Axis) -> tuple[Equations, Scalar]:
     """Losses of both chambers in this rest, over their uncertainty; how many count."""
     p, found, count = a.p, [], 0
     for k, c in enumerate((a.actuator.head_capacitance, a.actuator.rod_capacitance)):
-        oil, pressed, root, spoiled = (a.pair(n)[k] for n in ("missing_oil", "pressed", "root", "spoiled"))
+        names = ("missing_oil", "pressed", "root", "through", "spoiled")
+        oil, pressed, root, through, spoiled = (a.pair(n)[k] for n in names)
         late, sign = getattr(a, f"late_{2 + k}"), 1 - 2 * k
         air = c * p.bulk_modulus * (air_volume(late) - air_volume(late - pressed))
         off = ca.sqrt(p.end_volume**2 + (p.rest_flow * a.rest) ** 2 + (p.softness * c * pressed) ** 2)
-        columns = [sign * a.difference / PRESSURE, (1 - k) * root, k * root, -air / LITRE]
+        columns = [sign * a.difference / PRESSURE, (1 - k) * root, k * root, through, -air / LITRE]
         scale = (1 - spoiled) / off
         found.append(([scale * LITRE * v for v in columns], scale * oil))
         count += 1 - spoiled
@@ -117,6 +123,9 @@ def rates(a: Axis) -> dict[str, Scalar]:
         growth[f"missing_oil_{k}"] = leakage * (level - 2 * v) - flow
         growth[f"pressed_{k}"] = a.rate(2 + k)
         growth[f"root_{k}"] = ca.sqrt(positive(v, SMALL) / PRESSURE)
+        filled_last = (1 - 2 * k) * a.trailing > 0
+        drop = ca.if_else(filled_last, a.u.supply_pressure - v, v - a.u.tank_pressure)
+        growth[f"through_{k}"] = ca.if_else(filled_last, -1, 1) * ca.sqrt(positive(drop, SMALL) / PRESSURE)
     found = {n: ca.if_else(goes_on > 0, v, -getattr(a, n) / QUICK) for n, v in growth.items()}
     kept = goes_on * whether(a.rest > 0)
     for k, (calm, spoiled) in enumerate(zip(_calm(a), a.pair("spoiled"), strict=True)):
@@ -134,14 +143,14 @@ def told(a: Axis) -> dict[str, Told]:
     """Sizes above their limits by three deviations."""
     of, jet = fits(a.axis), a.actuator.gain / a.actuator.valve.area * math.sqrt(PRESSURE)
     usable = a.usable * (1 - a.spool)
-    leaks, _ = a.solved(of["leaks"], LEAKS | (FOAM if a.axis.turns else AIRY), 1.0, 2.0, MOST, 3)
+    leaks, _ = a.solved(of["leaks"], LEAKS | (FOAM if a.axis.turns else AIRY), 1.0, 2.0, MOST, len(LEAKS))
     known = usable * (1 - a.burst_told) * whether(leaks.samples > FEWEST_RESTS)
-    names = (SEAL, *(m.format("leak") for m in chambers_of(a.axis)[1]))
+    names = (SEAL, *(m.format("leak") for m in chambers_of(a.axis)[1]), OPEN)
+    scales = (LITRE / PRESSURE, *[LITRE / jet] * 3)
+    limit = a.p.leak_limit / LITRE * (SWAYING if a.axis.turns else 1)
     found = {
-        n: (scale * size, scale * off, judged(size, off, a.p.leak_limit / LITRE, known))
-        for n, (size, off), scale in zip(
-            names, leaks, (LITRE / PRESSURE, LITRE / jet, LITRE / jet), strict=False
-        )
+        n: (scale * size, scale * off, judged(size, off, limit, known))
+        for n, (size, off), scale in zip(names, leaks, scales, strict=False)
     }
     if a.axis.turns:
         return {n: t for n, t in found.items() if n != SEAL}
