@@ -215,7 +215,7 @@ def recorded(case: Case, folder: Path) -> Path:
         record=[*signals, "supply.oil_temperature", "manipulator.held_mass"],
         record_step=STEP,
         step=1e-3,
-        guard=0.0,  # the noise of readings would divide every step
+        guard=0.0,  # equal steps
         yes=True,
     )
     columns: dict[str, Any] = {"time": np.asarray(result.time)}

@@ -83,7 +83,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     files, folders = Counter[str](), Counter[str]()
     for reports in terminalreporter.stats.values():
         for report in reports:
-            if hasattr(report, "duration"):
+            if hasattr(report, "building"):  # not that of a worker that crashed
                 file = report.nodeid.partition("::")[0]
                 files[file] += report.duration - report.building
                 folders[str(Path(file).parent)] += report.duration - report.building

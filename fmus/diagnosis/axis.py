@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -37,6 +37,7 @@ SMALL = 1e4  # Pa, over which the root of a pressure is rounded
 EMPTY = 0.0  # Pa, below which a chamber may be empty: at -1 bar, with a zero that is off
 FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
+MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
 LONG, LONGER = 0.6, 1.5  # s, after which a chamber is at rest, and its arm as well
 
 
@@ -67,6 +68,14 @@ def chambers_of(axis: ControlledAxis) -> tuple[tuple[str, str], tuple[str, str]]
     if axis.turns:
         return ("line A", "line B"), ("{}_a", "{}_b")
     return ("the head side", "the rod side"), ("head_{}", "rod_{}")
+
+
+def of_both(axis: ControlledAxis, kind: str, finding: Finding) -> dict[str, Finding]:
+    """A finding of each chamber; `{end}` in its text is the words for the chamber."""
+    return {
+        mark.format(kind): replace(finding, text=finding.text.format(end=end))
+        for end, mark in zip(*chambers_of(axis), strict=True)
+    }
 
 
 def of_chambers(axis: ControlledAxis, *rows: tuple[str, str, str]) -> dict[str, Quantity]:

@@ -25,6 +25,7 @@ QUICK = SAMPLING  # s, in which a latch or a clock is set
 FORGOTTEN = 0.1  # s, in which a volume is forgotten
 DOUBT = 4.0  # samples
 FEWEST = 10.0  # samples, from which a size is told
+ROUGH = 0.1  # of the squares that a size explains, may be left because its model is not exact
 CERTAIN = 3.0  # deviations by which a size is above its limit
 
 Equations = Sequence[tuple[Sequence[Scalar], Scalar]]  # columns and right side of each
@@ -138,17 +139,19 @@ def _with_few(n: ca.SX, b: ca.SX, rare: int, worth: float) -> tuple[list[Scalar]
     """Least squares in which the first sizes are few and the last one is free; variances on a diagonal."""
     some: Any = list(range(rare))
     shared = n[some, rare] / n[rare, rare]
-    sizes, variances = few(n[some, some] - shared @ n[rare, some], b[some] - shared * b[rare], worth)
+    sizes, variances = few(n[some, some] - shared @ n[rare, some], b[some] - shared * b[rare], worth, ROUGH)
     free = b[rare] / n[rare, rare] - ca.dot(shared, ca.vertcat(*sizes))
     return [*sizes, free], ca.diag(ca.vertcat(*variances, 1 / n[rare, rare]))
 
 
-def few(n: ca.SX, b: ca.SX, worth: float = 0.0, most: int = 2) -> tuple[list[Scalar], list[Scalar]]:
+def few(
+    n: ca.SX, b: ca.SX, worth: float = 0.0, rough: float = 0.0, most: int = 2
+) -> tuple[list[Scalar], list[Scalar]]:
     """Least squares with at most `most` sizes that are not negative, the others zero, and their variances.
 
-    The best of all such solutions; a further size has to lessen the sum of squares
-    by `worth`. Faults are rare: a leak of one side is no leak of the seals with one of the other side. The
-    variance of a size at zero is that which it had alone.
+    The best of all such solutions; a further size has to lessen the sum of squares by `worth`, and by the
+    share `rough` of what is explained, because no model is exact. Faults are rare: a leak of one side is no
+    leak of the seals with one of the other side. The variance of a size at zero is that which it had alone.
     """
     best, found = ca.SX(0), [ca.SX(0)] * n.shape[0]
     variances = [1 / n[i, i] for i in range(n.shape[0])]
@@ -156,7 +159,8 @@ def few(n: ca.SX, b: ca.SX, worth: float = 0.0, most: int = 2) -> tuple[list[Sca
         some: Any = list(kept)
         inverse = ca.inv_minor(n[some, some])
         sizes = inverse @ b[some]
-        gain = ca.if_else(ca.mmin(sizes) >= 0, ca.dot(b[some], sizes), -1) - worth * len(some)
+        gain = (1 - rough * (len(some) - 1)) * ca.dot(b[some], sizes) - worth * len(some)
+        gain = ca.if_else(ca.mmin(sizes) >= 0, gain, -1)
         better, best = gain > best, ca.fmax(gain, best)
         own = dict(zip(some, ca.vertsplit(sizes), strict=True))
         found = [ca.if_else(better, own.get(k, 0), value) for k, value in enumerate(found)]

@@ -24,7 +24,7 @@ import casadi as ca
 from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Quantity, Scalar
 from fmus.controller.arm import ControlledAxis
-from fmus.diagnosis.axis import PRESSURE, SMALL, Axis, Finding, chambers_of, of_chambers
+from fmus.diagnosis.axis import PRESSURE, SMALL, Axis, Finding, chambers_of, of_both, of_chambers
 from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Told, either, judged, whether
 from fmus.diagnosis.settings import LITRE
 from fmus.smooth import positive
@@ -41,12 +41,8 @@ LEAKS, AIRY, FOAM = dict.fromkeys(("seal", "head", "rod", "valve"), 10.0), {AIR:
 
 def findings(axis: ControlledAxis) -> dict[str, Finding]:
     """Of a motor without seals, whose lines have one pressure on level ground, and without air."""
-    ends, marks = chambers_of(axis)
-    text = "Opening to the outside at {} of the {{}}"
-    found = {
-        mark.format("leak"): Finding("m2", text.format(end), 1e-6, "{} hose")
-        for mark, end in zip(marks, ends, strict=True)
-    }
+    leak = Finding("m2", "Opening to the outside at {end} of the {{}}", 1e-6, "{} hose")
+    found = of_both(axis, "leak", leak)
     found[OPEN] = Finding("m2", "Opening of the {} valve at rest", 1e-6, "{} valve")
     if axis.turns:
         return found

@@ -10,11 +10,10 @@ import casadi as ca
 
 from fmus.contract import Quantity, Scalar
 from fmus.controller.arm import ControlledAxis
-from fmus.diagnosis.axis import EMPTY, Axis, Finding, signals_of
+from fmus.diagnosis.axis import EMPTY, MOVES, Axis, Finding, signals_of
 from fmus.diagnosis.estimates import Told, counted, either, latched, shown, whether
 
 STILL = (1e-5, 1e-6, 2e3, 2e3)  # rad, rad/s, Pa: distance from its lag at which a reading stands still
-MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
 LIVELY = 5e3  # Pa, from the lag of a pressure that changes
 
 

@@ -36,10 +36,12 @@ from fmus.diagnosis.axis import (
     FILLED,
     LONG,
     LONGER,
+    MOVES,
     SMALL,
     Axis,
     Finding,
     chambers_of,
+    of_both,
     of_chambers,
 )
 from fmus.diagnosis.estimates import (
@@ -60,7 +62,6 @@ from fmus.diagnosis.settings import OF_VALVE
 from fmus.smooth import positive
 
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
-MOVES = 0.015  # rad/s or m/s, at which a joint moves
 WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
 EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
 # prior standard deviations: a valve that is another one
@@ -72,12 +73,8 @@ APART = frozenset(
 
 def findings(axis: ControlledAxis) -> dict[str, Finding]:
     """Bursts, spool, map."""
-    ends, marks = chambers_of(axis)
-    text = "Loss beyond that of the valve at {} of the {{}}"
-    found = {
-        mark.format("burst"): Finding("m3/s", text.format(end), 1e-3, "{} hose")
-        for mark, end in zip(marks, ends, strict=True)
-    }
+    loss = Finding("m3/s", "Loss beyond that of the valve at {end} of the {{}}", 1e-3, "{} hose")
+    found = of_both(axis, "burst", loss)
     found["spool"] = Finding("1", "1: the {} spool does not follow its command", 1.0, "{} valve")
     texts = (
         "Gain of the positive {} command",
@@ -158,9 +155,8 @@ def _of_bursts(a: Axis) -> dict[str, Scalar]:
         most = a.opened(other, a.pair("most")[other], 1)
         out = p.outlet * a.actuator.gain * most * ca.sqrt(positive(pressure - tank, SMALL))
         loss = -flow - out - ca.fmax(a.flows[other], 0) * whether(a.pressures[other] - tank > FILLED)
-        before = pressure - ca.if_else(
-            a.shut > LONGER, BLIND * a.rate(2 + k), 0
-        )  # a relief valve closes late
+        # a relief valve that closes late: the pressure that was a moment ago
+        before = pressure - ca.if_else(a.shut > LONGER, BLIND * a.rate(2 + k), 0)
         counts = whether(ca.fmax(pressure, before) < a.u.supply_pressure) * a.sound * a.full[k]
         found[f"lost_{k}"] = gathered(lost, loss - margin, counts)
         hidden = whether(a.pair("hidden")[k] > p.response_time)

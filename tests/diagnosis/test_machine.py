@@ -68,20 +68,21 @@ def test_a_healthy_machine_has_no_fault(faulty, work, swap):
         ("stick_driver_loss", 1, "stick_spool", 9.0),
         ("boom_spool_stuck", 1, "boom_spool", 8.0),
         ("boom_seal_leakage", 5e-12, "boom_seal_leakage", 25.0),
-        ("stick_head_leak", 5e-7, "stick_head_leak", 25.0),
+        ("stick_head_leak", 5e-7, "stick_head_leak", 30.0),
         ("boom_driver_loss", 0.4, "boom_gain_up", 25.0),
-        ("stick_hysteresis_added", 0.15, "stick_half_hysteresis", 39.0),
+        ("stick_hysteresis_added", 0.15, "stick_valve_opening", 25.0),
     ],
 )
 def test_a_fault_is_named(faulty, work, fault, size, named, within):
     """Within the time that its function needs to move, and nothing else before it.
 
-    Strokes come every 6 to 8 s: a stuck spool or angle shows in the next one, a leak at rests.
+    Strokes come every 6 to 8 s: a stuck spool or angle shows in the next one, a leak at rests, of which the
+    head of the stick has few with more than 10 bar. With 15 % of hysteresis a valve does not close any more.
     """
     found, _ = told(faulty, work, fault, size=size)
-    first = min(found, key=found.__getitem__)
-    assert FOUND[first].repair == FOUND[named].repair
-    assert BEGIN <= found[first] <= BEGIN + within
+    first = min(found.values())
+    assert FOUND[named].repair in {FOUND[n].repair for n, at in found.items() if at == first}
+    assert BEGIN <= first <= BEGIN + within
 
 
 @shards.machine
