@@ -188,9 +188,9 @@ def latched(state: Scalar, condition: Scalar, reset: Scalar) -> Scalar:
     return (condition * (1 - state) - state * reset) / QUICK
 
 
-def counted(clock: Scalar, condition: Scalar, rate: Scalar = 1) -> Scalar:
-    """Rate of a clock that counts while a condition is 1, and else is set to 0."""
-    return ca.if_else(condition > 0, rate, -clock / QUICK)
+def counted(clock: Scalar, condition: Scalar, rate: Scalar = 1, forgotten: float = QUICK) -> Scalar:
+    """Rate of a clock that counts while a condition is 1, and else goes back to 0."""
+    return ca.if_else(condition > 0, rate, -clock / forgotten)
 
 
 def gathered(volume: Scalar, excess: Scalar, counts: Scalar) -> Scalar:

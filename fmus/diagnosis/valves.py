@@ -36,7 +36,6 @@ from fmus.diagnosis.axis import (
     FILLED,
     LONG,
     LONGER,
-    MOVES,
     SMALL,
     Axis,
     Finding,
@@ -46,6 +45,7 @@ from fmus.diagnosis.axis import (
 )
 from fmus.diagnosis.estimates import (
     FEWEST,
+    FORGOTTEN,
     QUICK,
     Equations,
     Fit,
@@ -58,10 +58,11 @@ from fmus.diagnosis.estimates import (
     shown,
     whether,
 )
-from fmus.diagnosis.settings import OF_VALVE
+from fmus.diagnosis.settings import OF_EDGES, OF_VALVE
 from fmus.smooth import positive
 
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
+RESTING = 3.0  # weight of oil that is lost at rest, where only a load that changes moves some
 WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
 EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
 # prior standard deviations: a valve that is another one
@@ -86,6 +87,9 @@ def findings(axis: ControlledAxis) -> dict[str, Finding]:
     )
     for name, text, unit in zip(OF_VALVE, texts, ("1", "V", "1", "V", "V", "s"), strict=True):
         found[name] = Finding(unit, text, 0.1, "{} valve")
+    for name, sign in zip(OF_EDGES, ("positive", "negative"), strict=True):
+        text = f"Opening of the return edge over that of the other one, {sign} {{}} command"
+        found[name] = Finding("1", text, 1.0, "{} valve")
     return found
 
 
@@ -109,8 +113,8 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
 
 
 def fits(_: ControlledAxis) -> dict[str, Fit]:
-    """The map."""
-    return {"valve": Fit("valve", tuple(MAP), APART)}
+    """The map, and the edges."""
+    return {"valve": Fit("valve", tuple(MAP), APART), "edges": Fit("edges", OF_EDGES, frozenset({frozenset(OF_EDGES)}))}
 
 
 def _of_spool(a: Axis) -> dict[str, Scalar]:
@@ -118,31 +122,32 @@ def _of_spool(a: Axis) -> dict[str, Scalar]:
     supply, tank = a.u.supply_pressure, a.u.tank_pressure
     idle = whether(supply < p.standby_pressure) * whether(supply > p.stopped_pressure)
     missing, passed = [], [whether(v > p.passed_volume) for v in a.pair("passed")]
-    speed = ca.fabs(a.reading(1)) * (1 - a.faulty[1])
     for k, area in enumerate((a.actuator.head_area, -a.actuator.rod_area)):
         flow, drop, full = a.edge(k)
         by_speed = area * a.lever * a.reading(1) * (1 - a.faulty[1])
         moved, opened = ca.fmax(flow, by_speed), a.opened(k, a.pair("least")[k], -1)
         asked = p.response * opened * full * whether(drop > LEAST_DROP)
         late = whether(asked > p.response * p.response_flow) * whether(moved < asked)
-        late *= ca.if_else(a.full[k] > 0, 1, EMPTIED * whether(speed < MOVES))
+        late *= ca.if_else(a.full[k] > 0, 1, EMPTIED)
         # an open valve lets the pressure of the other side down; a motor that stands has none, and a hose
         # of a compensated section has none from the load
-        held = a.full[1 - k] * whether(a.pressures[1 - k] - tank > p.lost_pressure)
+        passing = whether(_returned(a, k) > p.response * opened) * _return_known(a, k)
+        held = a.full[1 - k] * whether(a.pressures[1 - k] - tank > p.lost_pressure) * (1 - passing)
+        late *= 1 - passing * a.full[k]
         low = 0
         if not a.axis.turns:
             low = whether(a.pressures[k] < p.lost_pressure) * (1 - held) * (1 - a.compensated)
         waits = WAITING * idle * whether(opened > 0) * whether(moved < p.response_flow)
         missing += [late * (1 - low), waits]
         hidden = late * low * a.sound
-        found[f"hidden_{k}"] = counted(a.pair("hidden")[k], whether(hidden > 0), hidden)
+        found[f"hidden_{k}"] = counted(a.pair("hidden")[k], whether(hidden > 0), hidden, FORGOTTEN)
         closed = whether(a.pair("most")[k] < p.closed_command) * whether(a.pressures[k] - tank > FILLED)
         through = ca.fmin(flow, -a.flows[1 - k]) - p.rest_margin
         counts = closed * a.sound * a.full[0] * a.full[1]
         found[f"passed_{k}"] = gathered(a.pair("passed")[k], through, counts)
     wrong = either(*missing) * a.sound
     told = either(whether(a.missing > p.response_time), *passed) * (1 - a.burst_told)
-    found["missing"] = counted(a.missing, wrong, wrong)
+    found["missing"] = counted(a.missing, wrong, wrong, FORGOTTEN)
     return found | {"spool": latched(a.spool, told, a.u.reset)}
 
 
@@ -153,12 +158,22 @@ def _of_bursts(a: Axis) -> dict[str, Scalar]:
     for k, (flow, pressure) in enumerate(zip(a.flows, a.pressures, strict=True)):
         other, lost, burst = 1 - k, a.pair("lost")[k], a.pair("burst")[k]
         most = a.opened(other, a.pair("most")[other], 1)
-        out = p.outlet * a.actuator.gain * most * ca.sqrt(positive(pressure - tank, SMALL))
+        outlet = p.outlet * a.reference(OF_EDGES[other])
+        highest = ca.fmax(pressure, getattr(a, f"late_{2 + k}"))  # flows are behind a lag, too
+        out = outlet * a.actuator.gain * most * ca.sqrt(positive(highest - tank, SMALL))
         loss = -flow - out - ca.fmax(a.flows[other], 0) * whether(a.pressures[other] - tank > FILLED)
         # a relief valve that closes late: the pressure that was a moment ago
         before = pressure - ca.if_else(a.shut > LONGER, BLIND * a.rate(2 + k), 0)
         counts = whether(ca.fmax(pressure, before) < a.u.supply_pressure) * a.sound * a.full[k]
-        found[f"lost_{k}"] = gathered(lost, loss - margin, counts)
+        emptied = whether(a.shut > LONG) * whether(pressure < p.lost_pressure) * (1 - a.compensated)
+        weight = 1 + (RESTING - 1) * emptied
+        _, drop, full = a.edge(k)
+        let_in = ca.fmin(_returned(a, k), a.opened(k, a.pair("most")[k], 1)) * full / p.outlet
+        starved = (let_in - flow) * _return_known(a, k) * whether(drop > LEAST_DROP)
+        starved *= whether(a.pair("least")[k] > p.closed_command)
+        excess = ca.fmax(weight * (loss - margin) * counts, (starved - p.rest_margin) * a.sound * a.full[k])
+        loss = ca.fmax(loss, starved)
+        found[f"lost_{k}"] = gathered(lost, excess, either(counts, whether(starved > 0) * a.sound * a.full[k]))
         hidden = whether(a.pair("hidden")[k] > p.response_time)
         size = ca.fmax(whether(lost > p.burst_volume) * loss, hidden * p.burst_margin)
         rise = ca.fmax(size - burst, 0) * (1 - a.spool) * a.sound
@@ -188,6 +203,38 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
     return counts, [(columns, v.dead_band + share * (v.full_command - v.dead_band))]
 
 
+def _returned(a: Axis, k: int) -> Scalar:
+    """Opening of the edge into a chamber, by the flow through the return edge of the other one."""
+    back = positive(a.pressures[1 - k] - a.u.tank_pressure, SMALL)
+    share = -a.flows[1 - k] / (a.actuator.gain * ca.sqrt(back))
+    return share / a.reference(OF_EDGES[k])
+
+
+def _return_known(a: Axis, k: int) -> Scalar:
+    """1: that opening is known."""
+    back = a.pressures[1 - k] - a.u.tank_pressure
+    return whether(back > LEAST_DROP) * a.full[1 - k] * (1 - a.compensated)
+
+
+def _shares(a: Axis, k: int) -> tuple[Scalar, Scalar, Scalar]:
+    """Openings of the edge into a chamber and of the return edge, and whether both are known."""
+    (flow, drop, full), other = a.edge(k), 1 - k
+    back = a.pressures[other] - a.u.tank_pressure
+    outlet = -a.flows[other] / (a.actuator.gain * ca.sqrt(positive(back, SMALL)))
+    counts = whether(drop > LEAST_DROP) * whether(back > LEAST_DROP) * a.full[other] * (1 - a.compensated)
+    return flow / full, outlet, counts
+
+
+def _edge_equations(a: Axis) -> tuple[Scalar, Equations]:
+    """Weight 0 or 1, and the equation."""
+    up = whether(a.late_command > 0)
+    inlet, outlet, counts = (ca.if_else(up > 0, v, w) for v, w in zip(_shares(a, 0), _shares(a, 1), strict=True))
+    least = ca.if_else(up > 0, *a.pair("least"))
+    counts *= whether(inlet > 0.05) * whether(outlet > 0.02) * whether(inlet < 0.95) * whether(least > a.p.closed_command)
+    counts *= ca.if_else(up > 0, *a.full)
+    return counts, [([10 * up * inlet, 10 * (1 - up) * inlet], 10 * outlet)]
+
+
 def rates(a: Axis) -> dict[str, Scalar]:
     """Of the states, and the sums of the map."""
     p, late = a.p, a.late_command
@@ -198,12 +245,16 @@ def rates(a: Axis) -> dict[str, Scalar]:
     counts, equation = _map_equation(a)
     counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
     sums = fits(a.axis)["valve"].rates(a, counts, equation, p.valve_memory)
+    counts, equation = _edge_equations(a)
+    counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
+    sums |= fits(a.axis)["edges"].rates(a, counts, equation, p.valve_memory)
     return found | _of_spool(a) | _of_bursts(a) | sums
 
 
 def told(a: Axis) -> dict[str, Told]:
     """A change of the map is one of the mean command of a direction, or of the hysteresis."""
     marks, fit, p = chambers_of(a.axis)[1], fits(a.axis)["valve"], a.p
+    fit_edges = fits(a.axis)["edges"]
     usable = a.usable * (1 - a.spool)
     found = {m.format("burst"): shown(b, usable) for m, b in zip(marks, a.pair("burst"), strict=True)}
     found["spool"] = shown(a.spool, a.usable)
@@ -216,5 +267,8 @@ def told(a: Axis) -> dict[str, Told]:
         change, spread = fitted.along(*row)
         off_known = ca.fabs(change - sum(w * r for w, r in zip(row, known, strict=True)))
         found[n] = (size, off, judged(off_known, spread, limit, enough))
+    edges, _ = a.solved(fit_edges, dict.fromkeys(OF_EDGES, 0.5), 0.1, 0.3)
+    enough = usable * (1 - a.burst_told) * whether(edges.samples > FEWEST)
+    found |= {n: (size, off, ca.if_else(enough > 0, 0, -1)) for n, (size, off) in zip(OF_EDGES, edges, strict=True)}
     (*_, (size, off)) = fitted
     return found | {OF_VALVE[-1]: (size, off, ca.if_else(enough > 0, 0, -1))}  # told of all valves together
