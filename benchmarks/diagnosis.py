@@ -34,11 +34,12 @@ import numpy as np
 from benchmarks.diagnosis_machines import AXES, BEGIN, Case, Columns, cases, further, influence, recorded
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
+from fmus.manipulator import MANIPULATOR
 from fmus.machine.ssp import section_flows
 from orchestrator.results.diagnosis import INTERVAL, Diagnosis, learned_values, over
 
 FOLDER, FMU = Path("build/recordings"), Path("build/faults/diagnosis.fmu")
-REPAIRS = {n: f.repair for n, f in findings(ARM).items()}
+REPAIRS = {n: f.repair for n, f in findings(ARM, MANIPULATOR).items()}
 LIMITS = {"safety": 0.3, "function": 20.0, "wear": np.inf}
 BARS = {"safety": 0.95, "function": 0.9, "wear": 0.8}
 SAME = {"swing seals": "swing hose"}  # one look tells both

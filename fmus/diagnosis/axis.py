@@ -43,10 +43,16 @@ LONG, LONGER = 0.6, 1.5  # s, after which a chamber is at rest, and its arm as w
 
 @dataclass(frozen=True)
 class Effort:
-    """Of a joint: torque d(V - T)/dq [N.m] of weight and motion, and momentum dT/dq' [N.m.s]."""
+    """Of a joint: torque d(V - T)/dq [N.m] of weight and motion, and momentum dT/dq' [N.m.s].
+
+    Of the empty arm, of a kilogram of payload, and of a kilogram more of each of its masses.
+    """
 
     torque: Scalar
     momentum: Scalar
+
+
+Efforts = Mapping[str, Effort]  # by "empty", "payload", names of masses
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,7 @@ class Axis:
     lever    dx/dq
     lines    1: the readings of both lines are usable
     speeds   1: those of all speeds are
-    effort   of the empty arm, and of a kilogram of payload
+    effort   of weights and motion
     """
 
     axis: ControlledAxis
@@ -134,7 +140,7 @@ class Axis:
     p: Any
     lines: Scalar
     speeds: Scalar
-    effort: tuple[Effort, Effort]
+    effort: Efforts
 
     def __getattr__(self, name: str) -> Any:
         """A state of the axis."""

@@ -26,7 +26,7 @@ from fmus.contract import Quantity, Scalar, Subsystem, make_group, quantities
 from fmus.controller.arm import Arm, ControlledAxis
 from fmus.controller.gains import gains
 from fmus.diagnosis import leaks, sensors, valves, weight
-from fmus.diagnosis.axis import Axis, Effort, Finding, outside, shared_states, signals_of
+from fmus.diagnosis.axis import Axis, Efforts, Finding, outside, shared_states, signals_of
 from fmus.diagnosis.estimates import (
     FEWEST,
     QUICK,
@@ -52,6 +52,7 @@ FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
 WEIGHING = Fit("weighing", ("difference",))
+WEIGHED = 200.0  # kg, deviation of a difference of weights that is one sample
 RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
 ALONE = {
     "return_resistance": Finding("Pa.s/m3", "Resistance of the return line", 1e7, "return filter"),
@@ -64,7 +65,6 @@ ALONE = {
 }
 
 
-NO_EFFORT = (Effort(0, 0), Effort(0, 0))
 CHECKS, FITTING = (leaks, valves, sensors, weight), (leaks, valves, weight)
 
 
@@ -104,7 +104,8 @@ class Diagnosis:
     """The functions of the subsystem for an arm."""
 
     arm: Arm
-    efforts: weight.Efforts
+    efforts: weight.OfReadings
+    tare: weight.Tare
     states: type[Any]
     outputs: type[Any]
 
@@ -114,9 +115,9 @@ class Diagnosis:
             self.arm.actuators([at for at, _ in pistons], p),
             1 - either(*self._wrong(x, u, p).values()),
         )
-        efforts: Mapping[str, Any] = {} if isinstance(u, Nothing) else self.efforts(u)
+        efforts: Mapping[str, Efforts] = {} if isinstance(u, Nothing) else self.efforts(u)
         axes = [
-            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, efforts.get(a.name, NO_EFFORT))
+            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, efforts.get(a.name, {}))
             for a, (at, lever) in zip(self.arm.axes, pistons, strict=True)
         ]
         speeds = 1 - either(*(a.faulty[1] for a in axes))
@@ -151,8 +152,9 @@ class Diagnosis:
             counts *= sound * whether(flow > WORKING) / p.window
             rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], p.slow_memory)
         difference, spread, counts = self._weighed(axes)
-        counts *= (p.weighing_limit / spread) ** 2 / p.weighing_memory
+        counts *= (WEIGHED / spread) ** 2 / p.weighing_memory
         rates |= WEIGHING.rates(x, counts, [([1], difference / weight.HUNDRED)], p.balance_memory)
+        rates |= self.tare.rates(x, axes, p)
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
         return self.states(**rates)
 
@@ -167,6 +169,7 @@ class Diagnosis:
         told["valve_delay"] = self._delay(told, p)
         told["oil_temperature_high"] = shown(x.hot)
         payload, told["weighing"] = self._payload(axes), self._weighing(x, p)
+        told |= self.tare.told(x, p)
         found = {"payload": payload[0], "payload_deviation": payload[1]}
         for n, (size, deviation, state) in told.items():
             found |= {n: size, f"{n}_deviation": deviation, f"{n}_state": state}
@@ -213,7 +216,7 @@ class Diagnosis:
         return total / inverse, ca.sqrt(1 / inverse)
 
     def _weighing(self, x: Any, p: Any) -> Told:
-        fitted = WEIGHING.solved(x, Prior((20,), (0,), 0.5, 1.0))
+        fitted = WEIGHING.solved(x, Prior((20,), (0,), 0.3, 0.7))
         ((size, off),) = ((weight.HUNDRED * s, weight.HUNDRED * d) for s, d in fitted)
         told = whether(fitted.samples > FEWEST / 2)
         return size, off, judged(ca.fabs(size), off, p.weighing_limit, told)
@@ -231,23 +234,24 @@ class Diagnosis:
         return start
 
 
-def findings(arm: Arm) -> dict[str, Finding]:
+def findings(arm: Arm, manipulator: Subsystem) -> dict[str, Finding]:
     """All, in the order of the outputs."""
     found = {n: f for a in arm.axes for n, f in _findings_of(a).items()}
     lines = {
         f"{n}_sensor": Finding("1", f"1: the reading of {n} is wrong", 1.0, f"{n} sensor") for n in LINES
     }
-    return found | lines | ALONE
+    return found | lines | ALONE | weight.Tare.of(arm, manipulator).findings
 
 
-def _own_parameters(arm: Arm) -> dict[str, tuple[Quantity, Number]]:
+def _own_parameters(arm: Arm, names: Mapping[str, Finding], tare: weight.Tare) -> dict[str, tuple[Quantity, Number]]:
     """Sensors that a machine has, and references of a healthy one."""
-    names, found = findings(arm), dict[str, tuple[Quantity, Number]]()
+    found = dict[str, tuple[Quantity, Number]]()
     for n in (*(n for a in arm.axes for n in signals_of(a)), *LINES):
         text = f"1: there is a reading of {n}, 0: there is none"
         quantity = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
         found[f"{n}_fitted"] = quantity, Number(1.0, "1", "assumed", "all sensors of the controller")
     healthy = {f"{a.name}_{n}": value for a in arm.axes for n, value in REFERENCES.items()} | OF_MACHINE
+    healthy |= dict.fromkeys(tare.findings, 0.0)
     for n, value in healthy.items():
         if n in names:
             f, note = names[n], "no healthy machine was measured"
@@ -265,12 +269,13 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     manipulator   its mechanics, from which the weight of the empty arm follows
     """
     inputs, states, outputs = dict[str, Quantity](), dict[str, Quantity](), dict[str, Quantity]()
+    all_findings, tare = findings(arm, manipulator), weight.Tare.of(arm, manipulator)
     for a in arm.axes:
         inputs[f"{a.name}_command"] = Quantity("V", f"Command to the {a.name} valve", 10.0)
         texts = (a.coordinate[1], a.speed[1], a.sides[0][1], a.sides[1][1])
         for n, unit, text in zip(signals_of(a), (*a.units, "Pa", "Pa"), texts, strict=True):
             inputs[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
-        states |= _states_of(a)
+        states |= _states_of(a) | weight.late_states(a, tare.masses)
     for n, (text, size) in LINES.items():
         inputs[n] = Quantity("Pa", text, size)
         states[f"{n}_bad"] = Quantity("1", f"1: the reading of {n} is wrong")
@@ -292,16 +297,16 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     states["hot"] = Quantity("1", "1: the oil is hotter than its limit")
     states |= {
         n: Quantity("1", f"Sum of normal equations: {n}")
-        for fit in (RETURN, PUMP, WEIGHING)
+        for fit in (RETURN, PUMP, WEIGHING, tare.fit)
         for n in fit.states
     }
     outputs["payload"] = Quantity("kg", "Payload", 100.0)
     outputs["payload_deviation"] = Quantity("kg", "Standard deviation of the payload", 100.0)
-    for n, f in findings(arm).items():
+    for n, f in all_findings.items():
         outputs[n] = Quantity(f.unit, f.text, f.nominal)
         outputs[f"{n}_deviation"] = Quantity(f.unit, f"Standard deviation of {n}", f.nominal)
         outputs[f"{n}_state"] = Quantity("1", f"{n}: 1 a fault ({f.repair}), 0 none, -1 cannot be told")
-    own = _own_parameters(arm)
+    own = _own_parameters(arm, all_findings, tare)
     flows = {n: q for n, q in quantities(gains(arm.axes)).items() if n.endswith("_section_flow")}
     nominal = Quantity("Pa", "Supply pressure, above which relief valves may be open", 1e7, group="Supply")
     declared = flows | {"nominal_supply_pressure": nominal} | {n: q for n, (q, _) in own.items()}
@@ -315,6 +320,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
     of = Diagnosis(
         arm,
         weight.efforts_of(manipulator, arm.axes),
+        tare,
         make_group("States", states),
         make_group("Outputs", outputs),
     )

@@ -20,7 +20,7 @@ Settings: type[Group] = make_group(
 
 # of an axis: value if no healthy machine was measured
 OF_VALVE = ("gain_up", "dead_band_up", "gain_down", "dead_band_down", "half_hysteresis", "valve_delay")
-REFERENCES = dict(zip(OF_VALVE, (1.0, 0.0, 1.0, 0.0, 0.2, 0.02), strict=True)) | {"air": 0.0, "weight": 0.0}
+REFERENCES = dict(zip(OF_VALVE, (1.0, 0.0, 1.0, 0.0, 0.2, 0.02), strict=True)) | {"air": 0.0}
 OF_EDGES = ("return_edge_up", "return_edge_down")
 REFERENCES |= dict.fromkeys(OF_EDGES, 1.5)
 OF_MACHINE = {"return_resistance": 4e7, "pump_pressure": 0.0}

@@ -1,31 +1,41 @@
-"""Payload by one cylinder, by Lagrange's equations with the energies T and V of the arm:
+"""Payload by one cylinder, by Lagrange's equations with the energies T and V of the arm, behind a lag T_w:
 
-    tau - d(V - T)/dq - (p - p_late)/T_w = m (the same of a kilogram of payload)        p = dT/dq'
+    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x')        e = d(V - T)/dq + (p - p_late)/T_w
 
-behind the lag T_w. The momentum p needs no acceleration. Not near the ends of a stroke.
+e_0 of the empty arm, e_m of a kilogram of payload, e_i of a kilogram of mass i of the arm; p = dT/dq', so no
+acceleration is needed. x_q = dx/dq. The tare are the masses d_i that the arm has beyond the known ones, and
+the friction of its cylinders, dry F and viscous D. It is learned without payload. Not near the ends of a
+stroke.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
 
 from fmus.contract import Quantity, Scalar, Subsystem, flat, nested, quantities
-from fmus.controller.arm import ControlledAxis
-from fmus.diagnosis.axis import Axis, Effort, Finding
-from fmus.diagnosis.estimates import Fit, Told, whether
+from fmus.controller.arm import Arm, ControlledAxis
+from fmus.diagnosis.axis import Axis, Effort, Efforts, Finding
+from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Prior, Told, whether
+from fmus.diagnosis.settings import number
 from fmus.parameters import values
 
 TORQUE = 1e4  # N.m, scale of torques
 HUNDRED = 100.0  # kg, scale of weights
+FORCE, DAMPING = 1e3, 1e4  # N, N.s/m, scales of friction
+SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
+FORGOTTEN_SHARE = 0.05  # of a torque at the end of a stroke
+CHANGED = 100.0  # kg, from which a payload is another one
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
 PRIOR = {"weight": 20.0}  # standard deviation [100 kg]
+FRICTION = ("dry_friction", "damping")
 
-Efforts = Callable[[Any], Mapping[str, tuple[Effort, Effort]]]
-"""Readings -> axis: the empty arm, and what a kilogram of payload adds."""
+OfReadings = Callable[[Any], Mapping[str, Efforts]]  # by axis
 
 
 def findings(axis: ControlledAxis) -> dict[str, Finding]:
@@ -34,17 +44,38 @@ def findings(axis: ControlledAxis) -> dict[str, Finding]:
     return {} if axis.turns else {"weight": Finding("kg", text, 100.0, "pressure sensors of the {}")}
 
 
-def states(axis: ControlledAxis) -> dict[str, Quantity]:
+def masses_of(manipulator: Subsystem) -> list[str]:
+    """Masses of the arm."""
+    return [n for n, q in quantities(manipulator.parameters).items() if q.unit == "kg"]
+
+
+def states(_: ControlledAxis) -> dict[str, Quantity]:
+    """None but those of `late_states`."""
+    return {}
+
+
+def late_states(axis: ControlledAxis, masses: Sequence[str]) -> dict[str, Quantity]:
     """Torques and momenta behind the lag."""
     if axis.turns:
         return {}
-    rows = (
-        ("torque", "N.m", "Torque less that of the empty arm, behind the lag", TORQUE),
-        ("momentum", "N.m.s", "Momentum of the empty arm, behind the lag", TORQUE),
-        ("mass_torque", "N.m/kg", "Torque per payload, behind the lag", 1.0),
-        ("mass_momentum", "N.m.s/kg", "Momentum per payload, behind the lag", 1.0),
-    )
-    return {n: Quantity(unit, f"{text}: {axis.name}", nominal) for n, unit, text, nominal in rows}
+    rows, units = list[tuple[str, str, str, float]](), ("N.m", "N.m.s")
+    for n in ("empty", "payload", *masses):
+        what = "of the empty arm" if n == "empty" else f"of a kilogram of {n}"
+        rows += [
+            (f"{n}_torque", units[0], f"Torque {what}", TORQUE),
+            (f"{n}_momentum", units[1], f"Momentum {what}", TORQUE),
+        ]
+        units = ("N.m/kg", "N.m.s/kg")
+    rows += [
+        ("torque", "N.m", "Torque of the cylinder", TORQUE),
+        ("late_dry_friction", "m", "Lever with the sign of the speed", 1.0),
+        ("late_damping", "m2/s", "Lever times the speed of the piston", 1.0),
+        ("blocked", "1", "Share of the torque from a time at an end of the stroke", 1.0),
+    ]
+    return {
+        f"{axis.name}_{n}": Quantity(unit, f"{text}, behind the lag: {axis.name}", size)
+        for n, unit, text, size in rows
+    }
 
 
 def fits(axis: ControlledAxis) -> dict[str, Fit]:
@@ -52,31 +83,33 @@ def fits(axis: ControlledAxis) -> dict[str, Fit]:
     return {} if axis.turns else {"weight": Fit("weight", ("mass",))}
 
 
-def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> Efforts:
+def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfReadings:
     """From the mechanics of a machine, with the values of its parameters."""
-    known, arm = values(manipulator), [a for a in axes if not a.turns]
-    p, still = nested(manipulator.parameters, known.p), nested(manipulator.inputs, known.u)
+    known, arm, names = values(manipulator), [a for a in axes if not a.turns], masses_of(manipulator)
+    masses = ca.SX.sym("masses", len(names))
+    given = known.p | dict(zip(names, ca.vertsplit(masses), strict=True))
+    p, still = nested(manipulator.parameters, given), nested(manipulator.inputs, known.u)
     rest = dict.fromkeys(quantities(manipulator.states), 0.0)
-    names = [n for a in axes for n in (a.coordinate[0], a.speed[0])]
-    readings, mass = ca.SX.sym("readings", len(names)), ca.SX.sym("mass")
-    at = dict(zip(names, ca.vertsplit(readings), strict=True))
-    x = nested(manipulator.states, rest | at | {"held_mass": mass})
+    inputs = [n for a in axes for n in (a.coordinate[0], a.speed[0])]
+    readings, payload = ca.SX.sym("readings", len(inputs)), ca.SX.sym("payload")
+    at = dict(zip(inputs, ca.vertsplit(readings), strict=True))
+    x = nested(manipulator.states, rest | at | {"held_mass": payload})
     seen = flat(manipulator.observe(x, still, p))
     kinetic, rows = seen["kinetic_energy"], list[Scalar]()
     for a in arm:
         weight = ca.gradient(seen["potential_energy"] - kinetic, at[a.coordinate[0]])
         rows += [weight, ca.gradient(kinetic, at[a.speed[0]])]
-    function = ca.Function("efforts", [readings, mass], [ca.vertcat(*rows)])
+    loads = ca.vertcat(payload, masses)
+    found = ca.vertcat(*rows)
+    table = ca.horzcat(found, ca.jacobian(found, loads))  # linear in all masses
+    empty = ca.vertcat(0, *(known.p[n] for n in names))
+    function = ca.Function("efforts", [readings], [ca.densify(ca.substitute(table, loads, empty))])
 
-    def efforts(u: Any) -> Mapping[str, tuple[Effort, Effort]]:
-        now = ca.vertcat(*(getattr(u, n) for n in names))
-        empty, loaded = (ca.vertsplit(function(now, m)) for m in (0, 1))
-        pairs = [(e, one - e) for e, one in zip(empty, loaded, strict=True)]
+    def efforts(u: Any) -> Mapping[str, Efforts]:
+        now = function(ca.vertcat(*(getattr(u, n) for n in inputs)))
+        columns = ("empty", "payload", *names)
         return {
-            a.name: (
-                Effort(pairs[2 * k][0], pairs[2 * k + 1][0]),
-                Effort(pairs[2 * k][1], pairs[2 * k + 1][1]),
-            )
+            a.name: {n: Effort(now[2 * k, i], now[2 * k + 1, i]) for i, n in enumerate(columns)}
             for k, a in enumerate(arm)
         }
 
@@ -87,28 +120,47 @@ def start(a: Axis) -> dict[str, Scalar]:
     """States at the readings."""
     if a.axis.turns:
         return {}
-    (empty, mass), now = a.effort, a.lever * a.actuator.force(*a.pressures)
-    return {
-        "torque": now - empty.torque,
-        "momentum": empty.momentum,
-        "mass_torque": mass.torque,
-        "mass_momentum": mass.momentum,
+    speed = a.lever * a.reading(1)
+    found: dict[str, Scalar] = {
+        "torque": a.lever * a.actuator.force(*a.pressures),
+        "late_dry_friction": a.lever * speed / ca.sqrt(speed**2 + SLOW**2),
+        "late_damping": a.lever * speed,
     }
+    for n, effort in a.effort.items():
+        found |= {f"{n}_torque": effort.torque, f"{n}_momentum": effort.momentum}
+    return found
+
+
+def column(a: Axis, name: str) -> Scalar:
+    """Torque behind the lag: of weights and motion, or friction per its size."""
+    if name in FRICTION:
+        return getattr(a, f"late_{name}")
+    return getattr(a, f"{name}_torque") + (a.effort[name].momentum - getattr(a, f"{name}_momentum")) / a.p.weighing_lag
+
+
+def balance(a: Axis) -> tuple[Scalar, Scalar]:
+    """Torque beyond that of the empty arm [N.m], and whether it counts."""
+    return a.torque - column(a, "empty"), a.sound * a.speeds * whether(a.blocked < FORGOTTEN_SHARE)
 
 
 def rates(a: Axis) -> dict[str, Scalar]:
     """Lags, and the sums of the payload."""
     if a.axis.turns:
         return {}
-    p, (empty, mass), lag = a.p, a.effort, a.p.weighing_lag
+    p, lag = a.p, a.p.weighing_lag
     found = {n: (v - getattr(a, n)) / lag for n, v in start(a).items()}
     stroke = getattr(p, a.axis.name).stroke
     free = whether(a.position > END) * whether(a.position < stroke - END)
-    force = a.torque - (empty.momentum - a.momentum) / lag
-    per_mass = a.mass_torque + (mass.momentum - a.mass_momentum) / lag
-    equation = [([HUNDRED * per_mass / TORQUE], force / TORQUE)]
-    counts = a.sound * a.speeds * free / lag + NEVER  # an old weight fades, too
-    return found | fits(a.axis)["weight"].rates(a, counts, equation, p.weighing_memory)
+    found["blocked"] = ca.if_else(free > 0, -a.blocked / lag, (1 - a.blocked) / QUICK)
+    torque, counts = balance(a)
+    for n in (*(n for n in a.effort if n not in ("empty", "payload")), *FRICTION):
+        torque -= number(f"{n}_off" if n in a.effort else f"{a.axis.name}_{n}", p) * column(a, n)
+    mass = column(a, "payload")
+    off = torque - size(a)[0] * mass  # another payload: what is older is forgotten
+    fading = (1 + (off / (CHANGED * mass)) ** 2) / p.weighing_memory
+    memory = 1 / ca.fmin(ca.if_else(counts > 0, fading, 1 / p.weighing_memory), 1 / p.weighing_lag)
+    equation: Equations = [([HUNDRED * mass / TORQUE], torque / TORQUE)]
+    return found | fits(a.axis)["weight"].rates(a, counts / lag + NEVER, equation, memory)  # fades always
 
 
 def usable(a: Axis) -> Scalar:
@@ -117,12 +169,83 @@ def usable(a: Axis) -> Scalar:
 
 
 def size(a: Axis) -> tuple[Scalar, Scalar]:
-    """Payload [kg] with its deviation, less the weight of the empty arm beyond the known one."""
+    """Payload [kg] with its deviation."""
     ((mass, off),) = a.solved(fits(a.axis)["weight"], PRIOR, 0.02, 0.1)[0]
     deviation = ca.sqrt((HUNDRED * off) ** 2 + a.p.weighing_error**2)
-    return HUNDRED * mass - a.reference("weight"), deviation
+    return HUNDRED * mass, deviation
 
 
 def told(a: Axis) -> dict[str, Told]:
     """The gauge."""
     return {} if a.axis.turns else {"weight": (*size(a), ca.if_else(usable(a) > 0, 0, -1))}
+
+
+@dataclass(frozen=True)
+class Tare:
+    """Masses of an arm beyond the known ones, and friction of its cylinders; learned without payload.
+
+    cylinders   names of their axes
+    masses      names of the masses
+    known       the masses [kg]
+    """
+
+    cylinders: tuple[str, ...]
+    masses: tuple[str, ...]
+    known: tuple[float, ...]
+
+    @staticmethod
+    def of(arm: Arm, manipulator: Subsystem) -> Tare:
+        """Of a machine."""
+        masses, p = masses_of(manipulator), values(manipulator).p
+        cylinders = tuple(a.name for a in arm.axes if not a.turns)
+        return Tare(cylinders, tuple(masses), tuple(float(p[n]) for n in masses))
+
+    @property
+    def findings(self) -> dict[str, Finding]:
+        """Gauges: no size of them is a fault."""
+        found = {
+            f"{n}_off": Finding("kg", f"{n.replace('_', ' ').capitalize()} beyond the known one", 100.0, "tare")
+            for n in self.masses
+        }
+        for a in self.cylinders:
+            found[f"{a}_dry_friction"] = Finding("N", f"Dry friction of the {a} cylinder", FORCE, "tare")
+            found[f"{a}_damping"] = Finding("N.s/m", f"Viscous friction of the {a} cylinder", DAMPING, "tare")
+        return found
+
+    @property
+    def fit(self) -> Fit:
+        """Of all of them."""
+        frictions = [[f"{a}_{n}" for n in FRICTION] for a in self.cylinders]
+        apart = {frozenset((m, n)) for one, other in combinations(frictions, 2) for m in one for n in other}
+        return Fit("tare", tuple(self.findings), frozenset(apart))
+
+    @property
+    def _scales(self) -> list[float]:
+        return [HUNDRED] * len(self.masses) + [FORCE, DAMPING] * len(self.cylinders)
+
+    def rates(self, x: Any, axes: Sequence[Axis], p: Any) -> dict[str, Scalar]:
+        """Of the sums; an equation of each cylinder."""
+        equations, count = list[tuple[Sequence[Scalar], Scalar]](), 0
+        for a in (a for a in axes if not a.axis.turns):
+            torque, counts = balance(a)
+            columns = [column(a, n) for n in self.masses]
+            for name in self.cylinders:
+                columns += [column(a, n) if name == a.axis.name else 0 for n in FRICTION]
+            scaled = [counts * s * c / TORQUE for s, c in zip(self._scales, columns, strict=True)]
+            equations.append((scaled, counts * torque / TORQUE))
+            count += counts
+        return self.fit.rates(x, whether(count > 0) / p.weighing_lag, equations, p.tare_memory, count)
+
+    def told(self, x: Any, p: Any) -> dict[str, Told]:
+        """Sizes; not known before some samples."""
+        deviations = [*(0.1 * m for m in self.known), *[2 * FORCE, 3 * DAMPING] * len(self.cylinders)]
+        prior = Prior(
+            [d / s for d, s in zip(deviations, self._scales, strict=True)],
+            [number(n, p) / s for n, s in zip(self.findings, self._scales, strict=True)],
+            0.02,
+            0.1,
+        )
+        solution = self.fit.solved(x, prior)
+        told = ca.if_else(solution.samples > FEWEST, 0, -1)
+        sized = zip(self.findings, solution, self._scales, strict=True)
+        return {n: (s * size, s * off, told) for n, (size, off), s in sized}
