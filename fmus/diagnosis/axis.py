@@ -36,6 +36,7 @@ PRESSURE = 1e7  # Pa, scale of pressures in the normal equations
 SMALL = 1e4  # Pa, over which the root of a pressure is rounded
 EMPTY = 0.0  # Pa, below which a chamber may be empty: at -1 bar, with a zero that is off
 FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
+NO_DROP = 1e9  # Pa, of a valve that fills nothing
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
 MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
 LONG, LONGER = 0.6, 1.5  # s, after which a chamber is at rest, and its arm as well
@@ -129,6 +130,7 @@ class Axis:
     lines    1: the readings of both lines are usable
     speeds   1: those of all speeds are
     effort   of weights and motion
+    margin   least drop of supply pressure to a chamber that is filled, of all axes [Pa]
     """
 
     axis: ControlledAxis
@@ -141,6 +143,7 @@ class Axis:
     lines: Scalar
     speeds: Scalar
     effort: Efforts
+    margin: Scalar = 0
 
     def __getattr__(self, name: str) -> Any:
         """A state of the axis."""
@@ -227,14 +230,27 @@ class Axis:
         return either(whether(pressure < EMPTY), whether(pressure > self.p.highest_reading))
 
     @property
+    def least_drop(self) -> Scalar:
+        """From the supply to a chamber that its valve may be filling [Pa]."""
+        filled = zip(self.pair("most"), self.pressures, strict=True)
+        drops = (
+            ca.if_else(most > self.p.closed_command, self.u.supply_pressure - v, NO_DROP) for most, v in filled
+        )
+        return ca.fmin(*drops)
+
+    @property
     def closed(self) -> Scalar:
         """1: the command closes the valve."""
         return whether(ca.fabs(self.command) < self.p.closed_command)
 
     def edge(self, direction: int) -> tuple[Scalar, Scalar, Scalar]:
-        """Of the chamber that is filled: flow, drop over the edge, and flow at full opening [m3/s]."""
+        """Of the chamber that is filled: flow, drop over the edge, and flow at full opening [m3/s].
+
+        Compensated sections share a supply that is not enough for all, so each has the least drop of all.
+        """
         a, flow = self.actuator, self.flows[direction]
         drop = self.u.supply_pressure - self.pressures[direction]
+        drop = ca.if_else(self.compensated > 0, ca.fmin(drop, self.margin), drop)
         inside = positive(drop - a.hose_resistance * flow * ca.fabs(flow), SMALL)
         full = ca.if_else(self.compensated > 0, a.section_flows[direction], a.gain * ca.sqrt(inside))
         return flow, drop, full

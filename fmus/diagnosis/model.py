@@ -121,7 +121,8 @@ class Diagnosis:
             for a, (at, lever) in zip(self.arm.axes, pistons, strict=True)
         ]
         speeds = 1 - either(*(a.faulty[1] for a in axes))
-        return [replace(a, speeds=speeds) for a in axes]
+        margin = ca.mmin(ca.vertcat(*(a.least_drop for a in axes)))
+        return [replace(a, speeds=speeds, margin=margin) for a in axes]
 
     def _wrong(self, x: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """1: the reading of a line is not to be used."""

@@ -192,7 +192,7 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
         * whether(size < 0.95 * v.full_command)
         * whether(share > 0.02)
         * whether(share < 0.95)
-        * whether(drop > LEAST_DROP)
+        * whether(drop > ca.if_else(a.compensated > 0, p.regulated_drop, LEAST_DROP))
         * whether(ca.fabs(gone) > 0.9)
         * (1 - a.closed)
         * ca.if_else(up > 0, *a.full)
