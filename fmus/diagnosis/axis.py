@@ -36,6 +36,7 @@ PRESSURE = 1e7  # Pa, scale of pressures in the normal equations
 SMALL = 1e4  # Pa, over which the root of a pressure is rounded
 EMPTY = 0.0  # Pa, below which a chamber may be empty: at -1 bar, with a zero that is off
 FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
+RELIEVED = 0.15  # of the supply pressure, by which a counterbalance valve may open below it
 NO_DROP = 1e9  # Pa, of a valve that fills nothing
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
 MOVES = 0.015  # rad/s, at which a joint moves: five times the noise of angle and speed
@@ -237,6 +238,11 @@ class Axis:
             ca.if_else(most > self.p.closed_command, self.u.supply_pressure - v, NO_DROP) for most, v in filled
         )
         return ca.fmin(*drops)
+
+    @property
+    def tight(self) -> Scalar:
+        """Pressure up to which no valve opens by itself: a counterbalance valve does at a high load [Pa]."""
+        return self.p.nominal_supply_pressure * (1 - RELIEVED * self.compensated)
 
     @property
     def closed(self) -> Scalar:

@@ -79,7 +79,7 @@ def air_volume(pressure: Scalar) -> Scalar:
 
 def _calm(a: Axis) -> list[Scalar]:
     """1: no relief or anti-cavitation valve of a chamber is open, and nothing pushes the arm."""
-    low, high = a.p.calm_pressure, a.p.nominal_supply_pressure
+    low, high = a.p.calm_pressure, a.tight
     pushed = whether(ca.fabs(a.actuator.head_area * a.lever * a.rate(0)) > a.p.burst_margin)
     return [whether(v > low) * whether(v < high) * (1 - pushed) for v in a.pressures]
 

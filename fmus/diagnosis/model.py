@@ -204,7 +204,8 @@ class Diagnosis:
         """Difference of the weights by the first two cylinders [kg], its deviation, and whether it counts."""
         one, other = [a for a in axes if not a.axis.turns][:2]
         (m, d), (n, e) = weight.size(one), weight.size(other)
-        return m - n, ca.sqrt(d**2 + e**2), weight.usable(one) * weight.usable(other)
+        counts = weight.balance(one)[1] * weight.balance(other)[1]
+        return m - n, ca.sqrt(d**2 + e**2), counts
 
     def _payload(self, axes: list[Axis]) -> tuple[Scalar, Scalar]:
         """With its deviation, by all cylinders."""

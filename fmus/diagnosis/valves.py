@@ -154,7 +154,8 @@ def _of_spool(a: Axis) -> dict[str, Scalar]:
 def _of_bursts(a: Axis) -> dict[str, Scalar]:
     p, tank, found = a.p, a.u.tank_pressure, dict[str, Scalar]()
     margin = ca.if_else(a.shut > LONG, p.rest_margin, p.burst_margin)
-    margin = ca.if_else(a.shut > LONGER, p.slow_margin, margin)
+    still = whether(ca.fabs(a.actuator.head_area * a.lever * a.rate(0)) < p.rest_margin)
+    margin = ca.if_else(still * whether(a.shut > LONGER) > 0, p.slow_margin, margin)
     for k, (flow, pressure) in enumerate(zip(a.flows, a.pressures, strict=True)):
         other, lost, burst = 1 - k, a.pair("lost")[k], a.pair("burst")[k]
         most = a.opened(other, a.pair("most")[other], 1)
@@ -164,7 +165,8 @@ def _of_bursts(a: Axis) -> dict[str, Scalar]:
         loss = -flow - out - ca.fmax(a.flows[other], 0) * whether(a.pressures[other] - tank > FILLED)
         # a relief valve that closes late: the pressure that was a moment ago
         before = pressure - ca.if_else(a.shut > LONGER, BLIND * a.rate(2 + k), 0)
-        counts = whether(ca.fmax(pressure, before) < a.u.supply_pressure) * a.sound * a.full[k]
+        tight = ca.if_else(a.compensated > 0, ca.fmin(a.u.supply_pressure, a.tight), a.u.supply_pressure)
+        counts = whether(ca.fmax(pressure, before) < tight) * a.sound * a.full[k]
         emptied = whether(a.shut > LONG) * whether(pressure < p.lost_pressure) * (1 - a.compensated)
         weight = 1 + (RESTING - 1) * emptied
         _, drop, full = a.edge(k)
@@ -186,6 +188,7 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
     p, v, late = a.p, a.actuator.valve, a.late_command
     up = whether(late > 0)
     flow, drop, full = (ca.if_else(up > 0, a, b) for a, b in zip(a.edge(0), a.edge(1), strict=True))
+    filled = ca.if_else(up > 0, *a.pressures)  # at low pressure an anti-cavitation valve fills it as well
     share, size, gone = flow / full, ca.fabs(late), (late - a.trailing) / p.valve_travel
     counts = (
         whether(size > v.dead_band + 0.3)
@@ -193,6 +196,7 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
         * whether(share > 0.02)
         * whether(share < 0.95)
         * whether(drop > ca.if_else(a.compensated > 0, p.regulated_drop, LEAST_DROP))
+        * whether(filled > p.calm_pressure)
         * whether(ca.fabs(gone) > 0.9)
         * (1 - a.closed)
         * ca.if_else(up > 0, *a.full)
@@ -260,8 +264,7 @@ def told(a: Axis) -> dict[str, Told]:
     found["spool"] = shown(a.spool, a.usable)
     fitted, known = a.solved(fit, MAP, 0.05, 0.15)
     enough = usable * (1 - a.burst_told) * whether(fitted.samples > FEWEST)
-    # the compensator of a section follows the load, so its flow is not that of its opening alone
-    limits = [(1 + a.compensated) * v for v in (*[p.valve_limit] * 4, p.hysteresis_limit)]
+    limits = [*[p.valve_limit] * 4, p.hysteresis_limit]
     rows = [fit.centre(a, k) for k in (1, 1, 3, 3)] + [[0, 0, 0, 0, 1, 0]]
     for n, (size, off), row, limit in zip(MAP, fitted, rows, limits, strict=False):
         change, spread = fitted.along(*row)
