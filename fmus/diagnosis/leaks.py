@@ -25,7 +25,7 @@ from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Quantity, Scalar
 from fmus.controller.arm import ControlledAxis
 from fmus.diagnosis.axis import PRESSURE, SMALL, Axis, Finding, chambers_of, of_both, of_chambers
-from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Told, either, judged, whether
+from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Told, counted, either, judged, whether
 from fmus.diagnosis.settings import LITRE
 from fmus.smooth import positive
 
@@ -61,6 +61,7 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
         ("through", "s", "Integral of the root of the drop over the edge that was open last, in this rest"),
         ("spoiled", "1", "1: another valve was open at the begin of this rest"),
     )
+    found["settled"] = Quantity("s", f"Time for which the valve is closed, and no load opens a counterbalance valve: {axis.name}")
     found["rest"] = Quantity("s", f"Length of this rest, or of its present part: {axis.name}")
     text = f"Integral of the difference of both pressures over this rest: {axis.name}"
     return found | {"difference": Quantity("Pa.s", text, 1e7)}
@@ -77,18 +78,22 @@ def air_volume(pressure: Scalar) -> Scalar:
     return (ATMOSPHERE / ca.fmax(pressure + ATMOSPHERE, 0.1 * ATMOSPHERE)) ** (1 / EXPONENT)
 
 
+def _pushed(a: Axis) -> Scalar:
+    """1: a load moves the arm on its oil."""
+    return whether(ca.fabs(a.actuator.head_area * a.lever * a.rate(0)) > a.p.burst_margin)
+
+
 def _calm(a: Axis) -> list[Scalar]:
     """1: no relief or anti-cavitation valve of a chamber is open, and nothing pushes the arm."""
     low, high = a.p.calm_pressure, a.tight
-    pushed = whether(ca.fabs(a.actuator.head_area * a.lever * a.rate(0)) > a.p.burst_margin)
-    return [whether(v > low) * whether(v < high) * (1 - pushed) for v in a.pressures]
+    return [whether(v > low) * whether(v < high) * (1 - _pushed(a)) for v in a.pressures]
 
 
 def _resting(a: Axis) -> tuple[Scalar, Scalar]:
     """1: this rest goes on; 1: it ends now, and counts."""
     spoils = either(*((1 - c) * (1 - s) for c, s in zip(_calm(a), a.pair("spoiled"), strict=True)))
     settling = a.p.settling + a.compensated * (a.p.holding - a.p.settling)
-    whole = a.closed * a.sound * whether(a.shut > settling) * whether(a.rest < PART)
+    whole = a.closed * a.sound * whether(a.settled > settling) * whether(a.rest < PART)
     goes_on = whole * (1 - spoils * whether(a.rest > 0))
     return goes_on, (1 - goes_on) * whether(a.rest > SHORTEST) * a.usable * (1 - a.spool)
 
@@ -123,6 +128,8 @@ def rates(a: Axis) -> dict[str, Scalar]:
         drop = ca.if_else(filled_last, a.u.supply_pressure - v, v - a.u.tank_pressure)
         growth[f"through_{k}"] = ca.if_else(filled_last, -1, 1) * ca.sqrt(positive(drop, SMALL) / PRESSURE)
     found = {n: ca.if_else(goes_on > 0, v, -getattr(a, n) / QUICK) for n, v in growth.items()}
+    settled = a.closed * a.sound * (1 - _pushed(a) * a.compensated)  # its counterbalance valves open then
+    found["settled"] = counted(a.settled, settled, whether(a.settled < 2 * p.holding))
     kept = goes_on * whether(a.rest > 0)
     for k, (calm, spoiled) in enumerate(zip(_calm(a), a.pair("spoiled"), strict=True)):
         found[f"spoiled_{k}"] = ca.if_else(kept > 0, 0, (1 - calm - spoiled) / QUICK)
