@@ -54,7 +54,8 @@ def rates(a: Axis) -> dict[str, Scalar]:
     ):
         clock, bad = getattr(a, f"still_{k}"), getattr(a, f"bad_{k}")
         found[f"still_{k}"] = counted(clock, still, changed)
-        wrong = either(out, whether(clock > a.p.still_time)) * getattr(a.p, f"{n}_fitted")
+        longest = a.p.still_motion if k < 2 else a.p.still_time
+        wrong = either(out, whether(clock > longest)) * getattr(a.p, f"{n}_fitted")
         found[f"bad_{k}"] = latched(bad, wrong, a.u.reset)
     return found
 
