@@ -34,8 +34,8 @@ import numpy as np
 from benchmarks.diagnosis_machines import AXES, BEGIN, Case, Columns, cases, further, influence, recorded
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
-from fmus.manipulator import MANIPULATOR
 from fmus.machine.ssp import section_flows
+from fmus.manipulator import MANIPULATOR
 from orchestrator.results.diagnosis import INTERVAL, Diagnosis, learned_values, over
 
 FOLDER, FMU = Path("build/recordings"), Path("build/faults/diagnosis.fmu")

@@ -235,7 +235,8 @@ class Axis:
         """From the supply to a chamber that its valve may be filling [Pa]."""
         filled = zip(self.pair("most"), self.pressures, strict=True)
         drops = (
-            ca.if_else(most > self.p.closed_command, self.u.supply_pressure - v, NO_DROP) for most, v in filled
+            ca.if_else(most > self.p.closed_command, self.u.supply_pressure - v, NO_DROP)
+            for most, v in filled
         )
         return ca.fmin(*drops)
 

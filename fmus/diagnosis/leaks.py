@@ -61,7 +61,9 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
         ("through", "s", "Integral of the root of the drop over the edge that was open last, in this rest"),
         ("spoiled", "1", "1: another valve was open at the begin of this rest"),
     )
-    found["settled"] = Quantity("s", f"Time for which the valve is closed, and no load opens a counterbalance valve: {axis.name}")
+    found["settled"] = Quantity(
+        "s", f"Time for which the valve is closed, and no load opens a counterbalance valve: {axis.name}"
+    )
     found["rest"] = Quantity("s", f"Length of this rest, or of its present part: {axis.name}")
     text = f"Integral of the difference of both pressures over this rest: {axis.name}"
     return found | {"difference": Quantity("Pa.s", text, 1e7)}

@@ -3,8 +3,9 @@
 **Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
 compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of
-all valves**: the mean of those of the functions. **Weighing**: each cylinder tells the payload; the mean has
-the weights of their deviations. If two of them differ, a pressure or an angle is wrong.
+all valves**: the mean of those of the functions. **Weighing**: each cylinder tells the payload beyond the
+**tare**, which is learned of the empty arm; the mean has the weights of their deviations. If two of them
+differ, a pressure or an angle is wrong.
 
 It is sampled, as a control unit, and its outputs depend on its states alone. Signs: those of the controller.
 
@@ -82,9 +83,9 @@ def _findings_of(axis: ControlledAxis) -> dict[str, Finding]:
     }
 
 
-def _states_of(axis: ControlledAxis) -> dict[str, Quantity]:
+def _states_of(axis: ControlledAxis, tare: weight.Tare) -> dict[str, Quantity]:
     """Of all checks of an axis, with their sums."""
-    found = shared_states(axis)
+    found = shared_states(axis) | tare.states(axis)
     for check in CHECKS:
         found |= check.states(axis)
     sums = (n for check in FITTING for fit in check.fits(axis).values() for n in fit.states)
@@ -245,7 +246,9 @@ def findings(arm: Arm, manipulator: Subsystem) -> dict[str, Finding]:
     return found | lines | ALONE | weight.Tare.of(arm, manipulator).findings
 
 
-def _own_parameters(arm: Arm, names: Mapping[str, Finding], tare: weight.Tare) -> dict[str, tuple[Quantity, Number]]:
+def _own_parameters(
+    arm: Arm, names: Mapping[str, Finding], tare: weight.Tare
+) -> dict[str, tuple[Quantity, Number]]:
     """Sensors that a machine has, and references of a healthy one."""
     found = dict[str, tuple[Quantity, Number]]()
     for n in (*(n for a in arm.axes for n in signals_of(a)), *LINES):
@@ -277,7 +280,7 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         texts = (a.coordinate[1], a.speed[1], a.sides[0][1], a.sides[1][1])
         for n, unit, text in zip(signals_of(a), (*a.units, "Pa", "Pa"), texts, strict=True):
             inputs[n] = Quantity(unit, text, 1e7 if unit == "Pa" else 1.0)
-        states |= _states_of(a) | weight.late_states(a, tare.masses)
+        states |= _states_of(a, tare)
     for n, (text, size) in LINES.items():
         inputs[n] = Quantity("Pa", text, size)
         states[f"{n}_bad"] = Quantity("1", f"1: the reading of {n} is wrong")

@@ -1,16 +1,25 @@
-"""The valve of one function, and hoses that burst.
+"""The valve of one function, its edges, and hoses that burst.
 
 **Spool.** It does not follow if the flow stays below `response` of the least that the commands of the last
-time ask for, if a load-sensing pump stands by although they ask for flow, or if oil passes the closed valve,
-in on one side and out on the other.
+time ask for while the return edge does not say that it is open, if a load-sensing pump stands by although
+they ask for flow, or if oil passes the closed valve, in on one side and out on the other.
+
+**Edges.** The opening of the return edge, by its flow and drop, over that of the edge into the other chamber
+depends on the valve alone, neither on commands nor on hysteresis: e of each direction. Healthy valves keep
+it to a tenth. Not of compensated sections, whose counterbalance valves are in series.
 
 **Burst.** What a chamber loses beyond what its valve can let out, unless the other side gains it:
 
-    -q - `outlet` K a(u) sqrt(P - P_t) - `burst_margin`        P < P_s: no relief valve is open
+    -q - `outlet` e K a(u) sqrt(P - P_t) - `burst_margin`        P < P_s: no relief valve is open
 
 u: the largest command of the last time. The margin falls after a while at rest, so a leak is found that
-empties a chamber before its size is known. A chamber at less than `lost_pressure` that does not fill has a
-burst hose, too, if the pressure of the other side says that its valve is open.
+empties a chamber before its size is known. Or what an open valve lets in and does not arrive, as open as the
+return edge says by the flow q_r and the drop dP_r over it:
+
+    min(q_r/(e K sqrt(dP_r)), a(u)) K sqrt(dP)/`outlet` - q - `rest_margin`
+
+A chamber at less than `lost_pressure` that does not fill has a burst hose, too, if the pressure or the flow of
+the other side says that its valve is open.
 
 **Map**, in motion. The flow into the chamber that is filled, the drop over its edge and the hose in series
 give the opening, and this the command v that a healthy valve needs for it:
@@ -20,7 +29,8 @@ give the opening, and this the command v that a healthy valve needs for it:
 
 with the command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the
 sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by
-`valve_travel` since it turned, the edge is open, and its drop is no small one. Gain and dead band are judged
+`valve_travel` since it turned, the edge is open, no anti-cavitation valve is, and its drop is no small one, of
+compensated sections the least of all that are open: they share the flow of a pump that cannot give more. Gain and dead band are judged
 together, by the mean of v over all samples of a direction.
 """
 
@@ -114,7 +124,10 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
 
 def fits(_: ControlledAxis) -> dict[str, Fit]:
     """The map, and the edges."""
-    return {"valve": Fit("valve", tuple(MAP), APART), "edges": Fit("edges", OF_EDGES, frozenset({frozenset(OF_EDGES)}))}
+    return {
+        "valve": Fit("valve", tuple(MAP), APART),
+        "edges": Fit("edges", OF_EDGES, frozenset({frozenset(OF_EDGES)})),
+    }
 
 
 def _of_spool(a: Axis) -> dict[str, Scalar]:
@@ -131,7 +144,8 @@ def _of_spool(a: Axis) -> dict[str, Scalar]:
         late *= ca.if_else(a.full[k] > 0, 1, EMPTIED)
         # an open valve lets the pressure of the other side down; a motor that stands has none, and a hose
         # of a compensated section has none from the load
-        passing = whether(_returned(a, k) > p.response * opened) * _return_known(a, k)
+        returned, known = _return_edge(a, k)
+        passing = whether(returned > p.response * opened * a.reference(OF_EDGES[k])) * known
         held = a.full[1 - k] * whether(a.pressures[1 - k] - tank > p.lost_pressure) * (1 - passing)
         late *= 1 - passing * a.full[k]
         low = 0
@@ -158,24 +172,26 @@ def _of_bursts(a: Axis) -> dict[str, Scalar]:
     margin = ca.if_else(still * whether(a.shut > LONGER) > 0, p.slow_margin, margin)
     for k, (flow, pressure) in enumerate(zip(a.flows, a.pressures, strict=True)):
         other, lost, burst = 1 - k, a.pair("lost")[k], a.pair("burst")[k]
-        most = a.opened(other, a.pair("most")[other], 1)
-        outlet = p.outlet * a.reference(OF_EDGES[other])
-        highest = ca.fmax(pressure, getattr(a, f"late_{2 + k}"))  # flows are behind a lag, too
-        out = outlet * a.actuator.gain * most * ca.sqrt(positive(highest - tank, SMALL))
+        most, usable = a.opened(other, a.pair("most")[other], 1), a.sound * a.full[k]
+        # what leaves it beyond the return edge; flows are behind a lag, so is the pressure
+        highest = ca.fmax(pressure, getattr(a, f"late_{2 + k}"))
+        outlet = p.outlet * a.reference(OF_EDGES[other]) * most
+        out = outlet * a.actuator.gain * ca.sqrt(positive(highest - tank, SMALL))
         loss = -flow - out - ca.fmax(a.flows[other], 0) * whether(a.pressures[other] - tank > FILLED)
         # a relief valve that closes late: the pressure that was a moment ago
         before = pressure - ca.if_else(a.shut > LONGER, BLIND * a.rate(2 + k), 0)
         tight = ca.if_else(a.compensated > 0, ca.fmin(a.u.supply_pressure, a.tight), a.u.supply_pressure)
-        counts = whether(ca.fmax(pressure, before) < tight) * a.sound * a.full[k]
+        counts = whether(ca.fmax(pressure, before) < tight) * usable
         emptied = whether(a.shut > LONG) * whether(pressure < p.lost_pressure) * (1 - a.compensated)
-        weight = 1 + (RESTING - 1) * emptied
-        _, drop, full = a.edge(k)
-        let_in = ca.fmin(_returned(a, k), a.opened(k, a.pair("most")[k], 1)) * full / p.outlet
-        starved = (let_in - flow) * _return_known(a, k) * whether(drop > LEAST_DROP)
-        starved *= whether(a.pair("least")[k] > p.closed_command)
-        excess = ca.fmax(weight * (loss - margin) * counts, (starved - p.rest_margin) * a.sound * a.full[k])
+        excess = (1 + (RESTING - 1) * emptied) * (loss - margin) * counts
+        # what comes through the edge into it, as open as the return edge says, and does not arrive
+        (returned, known), (_, drop, full) = _return_edge(a, k), a.edge(k)
+        open_by = ca.fmin(returned / a.reference(OF_EDGES[k]), a.opened(k, a.pair("most")[k], 1))
+        driven = whether(a.pair("least")[k] > p.closed_command) * known * whether(drop > LEAST_DROP)
+        starved = (open_by * full / p.outlet - flow) * driven
+        excess = ca.fmax(excess, (starved - p.rest_margin) * usable)
+        found[f"lost_{k}"] = gathered(lost, excess, either(counts, whether(starved > 0) * usable))
         loss = ca.fmax(loss, starved)
-        found[f"lost_{k}"] = gathered(lost, excess, either(counts, whether(starved > 0) * a.sound * a.full[k]))
         hidden = whether(a.pair("hidden")[k] > p.response_time)
         size = ca.fmax(whether(lost > p.burst_volume) * loss, hidden * p.burst_margin)
         rise = ca.fmax(size - burst, 0) * (1 - a.spool) * a.sound
@@ -207,36 +223,23 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
     return counts, [(columns, v.dead_band + share * (v.full_command - v.dead_band))]
 
 
-def _returned(a: Axis, k: int) -> Scalar:
-    """Opening of the edge into a chamber, by the flow through the return edge of the other one."""
-    back = positive(a.pressures[1 - k] - a.u.tank_pressure, SMALL)
-    share = -a.flows[1 - k] / (a.actuator.gain * ca.sqrt(back))
-    return share / a.reference(OF_EDGES[k])
+def _return_edge(a: Axis, k: int) -> tuple[Scalar, Scalar]:
+    """Opening of the return edge while chamber k is filled, and whether it is known."""
+    drop = a.pressures[1 - k] - a.u.tank_pressure
+    full = a.actuator.gain * ca.sqrt(positive(drop, SMALL))
+    return -a.flows[1 - k] / full, whether(drop > LEAST_DROP) * a.full[1 - k] * (1 - a.compensated)
 
 
-def _return_known(a: Axis, k: int) -> Scalar:
-    """1: that opening is known."""
-    back = a.pressures[1 - k] - a.u.tank_pressure
-    return whether(back > LEAST_DROP) * a.full[1 - k] * (1 - a.compensated)
-
-
-def _shares(a: Axis, k: int) -> tuple[Scalar, Scalar, Scalar]:
-    """Openings of the edge into a chamber and of the return edge, and whether both are known."""
-    (flow, drop, full), other = a.edge(k), 1 - k
-    back = a.pressures[other] - a.u.tank_pressure
-    outlet = -a.flows[other] / (a.actuator.gain * ca.sqrt(positive(back, SMALL)))
-    counts = whether(drop > LEAST_DROP) * whether(back > LEAST_DROP) * a.full[other] * (1 - a.compensated)
-    return flow / full, outlet, counts
-
-
-def _edge_equations(a: Axis) -> tuple[Scalar, Equations]:
-    """Weight 0 or 1, and the equation."""
-    up = whether(a.late_command > 0)
-    inlet, outlet, counts = (ca.if_else(up > 0, v, w) for v, w in zip(_shares(a, 0), _shares(a, 1), strict=True))
-    least = ca.if_else(up > 0, *a.pair("least"))
-    counts *= whether(inlet > 0.05) * whether(outlet > 0.02) * whether(inlet < 0.95) * whether(least > a.p.closed_command)
-    counts *= ca.if_else(up > 0, *a.full)
-    return counts, [([10 * up * inlet, 10 * (1 - up) * inlet], 10 * outlet)]
+def _edge_equation(a: Axis) -> tuple[Scalar, Equations]:
+    """Weight 0 or 1, and the equation, in tenths of the opening."""
+    up, counts, sums = whether(a.late_command > 0), 0, [0, 0, 0]
+    for k, way in enumerate((up, 1 - up)):
+        (flow, drop, full), (outlet, known) = a.edge(k), _return_edge(a, k)
+        inlet, driven = flow / full, whether(a.pair("least")[k] > a.p.closed_command)
+        both = whether(drop > LEAST_DROP) * known * a.full[k] * driven
+        counts += way * both * whether(inlet > 0.05) * whether(inlet < 0.95) * whether(outlet > 0.02)
+        sums[k], sums[2] = 10 * way * inlet, sums[2] + 10 * way * outlet
+    return counts, [(sums[:2], sums[2])]
 
 
 def rates(a: Axis) -> dict[str, Scalar]:
@@ -249,7 +252,7 @@ def rates(a: Axis) -> dict[str, Scalar]:
     counts, equation = _map_equation(a)
     counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
     sums = fits(a.axis)["valve"].rates(a, counts, equation, p.valve_memory)
-    counts, equation = _edge_equations(a)
+    counts, equation = _edge_equation(a)
     counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
     sums |= fits(a.axis)["edges"].rates(a, counts, equation, p.valve_memory)
     return found | _of_spool(a) | _of_bursts(a) | sums
@@ -272,6 +275,8 @@ def told(a: Axis) -> dict[str, Told]:
         found[n] = (size, off, judged(off_known, spread, limit, enough))
     edges, _ = a.solved(fit_edges, dict.fromkeys(OF_EDGES, 0.5), 0.1, 0.3)
     enough = usable * (1 - a.burst_told) * whether(edges.samples > FEWEST)
-    found |= {n: (size, off, ca.if_else(enough > 0, 0, -1)) for n, (size, off) in zip(OF_EDGES, edges, strict=True)}
+    found |= {
+        n: (size, off, ca.if_else(enough > 0, 0, -1)) for n, (size, off) in zip(OF_EDGES, edges, strict=True)
+    }
     (*_, (size, off)) = fitted
     return found | {OF_VALVE[-1]: (size, off, ca.if_else(enough > 0, 0, -1))}  # told of all valves together

@@ -28,7 +28,7 @@ TORQUE = 1e4  # N.m, scale of torques
 HUNDRED = 100.0  # kg, scale of weights
 FORCE, DAMPING = 1e3, 1e4  # N, N.s/m, scales of friction
 SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
-FORGOTTEN_SHARE = 0.05  # of a torque at the end of a stroke
+LEFT = 0.05  # of a torque at the end of a stroke
 CHANGED = 100.0  # kg, from which a payload is another one
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
@@ -49,33 +49,29 @@ def masses_of(manipulator: Subsystem) -> list[str]:
     return [n for n, q in quantities(manipulator.parameters).items() if q.unit == "kg"]
 
 
-def states(_: ControlledAxis) -> dict[str, Quantity]:
-    """None but those of `late_states`."""
-    return {}
+def _of_loads(axis: ControlledAxis, loads: Mapping[str, str]) -> dict[str, Quantity]:
+    """States of loads, from words for each: torque and momentum."""
+    found = dict[str, Quantity]()
+    for n, text in loads.items():
+        per = "" if n == "empty" else "/kg"
+        for kind, unit in (("torque", f"N.m{per}"), ("momentum", f"N.m.s{per}")):
+            what = f"{kind.capitalize()} of {text}, behind the lag: {axis.name}"
+            found[f"{n}_{kind}"] = Quantity(unit, what, TORQUE)
+    return found
 
 
-def late_states(axis: ControlledAxis, masses: Sequence[str]) -> dict[str, Quantity]:
-    """Torques and momenta behind the lag."""
+def states(axis: ControlledAxis) -> dict[str, Quantity]:
+    """Torques and momenta behind the lag, without those of `Tare.states`."""
     if axis.turns:
         return {}
-    rows, units = list[tuple[str, str, str, float]](), ("N.m", "N.m.s")
-    for n in ("empty", "payload", *masses):
-        what = "of the empty arm" if n == "empty" else f"of a kilogram of {n}"
-        rows += [
-            (f"{n}_torque", units[0], f"Torque {what}", TORQUE),
-            (f"{n}_momentum", units[1], f"Momentum {what}", TORQUE),
-        ]
-        units = ("N.m/kg", "N.m.s/kg")
-    rows += [
-        ("torque", "N.m", "Torque of the cylinder", TORQUE),
-        ("late_dry_friction", "m", "Lever with the sign of the speed", 1.0),
-        ("late_damping", "m2/s", "Lever times the speed of the piston", 1.0),
+    rows = (
+        ("torque", "N.m", "Torque of the cylinder, behind the lag", TORQUE),
+        ("late_dry_friction", "m", "Lever with the sign of the speed, behind the lag", 1.0),
+        ("late_damping", "m2/s", "Lever times the speed of the piston, behind the lag", 1.0),
         ("blocked", "1", "Share of the torque from a time at an end of the stroke", 1.0),
-    ]
-    return {
-        f"{axis.name}_{n}": Quantity(unit, f"{text}, behind the lag: {axis.name}", size)
-        for n, unit, text, size in rows
-    }
+    )
+    found = {n: Quantity(unit, f"{text}: {axis.name}", size) for n, unit, text, size in rows}
+    return found | _of_loads(axis, {"empty": "the empty arm", "payload": "a kilogram of payload"})
 
 
 def fits(axis: ControlledAxis) -> dict[str, Fit]:
@@ -87,7 +83,7 @@ def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfRead
     """From the mechanics of a machine, with the values of its parameters."""
     known, arm, names = values(manipulator), [a for a in axes if not a.turns], masses_of(manipulator)
     masses = ca.SX.sym("masses", len(names))
-    given = known.p | dict(zip(names, ca.vertsplit(masses), strict=True))
+    given = {**known.p, **dict(zip(names, ca.vertsplit(masses), strict=True))}
     p, still = nested(manipulator.parameters, given), nested(manipulator.inputs, known.u)
     rest = dict.fromkeys(quantities(manipulator.states), 0.0)
     inputs = [n for a in axes for n in (a.coordinate[0], a.speed[0])]
@@ -135,12 +131,15 @@ def column(a: Axis, name: str) -> Scalar:
     """Torque behind the lag: of weights and motion, or friction per its size."""
     if name in FRICTION:
         return getattr(a, f"late_{name}")
-    return getattr(a, f"{name}_torque") + (a.effort[name].momentum - getattr(a, f"{name}_momentum")) / a.p.weighing_lag
+    return (
+        getattr(a, f"{name}_torque")
+        + (a.effort[name].momentum - getattr(a, f"{name}_momentum")) / a.p.weighing_lag
+    )
 
 
 def balance(a: Axis) -> tuple[Scalar, Scalar]:
     """Torque beyond that of the empty arm [N.m], and whether it counts."""
-    return a.torque - column(a, "empty"), a.sound * a.speeds * whether(a.blocked < FORGOTTEN_SHARE)
+    return a.torque - column(a, "empty"), a.sound * a.speeds * whether(a.blocked < LEFT)
 
 
 def rates(a: Axis) -> dict[str, Scalar]:
@@ -153,8 +152,10 @@ def rates(a: Axis) -> dict[str, Scalar]:
     free = whether(a.position > END) * whether(a.position < stroke - END)
     found["blocked"] = ca.if_else(free > 0, -a.blocked / lag, (1 - a.blocked) / QUICK)
     torque, counts = balance(a)
-    for n in (*(n for n in a.effort if n not in ("empty", "payload")), *FRICTION):
-        torque -= number(f"{n}_off" if n in a.effort else f"{a.axis.name}_{n}", p) * column(a, n)
+    for n in list(a.effort)[2:]:  # masses of the arm
+        torque -= number(f"{n}_off", p) * column(a, n)
+    for n in FRICTION:
+        torque -= number(f"{a.axis.name}_{n}", p) * column(a, n)
     mass = column(a, "payload")
     off = torque - size(a)[0] * mass  # another payload: what is older is forgotten
     fading = (1 + (off / (CHANGED * mass)) ** 2) / p.weighing_memory
@@ -200,11 +201,18 @@ class Tare:
         cylinders = tuple(a.name for a in arm.axes if not a.turns)
         return Tare(cylinders, tuple(masses), tuple(float(p[n]) for n in masses))
 
+    def states(self, axis: ControlledAxis) -> dict[str, Quantity]:
+        """Of an axis: torques and momenta of the masses behind the lag."""
+        loads = {n: f"a kilogram more of {n}" for n in self.masses}
+        return {} if axis.turns else _of_loads(axis, loads)
+
     @property
     def findings(self) -> dict[str, Finding]:
         """Gauges: no size of them is a fault."""
         found = {
-            f"{n}_off": Finding("kg", f"{n.replace('_', ' ').capitalize()} beyond the known one", 100.0, "tare")
+            f"{n}_off": Finding(
+                "kg", f"{n.replace('_', ' ').capitalize()} beyond the known one", 100.0, "tare"
+            )
             for n in self.masses
         }
         for a in self.cylinders:

@@ -6,10 +6,11 @@ from kit import shards
 
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
+from fmus.manipulator import MANIPULATOR
 from orchestrator import load, run
 from orchestrator.lanes.compiled import NotInLanes, compiled_model
 
-FOUND, BEGIN = findings(ARM), 20.0
+FOUND, BEGIN = findings(ARM, MANIPULATOR), 20.0
 DETAILED = {
     "swing": "detailed",
     "boom_stick": "detailed",
