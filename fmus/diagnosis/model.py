@@ -256,7 +256,7 @@ def _own_parameters(
         quantity = Quantity("1", text, minimum=0.0, maximum=1.0, group="Readings")
         found[f"{n}_fitted"] = quantity, Number(1.0, "1", "assumed", "all sensors of the controller")
     healthy = {f"{a.name}_{n}": value for a in arm.axes for n, value in REFERENCES.items()} | OF_MACHINE
-    healthy |= dict.fromkeys(tare.findings, 0.0)
+    healthy |= tare.references
     for n, value in healthy.items():
         if n in names:
             f, note = names[n], "no healthy machine was measured"

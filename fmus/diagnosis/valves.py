@@ -18,8 +18,8 @@ return edge says by the flow q_r and the drop dP_r over it:
 
     min(q_r/(e K sqrt(dP_r)), a(u)) K sqrt(dP)/`outlet` - q - `rest_margin`
 
-A chamber at less than `lost_pressure` that does not fill has a burst hose, too, if the pressure or the flow of
-the other side says that its valve is open.
+A chamber at less than `lost_pressure` that does not fill has a burst hose, too, if the pressure or the flow
+of the other side says that its valve is open.
 
 **Map**, in motion. The flow into the chamber that is filled, the drop over its edge and the hose in series
 give the opening, and this the command v that a healthy valve needs for it:
@@ -29,9 +29,9 @@ give the opening, and this the command v that a healthy valve needs for it:
 
 with the command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the
 sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by
-`valve_travel` since it turned, the edge is open, no anti-cavitation valve is, and its drop is no small one, of
-compensated sections the least of all that are open: they share the flow of a pump that cannot give more. Gain and dead band are judged
-together, by the mean of v over all samples of a direction.
+`valve_travel` since it turned, the edge is open, no anti-cavitation valve is, and the drop over it is not
+small. Of compensated sections the least drop of all that are open counts: they share the flow of a pump that
+cannot give more. Gain and dead band are judged together, by the mean of v over all samples of a direction.
 """
 
 from __future__ import annotations
@@ -249,13 +249,12 @@ def rates(a: Axis) -> dict[str, Scalar]:
         "late_command": (a.command - late) / (2 * p.lag),
         "trailing": play_rate(late, a.trailing, p.valve_travel, 50.0, p.valve_travel / 10),
     }
-    counts, equation = _map_equation(a)
-    counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
-    sums = fits(a.axis)["valve"].rates(a, counts, equation, p.valve_memory)
-    counts, equation = _edge_equation(a)
-    counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
-    sums |= fits(a.axis)["edges"].rates(a, counts, equation, p.valve_memory)
-    return found | _of_spool(a) | _of_bursts(a) | sums
+    for fit, (counts, equation) in zip(
+        fits(a.axis).values(), (_map_equation(a), _edge_equation(a)), strict=True
+    ):
+        counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
+        found |= fit.rates(a, counts, equation, p.valve_memory)
+    return found | _of_spool(a) | _of_bursts(a)
 
 
 def told(a: Axis) -> dict[str, Told]:

@@ -188,18 +188,21 @@ class Tare:
     cylinders   names of their axes
     masses      names of the masses
     known       the masses [kg]
+    damping     viscous friction of the cylinders in the mechanics [N.s/m]
     """
 
     cylinders: tuple[str, ...]
     masses: tuple[str, ...]
     known: tuple[float, ...]
+    damping: tuple[float, ...]
 
     @staticmethod
     def of(arm: Arm, manipulator: Subsystem) -> Tare:
         """Of a machine."""
         masses, p = masses_of(manipulator), values(manipulator).p
         cylinders = tuple(a.name for a in arm.axes if not a.turns)
-        return Tare(cylinders, tuple(masses), tuple(float(p[n]) for n in masses))
+        damping = tuple(float(p.get(f"{n}_piston_damping", 0.0)) for n in cylinders)
+        return Tare(cylinders, tuple(masses), tuple(float(p[n]) for n in masses), damping)
 
     def states(self, axis: ControlledAxis) -> dict[str, Quantity]:
         """Of an axis: torques and momenta of the masses behind the lag."""
@@ -210,15 +213,19 @@ class Tare:
     def findings(self) -> dict[str, Finding]:
         """Gauges: no size of them is a fault."""
         found = {
-            f"{n}_off": Finding(
-                "kg", f"{n.replace('_', ' ').capitalize()} beyond the known one", 100.0, "tare"
-            )
+            f"{n}_off": Finding("kg", f"{n.replace('_', ' ').capitalize()} beyond the known one", 1.0, "tare")
             for n in self.masses
         }
         for a in self.cylinders:
-            found[f"{a}_dry_friction"] = Finding("N", f"Dry friction of the {a} cylinder", FORCE, "tare")
+            found[f"{a}_dry_friction"] = Finding("N", f"Dry friction of the {a} cylinder", 30.0, "tare")
             found[f"{a}_damping"] = Finding("N.s/m", f"Viscous friction of the {a} cylinder", DAMPING, "tare")
         return found
+
+    @property
+    def references(self) -> dict[str, float]:
+        """If no healthy machine was measured."""
+        known = zip(self.cylinders, self.damping, strict=True)
+        return dict.fromkeys(self.findings, 0.0) | {f"{n}_damping": d for n, d in known}
 
     @property
     def fit(self) -> Fit:
@@ -246,7 +253,10 @@ class Tare:
 
     def told(self, x: Any, p: Any) -> dict[str, Told]:
         """Sizes; not known before some samples."""
-        deviations = [*(0.1 * m for m in self.known), *[2 * FORCE, 3 * DAMPING] * len(self.cylinders)]
+        deviations = [
+            *(max(0.1 * m, 1.0) for m in self.known),
+            *[2 * FORCE, 3 * DAMPING] * len(self.cylinders),
+        ]
         prior = Prior(
             [d / s for d, s in zip(deviations, self._scales, strict=True)],
             [number(n, p) / s for n, s in zip(self.findings, self._scales, strict=True)],

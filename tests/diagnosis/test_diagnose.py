@@ -14,7 +14,7 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 
 @pytest.fixture
 def columns():
-    """Two seconds of readings that change, of an arm that rests."""
+    """Two seconds of readings that change, of an arm that rests; the pressures hold it."""
     rng, time = np.random.default_rng(2), np.arange(0, 2.005, 0.01)
     sizes = {
         "boom_angle": 0.3,
@@ -23,7 +23,8 @@ def columns():
         "supply_pressure": 2e7,
         "tank_pressure": 4e5,
     }
-    sizes |= {f"{a}_{c}_pressure": 6e6 for a in ("boom", "stick") for c in ("head", "rod")}
+    sizes |= {"boom_head_pressure": 8.8e6, "boom_rod_pressure": 1.7e6}
+    sizes |= {"stick_head_pressure": 1.1e6, "stick_rod_pressure": 3.4e6}
     sizes |= {"swing_pressure_a": 3e6, "swing_pressure_b": 3e6, "oil_temperature": 330.0}
     found = {"time": time} | {n: v * (1 + 1e-3 * rng.normal(size=len(time))) for n, v in sizes.items()}
     found |= {f"{a}_speed": 2e-3 * rng.normal(size=len(time)) for a in ("swing", "boom", "stick")}

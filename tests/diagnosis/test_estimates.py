@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import nnls
 
 from fmus.diagnosis.estimates import Fit, Prior, few, gathered, judged
+from fmus.diagnosis.weight import Tare
 
 RNG = np.random.default_rng(5)
 
@@ -121,3 +122,15 @@ def test_a_volume_gathers_what_is_in_excess_and_is_never_negative():
     assert volume + 0.01 * float(gathered(volume, 1e-3, 1)) == pytest.approx(3e-5)
     assert volume + 0.01 * float(gathered(volume, -1.0, 1)) == pytest.approx(0, abs=1e-20)
     assert volume + 0.01 * float(gathered(volume, 1e-3, 0)) == pytest.approx(1.8e-5)
+
+
+def test_a_link_without_a_known_mass_has_a_tare_too():
+    """A crane may state no mass of a link: what it weighs is uncertain by 1 kg, not by nothing."""
+    tare = Tare(("boom",), ("link_mass",), (0.0,), (2e4,))
+    sums = SimpleNamespace(**dict.fromkeys(tare.fit.states, 0.0))
+    known = {f"{n}_reference": v for n, v in tare.references.items()}
+    told = tare.told(sums, SimpleNamespace(**known))
+    sizes = {n: float(ca.evalf(ca.SX(size))) for n, (size, _, _) in told.items()}
+    off = float(ca.evalf(ca.SX(told["link_mass_off"][1])))
+    assert sizes == pytest.approx({"link_mass_off": 0.0, "boom_dry_friction": 0.0, "boom_damping": 2e4})
+    assert 1.0 <= off < 10.0

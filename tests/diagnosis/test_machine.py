@@ -63,6 +63,8 @@ def test_a_healthy_machine_has_no_fault(faulty, work, swap):
     [
         ("boom_head_leak", 50e-6, "boom_head_burst", 0.3),
         ("stick_rod_leak", 50e-6, "stick_rod_burst", 0.3),
+        ("boom_rod_leak", 40e-6, "boom_rod_burst", 7.0),
+        ("stick_head_leak", 40e-6, "stick_head_burst", 7.0),
         ("boom_head_pressure_lost", 1, "boom_head_pressure_sensor", 0.1),
         ("tank_pressure_lost", 1, "tank_pressure_sensor", 0.1),
         ("swing_angle_stuck", 1, "swing_angle_sensor", 7.0),
@@ -77,8 +79,9 @@ def test_a_healthy_machine_has_no_fault(faulty, work, swap):
 def test_a_fault_is_named(faulty, work, fault, size, named, within):
     """Within the time that its function needs to move, and nothing else before it.
 
-    Strokes come every 6 to 8 s: a stuck spool or angle shows in the next one, a leak at rests, of which the
-    head of the stick has few with more than 10 bar. With 15 % of hysteresis a valve does not close any more.
+    Strokes come every 6 to 8 s: a burst hose of a side without load, a stuck spool or angle shows in the next
+    one, a leak at rests, of which the head of the stick has few with more than 10 bar. With 15 % of
+    hysteresis a valve does not close any more.
     """
     found, _ = told(faulty, work, fault, size=size)
     first = min(found.values())
@@ -96,14 +99,57 @@ def test_the_size_of_a_leak_is_within_its_interval(faulty, work):
 
 
 @shards.machine
+def test_a_payload_is_weighed_beyond_the_tare(faulty, work):
+    """An arm whose masses are 20 to 40 kg off is learned empty; then 400 kg are weighed to 3 %.
+
+    Without it the masses alone make more than that. The piston friction is known to a fifth: the strokes are
+    short, and seen behind sensors.
+    """
+    masses = {"boom": 340.0, "stick": 370.0, "head": 390.0}
+    given = {f"manipulator.{n}_mass": m for n, m in masses.items()}
+    _, result = told(faulty, work, **given)
+    tare = [n for n in FOUND if n.endswith(("_mass_off", "_damping", "_dry_friction"))]
+    learned = {f"diagnosis.{n}_reference": float(result[f"diagnosis.{n}"][-1]) for n in tare}
+    for n in ("boom", "stick"):
+        assert learned[f"diagnosis.{n}_damping_reference"] == pytest.approx(2e4, rel=0.2)
+        assert learned[f"diagnosis.{n}_dry_friction_reference"] == pytest.approx(0.0, abs=500.0)
+    load = work | {"payload_mass": np.where(work["time"] > 20, 400.0, 0.0)}
+    errors = []
+    for known in ({}, learned):
+        _, result = told(faulty, load, **given, **known)
+        payload, held = (
+            np.asarray(result[n])[3000::100] for n in ("diagnosis.payload", "manipulator.held_mass")
+        )
+        errors.append(np.median(np.abs(payload - held)))
+    assert errors[1] < 12.0 < errors[0]
+
+
+@shards.machine
+@pytest.mark.parametrize("swap", [{}, DETAILED], ids=["lumped", "detailed"])
+def test_both_edges_of_a_valve_open_alike(faulty, work, swap):
+    """Their areas are the same: the ratio is 1 to a tenth, at any command and load.
+
+    A tenth: seen are 0.93 to 1.08, by the lags of readings and capacitances of hoses that are not known.
+    """
+    load = work | {"payload_mass": np.where(work["time"] > 20, 400.0, 0.0)}
+    _, result = told(faulty, load, swap=swap)
+    for axis in ("swing", "boom", "stick"):
+        for way in ("up", "down"):
+            ratio = np.asarray(result[f"diagnosis.{axis}_return_edge_{way}"])
+            known = np.asarray(result[f"diagnosis.{axis}_return_edge_{way}_state"]) >= 0
+            assert known.any()
+            assert ratio[known] == pytest.approx(1.0, abs=0.1)
+
+
+@shards.machine
 def test_a_payload_is_weighed_in_motion(faulty, work):
-    """400 kg, 8 s after they were taken: within its own 95 % interval, which is below 60 kg."""
+    """400 kg, 8 s after they were taken: within its own 95 % interval, which is below 40 kg."""
     load = np.where(work["time"] > 20, 400.0, 0.0)
     _, result = told(faulty, {**work, "payload_mass": load})
     at = 3000  # 30 s
     payload, deviation = (float(result[f"diagnosis.payload{end}"][at]) for end in ("", "_deviation"))
     assert payload == pytest.approx(float(result["manipulator.held_mass"][at]), abs=1.96 * deviation)
-    assert 1.96 * deviation < 60
+    assert 1.96 * deviation < 40
 
 
 def test_the_step_of_the_system_does_not_matter(fmu):
