@@ -1,20 +1,25 @@
 """Control law of one actuator: from reference speed and measured pressures to a valve command.
 
-    v   = (1 + h) v_ref + kp e - g (F - F_load)/k        commanded speed
+    v   = (1 + h) v_ref + kp e - g (F - F_load - F_a)/k        commanded speed
     h'  = (ki e - (v - v_possible)/T) v_ref/(v_ref^2 + v_0^2)        h and h' are bounded
-    F_load' = (F - F_load)/T_load
+    F_load' = (F - F_load - F_a)/T_load
+    kp = Kp/(1 + (Kp/(c w))^8)^(1/8)        ki = Ki (kp/Kp)^2        w^2 = k/m
 
-v_ref is the reference speed with a lead that compensates the lag of amplifier, valve and oil; e is the
-position error with the gains kp and ki, F the measured force and k the stiffness of the oil. v_possible is
-the speed at the limited opening, T `unwinding_time`, and v_0 `learning_share` times the speed limit.
+v_ref is the reference speed with a lead that compensates the lag of amplifier and valve; e is the position
+error, F the measured force and k the stiffness of the oil. F_a is the force that accelerates what the arm
+carries along the reference, and m its inertia (`Arm.carried`). v_possible is the speed at the limited
+opening, T `unwinding_time`, and v_0 `learning_share` times the speed limit.
+
+The gains Kp and Ki are lowered where the load oscillates slowly on its oil: the position gain is at most
+the share c of the natural frequency w, `frequency_share`.
 
 h integrates the relative error of the feedforward, which a wrong area, pressure or density causes. The effect
 of h changes sign with the direction of motion, and h is constant at rest. A plain integrator would hold the
 valve at one edge of its dead band at rest and would have to cross the dead band before the next motion. At
 constant speed both are the same.
 
-The pressure feedback damps oscillations of the force at the rate g for any inertia. The steady load F_load is
-subtracted, so the feedback does not act on it.
+The pressure feedback damps oscillations of the force at the rate g for any inertia. The steady load F_load
+and the force F_a of the reference are subtracted, so the feedback acts on neither.
 """
 
 from dataclasses import dataclass
@@ -31,6 +36,25 @@ from fmus.smooth import direction, ramp
 
 BEND = 0.05  # 1/s: acceleration over speed limit below which a motion counts as steady
 LARGEST_RATE = 2.0  # 1/s: bound of h', far above any rate that a wrong parameter value causes
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the reference asks of an actuator [m, rad].
+
+    speed, acceleration   of the reference without its returns to the machine
+    rate                  of the reference, with them
+    error                 e
+    inertia               m [kg, kg.m2]
+    force                 F_a [N, N.m]
+    """
+
+    speed: Scalar
+    acceleration: Scalar
+    rate: Scalar
+    error: Scalar
+    inertia: Scalar
+    force: Scalar
 
 
 @dataclass(frozen=True)
@@ -52,8 +76,7 @@ def actuator_command(
     axis: ControlledAxis,
     a: Actuator,
     pressures: tuple[Scalar, Scalar],
-    motion: tuple[Scalar, Scalar, Scalar],
-    error: Scalar,
+    motion: Motion,
     x: Any,
     u: Any,
     p: Any,
@@ -61,25 +84,26 @@ def actuator_command(
     """The equations above for one axis.
 
     pressures   measured, head side (A) and rod side (B) [Pa]
-    motion      v_ref [m/s, rad/s], with its lead, the rate of the reference speed, the speed of the reference
-    error       e [m, rad]
     """
-    speed, change, reference_rate = motion
-    name = axis.name
+    name, change, error = axis.name, motion.acceleration, motion.error
     gain, load = getattr(x, f"{name}_gain"), getattr(x, f"{name}_load")  # h, F_load
     position_gain, integral_gain, damping_rate, load_time = (
         getattr(p, f"{axis.loop}_{n}")
         for n in ("position_gain", "integral_gain", "damping_rate", "load_time")
     )
+    compensated = a.section_flows[0] > 0
+    slower = (1 + ((position_gain / p.frequency_share) ** 2 * motion.inertia / a.stiffness) ** 4) ** -0.125
+    position_gain, integral_gain = position_gain * slower, integral_gain * slower**2
+    speed = motion.speed + p.lead_time * change
     nominal_load = 0 if axis.turns else getattr(p, f"nominal_{name}_holding_force")
     lines = (u.supply_pressure, u.tank_pressure)
-    oscillation = a.force(*pressures) - load
+    oscillation = a.force(*pressures) - load - motion.force
     damping = damping_rate * oscillation / a.stiffness
     correction = position_gain * error + gain * speed - damping
     commanded = speed + p.feedback * correction
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
-    actual = valve.full_speeds(a, *valve.pressures_at_load(a, *pressures, load), *lines)
-    compensated, sections = a.section_flows[0] > 0, valve.section_speeds(a)
+    moved, sections = load + motion.force, valve.section_speeds(a)
+    actual = valve.full_speeds(a, *valve.pressures_at_load(a, *pressures, moved), *lines)
     full = tuple(
         ca.if_else(compensated, w, n + p.feedback * (k - n))
         for w, n, k in zip(sections, nominal, actual, strict=True)
@@ -99,7 +123,7 @@ def actuator_command(
     volt = (full[0] + full[1]) / 2 / (a.valve.full_command - a.valve.dead_band)  # speed per volt
     rate = (integral_gain * error - excess / p.unwinding_time) * weight
     beyond_limit = ramp(gain - limit, limit / 10) - ramp(-gain - limit, limit / 10)
-    wanted = Wanted(speed, reference_rate, commanded, opening, up * down, volt)
+    wanted = Wanted(speed, motion.rate, commanded, opening, up * down, volt, motion.force)
     return ActuatorCommand(
         command=valve.command(a.valve, possible, p.foot_share, (dead_bands[0], dead_bands[1])),
         gain_rate=rate / ca.sqrt(1 + (rate / LARGEST_RATE) ** 2) - beyond_limit / p.unwinding_time,

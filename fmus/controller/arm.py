@@ -20,6 +20,9 @@ from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Scalar
 from fmus.controller.valve import Actuator
 
+GRAVITY = 9.81  # m/s2
+LARGEST_MASS = 1e5  # kg, at the tip
+LEAST_ARM = 0.1  # m: keeps the mass at the tip finite for an arm that stands upright
 Coordinates = Sequence[Scalar]  # of the axes [rad or m]
 Pistons = list[tuple[Scalar, Scalar]]  # (position x [m], lever dx/dq [m or 1]) of each axis; column: (q, 1)
 
@@ -140,6 +143,51 @@ class Arm(ABC):
         """Velocity of the tip."""
         moved = [(s * r, s * h) for s, (r, h) in zip(speeds[1:], self.columns(q, p), strict=True)]
         return Cylindrical(sum(r for r, _ in moved), sum(h for _, h in moved), speeds[0])
+
+    def carried(
+        self,
+        q: Coordinates,
+        pistons: Pistons,
+        speeds: Coordinates,
+        rates: Coordinates,
+        loads: Coordinates,
+        p: Any,
+    ) -> list[tuple[Scalar, Scalar]]:
+        """Of each axis: the inertia that it moves, and the force for it, with a point mass at the tip.
+
+            M = sum_i T_i h_i/(g sum_i h_i^2)        m = M |c_i|^2/lever_i^2        F = M c_i . a/lever_i
+            a = (sum_i c_i q_i'' - r w^2, r w' + 2 r' w)        of the column m = M r^2, F = M r a_3
+
+        T_i = lever_i F_i is the torque [N.m or N] of the steady load of an axis, c_i = (r_i, h_i) its column
+        of the Jacobian, a the acceleration of the tip without that of a Jacobian that changes, w the speed of
+        the column. The least squares over all axes does not fail where one of them carries nothing. The arm's
+        own mass counts by its weight at the tip, which is more than its inertia. M is between 0 and
+        `LARGEST_MASS`, a below g in each direction.
+
+        speeds, rates   of the joints, and their time derivatives
+        loads           F_i [N, N.m]
+        """
+        columns, radius = self.columns(q, p), self.point(q, p)[0]
+        levers = [lever for _, lever in pistons[1:]]
+        weight = sum(f * lever * h for f, lever, (_, h) in zip(loads[1:], levers, columns, strict=True))
+        mass = weight / (GRAVITY * (sum(h**2 for _, h in columns) + LEAST_ARM**2))
+        mass = ca.fmin(ca.fmax(0, mass), LARGEST_MASS)
+
+        def along(k: int, of: Coordinates) -> Scalar:
+            return sum(c[k] * w for c, w in zip(columns, of[1:], strict=True))
+
+        outwards, upwards, sideways = (
+            ca.fmin(ca.fmax(-GRAVITY, a), GRAVITY)
+            for a in (
+                along(0, rates) - radius * speeds[0] ** 2,
+                along(1, rates),
+                radius * rates[0] + 2 * along(0, speeds) * speeds[0],
+            )
+        )
+        found = [(mass * radius**2, mass * radius * sideways)]
+        for lever, (r, h) in zip(levers, columns, strict=True):
+            found.append((mass * (r**2 + h**2) / lever**2, mass * (r * outwards + h * upwards) / lever))
+        return found
 
     def joint_speeds(self, q: Coordinates, velocity: Cylindrical, p: Any) -> Coordinates:
         """Speeds of the axes that give the tip a velocity; the arm's by damped least squares.

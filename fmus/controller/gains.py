@@ -63,6 +63,9 @@ class Loops(Group):
     piston_load_time: Scalar = Quantity(
         "s", "Time constant of the high-pass of that feedback: slower forces are steady loads"
     )
+    frequency_share: Scalar = Quantity(
+        "1", "Largest position gain over the natural frequency of the load on its oil", 0.1, minimum=1e-3
+    )
     gain_limit: Scalar = Quantity(
         "1", "Largest correction of the feedforward, as a fraction of it", minimum=1e-3
     )
@@ -73,7 +76,7 @@ class Loops(Group):
         "s", "Anti-windup: time in which an integrator unwinds when the valve saturates", 0.1
     )
     lead_time: Scalar = _gain(
-        "s", "Lead of the reference speed, equal to the lag of amplifier, valve and oil", 0.1, "Feedforward"
+        "s", "Lead of the reference speed, equal to the lag of amplifier and valve", 0.1, "Feedforward"
     )
     lead_filter_time: Scalar = Quantity(
         "s", "Time constant of the filter for the rate of the reference speed", 0.1, minimum=1e-3

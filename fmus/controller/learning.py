@@ -8,13 +8,13 @@ whatever the inertia and the load; y' is what the controller commanded, v, if it
 with the time constant T, `learning_filter_time`, has the filtered excess n of speed, without a derivative of
 a measurement:
 
-    v_l' = (v - v_l)/(T_a + T_l)        s' = c v_l - x_r' - (F - F_load)/(k T_load) + n
+    v_l' = (v - v_l)/(T_a + T_l)        s' = c v_l - x_r' - (F - F_load - F_a)/(k T_load) + n
     n = ((F - F_load)/k - e - s)/T      r = n/(dv/dV) sgn(v_ref)
 
 T_a is the lag of the amplifier and T_l that of spool and sensors, `learning_lag`. c corrects the speed for
-the force, c = 1 - (F - F_load) sgn(v_ref)/(2 S), with the force S that the supply has beyond the load; of a
-compensated section c = 1. r [V] is what the valve was open too far. With the errors (known minus true) D~
-of the dead band, g~ of the relative flow and b~ of the half width of the play, with Z = |c v_l|/(dv/dV),
+the force, c = 1 - (F - F_load - F_a) sgn(v_ref)/(2 S), with the force S that the supply has beyond the load;
+of a compensated section c = 1. r [V] is what the valve was open too far. With the errors (known minus true)
+D~ of the dead band, g~ of the relative flow and b~ of the half width of the play, with Z = |c v_l|/(dv/dV),
 and s the side of the play,
 
     r = D~ - g~ Z + b~ s sgn(v_ref)
@@ -60,6 +60,7 @@ class Wanted:
     opening     for it, not limited [1]
     margin      G_+ G_-, 1 if the supply carries the load
     volt        dv/dV beyond the dead band [m/(s.V), rad/(s.V)]
+    force       F_a, which accelerates the load along the reference [N, N.m]
     """
 
     speed: Scalar
@@ -68,6 +69,7 @@ class Wanted:
     opening: Scalar
     margin: Scalar
     volt: Scalar
+    force: Scalar
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ def lesson(
     """The equations above up to r_b and w.
 
     error         e [m, rad]
-    oscillation   F - F_load [N, N.m]
+    oscillation   F - F_load - F_a [N, N.m]
     spare         S [N, N.m] extending and retracting
     """
     name, speed = axis.name, wanted.speed
@@ -105,8 +107,7 @@ def lesson(
     sign = ca.if_else(ahead, 1, -1)
     force = ca.if_else(a.section_flows[0] > 0, 0, oscillation)
     moved = late * (1 - force * sign / (2 * ca.if_else(ahead, *spare)))
-    swing = oscillation / a.stiffness
-    excess = (swing - error - shift) / p.learning_filter_time
+    excess = ((oscillation + wanted.force) / a.stiffness - error - shift) / p.learning_filter_time
     late_rate = (wanted.commanded - late) / (p.amplifier_time + p.learning_lag)
     residual = excess / wanted.volt * sign
     lag = late_rate / wanted.volt * p.learning_lag / NOISE
@@ -117,7 +118,7 @@ def lesson(
     return Lesson(
         rates={
             f"{name}_late_command": late_rate,
-            f"{name}_oil_shift": moved - wanted.reference - swing / load_time + excess,
+            f"{name}_oil_shift": moved - wanted.reference - oscillation / a.stiffness / load_time + excess,
         },
         residual=residual / (1 + (residual / LARGEST) ** 2),
         weight=weight / (1 + lag**2),

@@ -23,7 +23,7 @@ import casadi as ca
 from fmus import ports
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Scalar, Subsystem, quantities, symbolic
-from fmus.controller.actuator import ActuatorCommand, actuator_command
+from fmus.controller.actuator import ActuatorCommand, Motion, actuator_command
 from fmus.controller.arm import Arm, ControlledAxis, distance
 from fmus.controller.gains import gains
 from fmus.controller.harvester import ARM
@@ -68,15 +68,17 @@ class Controller:
     def _commands(self, x: Any, u: Any, p: Any, ref: Reference) -> dict[str, ActuatorCommand]:
         """Command of the control law for each actuator."""
         driven, measured = self._actuators(ref, p), self.arm.pressures(u)
+        loads = [getattr(x, f"{a.name}_load") for a in self.arm.axes]
+        late = [getattr(x, f"{a.name}_late_speed") for a in self.arm.axes]
+        changes = [(v - w) / p.lead_filter_time for v, w in zip(ref.speeds, late, strict=True)]
+        q = self.arm.coordinates(x, "reference_{}")
+        carried = self.arm.carried(q, ref.pistons, ref.speeds, changes, loads, p)
         result = {}
-        for a, speed, rate, (_, lever), error in zip(
-            self.arm.axes, ref.speeds, ref.rates, ref.pistons, ref.errors, strict=True
+        for a, speed, change, rate, (_, lever), error, (inertia, force) in zip(
+            self.arm.axes, ref.speeds, changes, ref.rates, ref.pistons, ref.errors, carried, strict=True
         ):
-            filtered = getattr(x, f"{a.name}_late_speed")
-            change = (speed - filtered) / p.lead_filter_time
-            leading = speed + p.lead_time * change
-            motion = (lever * leading, lever * change, lever * rate)
-            result[a.name] = actuator_command(a, driven[a.name], measured[a.name], motion, error, x, u, p)
+            motion = Motion(lever * speed, lever * change, lever * rate, error, inertia, force)
+            result[a.name] = actuator_command(a, driven[a.name], measured[a.name], motion, x, u, p)
         return result
 
     def _pressure_use(self, x: Any, u: Any, p: Any, ref: Reference) -> Scalar:

@@ -174,7 +174,7 @@ def command(
 
     The step over the dead band is rounded for |opening| around `rounding_opening`; otherwise the command
     would jump at a change of sign. With the values of parameters.toml the valve therefore opens less than
-    asked: by 7.7 % at 7 times `rounding_opening`, by 0.5 % at 20 times.
+    asked: by 10 % at 7 times `rounding_opening`, by 0.8 % at 20 times.
     """
     size = ca.sqrt(opening**2 + rounding_opening**2)
     width, (up, down) = valve.command_rounding, offsets

@@ -247,7 +247,7 @@ def gains_of(crane: CraneDescription, arm: CraneArm) -> dict[str, Number]:
     """Gains as the harvester's, in proportion to the lowest mode w of the axes, and limits of the speeds.
 
     Pistons: k_p = w/4, g = 2 w/3, k_i = 0.4 k_p^2. Column, of its own mode: k_p = w/4, g = 3 k_p, k_i = 0.2
-    k_p^2. The lead is the lag of amplifier and valve, 25 ms, and that of oil and pressure feedback, g/w^2.
+    k_p^2. The lead is the lag of amplifier and valve.
     """
     axes, pressure = (
         {a.joint.name: a for a in check(crane)},
@@ -263,7 +263,6 @@ def gains_of(crane: CraneDescription, arm: CraneArm) -> dict[str, Number]:
         f"{name}_position_gain": (of_column, "1/s"),
         f"{name}_integral_gain": (0.2 * of_column**2, "1/s2"),
         f"{name}_damping_rate": (3 * of_column, "1/s"),
-        "lead_time": (0.025 + 2 / 3 / low, "s"),
         f"{name}_speed_limit": (min(turn.speeds) / 2, "rad/s"),
     }
     for a in pistons:

@@ -120,14 +120,15 @@ def test_the_swing_goes_on_past_half_a_turn(machine):
 def test_without_supply_the_arm_stays_up(machine, pressure):
     """Lost while the path goes up: the valve closes, for open it would let the arm sink; then it goes on.
 
-    The boom catches up below 0.31 rad/s, twice the speed of the side, and comes back onto the path.
+    The boom catches up below 0.36 rad/s, its speed on the side and the position gain times the error at which
+    the reference waits, and comes back onto the path.
     """
     square = read_trace(data("scenarios/square.csv"))
     gone = np.clip(np.minimum((square.time - 5.5) / 0.1, (8.5 - square.time) / 0.1), 0, 1)
     supply = 20.684e6 + gone * (pressure - 20.684e6)
     trace = driven(machine, square.time, "square", supply_pressure=supply, **square.signals)
     assert trace[TIP[2]].min() > square["path_height"].min() - 0.05
-    assert np.abs(trace["manipulator.boom_speed"]).max() < 0.31
+    assert np.abs(trace["manipulator.boom_speed"]).max() < 0.36
     assert trace["controller.tip_error"][-1] < 0.005
 
 

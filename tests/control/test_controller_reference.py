@@ -167,3 +167,61 @@ def test_s_curve_goes_from_none_to_all_and_is_twice_differentiable():
     for inside in (1e-6, 1 - 1e-6):
         # the third derivative is 60 at the ends: slope 30 dz^2, curvature 60 dz, next terms 2 and 3 dz of it
         assert [abs(float(v)) for v in ends(inside)] == pytest.approx([3e-11, 6e-5], rel=1e-4)
+
+
+# ---- the load
+
+
+def load(q, mass):
+    """Forces of the cylinders that hold a point mass at the tip, and the pistons."""
+    pistons, columns = ARM.pistons(q, P), ARM.columns(q, P)
+    held = [mass * 9.81 * h / lever for (_, h), (_, lever) in zip(columns, pistons[1:], strict=True)]
+    return [0.0, *held], pistons
+
+
+MASSES = st.floats(50, 2000)
+
+
+@given(ANGLES, MASSES, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_a_mass_at_the_tip_is_told_by_the_loads_and_moved_by_its_force(angles, mass, turn, boom, stick):
+    """M a along each joint, a of a tip that speeds up from rest; inertia of each axis by its kinetic energy.
+
+    The mass is short by the square of `LEAST_ARM`, 0.1 m, over that of the longer arm, 2 m and more: 0.25 %.
+    """
+    q, rates = (0.0, *angles), (turn, boom, stick)
+    loads, pistons = load(q, mass)
+    carried = ARM.carried(q, pistons, (0.0, 0.0, 0.0), rates, loads, P)
+    along = ARM.tip_velocity(q, rates, P)  # of a tip at rest the acceleration
+    radius, _ = tip(*angles)
+    assume(max(abs(h) for _, h in ARM.columns(q, P)) > 2)
+    power = mass * (along.radius**2 + along.height**2 + (radius * along.angle) ** 2)
+    worked = sum(f * lever * w for (_, f), (_, lever), w in zip(carried, pistons, rates, strict=True))
+    assert float(worked) == pytest.approx(float(power), rel=3e-3, abs=1e-9)
+    for k, (inertia, _) in enumerate(carried):
+        one = [float(k == i) for i in range(3)]
+        v = ARM.tip_velocity(q, one, P)
+        square = float(v.radius**2 + v.height**2 + (radius * v.angle) ** 2)
+        assert float(inertia) * float(pistons[k][1]) ** 2 == pytest.approx(mass * square, rel=3e-3)
+
+
+def test_a_turning_column_pulls_the_load_outwards():
+    """At a steady 0.5 rad/s: M r w^2 towards the axis, no torque; moved outwards, a torque 2 M r r' w."""
+    q, mass, w = (0.0, 0.3, -1.2), 500.0, 0.5
+    loads, pistons = load(q, mass)
+    (radius, _), columns = tip(*q[1:]), ARM.columns(q, P)
+    still, moving = (
+        ARM.carried(q, pistons, (w, boom, 0.0), (0.0, 0.0, 0.0), loads, P) for boom in (0.0, 0.1)
+    )
+    inwards = [
+        -mass * radius * w**2 * r / lever for (r, _), (_, lever) in zip(columns, pistons[1:], strict=True)
+    ]
+    assert [float(f) for _, f in still] == pytest.approx([0.0, *inwards], rel=3e-3)
+    outwards = 0.1 * float(columns[0][0])
+    assert float(moving[0][1]) == pytest.approx(2 * mass * radius * outwards * w, rel=3e-3)
+
+
+def test_an_arm_that_carries_nothing_has_no_inertia():
+    """Loads that pull upwards, as of a tip that lies on the ground: no negative mass."""
+    loads, pistons = load((0.0, 0.3, -1.2), -500.0)
+    carried = ARM.carried((0.0, 0.3, -1.2), pistons, (0.1,) * 3, (0.1,) * 3, loads, P)
+    assert [float(x) for pair in carried for x in pair] == [0.0] * 6

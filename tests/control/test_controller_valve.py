@@ -39,12 +39,12 @@ def drives() -> dict[str, Actuator]:
     return ARM.actuators((0, P.boom.stroke / 2, P.stick.stroke / 2), P)
 
 
-@given(VALVES, st.floats(20 * FOOT, 1.0), st.sampled_from([-1, 1]))
+@given(VALVES, st.floats(40 * FOOT, 1.0), st.sampled_from([-1, 1]))
 def test_command_opens_the_valve_as_asked(v, share, sign):
     """The curve of the valve returns the opening, and the other edges stay closed, above the rounded foot.
 
-    There opening / size is short of 1 by (foot / opening)^2 / 2, 1/800 at most: 2 mV of a dead band of 1.5 V,
-    and at 10 V for all that is 1 % of the smallest share here.
+    There opening / size is short of 1 by (foot / opening)^2 / 2, 1/3200 at most: 0.5 mV of a dead band of
+    1.5 V. That is 0.7 % of the smallest share here of 3.5 V, and more where the curve is rounded.
     """
     command = number(valve.command(v, sign * share, FOOT))
     shape = (v.dead_band, v.full_command, v.command_rounding)

@@ -132,6 +132,21 @@ def references(x: Group, u: Group, p: Group) -> Group:
     )  # fmt: skip
 
 
+def carried(ref: Group, x: Group, p: Group) -> tuple[np.ndarray, np.ndarray]:
+    """Section load: inertia of each axis, and the force that accelerates it."""
+    columns = ref.arm.jacobian.T
+    loads = np.array([x.boom_load, x.stick_load]) * ref.arm.arms[1:]
+    mass = clip(loads @ columns[:, 1] / (9.81 * (columns[:, 1] @ columns[:, 1] + 0.01)), 0, 1e5)
+    rates = (ref.speeds - [x.swing_late_speed, x.boom_late_speed, x.stick_late_speed]) / p.lead_filter_time
+    radius, w = ref.at[0], ref.speeds[0]
+    plane = rates[1:] @ columns - [radius * w**2, 0]
+    turning = radius * rates[0] + 2 * w * (ref.speeds[1:] @ columns)[0]
+    a = [clip(c, -9.81, 9.81) for c in (*plane, turning)]
+    arms = np.array(ref.arm.arms[1:])
+    inertia = mass * np.array([radius**2, *((columns**2).sum(axis=1) / arms**2)])
+    return inertia, mass * np.array([radius * a[2], *(columns @ a[:2] / arms)])
+
+
 def volts(opening: float, o: Group, foot: float, offsets: np.ndarray) -> float:
     """Section command: the valve's curve turned round by bisection."""
     size = np.sqrt(opening**2 + foot**2)
@@ -155,9 +170,12 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
         getattr(p, f"{kind}_{n}") for n in ("position_gain", "integral_gain", "damping_rate", "load_time")
     )
     k, side = (o.a**2 / o.c).sum(), np.array([1, -1])
-    swinging = o.a * side @ pressure - load
+    inertia, along = (value[i] for value in carried(ref, x, p))
+    lower = (1 + ((kp / p.frequency_share) ** 2 * inertia / k) ** 4) ** (-1 / 8)
+    kp, ki = kp * lower, ki * lower**2
+    swinging = o.a * side @ pressure - load - along
     v = speed + p.feedback * (kp * error + h * speed - g * swinging / k)
-    head, rod = np.linalg.solve([o.a * side, o.c / o.a], [load, (pressure * o.c / o.a).sum()])
+    head, rod = np.linalg.solve([o.a * side, o.c / o.a], [load + along, (pressure * o.c / o.a).sum()])
     s, t = u.supply_pressure, u.tank_pressure
     by, w = o.a / o.c, 2e5
     up, down = (
@@ -202,7 +220,8 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     seen = Group(
         name=name, speed=speed, v=v, opening=wide, margin=np.prod(gates),
         volt=mean / (o.full_command - o.dead_band), point=0.1 * (o.full_command - o.dead_band),
-        own=ref.arm.arms[i] * ref.rates[i], error=error, swinging=swinging, k=k, slowly=slowly, slow=slow,
+        own=ref.arm.arms[i] * ref.rates[i], error=error, swinging=swinging, along=along, k=k, slowly=slowly,
+        slow=slow,
         spare=np.maximum(np.array(spare), 5e5 * o.a), compensated=o.q[0] > 0,
     )  # fmt: skip
     taught_valve, wider = learning(seen, x, p, ref.e * p.feedback * p.learning * x.coordination)
@@ -234,7 +253,7 @@ def learning(o: Group, x: Group, p: Group, active: float) -> tuple[dict[str, flo
     late, shift, p11, p12, p22, spool, trailing = (getattr(x, f"{o.name}_{n}") for n in names)
     sign, end = (1, "up") if o.speed > 0 else (-1, "down")
     c = 1 - (not o.compensated) * sign * o.swinging / (2 * o.spare[0 if sign > 0 else 1])
-    n = (o.swinging / o.k - o.error - shift) / p.learning_filter_time
+    n = ((o.swinging + o.along) / o.k - o.error - shift) / p.learning_filter_time
     late_rate = (o.v - late) / (p.amplifier_time + p.learning_lag)
     residual = sign * n / o.volt
     w = clip(min(abs(o.speed), sign * late) / o.slow - 1, 0, 1) * o.margin * (abs(o.opening) < 0.9)

@@ -81,9 +81,9 @@ class Sampled(CoSimulationFmu):
         self.done += 1
 
 
-def opener(component: Component) -> Slave:
+def opener(component: Component, kind: type[Sampled] = Sampled) -> Slave:
     """For `run`: the controller behind sensors, all others as they are."""
     if component.name != "controller":
         return open_slave(component)
     assert component.source is not None
-    return Sampled(component.name, component.interface, component.source, component.start)
+    return kind(component.name, component.interface, component.source, component.start)
