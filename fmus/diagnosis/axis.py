@@ -117,7 +117,6 @@ def shared_states(axis: ControlledAxis) -> dict[str, Quantity]:
     for n, unit, text in (
         ("shut", "s", "Time for which the valve is closed, limited"),
         ("usable", "1", "1: the readings are usable"),
-        ("rated", "1", "1: those of all speeds are"),
     ):
         found[n] = Quantity(unit, f"{text}: {axis.name}")
     return found
@@ -131,6 +130,7 @@ class Axis:
     lines    1: the readings of both lines are usable
     speeds   1: those of all speeds are
     effort   of weights and motion
+    radial   dr/dq of the tip, r its radius; 0 of the column [m or 1]
     margin   least drop of supply pressure to a chamber that is filled, of all axes [Pa]
     """
 
@@ -144,6 +144,7 @@ class Axis:
     lines: Scalar
     speeds: Scalar
     effort: Efforts
+    radial: Scalar = 0
     margin: Scalar = 0
 
     def __getattr__(self, name: str) -> Any:
@@ -294,7 +295,7 @@ class Axis:
 
     def rates(self) -> dict[str, Scalar]:
         """Of the states that all checks share."""
-        found = {"usable": (self.sound - self.usable) / QUICK, "rated": (self.speeds - self.rated) / QUICK}
+        found = {"usable": (self.sound - self.usable) / QUICK}
         found |= {f"late_{k}": self.rate(k) for k in range(4)}
         for k, sign in enumerate((1, -1)):
             now, most, least = sign * self.command, self.pair("most")[k], self.pair("least")[k]

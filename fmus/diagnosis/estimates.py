@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -34,11 +34,12 @@ Told = tuple[Scalar, Scalar, Scalar]  # size, deviation; 1: a fault, 0: none, -1
 
 @dataclass(frozen=True)
 class Solution:
-    """Of normal equations: sizes, their covariance, number of samples."""
+    """Of normal equations: sizes, their covariance, number of samples, deviation of the right side."""
 
     sizes: list[Scalar]
     covariance: ca.SX
     samples: Scalar
+    scatter: Scalar
 
     def __iter__(self) -> Iterator[tuple[Scalar, Scalar]]:
         """Each size with its deviation."""
@@ -60,7 +61,7 @@ class Prior:
     most                     that at most: what differs more is a change
     """
 
-    deviations: Sequence[float]
+    deviations: Sequence[Scalar]
     references: Sequence[Scalar]
     least: float
     rough: float
@@ -105,8 +106,15 @@ class Fit:
         count = ca.fmax(sums[frozenset((k,))], 1e-9)
         return [-sums.get(frozenset((k, i)), 0) / count for i in range(len(self.columns))]
 
-    def solved(self, x: Any, prior: Prior, rare: int = 0) -> Solution:
-        """Sizes with their covariance; rare: how many of the first ones are faults, see `few`."""
+    def solved(self, x: Any, prior: Prior, rare: int = 0, weighed: bool = False) -> Solution:
+        """Sizes with their covariance.
+
+        rare      how many of the first ones are faults, see `few`
+        weighed   a prior counts by the deviation that the right side turns out to have, not by the least one
+        """
+        if weighed:
+            scatter = self.solved(x, prior, rare).scatter
+            prior = replace(prior, deviations=[d * prior.least / scatter for d in prior.deviations])
         size = len(self.columns)
         n, b = ca.SX(size, size), ca.SX(size, 1)
         for i, j in self._products:
@@ -128,7 +136,7 @@ class Fit:
         residual = ca.fmax(squares - 2 * ca.dot(b, s) + s.T @ n @ s, 0)
         variance = (residual + DOUBT * prior.rough**2) / (samples + DOUBT)
         variance = ca.fmin(ca.fmax(variance, prior.least**2), prior.most**2)
-        return Solution(found, variance * inverse, samples)
+        return Solution(found, variance * inverse, samples, ca.sqrt(variance))
 
 
 def _root(variance: Scalar) -> Scalar:

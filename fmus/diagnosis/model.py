@@ -3,9 +3,7 @@
 **Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
 compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of
-all valves**: the mean of those of the functions. **Weighing**: each cylinder tells the payload beyond the
-**tare**, which is learned of the empty arm; the mean has the weights of their deviations. If two of them
-differ, a pressure or an angle is wrong.
+all valves**: the mean of those of the functions. **Weighing**: weight.py.
 
 It is sampled, as a control unit, and its outputs depend on its states alone. Signs: those of the controller.
 
@@ -52,8 +50,6 @@ LINES = {
 FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
-WEIGHING = Fit("weighing", ("difference",))
-WEIGHED = 200.0  # kg, deviation of a difference of weights that is one sample
 RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
 ALONE = {
     "return_resistance": Finding("Pa.s/m3", "Resistance of the return line", 1e7, "return filter"),
@@ -62,7 +58,7 @@ ALONE = {
         "s", "Lag of all valves more than that of the healthy machine", 0.01, "pilot filter"
     ),
     "oil_temperature_high": Finding("1", "1: the oil is hotter than its limit", 1.0, "cooler"),
-    "weighing": Finding("kg", "Difference of the weights by two cylinders", 100.0, "pressure sensors"),
+    "weighing": Finding("N", "Mean horizontal force at the tip", 100.0, "pressure sensors"),
 }
 
 
@@ -117,9 +113,10 @@ class Diagnosis:
             1 - either(*self._wrong(x, u, p).values()),
         )
         efforts: Mapping[str, Efforts] = {} if isinstance(u, Nothing) else self.efforts(u)
+        radial = [0, *(r for r, _ in self.arm.columns(self.arm.coordinates(u), p))]
         axes = [
-            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, efforts.get(a.name, {}))
-            for a, (at, lever) in zip(self.arm.axes, pistons, strict=True)
+            Axis(a, driven[a.name], at, lever, x, u, p, lines, 1, efforts.get(a.name, {}), r)
+            for a, (at, lever), r in zip(self.arm.axes, pistons, radial, strict=True)
         ]
         speeds = 1 - either(*(a.faulty[1] for a in axes))
         margin = ca.mmin(ca.vertcat(*(a.least_drop for a in axes)))
@@ -153,10 +150,8 @@ class Diagnosis:
         ):
             counts *= sound * whether(flow > WORKING) / p.window
             rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], p.slow_memory)
-        difference, spread, counts = self._weighed(axes)
-        counts *= (WEIGHED / spread) ** 2 / p.weighing_memory
-        rates |= WEIGHING.rates(x, counts, [([1], difference / weight.HUNDRED)], p.balance_memory)
-        rates |= self.tare.rates(x, axes, p)
+        load = weight.Load([a for a in axes if not a.axis.turns], x, p)
+        rates |= load.rates() | self.tare.rates(load)
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
         return self.states(**rates)
 
@@ -170,7 +165,8 @@ class Diagnosis:
         told["pump_pressure"] = self._pump(x, p)
         told["valve_delay"] = self._delay(told, p)
         told["oil_temperature_high"] = shown(x.hot)
-        payload, told["weighing"] = self._payload(axes), self._weighing(x, p)
+        load = weight.Load((), x, p)
+        payload, told["weighing"] = load.payload(), load.weighing()
         told |= self.tare.told(x, p)
         found = {"payload": payload[0], "payload_deviation": payload[1]}
         for n, (size, deviation, state) in told.items():
@@ -201,32 +197,13 @@ class Diagnosis:
         size, off = total / weights, ca.sqrt(1 / weights)
         return size, off, judged(size, off, p.delay_limit, whether(weights > 1e3))
 
-    def _weighed(self, axes: list[Axis]) -> tuple[Scalar, Scalar, Scalar]:
-        """Difference of the weights by the first two cylinders [kg], its deviation, and whether it counts."""
-        one, other = [a for a in axes if not a.axis.turns][:2]
-        (m, d), (n, e) = weight.size(one), weight.size(other)
-        counts = weight.balance(one)[1] * weight.balance(other)[1]
-        return m - n, ca.sqrt(d**2 + e**2), counts
-
-    def _payload(self, axes: list[Axis]) -> tuple[Scalar, Scalar]:
-        """With its deviation, by all cylinders."""
-        total, inverse = 0, 1e-9
-        for a in axes:
-            if not a.axis.turns:
-                (size, off), usable = weight.size(a), weight.usable(a)
-                total += usable * size / off**2
-                inverse += usable / off**2
-        return total / inverse, ca.sqrt(1 / inverse)
-
-    def _weighing(self, x: Any, p: Any) -> Told:
-        fitted = WEIGHING.solved(x, Prior((20,), (0,), 0.3, 0.7))
-        ((size, off),) = ((weight.HUNDRED * s, weight.HUNDRED * d) for s, d in fitted)
-        told = whether(fitted.samples > FEWEST / 2)
-        return size, off, judged(ca.fabs(size), off, p.weighing_limit, told)
-
     def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """Filters at the readings; sums of nothing."""
-        start = {"late_supply": u.supply_pressure, "late_tank": u.tank_pressure}
+        start: dict[str, Scalar] = {
+            "late_supply": u.supply_pressure,
+            "late_tank": u.tank_pressure,
+            "horizontal_square": weight.SWINGING**2,
+        }
         for a in self._axes(Nothing(), u, p):
             own = {f"late_{k}": a.reading(k) for k in range(4)} | {
                 "late_command": a.command,
@@ -299,10 +276,11 @@ def diagnosis(arm: Arm, known: Mapping[str, Number], manipulator: Subsystem) -> 
         states[f"late_{n}"] = Quantity(
             unit, f"{text}, behind the slow lag", {"Pa": 1e7, "m3/s": 1e-3}.get(unit, 1.0)
         )
+    states |= weight.Load.states()
     states["hot"] = Quantity("1", "1: the oil is hotter than its limit")
     states |= {
         n: Quantity("1", f"Sum of normal equations: {n}")
-        for fit in (RETURN, PUMP, WEIGHING, tare.fit)
+        for fit in (RETURN, PUMP, weight.PAYLOAD, weight.WEIGHING, tare.fit)
         for n in fit.states
     }
     outputs["payload"] = Quantity("kg", "Payload", 100.0)

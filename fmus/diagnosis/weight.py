@@ -1,18 +1,22 @@
-"""Payload by one cylinder, by Lagrange's equations with the energies T and V of the arm, behind a lag T_w:
+"""Payload by all cylinders, by Lagrange's equations with the energies T and V of the arm, behind a lag T_w:
 
-    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x')        e = d(V - T)/dq + (p - p_late)/T_w
+    tau - e_0 = m e_m + sum(d_i e_i) + x_q (F sign(x') + D x') + h H        e = d(V - T)/dq + (p - p_late)/T_w
 
 e_0 of the empty arm, e_m of a kilogram of payload, e_i of a kilogram of mass i of the arm; p = dT/dq', so no
 acceleration is needed. x_q = dx/dq. The tare are the masses d_i that the arm has beyond the known ones, and
 the friction of its cylinders, dry F and viscous D. It is learned without payload. Not near the ends of a
 stroke.
+
+H is a horizontal force at the tip, with its lever h = dr/dq, r the radius of the tip. A head that swings has
+one of half its weight, and it acts on all cylinders at once; so equations count less along h, by its mean
+square (generalised least squares with the covariance s^2 I + H^2 h h^T). Its mean is zero, as what hangs
+pulls down; if not, a pressure or an angle is wrong.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -20,7 +24,7 @@ import casadi as ca
 from fmus.contract import Quantity, Scalar, Subsystem, flat, nested, quantities
 from fmus.controller.arm import Arm, ControlledAxis
 from fmus.diagnosis.axis import Axis, Effort, Efforts, Finding
-from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Prior, Told, whether
+from fmus.diagnosis.estimates import FEWEST, QUICK, Equations, Fit, Prior, Told, judged, whether
 from fmus.diagnosis.settings import number
 from fmus.parameters import values
 
@@ -29,19 +33,24 @@ HUNDRED = 100.0  # kg, scale of weights
 FORCE, DAMPING = 1e3, 1e4  # N, N.s/m, scales of friction
 SLOW = 5e-3  # m/s, over which the sign of a speed is rounded
 LEFT = 0.05  # of a torque at the end of a stroke
-CHANGED = 100.0  # kg, from which a payload is another one
+NOISE = 200.0  # N.m, s: of a torque
+CHANGED = 0.6  # hundred kg, from which a payload is another one
+FOLLOWED = 20.0  # s, in which the mean square of H follows
+STEADY, SWINGING = 30.0, 300.0  # N, root of that mean square: at least, and at the start
+JUMP = 9.0  # times the mean square: what counts of a larger force, as a payload that changes seems to be one
+THOUSAND = 1e3  # N, scale of H, and its deviation that is one sample
 END = 0.01  # m, from the end of a stroke
 NEVER = 1e-9  # 1/s, a weight of nothing
-PRIOR = {"weight": 20.0}  # standard deviation [100 kg]
 FRICTION = ("dry_friction", "damping")
+
+PAYLOAD, WEIGHING = Fit("payload", ("mass",)), Fit("weighing", ("force",))
 
 OfReadings = Callable[[Any], Mapping[str, Efforts]]  # by axis
 
 
-def findings(axis: ControlledAxis) -> dict[str, Finding]:
-    """A gauge of cylinders: no size of it is a fault."""
-    text = "Payload by the {}"
-    return {} if axis.turns else {"weight": Finding("kg", text, 100.0, "pressure sensors of the {}")}
+def findings(_: ControlledAxis) -> dict[str, Finding]:
+    """None of one cylinder."""
+    return {}
 
 
 def masses_of(manipulator: Subsystem) -> list[str]:
@@ -68,15 +77,16 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
         ("torque", "N.m", "Torque of the cylinder, behind the lag", TORQUE),
         ("late_dry_friction", "m", "Lever with the sign of the speed, behind the lag", 1.0),
         ("late_damping", "m2/s", "Lever times the speed of the piston, behind the lag", 1.0),
+        ("late_arm", "m", "Lever of a horizontal force at the tip, behind the lag", 1.0),
         ("blocked", "1", "Share of the torque from a time at an end of the stroke", 1.0),
     )
     found = {n: Quantity(unit, f"{text}: {axis.name}", size) for n, unit, text, size in rows}
     return found | _of_loads(axis, {"empty": "the empty arm", "payload": "a kilogram of payload"})
 
 
-def fits(axis: ControlledAxis) -> dict[str, Fit]:
-    """The payload."""
-    return {} if axis.turns else {"weight": Fit("weight", ("mass",))}
+def fits(_: ControlledAxis) -> dict[str, Fit]:
+    """None of one cylinder."""
+    return {}
 
 
 def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfReadings:
@@ -121,6 +131,7 @@ def start(a: Axis) -> dict[str, Scalar]:
         "torque": a.lever * a.actuator.force(*a.pressures),
         "late_dry_friction": a.lever * speed / ca.sqrt(speed**2 + SLOW**2),
         "late_damping": a.lever * speed,
+        "late_arm": a.radial,
     }
     for n, effort in a.effort.items():
         found |= {f"{n}_torque": effort.torque, f"{n}_momentum": effort.momentum}
@@ -143,7 +154,7 @@ def balance(a: Axis) -> tuple[Scalar, Scalar]:
 
 
 def rates(a: Axis) -> dict[str, Scalar]:
-    """Lags, and the sums of the payload."""
+    """Lags."""
     if a.axis.turns:
         return {}
     p, lag = a.p, a.p.weighing_lag
@@ -151,34 +162,113 @@ def rates(a: Axis) -> dict[str, Scalar]:
     stroke = getattr(p, a.axis.name).stroke
     free = whether(a.position > END) * whether(a.position < stroke - END)
     found["blocked"] = ca.if_else(free > 0, -a.blocked / lag, (1 - a.blocked) / QUICK)
-    torque, counts = balance(a)
-    for n in list(a.effort)[2:]:  # masses of the arm
-        torque -= number(f"{n}_off", p) * column(a, n)
-    for n in FRICTION:
-        torque -= number(f"{a.axis.name}_{n}", p) * column(a, n)
-    mass = column(a, "payload")
-    off = torque - size(a)[0] * mass  # another payload: what is older is forgotten
-    fading = (1 + (off / (CHANGED * mass)) ** 2) / p.weighing_memory
-    memory = 1 / ca.fmin(ca.if_else(counts > 0, fading, 1 / p.weighing_memory), 1 / p.weighing_lag)
-    equation: Equations = [([HUNDRED * mass / TORQUE], torque / TORQUE)]
-    return found | fits(a.axis)["weight"].rates(a, counts / lag + NEVER, equation, memory)  # fades always
+    return found
 
 
-def usable(a: Axis) -> Scalar:
-    """1: the readings that the weight needs were usable at the last sample."""
-    return a.usable * a.rated
+def told(_: Axis) -> dict[str, Told]:
+    """Nothing of one cylinder."""
+    return {}
 
 
-def size(a: Axis) -> tuple[Scalar, Scalar]:
-    """Payload [kg] with its deviation."""
-    ((mass, off),) = a.solved(fits(a.axis)["weight"], PRIOR, 0.02, 0.1)[0]
-    deviation = ca.sqrt((HUNDRED * off) ** 2 + a.p.weighing_error**2)
-    return HUNDRED * mass, deviation
+@dataclass(frozen=True)
+class Load:
+    """What hangs at the tip, by all cylinders at one instant.
 
+    axes    those with cylinders
+    x, p    states and parameters of the diagnosis
+    """
 
-def told(a: Axis) -> dict[str, Told]:
-    """The gauge."""
-    return {} if a.axis.turns else {"weight": (*size(a), ca.if_else(usable(a) > 0, 0, -1))}
+    axes: Sequence[Axis]
+    x: Any
+    p: Any
+
+    @staticmethod
+    def states() -> dict[str, Quantity]:
+        """The mean square of H; the sums are those of `PAYLOAD` and `WEIGHING`."""
+        text = "Mean square of a horizontal force at the tip"
+        return {"horizontal_square": Quantity("N2", text, THOUSAND**2, minimum=0.0)}
+
+    @property
+    def _balances(self) -> list[tuple[Scalar, Scalar]]:
+        return [balance(a) for a in self.axes]
+
+    @property
+    def count(self) -> Scalar:
+        """How many cylinders count."""
+        return sum(counts for _, counts in self._balances)
+
+    @property
+    def levers(self) -> list[Scalar]:
+        """h of each cylinder [m], 0 of one that does not count."""
+        return [c * a.late_arm for a, (_, c) in zip(self.axes, self._balances, strict=True)]
+
+    @property
+    def equations(self) -> Equations:
+        """Of the payload, in hundred kg, for each cylinder; all zero of one that does not count."""
+        found = list[tuple[Sequence[Scalar], Scalar]]()
+        for a, (torque, counts) in zip(self.axes, self._balances, strict=True):
+            for n in list(a.effort)[2:]:  # masses of the arm
+                torque -= number(f"{n}_off", self.p) * column(a, n)
+            for n in FRICTION:
+                torque -= number(f"{a.axis.name}_{n}", self.p) * column(a, n)
+            found.append(([counts * HUNDRED * column(a, "payload") / TORQUE], counts * torque / TORQUE))
+        return found
+
+    def without_horizontal(self, equations: Equations) -> Equations:
+        """Equations in which a horizontal force at the tip counts as little as its size demands."""
+        levers, square = self.levers, ca.fmax(self.x.horizontal_square, STEADY**2)
+        length = sum(h**2 for h in levers) + 1e-9
+        share = (1 - 1 / ca.sqrt(1 + square * length / NOISE**2)) / length
+
+        def along(values: Sequence[Scalar]) -> list[Scalar]:
+            taken = share * sum(h * v for h, v in zip(levers, values, strict=True))
+            return [v - h * taken for h, v in zip(levers, values, strict=True)]
+
+        rows = zip(
+            *(along(values) for values in zip(*([*c, y] for c, y in equations), strict=True)), strict=True
+        )
+        return [(row[:-1], row[-1]) for row in rows]
+
+    def rates(self) -> dict[str, Scalar]:
+        """Of the sums, and of the mean square of H."""
+        x, p, lag, count = self.x, self.p, self.p.weighing_lag, self.count
+        plain = self.equations
+        calm = self.without_horizontal(plain)
+        known = sum(c**2 for (c,), _ in calm) + 1e-9
+        size, off = self._payload()
+        change = sum(c * y for (c,), y in calm) / known - size
+        fading = (1 + change**2 / (CHANGED**2 + (NOISE / TORQUE) ** 2 / known)) / p.weighing_memory
+        memory = 1 / ca.fmin(ca.if_else(count > 0, fading, 1 / p.weighing_memory), 1 / lag)
+        any_counts = whether(count > 0)
+        found = PAYLOAD.rates(x, any_counts / lag + NEVER, calm, memory, any_counts)  # fades always
+        levers, left = self.levers, [TORQUE * (y - size * c) for (c,), y in plain]
+        length = sum(h**2 for h in levers) + 1e-9
+        force = sum(h * t for h, t in zip(levers, left, strict=True)) / length
+        by_payload = sum(h * c for h, ((c,), _) in zip(levers, plain, strict=True)) * TORQUE / length
+        several = whether(count > 1)  # one cylinder alone cannot tell it from a payload
+        square = ca.fmin(force**2, JUMP * ca.fmax(x.horizontal_square, STEADY**2))
+        found["horizontal_square"] = several * (square - x.horizontal_square) / FOLLOWED
+        variance = NOISE**2 / length + (by_payload * off) ** 2
+        weight = several / (1 + variance / THOUSAND**2) / lag
+        return found | WEIGHING.rates(x, weight, [([1], force / THOUSAND)], p.balance_memory)
+
+    def _payload(self) -> tuple[Scalar, Scalar]:
+        """In hundred kg."""
+        prior = Prior((20.0,), (0.0,), NOISE / TORQUE, 0.1)
+        ((size, off),) = PAYLOAD.solved(self.x, prior)
+        return size, ca.sqrt(off**2 + (self.p.weighing_error / HUNDRED) ** 2)
+
+    def payload(self) -> tuple[Scalar, Scalar]:
+        """With its deviation [kg]."""
+        size, off = self._payload()
+        return HUNDRED * size, HUNDRED * off
+
+    def weighing(self) -> Told:
+        """Mean of H [N]."""
+        fitted = WEIGHING.solved(self.x, Prior((20,), (0,), 0.01, 0.5))
+        ((size, off),) = ((THOUSAND * s, THOUSAND * d) for s, d in fitted)
+        told = whether(fitted.samples > FEWEST)
+        return size, off, judged(ca.fabs(size), off, self.p.weighing_limit, told)
 
 
 @dataclass(frozen=True)
@@ -230,26 +320,24 @@ class Tare:
     @property
     def fit(self) -> Fit:
         """Of all of them."""
-        frictions = [[f"{a}_{n}" for n in FRICTION] for a in self.cylinders]
-        apart = {frozenset((m, n)) for one, other in combinations(frictions, 2) for m in one for n in other}
-        return Fit("tare", tuple(self.findings), frozenset(apart))
+        return Fit("tare", tuple(self.findings))
 
     @property
     def _scales(self) -> list[float]:
         return [HUNDRED] * len(self.masses) + [FORCE, DAMPING] * len(self.cylinders)
 
-    def rates(self, x: Any, axes: Sequence[Axis], p: Any) -> dict[str, Scalar]:
+    def rates(self, load: Load) -> dict[str, Scalar]:
         """Of the sums; an equation of each cylinder."""
-        equations, count = list[tuple[Sequence[Scalar], Scalar]](), 0
-        for a in (a for a in axes if not a.axis.turns):
+        equations, p = list[tuple[Sequence[Scalar], Scalar]](), load.p
+        for a in load.axes:
             torque, counts = balance(a)
             columns = [column(a, n) for n in self.masses]
             for name in self.cylinders:
                 columns += [column(a, n) if name == a.axis.name else 0 for n in FRICTION]
             scaled = [counts * s * c / TORQUE for s, c in zip(self._scales, columns, strict=True)]
             equations.append((scaled, counts * torque / TORQUE))
-            count += counts
-        return self.fit.rates(x, whether(count > 0) / p.weighing_lag, equations, p.tare_memory, count)
+        calm, count = load.without_horizontal(equations), load.count
+        return self.fit.rates(load.x, whether(count > 0) / p.weighing_lag, calm, p.tare_memory, count)
 
     def told(self, x: Any, p: Any) -> dict[str, Told]:
         """Sizes; not known before some samples."""
@@ -260,10 +348,10 @@ class Tare:
         prior = Prior(
             [d / s for d, s in zip(deviations, self._scales, strict=True)],
             [number(n, p) / s for n, s in zip(self.findings, self._scales, strict=True)],
-            0.02,
+            NOISE / TORQUE,
             0.1,
         )
-        solution = self.fit.solved(x, prior)
+        solution = self.fit.solved(x, prior, weighed=True)
         told = ca.if_else(solution.samples > FEWEST, 0, -1)
         sized = zip(self.findings, solution, self._scales, strict=True)
         return {n: (s * size, s * off, told) for n, (size, off), s in sized}
