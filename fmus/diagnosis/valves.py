@@ -32,6 +32,8 @@ sign m of its last change and a lag T; s and d of each direction. It counts if u
 `valve_travel` since it turned, the edge is open, no anti-cavitation valve is, and the drop over it is not
 small. Of compensated sections the least drop of all that are open counts: they share the flow of a pump that
 cannot give more. Gain and dead band are judged together, by the mean of v over all samples of a direction.
+The lag is a mean over a minute of motion, since a filter clogs slowly; lags count as independent after
+`valve_memory`.
 """
 
 from __future__ import annotations
@@ -73,6 +75,7 @@ from fmus.smooth import positive
 
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
 RESTING = 3.0  # weight of oil that is lost at rest, where only a load that changes moves some
+DELAYED = 0.01  # s, deviation of a lag that is one sample of the mean
 WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
 EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
 # prior standard deviations: a valve that is another one
@@ -127,6 +130,7 @@ def fits(_: ControlledAxis) -> dict[str, Fit]:
     return {
         "valve": Fit("valve", tuple(MAP), APART),
         "edges": Fit("edges", OF_EDGES, frozenset({frozenset(OF_EDGES)})),
+        "lag": Fit("lag", ("lag",)),
     }
 
 
@@ -242,6 +246,14 @@ def _edge_equation(a: Axis) -> tuple[Scalar, Equations]:
     return counts, [(sums[:2], sums[2])]
 
 
+def _lag_equation(a: Axis) -> tuple[Scalar, Equations]:
+    """Weight 0 or 1, and the lag of the map as an equation of its mean, by how well it is known."""
+    fitted, _ = a.solved(fits(a.axis)["valve"], MAP, 0.05, 0.15)
+    *_, (size, off) = fitted
+    certain = 1 / ca.sqrt(1 + (off / DELAYED) ** 2)
+    return _map_equation(a)[0] * whether(fitted.samples > FEWEST), [([certain], certain * size / DELAYED)]
+
+
 def rates(a: Axis) -> dict[str, Scalar]:
     """Of the states, and the sums of the map."""
     p, late = a.p, a.late_command
@@ -249,11 +261,14 @@ def rates(a: Axis) -> dict[str, Scalar]:
         "late_command": (a.command - late) / (2 * p.lag),
         "trailing": play_rate(late, a.trailing, p.valve_travel, 50.0, p.valve_travel / 10),
     }
-    for fit, (counts, equation) in zip(
-        fits(a.axis).values(), (_map_equation(a), _edge_equation(a)), strict=True
+    of = fits(a.axis)
+    healthy = a.sound * (1 - a.spool) * (1 - a.burst_told)
+    for name, (counts, equation), between, memory in (
+        ("valve", _map_equation(a), p.valve_window, p.valve_memory),
+        ("edges", _edge_equation(a), p.valve_window, p.valve_memory),
+        ("lag", _lag_equation(a), p.valve_memory, p.slow_memory),
     ):
-        counts *= a.sound * (1 - a.spool) * (1 - a.burst_told) / p.valve_window
-        found |= fit.rates(a, counts, equation, p.valve_memory)
+        found |= of[name].rates(a, counts * healthy / between, equation, memory)
     return found | _of_spool(a) | _of_bursts(a)
 
 
@@ -272,10 +287,12 @@ def told(a: Axis) -> dict[str, Told]:
         change, spread = fitted.along(*row)
         off_known = ca.fabs(change - sum(w * r for w, r in zip(row, known, strict=True)))
         found[n] = (size, off, judged(off_known, spread, limit, enough))
+    lag, _ = a.solved(fits(a.axis)["lag"], {"lag": 30.0}, 0.1, 1.0)
+    ((size, off),) = lag
+    enough = usable * whether(lag.samples > 1)  # told of all valves together
+    found[OF_VALVE[-1]] = (DELAYED * size, DELAYED * off, ca.if_else(enough > 0, 0, -1))
     edges, _ = a.solved(fit_edges, dict.fromkeys(OF_EDGES, 0.5), 0.1, 0.3)
     enough = usable * (1 - a.burst_told) * whether(edges.samples > FEWEST)
-    found |= {
+    return found | {
         n: (size, off, ca.if_else(enough > 0, 0, -1)) for n, (size, off) in zip(OF_EDGES, edges, strict=True)
     }
-    (*_, (size, off)) = fitted
-    return found | {OF_VALVE[-1]: (size, off, ca.if_else(enough > 0, 0, -1))}  # told of all valves together
