@@ -211,6 +211,11 @@ class Axis:
         return whether(self.actuator.section_flows[0] > 0)
 
     @property
+    def capacitances(self) -> tuple[Scalar, Scalar]:
+        """Of both chambers [m3/Pa]."""
+        return self.actuator.head_capacitance, self.actuator.rod_capacitance
+
+    @property
     def flows(self) -> tuple[Scalar, Scalar]:
         """Into both chambers, behind the lag [m3/s]."""
         a, speed = self.actuator, self.lever * self.rate(0)

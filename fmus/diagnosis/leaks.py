@@ -33,6 +33,7 @@ SHORTEST, PART = 0.15, 1.0  # s, a rest that counts, and a part of a long one
 FEWEST_RESTS = 3.0  # equations, from which a leak is told
 MOST = 3.0  # deviations by which equations differ unless the machine changes
 SWAYING = 4.0  # of the limit, for a motor: the column swings on its oil for long
+CHANGES = 1.5  # of the air that the hoses of a healthy machine seem to have: rests differ
 EXPONENT = 1.4  # of the air
 SEAL, OPEN, AIR = "seal_leakage", "valve_opening", "air"
 # prior standard deviations: a seal or fitting that is gone [L/min at 100 bar]; air; hoses of a motor, foam
@@ -162,4 +163,5 @@ def told(a: Axis) -> dict[str, Told]:
     air, (reference,) = a.solved(of["trapped"], FOAM, 1.0, 4.0)
     ((share, off),) = air
     enough = usable * whether(air.samples > 2 * FEWEST)
-    return found | {AIR: (share, off, judged(share - reference, off, a.p.air_limit, enough))}
+    limit = a.p.air_limit + CHANGES * ca.fabs(reference)
+    return found | {AIR: (share, off, judged(share - reference, off, limit, enough))}

@@ -76,6 +76,7 @@ from fmus.smooth import positive
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
 RESTING = 3.0  # weight of oil that is lost at rest, where only a load that changes moves some
 DELAYED = 0.01  # s, deviation of a lag that is one sample of the mean
+SOFT = 4.0  # capacitances of a chamber that a tenth of air adds, 10 L at 100 bar: a load moves it
 WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
 EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
 # prior standard deviations: a valve that is another one
@@ -160,7 +161,8 @@ def _of_spool(a: Axis) -> dict[str, Scalar]:
         hidden = late * low * a.sound
         found[f"hidden_{k}"] = counted(a.pair("hidden")[k], whether(hidden > 0), hidden, FORGOTTEN)
         closed = whether(a.pair("most")[k] < p.closed_command) * whether(a.pressures[k] - tank > FILLED)
-        through = ca.fmin(flow, -a.flows[1 - k]) - p.rest_margin
+        soft = [SOFT * c * ca.fabs(a.rate(2 + side)) for side, c in enumerate(a.capacitances)]
+        through = ca.fmin(flow - soft[k], -a.flows[1 - k] - soft[1 - k]) - p.rest_margin
         counts = closed * a.sound * a.full[0] * a.full[1]
         found[f"passed_{k}"] = gathered(a.pair("passed")[k], through, counts)
     wrong = either(*missing) * a.sound
