@@ -32,8 +32,8 @@ sign m of its last change and a lag T; s and d of each direction. It counts if u
 `valve_travel` since it turned, the edge is open, no anti-cavitation valve is, and the drop over it is not
 small. Of compensated sections the least drop of all that are open counts: they share the flow of a pump that
 cannot give more. Gain and dead band are judged together, by the mean of v over all samples of a direction.
-The lag is a mean over a minute of motion, since a filter clogs slowly; lags count as independent after
-`valve_memory`.
+The lag is a mean over a minute of motion, since a filter clogs slowly, and the hysteresis is told by such a mean,
+too. What is `valve_memory` apart counts as independent.
 """
 
 from __future__ import annotations
@@ -75,12 +75,13 @@ from fmus.smooth import positive
 
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
 RESTING = 3.0  # weight of oil that is lost at rest, where only a load that changes moves some
-DELAYED = 0.01  # s, deviation of a lag that is one sample of the mean
 SOFT = 4.0  # capacitances of a chamber that a tenth of air adds, 10 L at 100 bar: a load moves it
 WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
 EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
 # prior standard deviations: a valve that is another one
 MAP = dict(zip(OF_VALVE, (0.5, 0.5, 0.5, 0.5, 1.0, 0.1), strict=True))
+HYSTERESIS, DELAY = OF_VALVE[4:]
+MEANS = {HYSTERESIS: 0.1, DELAY: 0.01}  # V, s: deviation that is one sample of a mean
 APART = frozenset(
     frozenset((f"{n}_up", f"{m}_down")) for n in ("gain", "dead_band") for m in ("gain", "dead_band")
 )
@@ -131,7 +132,7 @@ def fits(_: ControlledAxis) -> dict[str, Fit]:
     return {
         "valve": Fit("valve", tuple(MAP), APART),
         "edges": Fit("edges", OF_EDGES, frozenset({frozenset(OF_EDGES)})),
-        "lag": Fit("lag", ("lag",)),
+        **{n: Fit(f"mean_{n}", ("size",)) for n in MEANS},
     }
 
 
@@ -248,12 +249,20 @@ def _edge_equation(a: Axis) -> tuple[Scalar, Equations]:
     return counts, [(sums[:2], sums[2])]
 
 
-def _lag_equation(a: Axis) -> tuple[Scalar, Equations]:
-    """Weight 0 or 1, and the lag of the map as an equation of its mean, by how well it is known."""
+def _mean_equation(a: Axis, name: str) -> tuple[Scalar, Equations]:
+    """Weight 0 or 1, and a size of the map as an equation of its mean, by how well it is known."""
     fitted, _ = a.solved(fits(a.axis)["valve"], MAP, 0.05, 0.15)
-    *_, (size, off) = fitted
-    certain = 1 / ca.sqrt(1 + (off / DELAYED) ** 2)
-    return _map_equation(a)[0] * whether(fitted.samples > FEWEST), [([certain], certain * size / DELAYED)]
+    size, off = list(fitted)[[*MAP].index(name)]
+    certain = 1 / ca.sqrt(1 + (off / MEANS[name]) ** 2)
+    return _map_equation(a)[0] * whether(fitted.samples > FEWEST), [([certain], certain * size / MEANS[name])]
+
+
+def _mean(a: Axis, name: str, usable: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Its size and deviation, and whether it can be told."""
+    scale = MEANS[name]
+    mean, _ = a.solved(fits(a.axis)[name], {"size": MAP[name] / scale}, 0.1, 1.0)
+    ((size, off),) = mean
+    return scale * size, scale * off, usable * whether(mean.samples > 1)
 
 
 def rates(a: Axis) -> dict[str, Scalar]:
@@ -268,7 +277,7 @@ def rates(a: Axis) -> dict[str, Scalar]:
     for name, (counts, equation), between, memory in (
         ("valve", _map_equation(a), p.valve_window, p.valve_memory),
         ("edges", _edge_equation(a), p.valve_window, p.valve_memory),
-        ("lag", _lag_equation(a), p.valve_memory, p.slow_memory),
+        *((n, _mean_equation(a, n), p.valve_memory, p.slow_memory) for n in MEANS),
     ):
         found |= of[name].rates(a, counts * healthy / between, equation, memory)
     return found | _of_spool(a) | _of_bursts(a)
@@ -289,10 +298,13 @@ def told(a: Axis) -> dict[str, Told]:
         change, spread = fitted.along(*row)
         off_known = ca.fabs(change - sum(w * r for w, r in zip(row, known, strict=True)))
         found[n] = (size, off, judged(off_known, spread, limit, enough))
-    lag, _ = a.solved(fits(a.axis)["lag"], {"lag": 30.0}, 0.1, 1.0)
-    ((size, off),) = lag
-    enough = usable * whether(lag.samples > 1)  # told of all valves together
-    found[OF_VALVE[-1]] = (DELAYED * size, DELAYED * off, ca.if_else(enough > 0, 0, -1))
+    size, off, enough = _mean(a, DELAY, usable)
+    found[DELAY] = (size, off, ca.if_else(enough > 0, 0, -1))  # told of all valves together
+    size, off, enough = _mean(a, HYSTERESIS, usable)
+    mean = (size, off, judged(ca.fabs(size - a.reference(HYSTERESIS)), off, p.hysteresis_limit, enough))
+    now = found[HYSTERESIS]
+    size, off, state = (ca.if_else(now[2] > 0, one, other) for one, other in zip(now, mean, strict=True))
+    found[HYSTERESIS] = (size, off, state)
     edges, _ = a.solved(fit_edges, dict.fromkeys(OF_EDGES, 0.5), 0.1, 0.3)
     enough = usable * (1 - a.burst_told) * whether(edges.samples > FEWEST)
     return found | {
