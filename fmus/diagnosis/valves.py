@@ -32,8 +32,8 @@ sign m of its last change and a lag T; s and d of each direction. It counts if u
 `valve_travel` since it turned, the edge is open, no anti-cavitation valve is, and the drop over it is not
 small. Of compensated sections the least drop of all that are open counts: they share the flow of a pump that
 cannot give more. Gain and dead band are judged together, by the mean of v over all samples of a direction.
-The lag is a mean over a minute of motion, since a filter clogs slowly, and the hysteresis is told by such a mean,
-too. What is `valve_memory` apart counts as independent.
+The lag is a mean over a minute of motion, since a filter clogs slowly; the hysteresis is told by such a mean,
+too. Samples that are `valve_memory` apart count as independent.
 """
 
 from __future__ import annotations

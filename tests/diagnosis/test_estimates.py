@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from fmus.diagnosis.axis import Effort
 from fmus.diagnosis.estimates import Fit, Prior, few, gathered, judged
-from fmus.diagnosis.weight import Tare
+from fmus.diagnosis.weight import NOISE, Load, Tare
 
 RNG = np.random.default_rng(5)
 
@@ -96,6 +97,48 @@ def test_without_data_a_size_is_its_reference_with_the_deviation_of_its_prior():
     empty = SimpleNamespace(**dict.fromkeys(fit.states, 0.0))
     found = list(fit.solved(empty, Prior((0.5, 2.0), (1.0, -3.0), 0.1, 0.1)))
     assert [float(v) for pair in found for v in pair] == pytest.approx([1.0, 0.5, -3.0, 2.0])
+
+
+def test_a_prior_weighs_as_much_as_the_scatter_of_the_data_allows():
+    """As by Bayes: 400 samples of noise 3, whose least is 0.1, and a prior of 0.2, which weighs half as much.
+
+    To 10 %: the scatter is known to 1/sqrt(800), and in it counts how far the prior is off, here 8 %.
+    """
+    fit, y = Fit("f", ("a",)), RNG.normal(2.0, 3.0, size=400)
+    sums = states(fit, np.ones((400, 1)), y)
+    prior = Prior((0.2,), (0.0,), 0.1, 0.1)
+    ((size, off),) = fit.solved(sums, prior, weighed=True)
+    of_data, of_prior = 400 / 3.0**2, 1 / 0.2**2
+    assert float(size) == pytest.approx(y.mean() * of_data / (of_data + of_prior), rel=0.1)
+    assert float(off) == pytest.approx((of_data + of_prior) ** -0.5, rel=0.1)
+    ((alone, _),) = fit.solved(sums, prior)
+    assert float(alone) == pytest.approx(y.mean(), rel=1e-3)  # the least noise makes the prior worth nothing
+
+
+@pytest.mark.parametrize("cylinders", [1, 2, 3])
+def test_a_horizontal_force_counts_as_generalised_least_squares_do(cylinders):
+    """Their products are C^T S^-1 C with the covariance S = I + (H/s)^2 h h^T, to rounding.
+
+    One cylinder more does not count: its equation and its lever are zero.
+    """
+    force = 1500.0
+    levers, columns = RNG.normal(size=cylinders), RNG.normal(size=(cylinders, 3))
+    axes = [
+        SimpleNamespace(
+            late_arm=h, torque=0.0, sound=c, speeds=1.0, blocked=0.0, effort={"empty": Effort(0.0, 0.0)}
+        )
+        for h, c in zip((*levers, 7.0), (*[1.0] * cylinders, 0.0), strict=True)
+    ]
+    for a in axes:
+        a.empty_torque = a.empty_momentum = 0.0
+        a.p = SimpleNamespace(weighing_lag=1.0)
+    load = Load(axes, SimpleNamespace(horizontal_square=force**2), None)
+    rows = [([*c[:2]], c[2]) for c in (*columns, np.zeros(3))]
+    calm = np.array([[float(v) for v in (*c, y)] for c, y in load.without_horizontal(rows)])
+    covariance = np.eye(cylinders) + (force / NOISE) ** 2 * np.outer(levers, levers)
+    assert calm.T @ calm == pytest.approx(
+        columns.T @ np.linalg.solve(covariance, columns), rel=1e-6, abs=1e-6
+    )
 
 
 def test_a_sum_of_sizes_has_the_deviation_of_their_covariance():
