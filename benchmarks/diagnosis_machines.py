@@ -228,8 +228,8 @@ def recorded(case: Case, folder: Path) -> Path:
 
 
 def influence(case: Case, columns: Columns, healthy: Columns) -> float:
-    """When [s] a fault first shows in a reading; infinite: never. The bias of a sensor does at once."""
-    if case.fault.endswith("_bias"):
+    """When [s] a fault first shows in a reading; infinite: never. Wear and the bias of a sensor: at once."""
+    if case.fault.endswith("_bias") or case.clock == "wear":
         return BEGIN
     rows, first = len(columns["time"]), np.inf
     for n in READINGS:

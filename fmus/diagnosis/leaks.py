@@ -162,8 +162,6 @@ def told(a: Axis) -> dict[str, Told]:
         return {n: t for n, t in found.items() if n != SEAL}
     air, (reference,) = a.solved(of["trapped"], FOAM, 1.0, 4.0)
     ((share, off),) = air
-    enough = (
-        usable * whether(air.samples > 2 * FEWEST) * (reference != 0)
-    )  # 0: no healthy machine was measured
-    limit = a.p.air_limit + CHANGES * ca.fabs(reference)
+    enough = usable * whether(air.samples > 2 * FEWEST)
+    limit = ca.if_else(reference == 0, a.p.air_unlearned_limit, a.p.air_limit + CHANGES * ca.fabs(reference))
     return found | {AIR: (share, off, judged(share - reference, off, limit, enough))}

@@ -62,7 +62,7 @@ ALONE = {
 }
 
 
-CHECKS, FITTING = (leaks, valves, sensors, weight), (leaks, valves, weight)
+CHECKS, FITTING = (leaks, valves, sensors), (leaks, valves)
 
 
 def _full(axis: ControlledAxis, name: str) -> str:
@@ -82,7 +82,7 @@ def _findings_of(axis: ControlledAxis) -> dict[str, Finding]:
 def _states_of(axis: ControlledAxis, tare: weight.Tare) -> dict[str, Quantity]:
     """Of all checks of an axis, with their sums."""
     found = shared_states(axis) | tare.states(axis)
-    for check in CHECKS:
+    for check in (*CHECKS, weight):
         found |= check.states(axis)
     sums = (n for check in FITTING for fit in check.fits(axis).values() for n in fit.states)
     found |= {n: Quantity("1", f"Sum of normal equations: {n}, {axis.name}") for n in sums}
@@ -133,7 +133,8 @@ class Diagnosis:
         """Filters, clocks, latches and sums."""
         rates, axes, sound = dict[str, Scalar](), self._axes(x, u, p), 1
         for a in axes:
-            own = a.rates() | {n: rate for check in CHECKS for n, rate in check.rates(a).items()}
+            checked = (rate for check in (*CHECKS, weight) for rate in check.rates(a).items())
+            own = a.rates() | dict(checked)
             rates |= {f"{a.axis.name}_{n}": rate for n, rate in own.items()}
             sound *= a.sound
         for n in LINES:
@@ -163,7 +164,7 @@ class Diagnosis:
         told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
         told["return_resistance"] = self._return(x, p)
         told["pump_pressure"] = self._pump(x, p)
-        told["valve_delay"] = self._delay(told, p)
+        told["valve_delay"] = self._delay(told, axes, p)
         told["oil_temperature_high"] = shown(x.hot)
         load = weight.Load((), x, p)
         payload, told["weighing"] = load.payload(), load.weighing()
@@ -186,7 +187,7 @@ class Diagnosis:
         told = whether(fitted.samples > 3 * FEWEST) * whether(known > 0)  # 0: no healthy machine was measured
         return size, off, judged(known - size, off, p.pump_limit, told)
 
-    def _delay(self, told: Mapping[str, Told], p: Any) -> Told:
+    def _delay(self, told: Mapping[str, Told], axes: list[Axis], p: Any) -> Told:
         """The mean with the weights of the deviations, as far as they are known."""
         total, weights = 1e-9, 1e-6
         for a in self.arm.axes:
@@ -195,7 +196,16 @@ class Diagnosis:
             total += certainty * (size - number(f"{a.name}_valve_delay", p))
             weights += certainty
         size, off = total / weights, ca.sqrt(1 / weights)
-        return size, off, judged(size, off, p.delay_limit, whether(weights > 1e3))
+        return (
+            size,
+            off,
+            judged(
+                size,
+                off,
+                p.delay_limit * (1 + either(*(a.compensated for a in axes))),
+                whether(weights > 1e3),
+            ),
+        )
 
     def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """Filters at the readings; sums of nothing."""

@@ -75,7 +75,7 @@ from fmus.smooth import positive
 
 LEAST_DROP = 1e6  # Pa, over an edge whose flow tells its opening
 RESTING = 3.0  # weight of oil that is lost at rest, where only a load that changes moves some
-SOFT = 4.0  # capacitances of a chamber that a tenth of air adds, 10 L at 100 bar: a load moves it
+SOFT = 4.0  # capacitances of a chamber: what a tenth of air adds in 10 L at 100 bar; a load moves that oil
 WAITING = 0.4  # of the time without response, if the pump waits: it needs longer than a valve
 EMPTIED = 0.25  # of the same, of an empty chamber: it has to be filled first
 # prior standard deviations: a valve that is another one

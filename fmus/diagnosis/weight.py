@@ -48,11 +48,6 @@ PAYLOAD, WEIGHING = Fit("payload", ("mass",)), Fit("weighing", ("force",))
 OfReadings = Callable[[Any], Mapping[str, Efforts]]  # by axis
 
 
-def findings(_: ControlledAxis) -> dict[str, Finding]:
-    """None of one cylinder."""
-    return {}
-
-
 def masses_of(manipulator: Subsystem) -> list[str]:
     """Masses of the arm."""
     return [n for n, q in quantities(manipulator.parameters).items() if q.unit == "kg"]
@@ -82,11 +77,6 @@ def states(axis: ControlledAxis) -> dict[str, Quantity]:
     )
     found = {n: Quantity(unit, f"{text}: {axis.name}", size) for n, unit, text, size in rows}
     return found | _of_loads(axis, {"empty": "the empty arm", "payload": "a kilogram of payload"})
-
-
-def fits(_: ControlledAxis) -> dict[str, Fit]:
-    """None of one cylinder."""
-    return {}
 
 
 def efforts_of(manipulator: Subsystem, axes: Sequence[ControlledAxis]) -> OfReadings:
@@ -165,11 +155,6 @@ def rates(a: Axis) -> dict[str, Scalar]:
     return found
 
 
-def told(_: Axis) -> dict[str, Told]:
-    """Nothing of one cylinder."""
-    return {}
-
-
 @dataclass(frozen=True)
 class Load:
     """What hangs at the tip, by all cylinders at one instant.
@@ -220,14 +205,11 @@ class Load:
         length = sum(h**2 for h in levers) + 1e-9
         share = (1 - 1 / ca.sqrt(1 + square * length / NOISE**2)) / length
 
-        def along(values: Sequence[Scalar]) -> list[Scalar]:
-            taken = share * sum(h * v for h, v in zip(levers, values, strict=True))
-            return [v - h * taken for h, v in zip(levers, values, strict=True)]
-
-        rows = zip(
-            *(along(values) for values in zip(*([*c, y] for c, y in equations), strict=True)), strict=True
-        )
-        return [(row[:-1], row[-1]) for row in rows]
+        h: Any = ca.vertcat(*levers)
+        table = ca.vertcat(*(ca.horzcat(*c, y) for c, y in equations))
+        calm = ca.densify(table - share * h @ (h.T @ table))
+        rows = (ca.horzsplit(row) for row in ca.vertsplit(calm))
+        return [(columns, right) for *columns, right in rows]
 
     def rates(self) -> dict[str, Scalar]:
         """Of the sums, and of the mean square of H."""
