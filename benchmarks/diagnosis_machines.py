@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from orchestrator import run
 
 SYSTEM = "build/faults/harvester_sensors.ssp"
-STEP = 0.01  # s, of the recordings
+STEP, LEVER_STEP = 0.01, 0.02  # s, of the recordings, of the levers
 LEARNED, HEALTHY = 180.0, 600.0  # s: length of the recordings
+LONG = 7200.0  # s, of the work in which wear is to be told
 BEGIN = 40.0  # s, of a fault
 FURTHER = 100  # first part of further healthy recordings
 LEARNING = 1  # shift of the work from which a machine is learned
@@ -85,7 +86,7 @@ class Case:
     @property
     def name(self) -> str:
         """Of the recording."""
-        return f"{self.seed}_{self.part}_{self.fault or 'healthy'}"
+        return f"{self.seed}_{self.part}_{self.fault or 'healthy'}{'_long' if self.stop > LONG else ''}"
 
 
 def viscosity(temperature: float) -> float:
@@ -126,8 +127,16 @@ def machine(seed: int) -> tuple[dict[str, str], dict[str, float]]:
 
 def work(seed: int, stop: float, shift: int = 0) -> Columns:
     """Strokes to and fro with pauses, of one of three operators, and payloads; the same up to any end."""
-    rng, end, stop = np.random.default_rng((seed, shift, 7)), stop, HEALTHY
-    time = np.arange(0, stop + 0.01, 0.02)
+    parts = [_part(seed, shift + 1000 * k) for k in range(int(stop / HEALTHY) + 1)]
+    columns = {n: np.concatenate([part[n] for part in parts]) for n in parts[0] if n != "time"}
+    columns["time"] = LEVER_STEP * np.arange(len(columns["payload_mass"]))
+    return {n: c[columns["time"] <= stop + 0.01] for n, c in columns.items()}
+
+
+def _part(seed: int, shift: int) -> Columns:
+    """Ten minutes of it."""
+    rng, stop = np.random.default_rng((seed, shift, 7)), HEALTHY
+    time = LEVER_STEP * np.arange(round(stop / LEVER_STEP))
     columns = {"time": time}
     longest, strongest, pause = ((1.6, 4.0, 5.0), (2.5, 6.0, 2.5), (1.2, 9.5, 1.5))[seed % 3]
     for axis in AXES:
@@ -144,7 +153,7 @@ def work(seed: int, stop: float, shift: int = 0) -> Columns:
         payload[(time >= at) & (time < at + held)] = rng.uniform(100, 800)
         at += held + rng.uniform(5, 30)
     columns["payload_mass"] = payload
-    return {n: c[time <= end + 0.01] for n, c in columns.items()}
+    return columns
 
 
 def cases(seed: int) -> list[Case]:

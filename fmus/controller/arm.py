@@ -23,6 +23,7 @@ from fmus.controller.valve import Actuator
 GRAVITY = 9.81  # m/s2
 LARGEST_MASS = 1e5  # kg, at the tip
 LEAST_ARM = 0.1  # m: keeps the mass at the tip finite for an arm that stands upright
+LEAST_LEVER = 0.05  # m or 1: a fifth of what cylinders have; keeps inertia and force finite at a dead centre
 Coordinates = Sequence[Scalar]  # of the axes [rad or m]
 Pistons = list[tuple[Scalar, Scalar]]  # (position x [m], lever dx/dq [m or 1]) of each axis; column: (q, 1)
 
@@ -162,7 +163,8 @@ class Arm(ABC):
         of the Jacobian, a the acceleration of the tip without that of a Jacobian that changes, w the speed of
         the column. The least squares over all axes does not fail where one of them carries nothing. The arm's
         own mass counts by its weight at the tip, which is more than its inertia. M is between 0 and
-        `LARGEST_MASS`, a below g in each direction.
+        `LARGEST_MASS`, a below g in each direction. At a dead centre lever_i is at least `LEAST_LEVER` in m, and
+        F tends to 0: a broken angle sensor may read anything.
 
         speeds, rates   of the joints, and their time derivatives
         loads           F_i [N, N.m]
@@ -186,7 +188,8 @@ class Arm(ABC):
         )
         found = [(mass * radius**2, mass * radius * sideways)]
         for lever, (r, h) in zip(levers, columns, strict=True):
-            found.append((mass * (r**2 + h**2) / lever**2, mass * (r * outwards + h * upwards) / lever))
+            square = ca.fmax(lever**2, LEAST_LEVER**2)
+            found.append((mass * (r**2 + h**2) / square, mass * (r * outwards + h * upwards) * lever / square))
         return found
 
     def joint_speeds(self, q: Coordinates, velocity: Cylindrical, p: Any) -> Coordinates:

@@ -30,6 +30,7 @@ from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import parameter_set
 
 STEP = 0.01  # s
+ROWS = 100_000  # of the findings at most, 0.3 s apart over a day of 8 h: a hundred outputs fit into memory
 INTERVAL = 1.96  # deviations of a 95 % interval
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 FITTED, REFERENCE = "_fitted", "_reference"
@@ -224,8 +225,17 @@ def _run(
         raise Problem(f"{component.source}: expected outputs NAME, NAME_deviation and NAME_state, found none")
     outputs = [n for n, v in variables.items() if v.causality == "output"]
     start, stop = float(trace.time[0]), float(trace.time[-1])
+    record_step = STEP * max(1, math.ceil((stop - start) / STEP / ROWS))
     result = run(
-        system, trace, record=outputs, start=start, stop=stop, step=STEP, parameters=parameters, set=set
+        system,
+        trace,
+        record=outputs,
+        start=start,
+        stop=stop,
+        step=STEP,
+        record_step=record_step,
+        parameters=parameters,
+        set=set,
     )
     time = np.asarray(result.time)
     findings = [
