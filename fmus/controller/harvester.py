@@ -100,17 +100,17 @@ class OfSwing(
     """Parameters of the swing drive."""
 
 
-def motor_actuator(own: Any, valve: Valve, density: Scalar, flow: Scalar) -> Actuator:
+def motor_actuator(own: Any, valve: Valve, density: Scalar, flow: Scalar, p: Any) -> Actuator:
     """A motor with its lines; flow: of a compensated section [m3/s]."""
     d, c = own.displacement, own.line.capacitance
-    return Actuator(d, d, c, c, own.line.turbulent_resistance, valve, density, (flow, flow))
+    return Actuator(d, d, c, c, own.line.friction(p), valve, density, (flow, flow))
 
 
 def cylinder_actuator(own: Any, position: Scalar, valve: Valve, p: Any, flows: Sequence[Scalar]) -> Actuator:
     """A cylinder at a position [m], with its hoses; flows: of a compensated section [m3/s]."""
     c_head, c_rod = (own.hose.capacitance + v / p.bulk_modulus for v in own.volumes(position))
     (head, rod), (to_head, to_rod) = own.areas, flows
-    return Actuator(head, rod, c_head, c_rod, own.hose.resistance, valve, p.density, (to_head, to_rod))
+    return Actuator(head, rod, c_head, c_rod, own.hose.friction(p), valve, p.density, (to_head, to_rod))
 
 
 def section_flows(name: str, p: Any) -> tuple[Scalar, Scalar]:
@@ -149,7 +149,8 @@ class HarvesterArm(Arm):
 
     def actuators(self, positions: Sequence[Scalar], p: Any) -> dict[str, Actuator]:
         """Swing, boom and stick."""
-        result = {"swing": motor_actuator(p.swing, p.swing_valve, p.swing_oil.density, p.swing_section_flow)}
+        of_swing = p.swing_valve, p.swing_oil.density, p.swing_section_flow
+        result = {"swing": motor_actuator(p.swing, *of_swing, p)}
         for name, position in zip(("boom", "stick"), positions[1:], strict=True):
             own, flows = getattr(p, name), section_flows(name, p)
             result[name] = cylinder_actuator(own, position, p.valve, p, flows)

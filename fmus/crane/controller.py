@@ -199,7 +199,7 @@ class CraneArm(Arm):
         """Motor and cylinders."""
         slew, found = getattr(p, self.joints[0].name), dict[str, Actuator]()
         flow = getattr(p, f"{self.joints[0].name}_section_flow")
-        found[self.joints[0].name] = motor_actuator(slew, slew.valve, p.density, flow)
+        found[self.joints[0].name] = motor_actuator(slew, slew.valve, p.density, flow, p)
         for j, position in zip(self.joints[1:], positions[1:], strict=True):
             own = getattr(p, j.name)
             found[j.name] = cylinder_actuator(own, position, own.valve, p, section_flows(j.name, p))

@@ -264,7 +264,7 @@ class Axis:
         a, flow = self.actuator, self.flows[direction]
         drop = self.u.supply_pressure - self.pressures[direction]
         drop = ca.if_else(self.compensated > 0, ca.fmin(drop, self.margin), drop)
-        inside = positive(drop - a.hose_resistance * flow * ca.fabs(flow), SMALL)
+        inside = positive(drop - a.hose.drop(flow), SMALL)
         full = ca.if_else(self.compensated > 0, a.section_flows[direction], a.gain * ca.sqrt(inside))
         return flow, drop, full
 

@@ -164,6 +164,7 @@ def _of_spool(a: Axis) -> dict[str, Scalar]:
         closed = whether(a.pair("most")[k] < p.closed_command) * whether(a.pressures[k] - tank > FILLED)
         soft = [SOFT * c * ca.fabs(a.rate(2 + side)) for side, c in enumerate(a.capacitances)]
         through = ca.fmin(flow - soft[k], -a.flows[1 - k] - soft[1 - k]) - p.rest_margin
+        closed *= whether(ca.fmax(*a.pressures) < a.tight)  # a relief valve passes oil, too
         counts = closed * a.sound * a.full[0] * a.full[1]
         found[f"passed_{k}"] = gathered(a.pair("passed")[k], through, counts)
     wrong = either(*missing) * a.sound
@@ -233,8 +234,9 @@ def _map_equation(a: Axis) -> tuple[Scalar, Equations]:
 def _return_edge(a: Axis, k: int) -> tuple[Scalar, Scalar]:
     """Opening of the return edge while chamber k is filled, and whether it is known."""
     drop = a.pressures[1 - k] - a.u.tank_pressure
-    full = a.actuator.gain * ca.sqrt(positive(drop, SMALL))
-    return -a.flows[1 - k] / full, whether(drop > LEAST_DROP) * a.full[1 - k] * (1 - a.compensated)
+    flow = -a.flows[1 - k]
+    full = a.actuator.gain * ca.sqrt(positive(drop - a.actuator.hose.drop(flow), SMALL))
+    return flow / full, whether(drop > LEAST_DROP) * a.full[1 - k] * (1 - a.compensated)
 
 
 def _edge_equation(a: Axis) -> tuple[Scalar, Equations]:
@@ -296,12 +298,13 @@ def told(a: Axis) -> dict[str, Told]:
     rows = [fit.centre(a, k) for k in (1, 1, 3, 3)] + [[0, 0, 0, 0, 1, 0]]
     for n, (size, off), row, limit in zip(MAP, fitted, rows, limits, strict=False):
         change, spread = fitted.along(*row)
-        off_known = ca.fabs(change - sum(w * r for w, r in zip(row, known, strict=True)))
+        off_known = change - sum(w * r for w, r in zip(row, known, strict=True))
+        off_known = off_known if n == HYSTERESIS else ca.fabs(off_known)  # less of it is no fault
         found[n] = (size, off, judged(off_known, spread, limit, enough))
     size, off, enough = _mean(a, DELAY, usable)
     found[DELAY] = (size, off, ca.if_else(enough > 0, 0, -1))  # told of all valves together
     size, off, enough = _mean(a, HYSTERESIS, usable)
-    mean = (size, off, judged(ca.fabs(size - a.reference(HYSTERESIS)), off, p.hysteresis_limit, enough))
+    mean = (size, off, judged(size - a.reference(HYSTERESIS), off, p.hysteresis_limit, enough))
     now = found[HYSTERESIS]
     size, off, state = (ca.if_else(now[2] > 0, one, other) for one, other in zip(now, mean, strict=True))
     found[HYSTERESIS] = (size, off, state)

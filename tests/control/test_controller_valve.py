@@ -77,7 +77,7 @@ def settled(a: Actuator, share: float, load: float) -> float:
             spool_valve.edge_flows_from_flow(a.valve, flows[1], backward, forward, lines(SUPPLY, TANK), OIL),
         )
         head, rod = (
-            number(n.pressure - a.hose_resistance * q * abs(q)) for n, q in zip(nodes, flows, strict=True)
+            number(n.pressure - a.hose.turbulent * q * abs(q)) for n, q in zip(nodes, flows, strict=True)
         )
         return a.head_area * head - a.rod_area * rod - load
 
