@@ -36,6 +36,7 @@ PRESSURE = 1e7  # Pa, scale of pressures in the normal equations
 SMALL = 1e4  # Pa, over which the root of a pressure is rounded
 EMPTY = 0.0  # Pa, below which a chamber may be empty: at -1 bar, with a zero that is off
 FILLED = 2e5  # Pa above the return line, in a chamber that oil flows into
+RELIEVING = 1.1  # times the supply pressure: a relief valve of a chamber is open
 RELIEVED = 0.15  # of the supply pressure, by which a counterbalance valve may open below it
 NO_DROP = 1e9  # Pa, of a valve that fills nothing
 BLIND = 0.1  # s, for which flows are not known after a chamber was empty
@@ -233,8 +234,9 @@ class Axis:
         ]
 
     def _blind(self, pressure: Scalar) -> Scalar:
-        """1: a chamber is empty, or its sensor at the end of its range."""
-        return either(whether(pressure < EMPTY), whether(pressure > self.p.highest_reading))
+        """1: a chamber is empty, its sensor at the end of its range, or a relief valve of the axis open."""
+        relieved = whether(ca.fmax(*self.pressures) > RELIEVING * self.p.nominal_supply_pressure)
+        return either(whether(pressure < EMPTY), whether(pressure > self.p.highest_reading), relieved)
 
     @property
     def least_drop(self) -> Scalar:

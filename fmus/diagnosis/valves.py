@@ -145,8 +145,8 @@ def _of_spool(a: Axis) -> dict[str, Scalar]:
         flow, drop, full = a.edge(k)
         by_speed = area * a.lever * a.reading(1) * (1 - a.faulty[1])
         moved, opened = ca.fmax(flow, by_speed), a.opened(k, a.pair("least")[k], -1)
-        asked = p.response * opened * full * whether(drop > LEAST_DROP)
-        late = whether(asked > p.response * p.response_flow) * whether(moved < asked)
+        late = whether(opened * full > p.response_flow) * whether(moved < p.response * opened * full)
+        waits, late = WAITING * idle * late, late * whether(drop > LEAST_DROP)
         late *= ca.if_else(a.full[k] > 0, 1, EMPTIED)
         # an open valve lets the pressure of the other side down; a motor that stands has none, and a hose
         # of a compensated section has none from the load
@@ -157,7 +157,6 @@ def _of_spool(a: Axis) -> dict[str, Scalar]:
         low = 0
         if not a.axis.turns:
             low = whether(a.pressures[k] < p.lost_pressure) * (1 - held) * (1 - a.compensated)
-        waits = WAITING * idle * whether(opened > 0) * whether(moved < p.response_flow)
         missing += [late * (1 - low), waits]
         hidden = late * low * a.sound
         found[f"hidden_{k}"] = counted(a.pair("hidden")[k], whether(hidden > 0), hidden, FORGOTTEN)
