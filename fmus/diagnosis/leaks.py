@@ -12,12 +12,14 @@ A valve that stays open after a stroke, by k_v, lets oil into the chamber that w
 other one: -k_v int sqrt(P_s - P) dt and k_v int sqrt(P - P_t) dt are added to the right sides. g and each k
 are not negative, and at most two of them are not zero. g is that of the oil as it is now. An equation is
 uncertain by the readings at both ends, by a flow, and by a share of the capacitance times the change of the
-pressure. The air is told from a fit of its own with a longer memory.
+pressure. The air is told from a fit of its own with a longer memory, of all functions together: they have the
+same oil. That of one function alone, after a hose was changed, is told above twice the limit.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import casadi as ca
 
@@ -33,7 +35,8 @@ SHORTEST, PART = 0.15, 1.0  # s, a rest that counts, and a part of a long one
 FEWEST_RESTS = 3.0  # equations, from which a leak is told
 MOST = 3.0  # deviations by which equations differ unless the machine changes
 SWAYING = 4.0  # of the limit, for a motor: the column swings on its oil for long
-CHANGES = 1.5  # of the air that the hoses of a healthy machine seem to have: rests differ
+CHANGES = 1.2  # of the air that the hoses of a healthy machine seem to have: rests differ
+ALONE = 2.0  # limits of the air of one function
 EXPONENT = 1.4  # of the air
 SEAL, OPEN, AIR = "seal_leakage", "valve_opening", "air"
 # prior standard deviations: a seal or fitting that is gone [L/min at 100 bar]; air; hoses of a motor, foam
@@ -79,6 +82,12 @@ def fits(axis: ControlledAxis) -> dict[str, Fit]:
 def air_volume(pressure: Scalar) -> Scalar:
     """Of air at a gauge pressure [Pa], over that at the atmosphere."""
     return (ATMOSPHERE / ca.fmax(pressure + ATMOSPHERE, 0.1 * ATMOSPHERE)) ** (1 / EXPONENT)
+
+
+def air_limit(reference: Scalar, p: Any) -> Scalar:
+    """Air more than that of a healthy machine above which it is told; 0: none was measured."""
+    known = p.air_limit + CHANGES * ca.fmax(reference, 0)
+    return ca.if_else(reference == 0, p.air_unlearned_limit, known)
 
 
 def _pushed(a: Axis) -> Scalar:
@@ -163,5 +172,5 @@ def told(a: Axis) -> dict[str, Told]:
     air, (reference,) = a.solved(of["trapped"], FOAM, 1.0, 4.0)
     ((share, off),) = air
     enough = usable * whether(air.samples > 2 * FEWEST)
-    limit = ca.if_else(reference == 0, a.p.air_unlearned_limit, a.p.air_limit + CHANGES * ca.fabs(reference))
-    return found | {AIR: (share, off, judged(share - reference, off, limit, enough))}
+    more, limit = share - ca.fmax(reference, 0), ALONE * air_limit(reference, a.p)
+    return found | {AIR: (share, off, judged(more, off, limit, enough))}

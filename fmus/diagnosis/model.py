@@ -50,6 +50,7 @@ LINES = {
 FLOW, BAR = 100 * LITRE, 1e5  # scales of the lines
 PUMP_FLOW = 60 * LITRE  # m3/s, at which the pump is told
 WORKING = 10 * LITRE  # m3/s, from which the lines are told
+DELAY_OFF, AIR_OFF = 1e-6, 3e-3  # s, 1: what the lag of a valve or the air of a function is off
 RETURN, PUMP = Fit("return", ("flow", "one")), Fit("pump", ("flow", "one"))
 ALONE = {
     "return_resistance": Finding("Pa.s/m3", "Resistance of the return line", 1e7, "return filter"),
@@ -57,6 +58,7 @@ ALONE = {
     "valve_delay": Finding(
         "s", "Lag of all valves more than that of the healthy machine", 0.01, "pilot filter"
     ),
+    "oil_air": Finding("1", "Undissolved air in the oil more than that of the healthy machine", 0.01, "air"),
     "oil_temperature_high": Finding("1", "1: the oil is hotter than its limit", 1.0, "cooler"),
     "weighing": Finding("N", "Mean horizontal force at the tip", 100.0, "pressure sensors"),
 }
@@ -145,12 +147,12 @@ class Diagnosis:
         late = {"inward": inward, "outward": outward, "supply": u.supply_pressure, "tank": u.tank_pressure}
         rates |= {f"late_{n}": (now - getattr(x, f"late_{n}")) / p.window for n, now in late.items()}
         constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
-        for fit, flow, pressure, counts in (
-            (RETURN, x.late_outward, x.late_tank, 1),
-            (PUMP, x.late_inward, x.late_supply, constant),
+        for fit, flow, pressure, counts, memory in (
+            (RETURN, x.late_outward, x.late_tank, 1, p.slow_memory),
+            (PUMP, x.late_inward, x.late_supply, constant, p.pump_memory),
         ):
             counts *= sound * whether(flow > WORKING) / p.window
-            rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], p.slow_memory)
+            rates |= fit.rates(x, counts, [([flow / FLOW, 1], pressure / BAR)], memory)
         load = weight.Load([a for a in axes if not a.axis.turns], x, p)
         rates |= load.rates() | self.tare.rates(load)
         rates["hot"] = (whether(u.oil_temperature > p.temperature_limit) - x.hot) / QUICK
@@ -164,7 +166,7 @@ class Diagnosis:
         told |= {f"{n}_sensor": shown(getattr(x, f"{n}_bad"), getattr(p, f"{n}_fitted")) for n in LINES}
         told["return_resistance"] = self._return(x, p)
         told["pump_pressure"] = self._pump(x, p)
-        told["valve_delay"] = self._delay(told, axes, p)
+        told["valve_delay"], told["oil_air"] = self._delay(told, axes, p), self._air(told, p)
         told["oil_temperature_high"] = shown(x.hot)
         load = weight.Load((), x, p)
         payload, told["weighing"] = load.payload(), load.weighing()
@@ -187,25 +189,32 @@ class Diagnosis:
         told = whether(fitted.samples > 3 * FEWEST) * whether(known > 0)  # 0: no healthy machine was measured
         return size, off, judged(known - size, off, p.pump_limit, told)
 
-    def _delay(self, told: Mapping[str, Told], axes: list[Axis], p: Any) -> Told:
-        """The mean with the weights of the deviations, as far as they are known."""
-        total, weights = 1e-9, 1e-6
+    def _together(self, name: str, told: Mapping[str, Told], p: Any, least: float) -> tuple[Scalar, ...]:
+        """Mean of a size of all axes that know it, its deviation, the mean of the references, and how many.
+
+        They count by their deviations, of which `least` is what the model of one axis is off.
+        """
+        total, healthy, weights, count = 0, 0, 1e-9, 0
         for a in self.arm.axes:
-            size, off, state = told[f"{a.name}_valve_delay"]
-            certainty = ca.if_else(state < 0, 0, 1 / (off**2 + 1e-12))
-            total += certainty * (size - number(f"{a.name}_valve_delay", p))
-            weights += certainty
-        size, off = total / weights, ca.sqrt(1 / weights)
-        return (
-            size,
-            off,
-            judged(
-                size,
-                off,
-                p.delay_limit * (1 + either(*(a.compensated for a in axes))),
-                whether(weights > 1e3),
-            ),
-        )
+            if f"{a.name}_{name}" not in told:
+                continue
+            size, off, state = told[f"{a.name}_{name}"]
+            known = 1 - whether(state < 0)
+            weight = known / (off**2 + least**2)
+            reference = number(f"{a.name}_{name}", p)
+            total, healthy = total + weight * size, healthy + weight * reference
+            weights, count = weights + weight, count + known
+        return total / weights, 1 / ca.sqrt(weights), healthy / weights, count
+
+    def _delay(self, told: Mapping[str, Told], axes: list[Axis], p: Any) -> Told:
+        size, off, healthy, count = self._together("valve_delay", told, p, DELAY_OFF)
+        limit = p.delay_limit * (1 + either(*(a.compensated for a in axes)))
+        return size - healthy, off, judged(size - healthy, off, limit, whether(count > 0))
+
+    def _air(self, told: Mapping[str, Told], p: Any) -> Told:
+        size, off, healthy, count = self._together(leaks.AIR, told, p, AIR_OFF)
+        more = size - ca.fmax(healthy, 0)
+        return more, off, judged(more, off, leaks.air_limit(healthy, p), whether(count > 0))
 
     def initial(self, _: Any, u: Any, p: Any) -> dict[str, Scalar]:
         """Filters at the readings; sums of nothing."""
