@@ -61,6 +61,19 @@ def test_a_sensor_that_is_not_connected_ends_with_status_1(fmu, columns, tmp_pat
     assert "<h2>The reading of boom rod pressure is wrong</h2>" in (tmp_path / "diagnosis.html").read_text()
 
 
+def test_findings_of_a_long_recording_are_stored_less_often(fmu, columns, tmp_path, monkeypatch):
+    """A day of work fits into memory; what is told, and since when, is the same to the coarser step."""
+    columns["boom_rod_pressure"][120:] = -1.5e7
+    file = written(tmp_path, columns)
+    fine = diagnose(fmu, file)
+    monkeypatch.setattr("orchestrator.results.diagnosis.ROWS", 50)
+    coarse = diagnose(fmu, file)
+    assert len(coarse.result.time) <= 51 < len(fine.result.time)
+    assert [f.name for f in coarse.broken] == [f.name for f in fine.broken] != []
+    for a, b in zip(coarse.broken, fine.broken, strict=True):
+        assert a.since == pytest.approx(b.since, abs=0.04)
+
+
 @pytest.mark.parametrize("name", ["boom_speed", "stick_head_pressure", "tank_pressure", "oil_temperature"])
 def test_a_column_that_is_missing_is_named_and_the_rest_goes_on(fmu, columns, tmp_path, name):
     """One line; what needs it cannot be told, and what does not still can."""

@@ -6,6 +6,7 @@ from kit import shards
 
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
+from fmus.machine.ssp import section_flows
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator import load, run
@@ -100,17 +101,70 @@ def test_the_size_of_a_leak_is_within_its_interval(faulty, work):
     assert deviation < 1e-7
 
 
+PUMPED = {"supply": "engine_pump"}
+
+
 @shards.machine
-def test_a_pilot_filter_that_clogs_is_told_by_the_mean_lag(faulty, work):
-    """Of a machine that was learned, within 100 s; lags of single strokes scatter by as much as it adds."""
-    twice = {n: np.concatenate([c, c[1:] + (60.0 if n == "time" else 0.0)]) for n, c in work.items()}
-    _, healthy = told(faulty, twice, stop=120.0)
-    names = [f"diagnosis.{a}_valve_delay" for a in ("swing", "boom", "stick")]
-    learned = {f"{n}_reference": float(healthy[n][-1]) for n in names}
-    found, _ = told(faulty, twice, "pilot_filter_clogging", size=4.0, stop=120.0, **learned)
-    assert BEGIN <= found["valve_delay"] <= BEGIN + 100
-    found, _ = told(faulty, twice, stop=120.0, **learned)
-    assert "valve_delay" not in found
+@pytest.mark.parametrize(
+    ("swap", "fault", "size", "named"),
+    [
+        ({}, "pilot_filter_clogging", 4.0, "valve_delay"),
+        (PUMPED, "pump_wear", 5e-11, "pump_pressure"),
+        (PUMPED, "filter_clogging", 2e8, "return_resistance"),
+        (SENSING, "boom_stick_air", 0.06, "oil_air"),
+    ],
+)
+def test_wear_is_told_of_a_machine_that_was_learned(faulty, work, swap, fault, size, named):
+    """Within 160 s of work, and not of the healthy machine.
+
+    Lags of single strokes scatter by as much as a filter adds, and the pressure of a pump by 0.3 bar.
+    """
+    again = {
+        n: np.concatenate([c, *(c[1:] + k * (60.0 if n == "time" else 0) for k in (1, 2))])
+        for n, c in work.items()
+    }
+    given = {"swap": swap, "stop": 180.0, "parameters": "compensated" if swap == SENSING else "nominal"}
+    warm = {"supply.oil_temperature_start": 333.15} if swap else {}
+    _, healthy = told(faulty, again, **given, **warm)
+    learned = {f"diagnosis.{n}_reference": float(healthy[f"diagnosis.{n}"][-1]) for n in _references(healthy)}
+    found, _ = told(faulty, again, fault, size=size, **given, **warm, **learned)
+    assert BEGIN <= found[named] <= BEGIN + 160
+    found, _ = told(faulty, again, **given, **warm, **learned)
+    assert FOUND[named].repair not in {FOUND[n].repair for n in found}
+
+
+def _references(result):
+    """Findings that are judged against a healthy machine, and were known at the end."""
+    variables = result.system.components["diagnosis"].interface.variables
+    names = [n.removesuffix("_reference") for n in variables if n.endswith("_reference")]
+    return [n for n in names if float(result[f"diagnosis.{n}_state"][-1]) >= 0 or n == "pump_pressure"]
+
+
+@shards.machine
+def test_cold_hoses_are_no_faults_of_valves(faulty, work):
+    """The openings of valves are the same at -8 and 40 degC, though cold hoses take 10 to 20 bar more.
+
+    To 4 %, of which 3 are laminar flow through their edges; without the laminar friction of the hoses it is up
+    to 7.
+    """
+    strong = {n: c * (1.0 if n == "time" else 2.0) for n, c in work.items()}
+    openings = []
+    for celsius in (40, -8):
+        oil = {f"supply.{n}": 273.15 + celsius for n in ("oil_temperature_start", "ambient_temperature")}
+        _, result = told(faulty, strong, swap=DETAILED, **oil)
+        names = [f"diagnosis.{a}_{n}_up" for a in ("boom", "stick") for n in ("gain", "dead_band")]
+        gain, band = np.reshape([float(result[n][-1]) for n in names], (2, 2)).T
+        openings.append(gain * 6.0 - band)  # V, at the command of the strokes
+    assert openings[1] == pytest.approx(openings[0], rel=0.04)
+
+
+@shards.machine
+def test_a_valve_with_less_hysteresis_than_before_is_no_fault(faulty, work):
+    """A valve is better, not broken, if it has none and had 8 %."""
+    before = {"diagnosis.boom_half_hysteresis_reference": 0.4}  # V
+    found, result = told(faulty, work, **{"valve_actuation.hysteresis": 0.0}, **before)
+    assert float(result["diagnosis.boom_half_hysteresis"][-1]) < 0.1
+    assert "boom_half_hysteresis" not in found
 
 
 @shards.machine
@@ -218,3 +272,32 @@ def test_a_leak_in_closed_form(fmu):
         opening, rel=0.02
     )  # the prior draws it by 0.1 %
     assert float(result["swing_leak_a"][-1]) == pytest.approx(0, abs=0.02 * opening)
+
+
+def turning(fmu, low, high, speed, command=0.0, supply=2e7, parameters=None):
+    """When [s] the spool of a swing that turns at constant readings is told; infinite: not within 2 s."""
+    time = np.arange(0, 3, 0.01)
+    signals = {"swing_pressure_a": low, "swing_pressure_b": high, "supply_pressure": supply}
+    signals |= {"tank_pressure": 3e5, "swing_speed": speed, "swing_command": command}
+    columns = {n: np.full(len(time), v) for n, v in signals.items()}
+    columns |= {"time": time, "swing_angle": speed * time}
+    result = run(fmu, columns, stop=2.0, step=0.01, record="*", set=parameters or {})
+    on = np.asarray(result["swing_spool_state"]) > 0
+    return float(result.time[on.argmax()]) if on.any() else np.inf
+
+
+def test_oil_through_a_relief_valve_does_not_pass_the_spool(fmu):
+    """A column that swings on after a hard stop is fed through the valves of its motor, not by its spool.
+
+    They open at 1.25 times the supply pressure; at 1.0 times the same motion is a spool that stays open.
+    """
+    assert turning(fmu, 8e5, 2.57e7, 0.3) == np.inf
+    assert turning(fmu, 8e5, 2.0e7, 0.3) < 1.0
+
+
+def test_a_pump_that_stands_by_for_a_small_flow_is_no_fault(fmu):
+    """4.5 L/min at 32 bar are what 1.55 V ask of a load-sensing machine; 5 V without any flow are not."""
+    sensing = {n: v for n, v in section_flows("diagnosis").items()}
+    light = {"low": 1.2e6, "high": 3.4e6, "supply": 3.2e6, "parameters": sensing}
+    assert turning(fmu, speed=0.05, command=1.55, **light) == np.inf
+    assert turning(fmu, speed=0.0, command=5.0, **light) < 1.0
