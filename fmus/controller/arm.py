@@ -163,8 +163,8 @@ class Arm(ABC):
         of the Jacobian, a the acceleration of the tip without that of a Jacobian that changes, w the speed of
         the column. The least squares over all axes does not fail where one of them carries nothing. The arm's
         own mass counts by its weight at the tip, which is more than its inertia. M is between 0 and
-        `LARGEST_MASS`, a below g in each direction. At a dead centre lever_i is at least `LEAST_LEVER` in m, and
-        F tends to 0: a broken angle sensor may read anything.
+        `LARGEST_MASS`, a below g in each direction. Near a dead centre, which a broken angle sensor may read,
+        lever_i in m is at least `LEAST_LEVER`, and F falls to 0 there.
 
         speeds, rates   of the joints, and their time derivatives
         loads           F_i [N, N.m]
@@ -188,8 +188,8 @@ class Arm(ABC):
         )
         found = [(mass * radius**2, mass * radius * sideways)]
         for lever, (r, h) in zip(levers, columns, strict=True):
-            square = ca.fmax(lever**2, LEAST_LEVER**2)
-            found.append((mass * (r**2 + h**2) / square, mass * (r * outwards + h * upwards) * lever / square))
+            torque, square = mass * (r * outwards + h * upwards), ca.fmax(lever**2, LEAST_LEVER**2)
+            found.append((mass * (r**2 + h**2) / square, torque * lever / square))
         return found
 
     def joint_speeds(self, q: Coordinates, velocity: Cylindrical, p: Any) -> Coordinates:
