@@ -144,7 +144,7 @@ def _references(result):
 def test_cold_hoses_are_no_faults_of_valves(faulty, work):
     """The openings of valves are the same at -8 and 40 degC, though cold hoses take 10 to 20 bar more.
 
-    To 4 %, of which 3 are laminar flow through their edges; without the laminar friction of the hoses it is 7.
+    To 4 %, of which 3 are laminar flow through their edges; without laminar friction of the hoses it is 7.
     """
     strong = {n: c * (1.0 if n == "time" else 2.0) for n, c in work.items()}
     openings = []
