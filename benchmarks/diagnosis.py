@@ -7,8 +7,8 @@ are made once, in build/recordings: an hour on one core, 6 minutes for each more
 10 min of each healthy machine, and with `--long` 4 to 7 minutes for each wear that is not told in its 5 min.
 Each machine is learned from 180 s of healthy work without payload, at the temperature at which it starts;
 everything else is that of the FMU. The diagnosis was written and set with machines of the seeds below 12,
-1000 to 1019, 2000 to 2019, 3000 to 3019, 4001, 5000 to 5008 and 6000 to 6008. Those from 7000 on were run when
-it was done.
+1000 to 1019, 2000 to 2019, 3000 to 3019, 4001, 5000 to 5008 and 6000 to 6008. Those from 7000 on were run
+when it was done.
 
 - three clocks, from the first influence of a fault on the work (`influence`): safety 0.3 s, function 20 s,
   wear 2 h: by the end of its recording of 5 min, and with `--long` of one of 2 h
