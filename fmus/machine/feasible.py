@@ -256,7 +256,7 @@ def _demand(mechanics: Mechanics, p: Any, joints: Array, loads: Array, supply: f
     for (name, a), (x, lever), speed, force in each:
         y = lever * speed
         full = nominal_full_speeds(a, force, supply)
-        hose = ca.sqrt(1 + a.hose_resistance * a.gain**2)
+        hose = ca.sqrt(1 + a.hose.turbulent * a.gain**2)
         both = zip(section_speeds(a), full, strict=True)
         up, down = (ca.if_else(a.section_flows[0] > 0, s, f / hose) for s, f in both)
         needed = needed_pressures(a, force, tank)
