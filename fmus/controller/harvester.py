@@ -101,7 +101,7 @@ class OfSwing(
 
 
 def motor_actuator(own: Any, valve: Valve, density: Scalar, flow: Scalar, p: Any) -> Actuator:
-    """A motor with its lines; flow: of a compensated section [m3/s]."""
+    """A motor with its lines; flow: of a compensated section [m3/s]; p: with the oil."""
     d, c = own.displacement, own.line.capacitance
     return Actuator(d, d, c, c, own.line.friction(p), valve, density, (flow, flow))
 
