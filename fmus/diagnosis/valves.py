@@ -24,11 +24,12 @@ of the other side says that its valve is open.
 **Map**, in motion. The flow into the chamber that is filled, the drop over its edge and the hose in series
 give the opening, and this the command v that a healthy valve needs for it:
 
-    a = q/(K sqrt(dP - C_R q^2)), of a compensated section q/q_0        v = D + a (U - D)
+    a = q/(K sqrt(dP - dp(q))), of a compensated section q/q_0        v = D + a (U - D)
     v = s |u| - d - h m - T |u|'
 
-with the command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the
-sign m of its last change and a lag T; s and d of each direction. It counts if u has moved on by
+with the drop dp of the hose, warm or cold (`hose.Friction`), which the return edge has in series, too, the
+command u behind the lag of the readings, its gain s, the dead band D + d, half the hysteresis h, the sign m
+of its last change and a lag T; s and d of each direction. It counts if u has moved on by
 `valve_travel` since it turned, the edge is open, no anti-cavitation valve is, and the drop over it is not
 small. Of compensated sections the least drop of all that are open counts: they share the flow of a pump that
 cannot give more. Gain and dead band are judged together, by the mean of v over all samples of a direction.
