@@ -15,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from math import isfinite, pi
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -116,15 +117,21 @@ def parse_unit(text: str, where: str = "unit") -> Unit:
     """
     plain = normalised(text)
     try:
-        unit = _symbol_unit(plain) if plain in _OTHER else _product(_factors(plain))
-        if not (unit.factor and isfinite(unit.factor)):
-            raise _UnknownUnit
+        return _parsed(plain)
     except (_UnknownUnit, OverflowError):  # OverflowError: a power of the factor exceeds the range of floats
         known = {**DISPLAY, **_DERIVED, **_OTHER, **dict.fromkeys(DISPLAY.values())}
         meant = _WORDS.get(plain.lower())
         near = f"; did you mean {meant}?" if meant else suggest(plain, known)
         expected = "expected one like bar, psi, L/min, deg/s, kN or mm"
         raise Problem(f"{where}: unit {text!r} is unknown, {expected}{near}") from None
+
+
+@lru_cache(maxsize=1024)
+def _parsed(plain: str) -> Unit:
+    """The unit of a text in the grammar above."""
+    unit = _symbol_unit(plain) if plain in _OTHER else _product(_factors(plain))
+    if not (unit.factor and isfinite(unit.factor)):
+        raise _UnknownUnit
     return Unit(unit.exponents, unit.factor, _OFFSETS.get(plain, 0.0))
 
 
