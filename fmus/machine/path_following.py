@@ -39,7 +39,7 @@ from orchestrator.pages.html_page import write_json
 from orchestrator.pages.plotting import legend, new_figure, png, style_axes
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
-from orchestrator.ssp.plausible import doubtful_starts
+from orchestrator.ssp.plausible import doubtful_starts, refuse_long
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import parameter_set
@@ -304,6 +304,8 @@ def track(
     if not loaded.has(names.feedback):
         example = f"a machine with the controller, such as {names.example}"
         raise Problem(f"{system}: expected {example}, got no variable {names.feedback}")
+    for path, _ in () if yes else paths:  # before anything is computed: that takes as long as the path
+        refuse_long(loaded, read_trace(path), f"path {path.stem}: scenario")
     make_folder(out)
     systems = swapped_systems(loaded, names, machines, given, sets)
     also = _learned_outputs(systems, names, mechanics, learned) if learned else []
