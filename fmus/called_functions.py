@@ -11,6 +11,16 @@ from itertools import accumulate
 import casadi as ca
 
 
+Instruction = tuple[int, list[int], list[int]]  # operation, indices of its results, and of its arguments
+
+
+def instructions(function: ca.Function) -> list[Instruction]:
+    """The instructions of a function, each asked for once: a question to CasADi takes a microsecond."""
+    operation, results = function.instruction_id, function.instruction_output
+    arguments = function.instruction_input
+    return [(operation(k), results(k), arguments(k)) for k in range(function.n_instructions())]
+
+
 def called(function: ca.Function) -> list[ca.Function]:
     """The functions that a function calls directly."""
     return [function.get_function(name) for name in function.get_function()]
@@ -48,31 +58,44 @@ def without_zero_calls(values: ca.SX) -> ca.SX:
     return rebuilt(values)
 
 
-def rebuilt(values: ca.SX, binary: Callable[[int, ca.SX, ca.SX], ca.SX] = ca.SX.binary) -> ca.SX:
-    """The same values, instruction by instruction; `binary` makes the results of operations of two values."""
+def rebuilt(
+    values: ca.SX, p: ca.SX | None = None, by_parameters: Callable[[ca.SX, ca.SX], ca.SX] | None = None
+) -> ca.SX:
+    """The same values, instruction by instruction.
+
+    by_parameters   makes the quotients of what depends on more than the symbols p by what depends on them alone
+    """
     symbols = ca.symvar(values)
     function = ca.Function("f", symbols, [values])
     calls = called(function)
+    parameters = set() if p is None else {s.element_hash() for s in ca.vertsplit(p)}
+    of_p = [s.element_hash() in parameters for s in symbols]
     work = [ca.SX(0)] * function.sz_w()
+    alone = [True] * function.sz_w()  # does the value in `work` depend on p alone, or on nothing?
     result = [ca.SX(0)] * values.nnz()
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        o, i = function.instruction_output(k), function.instruction_input(k)
+    for k, (operation, o, i) in enumerate(instructions(function)):
         if operation == ca.OP_OUTPUT:
             result[o[1]] = work[i[0]]
-        elif operation == ca.OP_INPUT:
-            work[o[0]] = symbols[i[0]]
-        elif operation == ca.OP_CONST:
+            continue
+        if operation == ca.OP_INPUT:
+            work[o[0]], alone[o[0]] = symbols[i[0]], of_p[i[0]]
+            continue
+        from_p = [alone[j] for j in i]
+        if operation == ca.OP_CONST:
             work[o[0]] = ca.SX(function.instruction_constant(k))
         elif operation == ca.OP_CALL:
             results = _results(callee(calls, i, o), [work[j] for j in i])
             for j, value in zip(o, results, strict=True):
                 if j >= 0:
-                    work[j] = value
+                    work[j], alone[j] = value, all(from_p) or value.is_constant()
+            continue
         elif len(i) == 1:
             work[o[0]] = ca.SX.unary(operation, work[i[0]])
+        elif operation == ca.OP_DIV and by_parameters and from_p == [False, True]:
+            work[o[0]] = by_parameters(work[i[0]], work[i[1]])
         else:
-            work[o[0]] = binary(operation, work[i[0]], work[i[1]])
+            work[o[0]] = ca.SX.binary(operation, work[i[0]], work[i[1]])
+        alone[o[0]] = all(from_p)
     return ca.SX(values.sparsity(), ca.vertcat(*result))
 
 

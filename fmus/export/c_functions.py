@@ -16,7 +16,16 @@ from itertools import accumulate
 
 import casadi as ca
 
-from fmus.called_functions import called, callee, input_bounds, output_bounds, rebuilt, without_zero_calls
+from fmus.called_functions import (
+    Instruction,
+    called,
+    callee,
+    input_bounds,
+    instructions,
+    output_bounds,
+    rebuilt,
+    without_zero_calls,
+)
 from fmus.contract import column
 from orchestrator.base.errors import Problem
 
@@ -99,14 +108,11 @@ def _definition(
     """The C function of a CasADi function; types: of the arguments that it has."""
     arguments = [f"const {types[n]} *{n}" for n in inputs if n in types]
     arguments += [f"{types[n]} *{n}" for n in outputs if n in types]
-    used = {
-        function.instruction_input(k)[0]
-        for k in range(function.n_instructions())
-        if function.instruction_id(k) == ca.OP_INPUT
-    }
+    program = instructions(function)
+    used = {i[0] for operation, _, i in program if operation == ca.OP_INPUT}
     body = [f"(void){n};" for i, n in enumerate(inputs) if n in types and i not in used]
     body += [f"(void){n};" for i, n in enumerate(outputs) if n in types and function.nnz_out(i) == 0]
-    body += _used(list(_statements(function, inputs, outputs, names)))
+    body += _used(list(_statements(function, program, inputs, outputs, names)))
     text = "".join(f"    {line}\n" for line in body)
     return f"LOCAL void {name}({', '.join(arguments)}) {{\n{text}}}\n"
 
@@ -124,7 +130,11 @@ def _used(lines: Sequence[str]) -> list[str]:
 
 
 def _statements(
-    function: ca.Function, inputs: Sequence[str], outputs: Sequence[str], names: Mapping[str, Sequence[str]]
+    function: ca.Function,
+    program: Sequence[Instruction],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    names: Mapping[str, Sequence[str]],
 ) -> Iterator[str]:
     inverse: dict[str, str] = {}  # C expression of a value -> that of its inverse
     constants: dict[str, float] = {}  # C literal -> its value
@@ -133,13 +143,11 @@ def _statements(
     origin: dict[int, tuple[int, int]] = {}  # index in the work vector -> input vector and entry
     written: set[tuple[int, int]] = set()
     calls = called(function)
-    divisors = _common_divisors(function)
+    divisors = _common_divisors(program)
     rows = [
         function.sparsity_out(n).row() for n in range(len(outputs))
     ]  # of a sparse column some are missing
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        o, i = function.instruction_output(k), function.instruction_input(k)
+    for k, (operation, o, i) in enumerate(program):
         if operation == ca.OP_OUTPUT:
             written.add((o[0], o[1]))
             yield f"{outputs[o[0]]}[{rows[o[0]][o[1]]}] = {work[i[0]]};"
@@ -175,16 +183,15 @@ def _statements(
                 yield f"{name}[{rows[n][j]}] = 0.0;"
 
 
-def _common_divisors(function: ca.Function) -> set[int]:
+def _common_divisors(program: Sequence[Instruction]) -> set[int]:
     """The instructions whose results several others divide by."""
     made: dict[int, int] = {}  # index in the work vector of CasADi -> the instruction that made its value
     count = Counter[int]()
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
+    for k, (operation, o, i) in enumerate(program):
         if operation in (ca.OP_DIV, ca.OP_INV):
-            count[made[function.instruction_input(k)[-1]]] += 1
+            count[made[i[-1]]] += 1
         if operation != ca.OP_OUTPUT:
-            made.update(dict.fromkeys(function.instruction_output(k), k))
+            made.update(dict.fromkeys(o, k))
     return {k for k, uses in count.items() if uses > 1}
 
 
@@ -350,33 +357,28 @@ def _by_multiplication(values: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     symbols: list[ca.SX] = []
     divisors: list[ca.SX] = []
     known: dict[int, ca.SX] = {}  # hash of a divisor -> its symbol
-    parameters = {s.element_hash() for s in ca.vertsplit(p)}
 
-    def parametric(value: ca.SX) -> bool:
-        return all(s.element_hash() in parameters for s in ca.symvar(value))
-
-    def binary(operation: int, a: ca.SX, b: ca.SX) -> ca.SX:
-        if operation != ca.OP_DIV or b.is_constant() or parametric(a) or not parametric(b):
-            return ca.SX.binary(operation, a, b)
+    def quotient(a: ca.SX, b: ca.SX) -> ca.SX:
+        if b.is_constant():
+            return a / b
         if b.element_hash() not in known:
             known[b.element_hash()] = ca.SX.sym("inverse")
             symbols.append(known[b.element_hash()])
             divisors.append(b)
         return a * known[b.element_hash()]
 
-    new = rebuilt(values, binary)
+    new = rebuilt(values, p, quotient)
     return new, column(*symbols), column(*divisors)
 
 
 def _call_order(expression: ca.SX, symbols: Sequence[ca.SX]) -> list[int]:
     """Indices of all symbols, those that a call takes as one vector one after the other."""
     others = [s for s in ca.symvar(expression)]
-    c, known = column(*symbols), {s.__hash__() for s in symbols}
-    function = ca.Function("f", [c, column(*(s for s in others if s.__hash__() not in known))], [expression])
+    c, known = column(*symbols), {s.element_hash() for s in symbols}
+    rest = column(*(s for s in others if s.element_hash() not in known))
+    function = ca.Function("f", [c, rest], [expression])
     calls, order, entry = called(function), list[int](), dict[int, int]()
-    for k in range(function.n_instructions()):
-        o, i = function.instruction_output(k), function.instruction_input(k)
-        operation = function.instruction_id(k)
+    for operation, o, i in instructions(function):
         if operation == ca.OP_CALL:
             for first, end in input_bounds(callee(calls, i, o)):
                 vector = [entry[j] for j in i[first:end] if j in entry]
