@@ -10,7 +10,6 @@ from itertools import accumulate
 
 import casadi as ca
 
-
 Instruction = tuple[int, list[int], list[int]]  # operation, indices of its results, and of its arguments
 
 
@@ -63,7 +62,7 @@ def rebuilt(
 ) -> ca.SX:
     """The same values, instruction by instruction.
 
-    by_parameters   makes the quotients of what depends on more than the symbols p by what depends on them alone
+    by_parameters   makes the quotients of what depends on other symbols by what depends on those in p alone
     """
     symbols = ca.symvar(values)
     function = ca.Function("f", symbols, [values])

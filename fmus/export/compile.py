@@ -1,9 +1,11 @@
 """Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options.
 
 WebAssembly. The platform `wasm` adds a module for browsers next to the native libraries. The C files are
-the same, compiled for wasm32-wasi with C library and libm of the compiler package (wasi-libc, with the
-libm of musl). The module is binaries/wasm32-wasip1/<modelIdentifier>.wasm. It exports the C functions of
-FMI, `malloc`, `free`, its memory, and its table of functions for callbacks. It imports nothing.
+the same, compiled for wasm32-wasi. The compiler's run-time library has the elementary functions, and
+wasm/library.c the few functions of the C library that our code calls. A model with other functions, such as
+atan2, is linked with wasi-libc of the compiler package, which is compiled first, for half a minute. The
+module is binaries/wasm32-wasip1/<modelIdentifier>.wasm. It exports the C functions of FMI, `malloc`, `free`,
+its memory, and its table of functions for callbacks. It imports nothing.
 
 The draft layered standard fmi-ls-wasm (state of 8 July 2026, no release) defines a component of the
 WebAssembly component model with a WIT interface, in binaries/wasm32-wasip2/<modelIdentifier>.wasm, and a
@@ -78,11 +80,10 @@ FLAGS = (
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
 )
 LIBRARY = ("-fPIC", "-shared")
-# a module without main, which exports what is visible, and a table in which an importer can put its callbacks
-MODULE = (
-    *("-mexec-model=reactor", "-rdynamic", "-Wl,--export=malloc", "-Wl,--export=free"),
-    *("-Wl,--export-table", "-Wl,--growable-table"),
-)
+# a module exports what is visible, and a table in which an importer can put its callbacks
+MODULE = ("-rdynamic", "-Wl,--export=malloc", "-Wl,--export=free", "-Wl,--export-table", "-Wl,--growable-table")
+# without main: with wasi-libc, and with our library in its place
+REACTOR, BARE = "-mexec-model=reactor", ("-Wl,--no-entry", "-Wl,--export=_initialize")
 HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h and fmi3*.h, which FMUs must not contain
 
 
@@ -101,7 +102,9 @@ def shared_library(
     libraries   linker options for system libraries, except on Windows and macOS
     """
     try:
-        if START + INCLUDED in code and platform != WASM:
+        if platform == WASM:
+            return _module(model, code, compiled)
+        if START + INCLUDED in code:
             code, compiled = _in_parts(model, code, compiled, platform)
         made = compiler.shared_library(*recipe(model, code, compiled, platform, libraries))
     except CompilerError as error:
@@ -137,6 +140,41 @@ def _in_parts(
     return made, [*IN_PARTS, START, *(name for name in made if name.endswith(".o"))]
 
 
+def _module(model: str, code: Mapping[str, bytes], compiled: Sequence[str]) -> bytes:
+    """The module of a model, with the small library if that has all it needs, else with wasi-libc."""
+    target, name, part = TARGETS[WASM].target, f"{model}.wasm", f"{model}_wasm.o"
+    flags = ["-target", target, *(flag for flag in FLAGS if flag != "-s"), "-c"]
+    content = compiler.shared_library(
+        part, code, [*flags, "-isystem", str(HEADERS), *compiled], _headers()
+    ).read_bytes()
+    linked = ["-target", "wasm32-freestanding", *FLAGS, *MODULE, *BARE, part, LIBRARY_OBJECT]
+    try:
+        made = compiler.shared_library(name, {part: content, LIBRARY_OBJECT: _small_library(tuple(flags))}, linked)
+    except CompilerError as error:
+        if "undefined symbol" not in error.output:
+            raise
+        made = compiler.shared_library(
+            name, {part: content}, ["-target", target, *FLAGS, *MODULE, REACTOR, part]
+        )
+    return made.read_bytes()
+
+
+LIBRARY_OBJECT = "library.o"
+
+
+@cache
+def _small_library(flags: Sequence[str]) -> bytes:
+    """wasm/library.c, compiled: once for all models."""
+    import ziglang
+
+    musl = Path(ziglang.__file__).parent / "lib" / "libc" / "musl"
+    folders = [musl / part for part in ("src/math", "src/include", "src/internal", "arch/generic")]
+    included = [argument for folder in folders for argument in ("-I", str(folder))]
+    source = Path(__file__).parent / "wasm" / "library.c"
+    arguments = [*flags, "-w", "-fno-builtin", *included, source.name]  # warnings are those of musl
+    return compiler.shared_library(LIBRARY_OBJECT, {source.name: source.read_bytes()}, arguments).read_bytes()
+
+
 def recipe(
     model: str,
     code: Mapping[str, bytes],
@@ -147,8 +185,7 @@ def recipe(
     """How the library of a model is made: arguments of `compiler.shared_library`."""
     target = TARGETS[platform]
     library = f"{model}{target.suffix}"
-    kind = MODULE if platform == WASM else LIBRARY
-    arguments = ["-target", target.target, *FLAGS, *kind, "-isystem", str(HEADERS), *compiled]
+    arguments = ["-target", target.target, *FLAGS, *LIBRARY, "-isystem", str(HEADERS), *compiled]
     arguments += linker_arguments(library, target, libraries)
     return library, code, arguments, _headers()
 

@@ -1,5 +1,6 @@
 """Shared libraries for all platforms: where they lie, what is in them, what they ask of a machine."""
 
+import ctypes
 import hashlib
 import platform
 import re
@@ -9,14 +10,18 @@ from functools import cache
 from pathlib import Path
 
 import lief
+import numpy as np
 import pytest
 from kit import shards
+from kit.compile import SHARED, compiled
 from kit.mistakes import table
 
+import fmus
 from fmus.export.build import build
 from fmus.export.compile import HEADERS, PLATFORMS, host, select, universal
 from fmus.machine.one_block import HARVESTER
 from fmus.swing import SWING
+from orchestrator.base.compiler import SUFFIX
 from orchestrator.base.errors import Problem
 from orchestrator.check.checking import check
 
@@ -238,3 +243,32 @@ def test_apple_silicon_library_is_signed(library, fmi):
         page = data[i << shift : min((i + 1) << shift, limit)]
         stored = data[directory + hashes + i * size :][:size]
         assert hashlib.sha256(page).digest() == stored
+
+
+FORMATS = [b"%.15g", b"%g", b"%.9g", b"%.3g", b"%.6g"]  # of messages in fmus/export/native
+NUMBERS = [0.0, -0.0, 1.0, -2.5, 1e-5, 1e-4, 123456.0, 1234567.0, 999999.5, 0.1, 1e22, 1e23, 5e-324, 1.8e308]
+
+
+def test_a_module_writes_messages_as_c_does():
+    """Its small library has the digits of the C library, in any length of text, and its texts."""
+    source = Path(fmus.__file__).parent / "export" / "wasm" / "library.c"
+    made = compiled(f"library{SUFFIX}", [source], *SHARED, "-fno-builtin", "-DNAMED(name)=our_##name")
+    library = ctypes.CDLL(str(made))
+    text = ctypes.create_string_buffer(400)
+
+    def written(form, *values, size=400):
+        used = library.our_snprintf(text, ctypes.c_size_t(size), form, *values)
+        return used, text.value
+
+    rng = np.random.default_rng(3)
+    random = rng.normal(size=2000) * 10.0 ** rng.integers(-300, 300, 2000)
+    for value in [*NUMBERS, np.nan, np.inf, -np.inf, *map(float, random)]:
+        for form in FORMATS:
+            expected = form % value
+            assert written(form, ctypes.c_double(value)) == (len(expected), expected)
+    all_ = (b"a", ctypes.c_int(-7), ctypes.c_uint(9), ctypes.c_size_t(2**40), ctypes.c_double(0.25))
+    whole = b"a -7 9 1099511627776 0.25 %"
+    assert written(b"%s %d %u %zu %g %%", *all_) == (27, whole)
+    assert written(b"%s %d %u %zu %g %%", *all_, size=9) == (27, whole[:8])
+    assert library.our_strspn(b" \t x", b" \t") == 3
+    assert [library.our_strcmp(b"ab", b) for b in (b"ab", b"aa", b"abc")] == [0, 1, -ord("c")]
