@@ -1,6 +1,6 @@
 """Generated C code of a model, and one file that includes all C files.
 
-sizes.h and model.c hold the equations, start.h and start.c the GUID and the start values.
+sizes.h, model.c and initial.c hold the equations, start.h and start.c the GUID and the start values.
 
 The equations become the C functions of native/model.h: values and directional derivatives.
 `fmus.export.c_functions` prints them.
@@ -44,6 +44,10 @@ _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
 }
 
 
+# what is called a few times before a run; it is compiled apart, and not optimised, see `compile`
+_INITIAL = ("model_start", "model_start_forward")
+
+
 def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]]:
     """The C functions of native/model.h, and the lengths of vectors."""
     sym = interface.equations
@@ -74,6 +78,7 @@ def model_equations(interface: Interface) -> tuple[list[Routine], dict[str, int]
             name,
             model | {i: arguments[i] for i in inputs},
             {o.partition("_inputs")[0]: values[o] for o in outputs},
+            scope="SHARED" if name in _INITIAL else "LOCAL",
         )
         for name, (outputs, inputs) in _ROUTINES.items()
     ]
@@ -144,7 +149,7 @@ INCLUDED = ".inc"  # model.c is model.c.inc in an FMU, so that only one .c file 
 
 # order in which the C files are included; all others follow in alphabetical order
 _ORDER = (
-    *("start", "model", "inputs", "rosenbrock"),
+    *("start", "initial", "model", "inputs", "rosenbrock"),
     *("runge_kutta", "solver", "core", "snapshot", "instance"),
 )
 
@@ -186,9 +191,10 @@ def main_source(model: str) -> str:
 
 @dataclass(frozen=True)
 class PrintedEquations:
-    """The equations in C, the same for all values: those of model.c, and lengths of vectors."""
+    """The equations in C, the same for all values: those of model.c and initial.c, and lengths of vectors."""
 
     model: str
+    initial: str
     lengths: Mapping[str, int]
 
 
@@ -212,8 +218,11 @@ def printed_equations(interface: Interface) -> PrintedEquations:
 def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
     """The fields of `PrintedEquations` as JSON."""
     routines, lengths = model_equations(interface)
-    model = "\n".join(c_function(r, names) for r in routines)
-    return json.dumps({"model": model, "lengths": lengths}).encode()
+    initial, model = (
+        "\n".join(c_function(r, names) for r in routines if (r.name in _INITIAL) == is_initial)
+        for is_initial in (True, False)
+    )
+    return json.dumps({"model": model, "initial": initial, "lengths": lengths}).encode()
 
 
 @cache
@@ -224,7 +233,7 @@ def generator_sources() -> list[bytes]:
 
 
 def generated(interface: Interface, guid: str, printed: PrintedEquations | None = None) -> dict[str, str]:
-    """The generated files by name: sizes.h, model.c, start.h, start.c."""
+    """The generated files by name: sizes.h, model.c, initial.c, start.h, start.c."""
     printed = printed or printed_equations(interface)
     content: dict[str, Any] = {
         "name": interface.name,
@@ -237,12 +246,13 @@ def generated(interface: Interface, guid: str, printed: PrintedEquations | None 
         "sampling": interface.sampling,
         "guid": json.dumps(guid),
         "equations": printed.model.removesuffix("\n"),
+        "initial": printed.initial.removesuffix("\n"),
         "row": partial(_row, [v.name for v in interface.inputs]),
         "comment": _comment,
         "number": number,
         "string": string,
     }
-    names = ("sizes.h", "model.c", "start.h", "start.c")
+    names = ("sizes.h", "model.c", "initial.c", "start.h", "start.c")
     return {name: rendered(TEMPLATES / f"{name}.j2", **content) for name in names}
 
 

@@ -73,12 +73,14 @@ class Routine:
     """A C function from named input vectors to named output vectors.
 
     vectorised   inputs and outputs of type `Columns` instead of double; then intermediate values are too
+    scope        LOCAL, or SHARED between parts that are compiled apart
     """
 
     name: str
     inputs: Mapping[str, ca.SX]
     outputs: Mapping[str, ca.SX]
     vectorised: frozenset[str] = frozenset()
+    scope: str = "LOCAL"
 
 
 def c_function(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
@@ -91,7 +93,7 @@ def c_function(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
     if calls and r.vectorised:
         raise Problem(f"{r.name}: a call of {calls[0].name()} is not supported for vectors of columns")
     types = {name: "Columns" if name in r.vectorised else "double" for name in (*r.inputs, *r.outputs)}
-    text = _definition(r.name, function, list(r.inputs), list(r.outputs), names, types)
+    text = f"{r.scope} {_definition(r.name, function, list(r.inputs), list(r.outputs), names, types)}"
     if r.vectorised:
         text = text.replace("    const double v", "    const Columns v")
     return "".join(_called_definition(f) for f in calls if f" {f.name()}(" in text) + text
@@ -114,7 +116,7 @@ def _definition(
     body += [f"(void){n};" for i, n in enumerate(outputs) if n in types and function.nnz_out(i) == 0]
     body += _used(list(_statements(function, program, inputs, outputs, names)))
     text = "".join(f"    {line}\n" for line in body)
-    return f"LOCAL void {name}({', '.join(arguments)}) {{\n{text}}}\n"
+    return f"void {name}({', '.join(arguments)}) {{\n{text}}}\n"
 
 
 def _used(lines: Sequence[str]) -> list[str]:
@@ -317,7 +319,7 @@ def _called_definition(function: ca.Function) -> str:
     kept += [n for k, n in enumerate(outputs) if function.nnz_out(k)]
     types = dict.fromkeys(kept, "double")
     text = "".join(map(_called_definition, called(function)))
-    text += _definition(name, function, inputs, outputs, {}, types)
+    text += f"LOCAL {_definition(name, function, inputs, outputs, {}, types)}"
     return f"#ifndef CALLED_{name}\n#define CALLED_{name}\n{text}#endif\n"
 
 

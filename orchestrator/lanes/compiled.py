@@ -35,7 +35,7 @@ STEPPING = ["engine.h", "coupling_input.c", "communication_step.c", "scenario.c"
 STEPPING += ["step_size.c"]
 # C files of a native FMU that model.cpp includes
 SOURCES = (
-    *("sizes.h", "model.h", "model.c", "start.h", "start.c", "opening_curve.h"),
+    *("sizes.h", "model.h", "model.c", "initial.c", "start.h", "start.c", "opening_curve.h"),
     *("solver.h", "inputs.h", "inputs.c", "rosenbrock.c", "runge_kutta.c"),
 )
 FLAGS = (

@@ -2,7 +2,7 @@
 
        dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
 
-   sizes.h, model.c, start.h and start.c are generated; all other files are the same for every model.
+   sizes.h, model.c, initial.c, start.h and start.c are generated; all other files are the same for every model.
    model.c also defines three tables: model_variables (by value reference), model_watched (value references of the
    variables with a warning limit) and model_statements (descriptions of the requirements; model_require computes
    the values that must be positive). start.c holds all that another set of parameter values changes.
@@ -77,7 +77,7 @@ extern const char model_guid[48], model_other_guid[144];
 LOCAL void model_prepare(const double *u, const double *p, double *c);
 
 /* Computes the initial states x0 from the start values x. */
-LOCAL void model_start(const double *x, const double *u, const double *p, const double *c, double *x0);
+SHARED void model_start(const double *x, const double *u, const double *p, const double *c, double *x0);
 
 /* Computes dx = f(x, u, p). */
 LOCAL void model_dynamics(const double *x, const double *u, const double *p, const double *c, double *dx);
@@ -116,8 +116,8 @@ LOCAL void model_forward(const double *x, const double *u, const double *p, cons
                          const double *vu, double *vdx, double *vy);
 
 /* Directional derivatives along (vx, vu, vp) of s, and of f and g at the initial states x. */
-LOCAL void model_start_forward(const double *x, const double *u, const double *p, const double *c,
-                               const double *vx, const double *vu, const double *vp, double *vx0,
-                               double *vdx0, double *vy0);
+SHARED void model_start_forward(const double *x, const double *u, const double *p, const double *c,
+                                const double *vx, const double *vu, const double *vp, double *vx0,
+                                double *vdx0, double *vy0);
 
 #endif

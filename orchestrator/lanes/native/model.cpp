@@ -77,6 +77,7 @@ static Lanes opening_curve_along(Lanes v, const Lanes *t, Lanes dv, const Lanes 
 #undef CONDITION
 #define CONDITION Mask
 #define double Lanes
+#include "initial.c"
 #include "model.c"
 #include "solver.h"
 #include "inputs.c"
