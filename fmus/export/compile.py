@@ -121,11 +121,8 @@ def shared_library(
 
 START, START_HEADER, INITIAL = "start.c", "start.h", "initial.c"
 IN_PARTS = ("-DIN_PARTS", "-Wno-unused-function")
-UNOPTIMISED = (
-    "-O0",
-    "-fno-sanitize=undefined",
-    "-fno-stack-protector",
-)  # without the checks of a debug build
+# without the checks of a debug build
+UNOPTIMISED = ("-O0", "-fno-sanitize=undefined", "-fno-stack-protector")
 
 
 def _in_parts(
@@ -163,9 +160,8 @@ def _module(model: str, code: Mapping[str, bytes], compiled: Sequence[str]) -> b
     content = compiler.shared_library(part, code, arguments, _headers()).read_bytes()
     linked = ["-target", "wasm32-freestanding", *FLAGS, *MODULE, *BARE, part, LIBRARY_OBJECT]
     try:
-        made = compiler.shared_library(
-            name, {part: content, LIBRARY_OBJECT: _small_library(tuple(flags))}, linked
-        )
+        parts = {part: content, LIBRARY_OBJECT: _small_library(flags)}
+        made = compiler.shared_library(name, parts, linked)
     except CompilerError as error:
         if "undefined symbol" not in error.output:
             raise
