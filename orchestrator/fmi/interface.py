@@ -7,13 +7,13 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
 from orchestrator.base.files import Location, is_file_name
 from orchestrator.base.units import DeclaredUnit
-from orchestrator.base.xml import MAX_BYTES, Element, parse_text
+from orchestrator.base.xml import MAX_BYTES, parse_text
 from orchestrator.fmi.description import (
     INITIAL,
     INTERFACES,
@@ -27,6 +27,9 @@ from orchestrator.fmi.description import (
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_LISTED = 5  # unsupported variables in a note
+LONGEST_KEPT = (
+    1 << 20
+)  # bytes of a description whose interface is kept: 2500 variables, ten times as much in memory
 # field of `FmuInterface` -> attribute of the interface type that declares it, in FMI 2.0 and in FMI 3.0
 CAPABILITIES = {
     "rollback": ("canGetAndSetFMUstate", "canGetAndSetFMUState"),
@@ -151,22 +154,26 @@ class FmuInterface:
 SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
-def read_interface(
-    fmu: Location, kind: str = "", known: dict[tuple[bytes, str], FmuInterface] | None = None
-) -> FmuInterface:
+def read_interface(fmu: Location, kind: str = "") -> FmuInterface:
     """Read the interface of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
 
     kind    CO_SIMULATION or MODEL_EXCHANGE; default: the first of them that the FMU has
-    known   interfaces by the content of modelDescription.xml and kind, to which this one is added
+
+    The last ones that were read are kept, but for very long descriptions: a command reads a system several
+    times, and a system may have an FMU several times.
     """
-    file, known = fmu.member("modelDescription.xml"), {} if known is None else known
-    text = file.read(MAX_BYTES)
-    if (text, kind) not in known:
-        known[text, kind] = _read_interface(fmu, parse_text(text, file, "fmiModelDescription"), kind)
-    return known[text, kind]
+    text = fmu.member("modelDescription.xml").read(MAX_BYTES)
+    read = _kept_interface if len(text) <= LONGEST_KEPT else _read_interface
+    return read(fmu, text, kind)
 
 
-def _read_interface(fmu: Location, root: Element, kind: str) -> FmuInterface:
+@lru_cache(maxsize=64)
+def _kept_interface(fmu: Location, text: bytes, kind: str) -> FmuInterface:
+    return _read_interface(fmu, text, kind)
+
+
+def _read_interface(fmu: Location, text: bytes, kind: str) -> FmuInterface:
+    root = parse_text(text, fmu.member("modelDescription.xml"), "fmiModelDescription")
     version = root.get("fmiVersion")
     if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
         raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")

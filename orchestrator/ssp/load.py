@@ -15,13 +15,11 @@ from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.units import IDENTITY, LinearTransformation, conversion, differences
 from orchestrator.fmi.description import Value
-from orchestrator.fmi.interface import FmuInterface, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values, with_sets
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import (
-    Component,
     Connection,
     Inlet,
     Outlet,
@@ -87,9 +85,7 @@ def _load_ssd(ssd: Location) -> System:
     suggestion = read_suggestion(flat.roots, flat.sources)
     shared = read_shared(flat.roots[0], flat.sources)
     flat.notes += ignored_annotations(flat.roots)
-    known = dict[tuple[bytes, str], FmuInterface]()  # several components may have the same FMU
-    interfaces = {n: read_interface(fmu, flat.kinds[n], known) for n, fmu in flat.sources.items()}
-    components = {name: Component(name, interfaces[name], fmu) for name, fmu in flat.sources.items()}
+    components = {name: open_component(name, fmu, flat.kinds[name]) for name, fmu in flat.sources.items()}
     try:
         system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
         system = _connected(flat, system)
