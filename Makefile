@@ -26,10 +26,11 @@ demo: $(EVERYTHING)
 	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
 
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --seconds
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
+# fails also if a file takes more than its share (tests/kit/shares.py)
 test: $(TESTING)
-	$(PYTEST)
+	$(PYTEST) --seconds
 
 # the long tests, in shards (tests/kit/shards.py): all of them, or `make test-browser`, `make test-c`
 test-long: test-documents test-fresh test-tools test-platforms test-c test-browser test-faults test-machine test-targets test-search

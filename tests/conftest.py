@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: the machine's FMUs, and a browser per test process; what the tests take."""
+"""Fixtures shared by all tests: the machine's FMUs, and a browser per test process."""
 
 import os
 
@@ -9,8 +9,7 @@ import contextlib
 import shutil
 import signal
 import time
-from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +38,7 @@ os.environ.setdefault(
 
 
 ROOT = Path(__file__).parents[1]
-MOST = 15.0  # s of one process for the tests of a file; files above it are named at the end
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """`make test` prints where its time goes."""
-    parser.addoption("--seconds", action="store_true", help="seconds by folder, and files above the limit")
+pytest_plugins = ["kit.shares"]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -62,39 +56,6 @@ def pytest_runtest_setup() -> None:
 
 
 pytest_pyfunc_call = pytest_runtest_setup
-
-
-building = 0.0  # s that the test which runs has built the machine, or waited for the process that does
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport() -> Generator[None, Any, Any]:
-    """The machine is built for all tests, not for the first that asks."""
-    global building
-    report = yield
-    report.building, building = min(building, report.duration), 0.0
-    return report
-
-
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Worker-seconds by folder, and the files that take too many."""
-    if not config.getoption("--seconds"):
-        return
-    files, folders = Counter[str](), Counter[str]()
-    for reports in terminalreporter.stats.values():
-        for report in reports:
-            if hasattr(report, "building"):  # not that of a worker that crashed
-                file = report.nodeid.partition("::")[0]
-                files[file] += report.duration - report.building
-                folders[str(Path(file).parent)] += report.duration - report.building
-                folders["the machine's build"] += report.building
-    terminalreporter.section(f"{sum(folders.values()):.0f} worker-seconds")
-    terminalreporter.line("  ".join(f"{name} {seconds:.0f}" for name, seconds in folders.most_common()))
-    for file, seconds in files.most_common():
-        if seconds > MOST and config.option.markexpr == "not long":
-            terminalreporter.line(
-                f"{file}: {seconds:.0f} s, expected at most {MOST:.0f}: share, shorten, shard"
-            )
 
 
 @pytest.fixture(scope="session")
@@ -150,16 +111,17 @@ def built(once: Once) -> Path:
     """
     if given := os.environ.get("HARVESTER_MACHINE"):
         return Path(given)
+    from kit import shares  # here, because pytest loads it first, as a plugin
+
     from orchestrator.__main__ import main
 
     def build(folder: Path) -> None:
         with (folder.parent / "machine.printed").open("w") as file, contextlib.redirect_stdout(file):
             assert main(["build", "--out", str(folder)]) == 0
 
-    global building
     begin = time.monotonic()
     folder = once("machine", build)
-    building += time.monotonic() - begin
+    shares.building += time.monotonic() - begin
     return folder
 
 
