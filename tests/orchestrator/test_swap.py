@@ -43,8 +43,7 @@ def test_a_swapped_twin_gives_the_same_numbers(fmus, fmus3, oscillator):
     usual = run(oscillator, step=1e-3, stop=0.1).trace
     for workshop in (fmus, fmus3):
         result = run(oscillator, step=1e-3, stop=0.1, swap={"b": str(workshop["mass_b"])})
-        for name, values in usual.signals.items():
-            np.testing.assert_array_equal(result.trace[name], values)
+        assert result.trace == usual
         assert result.card.notes == (f"b is swapped: mass_b ({workshop['mass_b']})",)
         assert list(result.system.components) == ["a", "b"]
     assert oscillator.components["b"].replaced is None  # the given system is as it was
