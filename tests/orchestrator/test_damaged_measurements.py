@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import scipy.io
 from kit import shards
+from kit.mistakes import problem
 
 from fmus import parameters
 from orchestrator import Problem, Trace, read_recording, read_trace, write_trace
@@ -323,8 +324,7 @@ def test_quotes_follow_rfc_4180_and_never_join_rows(tmp_path, text, expected):
     path, form = tmp_path / "a.csv", TextFormat(delimiter=";" if ";" in text else None)
     path.write_bytes(text.encode())
     if isinstance(expected, str):
-        with pytest.raises(Problem, match=rf"a\.csv: {expected}$"):
-            read_columns(path, {"y"}, form)
+        problem(lambda: read_columns(path, {"y"}, form), rf"a\.csv: {expected}$")
     else:
         np.testing.assert_array_equal(read_columns(path, {"y"}, form).values["y"], expected)
 

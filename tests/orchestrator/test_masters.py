@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from kit.any_fmu.outcome import MASTERS
-from kit.mistakes import table
+from kit.mistakes import problem, table
 from scipy.linalg import expm
 
 from orchestrator import Master, Problem, RunFailed, Trace, assemble, run
@@ -328,7 +328,5 @@ def test_what_a_function_cannot_do_is_refused(oscillators, options, message):
 
 def test_a_master_is_a_plan_or_a_function():
     """Neither is refused, and so are both."""
-    with pytest.raises(Problem, match=r"mine: expected a function `plan` or a function `step`, got neither"):
-        Master("mine")
-    with pytest.raises(Problem, match=r"got both"):
-        Master("mine", plan=gauss_seidel_plan, step=stepping)
+    problem(lambda: Master("mine"), r"mine: expected a function `plan` or a function `step`, got neither")
+    problem(lambda: Master("mine", plan=gauss_seidel_plan, step=stepping), r"got both")
