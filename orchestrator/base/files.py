@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from io import BytesIO, StringIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -215,6 +215,11 @@ class SharedFolder:
     removal: ExitStack
     files: frozenset[tuple[str, int, int]]
     users: int = 0
+
+    @cached_property
+    def size(self) -> int:
+        """Bytes of all files together."""
+        return sum(size for _, size, _ in self.files)
 
     @property
     def unchanged(self) -> bool:
@@ -449,7 +454,8 @@ class Location:
         finally:
             with _unpacking:
                 shared.users -= 1
-                _remove_unused()
+                if not shared.users:
+                    _remove_unused(last=shared)
 
     def _stamp(self) -> tuple[object, ...]:
         """What changes when the file on disk is written again."""
@@ -491,20 +497,22 @@ def _kept_folder(key: tuple[int, str, tuple[str, ...]]) -> SharedFolder | None:
     return found
 
 
-def _remove_unused(most: float = MOST_KEPT) -> None:
+def _remove_unused(most: float = MOST_KEPT, last: SharedFolder | None = None) -> None:
     """Remove folders of this process that nobody uses, except the last ones, of `most` bytes together.
 
-    A folder whose library is still loaded goes: the next run would get it with the values of its variables.
+    last   the folder whose use has just ended; it goes if its library is still loaded: the next run would get
+           it with the values of its variables
     """
-    loaded = _mapped_files()
+    mapped = _mapped_files() if last else ""
+    loaded = last if last and (mapped is None or str(last.folder) in mapped) else None
+    process = os.getpid()
     for key, shared in reversed([*_unpacked.items()]):
-        if shared.users or key[0] != os.getpid():
+        if shared.users or key[0] != process:
             continue
-        size = sum(size for _, size, _ in shared.files)
-        if loaded is None or str(shared.folder) in loaded or os.getpid() != _PROCESS or size > most:
+        if shared is loaded or process != _PROCESS or shared.size > most:
             _unpacked.pop(key).removal.close()
         else:
-            most -= size
+            most -= shared.size
 
 
 def _mapped_files() -> str | None:

@@ -501,10 +501,12 @@ def _cells(text: str, mark: str | None, start: int = 0) -> tuple[list[str], int]
     White space around a cell is stripped, unless it is inside quotes. A quote inside an unquoted cell counts
     as text.
     """
+    line_break = LINE_BREAK.search(text, start)
+    line = text[start : line_break and line_break.start()]
     if mark is None:
-        line_break = LINE_BREAK.search(text, start)
-        line = text[start : line_break and line_break.start()]
         return line.split() or [""], start + len(line)
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(mark)], start + len(line)
     end = re.escape(mark)
     quoted = rf' *"([^"]*+(?:""[^"]*+)*+)" *(?=[{end}\r\n]|\Z)'
     cell = re.compile(rf"{quoted}|([^{end}\r\n]*)")

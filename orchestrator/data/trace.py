@@ -207,9 +207,9 @@ class Trace(Mapping[str, Array]):
 
         Raises Problem if a pattern names none.
         """
-        from orchestrator.pages.plotting import default_signals
-
         if not patterns:
+            from orchestrator.pages.plotting import default_signals  # loads matplotlib, which takes a second
+
             return default_signals(self.signals, self.units)
         names: dict[str, None] = {}
         for pattern in patterns:

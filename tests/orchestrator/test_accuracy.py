@@ -320,10 +320,8 @@ def test_too_many_runs(open_oscillator, monkeypatch):
     """If no run is accurate enough, the last error is told."""
     monkeypatch.setattr(accuracy_search, "MOST_RUNS", 1)
     monkeypatch.setattr(accuracy_search, "FIRST", ((0.0, Coupling("gauss-seidel"), 50),))
-    with pytest.raises(
-        Problem, match=r"accuracy 1e-06: not reached: .* with gauss-seidel, a step of 0.05 s; after 1 runs"
-    ):
-        run(open_oscillator, stop=2.0, accuracy=1e-6)
+    told = r"accuracy 1e-06: not reached: .* with gauss-seidel, a step of 0.05 s; after 1 runs"
+    problem(lambda: run(open_oscillator, stop=2.0, accuracy=1e-6), told)
 
 
 @table(__file__, "refused", "choices, message")

@@ -22,6 +22,7 @@ STRAIGHT = "inputs linear over a step, because the FMUs accept first derivatives
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
 WHERE = {"DoStep": 0, "Get": 1, "Set": 2, "GetState": 3, "SetState": 4, "GetSlope": 5, "SetSlope": 6}
 PROPERLY = "terminated and freed, states left: 0"
+HERE = {"step": 0.1, "stop": 1.0, "isolate": False}  # a process whose run was refused is not used again
 
 
 # ---- what FMUs lack
@@ -89,10 +90,10 @@ def test_an_fmu_for_one_instance_is_not_used_twice(each):
     """Both components are named."""
     able = {"canBeInstantiatedOnlyOncePerProcess": "true"}
     fmu = each.make("gain", "hermit", able=able)
-    message = problem(lambda: run(assemble({"p": fmu, "q": fmu}), step=0.1, stop=0.2))
+    message = problem(lambda: run(assemble({"p": fmu, "q": fmu}), **HERE))
     assert message == "p and q: expected one instance of their FMU at most, got two"
     other = each.make("gain", "other_hermit", able=able, guid="gain")
-    run(assemble({"p": fmu, "q": other}), step=0.1, stop=0.2)
+    run(assemble({"p": fmu, "q": other}), **HERE)
 
 
 def lacking(workshop: Workshop, function: bytes) -> Workshop:
@@ -114,8 +115,7 @@ def test_a_missing_function_matters_where_it_is_called(each, both):
     system = circle(lacking(each, save.encode()), "no_save")
     assert both(system, "jacobi").error == ""
     for opener in OPENERS.values():
-        options = {"master": "hermite", "step": 0.1, "stop": 1.0, "open": opener}
-        message = problem(partial(run, system, **options))
+        message = problem(partial(run, system, master="hermite", open=opener, **HERE))
         assert message.endswith(f": its binary lacks the function {save}")
     notes = both(circle(lacking(each, tell.encode()), "no_tell"), HERMITE).result.card.notes
     assert f"{DIFFERENCES}q.y, p.y" in notes
@@ -371,7 +371,7 @@ def test_adaptive_steps_do_without(each, both, quirk, master):
 def test_adaptive_steps_need_fmus_that_vary_theirs(each):
     """By name."""
     system = circle(each, "equal_steps", **ABLE["equal steps"])
-    message = problem(lambda: run(system, step=0.1, stop=1.0, master=ADAPTIVE[0]))
+    message = problem(lambda: run(system, master=ADAPTIVE[0], **HERE))
     assert message.startswith("adaptive steps: expected ")
     assert message.endswith(" got q: the FMU has a fixed step")
 

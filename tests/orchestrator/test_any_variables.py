@@ -78,10 +78,8 @@ def test_wires_keep_all_64_bits(fmus3, both, kind):
     system = assemble({"p": wide, "q": wide}, [(f"p.{name}_out", "q.int64_in", 1, -(2**53))])
     result = both(system, set={f"p.{name}_in": 2**53 + 1}).result
     np.testing.assert_array_equal(result.trace["q.int64_in"], 1)
-    assert (
-        f"p.{name}_in, p.{name}_out: whole numbers above 2^53 may be rounded where they are recorded"
-        in result.card.notes
-    )
+    note = "whole numbers above 2^53 may be rounded where they are recorded"
+    assert f"p.{name}_in, p.{name}_out: {note}" in result.card.notes
     far = Trace(np.array([0.0, 1.0]), {f"p.{name}_in": np.array([0.0, 2.0**54])})
     message = problem(lambda: run(assemble({"p": wide}), far, step=0.5))
     assert message.endswith(f"column 'p.{name}_in': expected whole numbers up to {LARGE}, got {2**54}")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from kit.any_fmu.outcome import MASTERS
-from kit.mistakes import table
+from kit.mistakes import problem, table
 from scipy.linalg import expm
 
 from orchestrator import Master, Problem, RunFailed, Trace, assemble, run
@@ -46,20 +46,19 @@ def test_gauss_seidel_has_order_two_behind_a_sine(each, order, how):
     assert order(error, 0.02) == pytest.approx(2, abs=0.02)
 
 
-@pytest.mark.parametrize("how", [*FOLLOWS][:3])
-def test_driven_inputs_move_inside_the_step(each, how):
+# in a step of two seconds the second half begins at 1 s, where the input is half of its end
+@pytest.mark.parametrize(
+    ("how", "stop", "choices"),
+    [
+        *((how, 1.0, {"step": 0.1}) for how in [*FOLLOWS][:3]),
+        ("by a curve", 2.0, {"step": 2.0, "factors": {"sum": 2}}),
+    ],
+)
+def test_driven_inputs_move_inside_the_step(each, how, stop, choices):
     """An integrator is exact for a ramp, with slopes, with the mean over each step, and by its rate input."""
     system = assemble({"sum": integrator(each, how)})
-    end = run(system, Trace(RAMP, {"u": RAMP}), step=0.1).trace["sum.y"][-1]
-    assert end == pytest.approx(0.5, abs=1e-12)  # exact for polynomials; rounding of 4000 inner steps
-
-
-def test_driven_inputs_move_inside_both_halves_of_a_step_of_two_seconds(each):
-    """The second half begins at 1 s, where the input is half of its end."""
-    system = assemble({"sum": integrator(each, "by a curve")})
-    ramp = Trace(np.array([0.0, 2.0]), {"u": np.array([0.0, 2.0])})
-    trace = run(system, ramp, step=2.0, factors={"sum": 2}).trace
-    assert trace["sum.y"][-1] == pytest.approx(2.0, abs=1e-12)  # as above
+    end = run(system, Trace(stop * RAMP, {"u": stop * RAMP}), **choices).trace["sum.y"][-1]
+    assert end == pytest.approx(stop**2 / 2, abs=1e-12)  # exact for polynomials; rounding of 4000 inner steps
 
 
 @pytest.mark.parametrize("master", [*MASTERS, Coupling("gauss-seidel", 3)])
@@ -216,15 +215,21 @@ def exchanging(components, time, length):
         components.exchange(start + length / 2)
 
 
-def test_a_function_that_only_steps_is_jacobi(oscillators):
-    """Bit for bit: the engine exchanges as it does for its own master."""
+@pytest.mark.parametrize(
+    ("mine", "known", "follow", "order"),
+    [
+        ({"step": stepping}, "jacobi", "held", None),
+        ({"plan": gauss_seidel_plan}, "gauss-seidel", "curves", 2),
+    ],
+)
+def test_a_master_of_ones_own_is_the_known_one_bit_for_bit(oscillators, mine, known, follow, order):
+    """A function that only steps gets the exchanges of jacobi; a plan runs in C, with all options."""
     own, ours = (
-        run(oscillators("held"), master=master, step=1e-2, stop=1.0)
-        for master in (Master("mine", step=stepping), "jacobi")
+        run(oscillators(follow), master=master, order=order, step=1e-2, stop=1.0)
+        for master in (Master("mine", **mine), known)
     )
-    assert own.card.master == "mine"
-    for name, values in ours.trace.signals.items():
-        np.testing.assert_array_equal(own.trace[name], values)
+    assert own.card.master == ("mine" if order is None else "mine of order 2")
+    assert own.trace == ours.trace
 
 
 def test_an_exchange_within_a_function_is_that_of_the_engine(oscillators):
@@ -233,17 +238,6 @@ def test_an_exchange_within_a_function_is_that_of_the_engine(oscillators):
     whole = run(oscillators("held"), master="jacobi", step=1 / 128, stop=1.0)
     for name, values in whole.trace.signals.items():
         np.testing.assert_array_equal(halves.trace[name], values[::2])
-
-
-def test_a_plan_of_ones_own_runs_as_that_of_a_master(oscillators):
-    """With all options, and in C: the same bits."""
-    plan = Master("mine", plan=gauss_seidel_plan)
-    own, ours = (
-        run(oscillators(), master=master, order=2, step=1e-2, stop=1.0) for master in (plan, "gauss-seidel")
-    )
-    assert own.card.master == "mine of order 2"
-    for name, values in ours.trace.signals.items():
-        np.testing.assert_array_equal(own.trace[name], values)
 
 
 def test_an_error_in_a_function_ends_the_run_with_its_rows(oscillators):
@@ -334,7 +328,5 @@ def test_what_a_function_cannot_do_is_refused(oscillators, options, message):
 
 def test_a_master_is_a_plan_or_a_function():
     """Neither is refused, and so are both."""
-    with pytest.raises(Problem, match=r"mine: expected a function `plan` or a function `step`, got neither"):
-        Master("mine")
-    with pytest.raises(Problem, match=r"got both"):
-        Master("mine", plan=gauss_seidel_plan, step=stepping)
+    problem(lambda: Master("mine"), r"mine: expected a function `plan` or a function `step`, got neither")
+    problem(lambda: Master("mine", plan=gauss_seidel_plan, step=stepping), r"got both")

@@ -92,9 +92,8 @@ def test_the_options_of_a_coupling_are_its_fields():
 def test_an_unknown_option_is_a_type_error_with_the_nearest_name(function):
     """Before anything is read: the system does not exist."""
     arguments = ({"a.b": [1.0]},) if function is batch else ()
-    with pytest.raises(
-        TypeError, match=rf"^{function.__name__}\(\) has no option 'parametrs'; did you mean par"
-    ):
+    told = rf"^{function.__name__}\(\) has no option 'parametrs'; did you mean par"
+    with pytest.raises(TypeError, match=told):
         function("none.ssp", *arguments, parametrs="reach")
 
 

@@ -8,9 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kit.mistakes import problem
 from matplotlib.text import Text
 
-from orchestrator import Problem, Trace, batch, compare, run
+from orchestrator import Trace, batch, compare, run
 from orchestrator.base import files
 from orchestrator.base.options import declarations
 from orchestrator.data.trace import as_trace
@@ -64,13 +65,9 @@ def test_the_signature_of_run_has_every_option():
 
 def test_the_default_accuracies_are_those_of_the_help():
     """One place in the code; the text of the option names both."""
-    assert (
-        f"master or step, and all FMUs have directional derivatives: {DEFAULT_ACCURACY['run']:.0e}".replace(
-            "e-0", "e-"
-        )
-        in " ".join(AccuracyArguments.__doc__.split())
-    )
-    assert f"validate: {DEFAULT_ACCURACY['validate']:.0e}".replace("e-0", "e-") in AccuracyArguments.__doc__
+    told = " ".join(AccuracyArguments.__doc__.split())
+    for before, name in (("all FMUs have directional derivatives", "run"), ("validate", "validate")):
+        assert f"{before}: {DEFAULT_ACCURACY[name]:.0e}".replace("e-0", "e-") in told
 
 
 def test_a_scenario_may_be_a_structured_array_or_have_functions():
@@ -143,5 +140,4 @@ def test_a_name_is_found_from_any_folder_of_a_checkout(built, tmp_path, monkeypa
     assert files.find("build/harvester.ssp", (".ssp",)) == Path("build/harvester.ssp")  # a path is one
     monkeypatch.setattr(files, "CHECKOUT", tmp_path / "none")
     looked = f"in {tmp_path / 'build'}, {tmp_path / 'none'}"
-    with pytest.raises(Problem, match=re.escape(f"no such file {looked}; build it with: harvester build")):
-        run("harvester")
+    problem(lambda: run("harvester"), re.escape(f"no such file {looked}; build it with: harvester build"))

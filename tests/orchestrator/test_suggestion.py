@@ -94,10 +94,8 @@ def test_all_attributes_are_read(make):
     """Floating-point numbers, integers and text; those of other namespaces are passed over."""
     many = 'master="gauss-seidel" order="2" adaptive="1e-3" largest="0.01"'
     expected = Coupling("gauss-seidel", 2, adaptive=1e-3, largest=0.01)
-    for text, found in (
-        (many, expected),
-        ('xmlns:x="urn:x" x:note="mine" master="hermite"', Coupling("hermite")),
-    ):
+    other = 'xmlns:x="urn:x" x:note="mine" master="hermite"'
+    for text, found in ((many, expected), (other, Coupling("hermite"))):
         assert load(make(annotated(coupling(text)))).coupling == found
 
 
@@ -129,11 +127,9 @@ def test_one_in_another_place_is_left_out_with_a_note(fmus, zip_ssp):
     system = load(path)
     assert (system.coupling, system.step) == (Coupling("jacobi"), None)
     told = "annotation of type harvester-cosim: left out, only one of the outermost system counts"
-    places = (
-        f"{path}/SystemStructure.ssd: line 8",
-        f"{path}/resources/inner.ssp/SystemStructure.ssd: line 20",
-    )
-    assert [note for note in system.notes if "left out" in note] == [f"{place}: {told}" for place in places]
+    places = "SystemStructure.ssd: line 8", "resources/inner.ssp/SystemStructure.ssd: line 20"
+    expected = [f"{path}/{place}: {told}" for place in places]
+    assert [note for note in system.notes if "left out" in note] == expected
 
 
 def test_two_suggestions_are_refused(make):

@@ -53,6 +53,12 @@ def values(mapping_entries, **parameters):
     )
 
 
+def entries(*pairs):
+    """Entries of a parameter mapping: source, target, and what is inside, if there is something."""
+    rows = ((source, target, "".join(inside)) for source, target, *inside in pairs)
+    return "".join(f'<ssm:MappingEntry source="{a}" target="{b}">{m}</ssm:MappingEntry>' for a, b, m in rows)
+
+
 @pytest.fixture(params=["fmus", "fmus3"])
 def make(request, zip_ssp):
     """An .ssp around types.fmu, of SSP 1.0 with FMI 2.0 and of SSP 2.0 with FMI 3.0."""
@@ -169,14 +175,11 @@ def test_mappings_one_after_the_other(make):
 
 def test_parameters_are_mapped_by_their_type(make):
     """With values of any spelling; what the mapping does not name is not set, with a note."""
-    entries = (
+    inside = entries(
         ("n", "int_in", mapping("Integer", ("4", "-4"))),
         ("on", "bool_in", mapping("Boolean", ("true", "false"))),
         ("colour", "enum_in", mapping("Enumeration", ("blau", "green"))),
-        ("text", "label", ""),
-    )
-    inside = "".join(
-        f'<ssm:MappingEntry source="{a}" target="{b}">{m}</ssm:MappingEntry>' for a, b, m in entries
+        ("text", "label"),
     )
     given = {"n": ("Integer", "04"), "on": ("Boolean", "1"), "colour": ("Enumeration", "blau")}
     given |= {"text": ("String", "you"), "gain": ("Real", 9), "int_in": ("Integer", 3)}
@@ -186,50 +189,36 @@ def test_parameters_are_mapped_by_their_type(make):
     assert [n.partition(": ")[2] for n in loaded.notes] == ["left out, not in the mapping: gain, int_in"]
 
 
+OTHER, HALF = mapping("Integer", (1, 2)), '<ssc:LinearTransformation factor="0.5"/>'
+
+
 @pytest.mark.parametrize(
-    ("entries", "told"),
+    ("pairs", "told"),
     [
         ([("n", "int_in"), ("m", "int_in")], "MappingEntry: expected each target once, got 'int_in' twice"),
-        (
-            [("n", "real_in", mapping("Integer", (1, 2)))],
-            "p.real_in: expected a LinearTransformation of a Real, got .*",
-        ),
-        (
-            [("n", "label", mapping("Integer", (1, 2)))],
-            "p.label: expected no transformation of a String, got .*",
-        ),
-        (
-            [("n", "int_in", '<ssc:LinearTransformation factor="0.5"/>')],
-            "p.int_in: expected integer factor and .*",
-        ),
+        ([("n", "real_in", OTHER)], "p.real_in: expected a LinearTransformation of a Real, got .*"),
+        ([("n", "label", OTHER)], "p.label: expected no transformation of a String, got .*"),
+        ([("n", "int_in", HALF)], "p.int_in: expected integer factor and .*"),
     ],
 )
-def test_parameter_mappings_that_cannot_be_are_told(make, entries, told):
+def test_parameter_mappings_that_cannot_be_are_told(make, pairs, told):
     """In one line."""
-    inside = "".join(
-        f'<ssm:MappingEntry source="{a}" target="{b}">{"".join(m)}</ssm:MappingEntry>' for a, b, *m in entries
-    )
-    problem(
-        partial(load, make([part("p", values(inside, n=("Integer", 1), m=("Integer", 2)))], [])), f"{told}$"
-    )
+    given = values(entries(*pairs), n=("Integer", 1), m=("Integer", 2))
+    problem(partial(load, make([part("p", given)], [])), f"{told}$")
 
 
 def test_a_mapping_of_a_parameter_that_is_not_there(make):
     """A misspelt source is told."""
-    inside = '<ssm:MappingEntry source="m" target="int_in"/>'
-    assert (
-        "the parameter set has no 'm'"
-        in load(make([part("p", values(inside, n=("Integer", 1)))], [])).notes[0]
-    )
+    given = values(entries(("m", "int_in")), n=("Integer", 1))
+    assert "the parameter set has no 'm'" in load(make([part("p", given)], [])).notes[0]
 
 
 def test_items_that_no_enumeration_has_are_told(make):
     """With those that there are."""
     wires = [wire("lamp", "p.enum_in", mapping("Enumeration", ("go", "blue")))]
     inlet = port("lamp", "input", "Enumeration", 'name="Lamp"')
-    problem(
-        lambda: load(make([part("p")], wires, inlet)), "expected one of the items red, green, got 'blue'$"
-    )
+    told = "expected one of the items red, green, got 'blue'$"
+    problem(lambda: load(make([part("p")], wires, inlet)), told)
 
 
 def test_values_that_no_trace_holds_are_told(make):
@@ -237,7 +226,5 @@ def test_values_that_no_trace_holds_are_told(make):
     far = wire("p.int_out", "q.int_in", mapping("Integer", (2**54, 1), (1, 2)))
     assert driven(make([part("p"), part("q")], [far]), "q.int_in", p__int_in=[0, 1]) == [2, 2]
     far = wire("p.int_out", "q.int_in", mapping("Integer", (1, 2**54)))
-    problem(
-        lambda: run(make([part("p"), part("q")], [far]), step=0.5, stop=0.5),
-        "whole numbers of at most 9007199254740992$",
-    )
+    told = "whole numbers of at most 9007199254740992$"
+    problem(lambda: run(make([part("p"), part("q")], [far]), step=0.5, stop=0.5), told)

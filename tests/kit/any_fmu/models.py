@@ -78,7 +78,7 @@ class Workshop:
     folder: Path
     fmi: int = 2
     library: bytes = field(default_factory=_library)
-    _made: dict[str, Path] = field(default_factory=dict)
+    _made: dict[Path, Mapping[str, bytes | str]] = field(default_factory=dict)
 
     def other(self, fmi: int) -> Workshop:
         """A workshop for another version of FMI, in a folder inside this one's."""
@@ -88,9 +88,7 @@ class Workshop:
 
     def __getitem__(self, model: str) -> Path:
         """The plain FMU of a model."""
-        if model not in self._made:
-            self._made[model] = self.make(model)
-        return self._made[model]
+        return self.make(model)
 
     def make(
         self,
@@ -111,7 +109,7 @@ class Workshop:
         changes: Mapping[str, Mapping[str, object]] | None = None,
         also: Sequence[V] = (),
     ) -> Path:
-        """An FMU that differs from the plain one.
+        """An FMU that differs from the plain one; it is written again only if it is another one.
 
         units        variable -> other unit
         undeclared   leave out all dependencies
@@ -142,7 +140,10 @@ class Workshop:
         members = {"modelDescription.xml": description.text(self.fmi)}
         if platform != "":
             members[member(self.fmi, name, platform)] = self.library
-        return packed(self.folder / f"{name}.fmu", members | dict(extra or {}))
+        path, members = self.folder / f"{name}.fmu", members | dict(extra or {})
+        if self._made.get(path) != members:
+            self._made[packed(path, members)] = members
+        return path
 
 
 TELLS = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
