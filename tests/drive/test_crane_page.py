@@ -237,11 +237,7 @@ def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:
     [
         ("nodes", [{"mesh": 0, "translation": [10**400, 0, 0]}], "a damaged one: OverflowError"),
         ("materials", [{"pbrMetallicRoughness": {"baseColorFactor": ["nan", 0, 0]}}], "a colour that is no"),
-        (
-            "meshes",
-            [{"primitives": [{"mode": 5, "attributes": {"POSITION": 0}}]}],
-            "got points, lines",
-        ),
+        ("meshes", [{"primitives": [{"mode": 5, "attributes": {"POSITION": 0}}]}], "got points, lines"),
     ],
 )
 def test_numbers_that_are_none_are_a_problem(key: str, value: Any, told: str, tmp_path: Path) -> None:

@@ -15,13 +15,7 @@ from kit.compile import library
 
 from orchestrator.base.compiler import SUFFIX
 
-FLAGS = (
-    "-std=gnu11",
-    "-fno-sanitize=undefined",
-    "-Wno-unused-parameter",
-    "-Wno-infinite-recursion",
-    "-s",
-)
+FLAGS = ("-std=gnu11", "-fno-sanitize=undefined", "-Wno-unused-parameter", "-Wno-infinite-recursion", "-s")
 FLAGS += ("-lrt",) if sys.platform == "linux" else ()
 HANGS = ("spin", "sleep")
 # An FMU that does not fail, but does what no FMU may. benchmarks/hostile.py runs each through each command.
