@@ -13,7 +13,6 @@ from functools import cache, lru_cache
 from math import isfinite
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 from markupsafe import Markup
 
@@ -242,6 +241,8 @@ def as_text(value: object) -> str:
 
 def attributes(values: Mapping[str, object] | None = None, /, **more: object) -> Markup:
     """Attributes of an element as text; those that are None are left out."""
+    from xml.sax.saxutils import quoteattr  # on first use: it loads a client for HTTP, and readers need none
+
     texts = {name: as_text(value) for name, value in {**(values or {}), **more}.items() if value is not None}
     return Markup("".join(f" {name}={quoteattr(text)}" for name, text in texts.items()))
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
@@ -154,7 +155,7 @@ class Recording(Trace):
         """Presentation and limit of a signal in a comparison."""
         return self.criteria.get(name, Criterion())
 
-    @property
+    @cached_property
     def unlisted(self) -> frozenset[str]:
         """Signals without label of a computed reference in which others have one.
 

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 
 import pytest
-from kit.any_fmu.models import Workshop
 
 from check.good import Archive, make
 from check.oscillator import Oscillators
@@ -13,12 +12,6 @@ from check.oscillator import Oscillators
 def good() -> Mapping[int, Archive]:
     """The good FMU of FMI 2 and of FMI 3."""
     return {major: make(major) for major in (2, 3)}
-
-
-@pytest.fixture(scope="session")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    """The small FMUs of the orchestrator's tests."""
-    return Workshop(tmp_path_factory.mktemp("any_fmu"))
 
 
 @pytest.fixture(scope="session")

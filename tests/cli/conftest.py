@@ -8,13 +8,18 @@ import pytest
 from orchestrator.results import validate_system
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch, fmu_dir):
+def machine_in(folder, monkeypatch, fmu_dir):
     """A working directory with build/harvester.ssp; no ISO rating, whose library takes seconds to start."""
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(folder)
     monkeypatch.setattr(
         validate_system, "validate_system", partial(validate_system.validate_system, rate=False)
     )
-    (tmp_path / "build").mkdir()
+    (folder / "build").mkdir()
     shutil.copy(fmu_dir / "harvester.ssp", "build")
-    return tmp_path
+    return folder
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch, fmu_dir):
+    """The working directory of a test."""
+    return machine_in(tmp_path, monkeypatch, fmu_dir)

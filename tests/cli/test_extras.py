@@ -192,9 +192,15 @@ def packed(built, patterns, folder):
 
 
 @pytest.fixture(scope="module")
-def archive(built, tmp_path_factory):
+def archives(built, tmp_path_factory):
+    """The archive of files that match some patterns, each made once."""
+    return cache(lambda *patterns: packed(built, patterns, tmp_path_factory.mktemp("package")))
+
+
+@pytest.fixture(scope="module")
+def archive(archives):
     """The archive of some FMUs."""
-    return packed(built, SOME, tmp_path_factory.mktemp("package"))
+    return archives(*SOME)
 
 
 @pytest.fixture
@@ -209,10 +215,11 @@ def wheel(archive, tmp_path_factory, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("some", [SOME, pytest.param(("*.*", "variants/*"), marks=shards.documents)])
-def test_the_archive_restores_the_files(some, built, tmp_path):
+def test_the_archive_restores_the_files(some, built, archives):
     """The same files with the same bytes; without FMI 3.0 those of FMI 2.0."""
-    archive = packed(built, some, tmp_path)
-    names = [p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.suffix in (".fmu", ".ssp")]
+    archive = archives(*some)
+    folder = archive.parent
+    names = [p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.suffix in (".fmu", ".ssp")]
     files = {name: (built / name).read_bytes() for name in names}
     assert dict(package_files.unpack(archive)) == files
     second = {name: data for name, data in files.items() if not name.startswith("fmi3/")}

@@ -28,40 +28,8 @@ from orchestrator.ssp.load import load
 from orchestrator.ssp.write import write_ssp
 
 LOADER = Path(__file__).parents[2] / "examples" / "cranes" / "loader.toml"
-# a rotator and a jaw in place of the passive swing of the grapple; each place of the tip is a parameter
-MORE = """
-[rotator]
-parent = "link"
-axis = "z"
-at = [0, 0, "-300 mm"]
-mass = 150
-inertia = [12, 12, 8]
-drive = "motor"
-motor = { displacement = "600 cm3/rev" }
-
-[grapple]
-axis = "-y"
-at = ["100 mm", 0, "-250 mm"]
-mass = 30
-centre = ["100 mm", 0, "-300 mm"]
-inertia = [2, 2, 1]
-damping = 100
-drive = "cylinder"
-shape = "meshes/jaw.glb"
-
-[grapple.cylinder]
-base = ["-500 mm", "50 mm"]
-pin = ["50 mm", "200 mm"]
-closed = "450 mm"
-stroke = "200 mm"
-bore = "63 mm"
-rod = "40 mm"
-
-[payload]
-on = "grapple"
-at = ["10 mm", "20 mm", "-900 mm"]
-
-[start]"""
+# a rotator and a jaw in place of the passive swing of the grapple
+MORE = Path(__file__).with_name("rotator_and_jaw.toml")
 LOW, HIGH = (-0.2, -0.9, -0.15), (0.3, -0.1, 0.25)  # corners of the mesh, in the frame of the file: y upwards
 # both sticks and both wheels at their stops, as keys, and what they command [V]
 HELD = {"a": ("slew", 4), "w": ("jib", -6), "ArrowDown": ("boom", 6), "ArrowLeft": ("rotator", 4)}
@@ -76,7 +44,8 @@ def crane(tmp_path_factory: pytest.TempPathFactory) -> CraneDescription:
     (folder / "meshes" / "jaw.glb").write_bytes(glb.box(LOW, HIGH))
     text = LOADER.read_text(encoding="utf-8")
     begin, end = text.index("[grapple]"), text.index("[start]")
-    (folder / "six.toml").write_text(f"{text[:begin]}{MORE}{text[end + len('[start]') :]}", encoding="utf-8")
+    six = f"{text[:begin]}{MORE.read_text(encoding='utf-8')}\n{text[end:]}"
+    (folder / "six.toml").write_text(six, encoding="utf-8")
     return read(folder / "six.toml")
 
 
@@ -268,11 +237,7 @@ def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:
     [
         ("nodes", [{"mesh": 0, "translation": [10**400, 0, 0]}], "a damaged one: OverflowError"),
         ("materials", [{"pbrMetallicRoughness": {"baseColorFactor": ["nan", 0, 0]}}], "a colour that is no"),
-        (
-            "meshes",
-            [{"primitives": [{"mode": 5, "attributes": {"POSITION": 0}}]}],
-            "got points, lines",
-        ),
+        ("meshes", [{"primitives": [{"mode": 5, "attributes": {"POSITION": 0}}]}], "got points, lines"),
     ],
 )
 def test_numbers_that_are_none_are_a_problem(key: str, value: Any, told: str, tmp_path: Path) -> None:
@@ -280,32 +245,25 @@ def test_numbers_that_are_none_are_a_problem(key: str, value: Any, told: str, tm
     assert told in problem(lambda: points(glb.box(LOW, HIGH, {key: value}), tmp_path))
 
 
-SHAPES = {
-    "three": 3,
-    "text": '"text.glb"',
-    "none": '"none.glb"',
-    "large": '"large.glb"',
-    "packed": '"packed.glb"',
-}
-TOLD = {
-    "three": 'expected a file, such as "boom.glb", got 3',
-    "text": "text.glb: expected the triangles of a binary glTF 2.0 file (.glb), which begins with b'glTF'",
-    "none": "none.glb: no such file",
-    "large": "large.glb: expected at most 5 MB, got 6 MB",
-    "packed": "(.glb) without extensions, got KHR_draco_mesh_compression",
+SHAPES = {  # of a link -> what is wrong with it
+    "3": 'expected a file, such as "boom.glb", got 3',
+    '"text.glb"': "text.glb: expected the triangles of a binary glTF 2.0 file (.glb), which begins"
+    " with b'glTF'",
+    '"none.glb"': "none.glb: no such file",
+    '"large.glb"': "large.glb: expected at most 5 MB, got 6 MB",
+    '"packed.glb"': "(.glb) without extensions, got KHR_draco_mesh_compression",
 }
 
 
-@pytest.mark.parametrize("kind", TOLD)
-def test_mistakes(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("shape", SHAPES)
+def test_mistakes(shape: str, tmp_path: Path) -> None:
     """File, table and key, what was expected and what was found."""
     (tmp_path / "text.glb").write_text("a mesh", encoding="utf-8")
     (tmp_path / "large.glb").write_bytes(bytes(6_000_000))
     draco = {"extensionsRequired": ["KHR_draco_mesh_compression"]}
     (tmp_path / "packed.glb").write_bytes(glb.box(LOW, HIGH, draco))
-    text = LOADER.read_text(encoding="utf-8").replace("[boom]", f"[boom]\nshape = {SHAPES[kind]}", 1)
+    text = LOADER.read_text(encoding="utf-8").replace("[boom]", f"[boom]\nshape = {shape}", 1)
     (tmp_path / "crane.toml").write_text(text, encoding="utf-8")
     message = problem(lambda: read(tmp_path / "crane.toml"))
     assert message.startswith(f"{tmp_path / 'crane.toml'}: [boom] shape: ")
-    assert TOLD[kind] in message
-    assert "\n" not in message
+    assert SHAPES[shape] in message

@@ -142,11 +142,7 @@ def watched(folder: Path) -> Iterator[None]:
 
 def read_fmu(path: Path, system: System) -> None:
     """All that reads an FMU before it is loaded: to run it, to linearise it, to swap it, to list it."""
-    for work in (
-        lambda: used(load(path)),
-        lambda: load(path),
-        lambda: used(with_swaps(system, {"b": path})),
-    ):
+    for work in (lambda: used(load(path)), lambda: load(path), lambda: used(with_swaps(system, {"b": path}))):
         with suppress(Problem):
             work()
 

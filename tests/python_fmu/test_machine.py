@@ -3,22 +3,13 @@
 import re
 
 import numpy as np
-import pytest
 from kit import shards
 from kit.any_fmu.edit import edited
 
-from fmus.export.python.build import build_user
 from orchestrator import load, run
 from orchestrator.check.checking import check
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.write import write_ssp
-from python_fmu.test_states import ACTUATOR
-
-
-@pytest.fixture(scope="module")
-def actuator(tmp_path_factory):
-    """The FMU of the example's model."""
-    return build_user(ACTUATOR, tmp_path_factory.mktemp("actuator"))
 
 
 @shards.machine

@@ -7,10 +7,7 @@ from kit.every import EVERY, row
 from kit.fmu import driving, elsewhere
 
 from fmus.contract import quantities
-from fmus.export.python.build import build_user
 from python_fmu.lag import built
-
-ACTUATOR = Path(__file__).parents[2] / "examples" / "my_subsystem" / "my_actuator.py"
 
 
 def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[str, float]) -> None:
@@ -28,12 +25,12 @@ def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[s
     assert first == again == beside == elsewhere(path, data, time, 1e-2, 7, *names)
 
 
-def test_a_model_by_hand_repeats_its_steps(tmp_path):
+def test_a_model_by_hand_repeats_its_steps(actuator):
     """The example repeats its steps bit-identically."""
     sub = EVERY["boom_stick_lumped"]
     names = ["boom_force", "stick_force", "boom_force_rate", "supply_flow", "return_flow"]
     assert set(names) <= set(quantities(sub.outputs))
-    repeated(build_user(ACTUATOR, tmp_path), names, row(sub, 0), row(sub, 40))
+    repeated(actuator, names, row(sub, 0), row(sub, 40))
 
 
 def test_foreign_and_damaged_states_are_refused(tmp_path, capsys):

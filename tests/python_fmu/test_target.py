@@ -19,11 +19,10 @@ from kit.fmu import Fmu, in_new_process
 from kit.mistakes import table
 
 from fmus.export.compile import PLATFORMS, host
-from fmus.export.python.build import build_user, library
+from fmus.export.python.build import library
 from orchestrator.base.files import write_zip
 from orchestrator.check.checking import check
 from python_fmu.lag import built
-from python_fmu.test_states import ACTUATOR
 
 BLOCKED = """
 import sys
@@ -44,12 +43,6 @@ fmu = Fmu(Path(sys.argv[1])).start(boom_command=3.0)
 print(fmu.step(1e-3, 50).get("boom_force", "stick_force").tobytes().hex(), flush=True)
 os._exit(0)
 """
-
-
-@pytest.fixture(scope="module")
-def actuator(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The FMU of the example."""
-    return build_user(ACTUATOR, tmp_path_factory.mktemp("actuator"))
 
 
 def test_a_missing_package_is_told(actuator):

@@ -11,21 +11,10 @@ from orchestrator.studies.single_run import RunOutcome
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Study, read
 
-GAIN, FAILS = (Path(__file__).with_name(f"{fmu}.toml").read_text("utf-8") for fmu in ("gain", "fails"))
+GAIN, FAILS, MACHINE = (
+    Path(__file__).with_name(f"{name}.toml").read_text("utf-8") for name in ("gain", "fails", "machine")
+)
 FACTOR = GAIN[GAIN.index("[factors") : GAIN.index("\n[fixed]")]
-
-MACHINE = """
-system = "{system}"
-method = "latin"
-runs = 2
-stop = 0.1
-
-[factors]
-"{name}" = {{ {numbers} }}
-
-[outputs]
-peak = {{ signal = "swing.swing_pressure_a", measure = "maximum" }}
-"""
 
 
 def uniform(low: float, high: float, more: str = "") -> str:

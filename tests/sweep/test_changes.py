@@ -9,23 +9,8 @@ from sweep.studies import FACTOR, GAIN, resolved, study
 
 from orchestrator.studies.store import changes, to_json
 
-MORE = (
-    GAIN.replace('"latin"', '"grid"').replace("runs = 12\n", "")
-    + """start = 0.05
-
-[outputs.other]
-signal = "gain.y"
-measure = "maximum"
-
-[choices]
-scenario = ["up.csv", "down.csv"]
-
-[factors."gain.offset"]
-distribution = "values"
-values = [10, 20]
-unit = "mm"
-"""
-)
+MORE = GAIN.replace('"latin"', '"grid"').replace("runs = 12\n", "")
+MORE += Path(__file__).with_name("more.toml").read_text("utf-8")
 OLD = FACTOR.partition("\n")[2]
 TEXT = MORE.replace(OLD, 'distribution = "values"\nvalues = [1, 2]\n').replace('[fixed]\n"gain.u" = 2\n', "")
 Told = Callable[[str, str], str]

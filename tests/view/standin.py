@@ -82,13 +82,7 @@ def pages(
     """The pages of a machine; without parameters it has no scene."""
     plan = SimpleNamespace(description=description, parameters=parameters, findings=())
     session = SimpleNamespace(
-        machine=machine,
-        columns=columns(machine),
-        plan=plan,
-        starts=0,
-        factor=1.0,
-        title="",
-        folders=(),
+        machine=machine, columns=columns(machine), plan=plan, starts=0, factor=1.0, title="", folders=()
     )
     return Pages(session, authority)
 

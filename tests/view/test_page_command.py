@@ -22,14 +22,7 @@ POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.he
 RECORDING = "recording.csv"  # of a test rig, with names of its own
 get = partial(httpx.get, timeout=LONG)
 NONSENSE = (
-    *(
-        "",
-        "garbage",
-        "[]",
-        "{}",
-        '{"do":null}',
-        '{"do":"shown"}',
-    ),
+    *("", "garbage", "[]", "{}", '{"do":null}', '{"do":"shown"}'),
     *(
         '{"do":"start","system":"x.ssp","pose":"","swap":{}}',
         '{"do":"choose","mode":"x"}',

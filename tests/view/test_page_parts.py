@@ -28,17 +28,7 @@ from orchestrator.ssp.load import assemble, load
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants
-from orchestrator.view.live import (
-    AHEAD,
-    BIN,
-    LOST,
-    WINDOW,
-    Credit,
-    History,
-    extremes,
-    next_choice,
-    offered,
-)
+from orchestrator.view.live import AHEAD, BIN, LOST, WINDOW, Credit, History, extremes, next_choice, offered
 from orchestrator.view.server import bound
 from orchestrator.view.session import Session, columns
 

@@ -37,10 +37,7 @@ class Room:
             self.machine, lambda: DESCRIPTION, timeout=TIMEOUT, silence_limit=SILENCE_LIMIT
         )
         self.pages: Any = pages(self.machine, self.authority)
-        for owner, names in (
-            (self.machine, "play pause"),
-            (self.pages.session, "again speed start"),
-        ):
+        for owner, names in ((self.machine, "play pause"), (self.pages.session, "again speed start")):
             for name in names.split():
                 setattr(owner, name, partial(self._note, name))
         socket: Any = None

@@ -15,11 +15,7 @@ class Desk:
     def __init__(self) -> None:
         self.now, self.machine, self.numbers = 100.0, StandIn(), dict[OperatorStation, int]()
         self.authority = ControlAuthority(
-            self.machine,
-            lambda: DESCRIPTION,
-            timeout=0.25,
-            silence_limit=1.0,
-            clock=lambda: self.now,
+            self.machine, lambda: DESCRIPTION, timeout=0.25, silence_limit=1.0, clock=lambda: self.now
         )
         self.status, self.take = self.authority.status, self.authority.take
 

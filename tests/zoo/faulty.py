@@ -15,13 +15,7 @@ from kit.compile import library
 
 from orchestrator.base.compiler import SUFFIX
 
-FLAGS = (
-    "-std=gnu11",
-    "-fno-sanitize=undefined",
-    "-Wno-unused-parameter",
-    "-Wno-infinite-recursion",
-    "-s",
-)
+FLAGS = ("-std=gnu11", "-fno-sanitize=undefined", "-Wno-unused-parameter", "-Wno-infinite-recursion", "-s")
 FLAGS += ("-lrt",) if sys.platform == "linux" else ()
 HANGS = ("spin", "sleep")
 # An FMU that does not fail, but does what no FMU may. benchmarks/hostile.py runs each through each command.
@@ -73,18 +67,7 @@ CALLS = {  # phase -> FMI function, without prefix
 }
 BEGIN = 0.5  # [s]; the fault `step` is committed in the step that begins here
 MEMORY = 0.5  # [GB], the limit in the tests: above the 0.15 GB of a process, below the 4 GB that `leak` takes
-STUDY = """
-system = "{system}"
-method = "grid"
-stop = 1.0
-step = 0.01
-memory_limit = {memory}
-{settings}
-[outputs.end]
-signal = "{output}"
-measure = "final"
-band = true
-"""
+STUDY = Path(__file__).with_name("study.toml").read_text("utf-8")
 
 
 @dataclass(frozen=True)

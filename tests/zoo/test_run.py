@@ -13,7 +13,7 @@ from zoo.faulty import BEGIN, CASES, CAUSES, HANGS, MEMORY, Faulty, faulty, two_
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
 STEP, STOP = 0.01, 1.0  # [s]
-LIMIT = 3.0  # [s]; a run takes a tenth of it
+LIMIT = 1.5  # [s]; the fault is committed after a tenth of it
 QUICK = [("segfault", "step", 2, False), ("spin", "step", 3, True), ("exit_0", "instantiate", 3, True)]
 QUICK += [("nan", "step", 3, False)]
 # each fault, phase and version of FMI alone and swapped into a system

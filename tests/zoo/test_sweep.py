@@ -12,7 +12,7 @@ from zoo.command import command
 from zoo.faulty import CAUSES, FAULTS, PHASES, Faulty, faulty, study, two_lags
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
-LIMIT = 3.0  # [s]; a run takes 20 ms
+LIMIT = 1.5  # [s]; a run takes 20 ms
 
 
 def _sweep(fmus: list[Faulty], folder: Path) -> tuple[pd.DataFrame, str]:

@@ -205,11 +205,11 @@ def _indices(y: Array, rows: Rows) -> Array:
     """S_1 .. S_k, T_1 .. T_k, shape (2 k,), for some of the base samples."""
     standard = (y[rows] - y.mean()) / (y.std() or 1.0)
     a, between, b = standard[:, 0], np.moveaxis(standard[:, 1:-1], 1, 0), standard[:, -1]
-    variance = np.r_[a, b].var()
+    variance = np.concatenate((a, b)).var()
     if variance <= 0:
         return np.zeros(2 * len(between))
     mean_a, mean_b = a.mean(axis=1), b.mean(axis=1)
-    fraction = np.r_[mean_a, mean_b].var() / variance
+    fraction = np.concatenate((mean_a, mean_b)).var() / variance
     first = [
         fraction * first_order(mean_a, ab.mean(axis=1), mean_b) if fraction > 1e-12 else 0.0 for ab in between
     ]

@@ -68,7 +68,7 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
     measure = FIRST if fast else REGRESSION
     crossed = [Effect(e.name, e.kind, {measure: e.estimates[FIRST]}) for e in of_crossed(complete)]
     mean = complete.y.mean(axis=1)
-    fits = [linear_model(complete, mean, ranks)[1] if np.ptp(mean) > 0 else 0.0 for ranks in (False, True)]
+    fits = [LinearModel(complete, mean, ranks).fit if np.ptp(mean) > 0 else 0.0 for ranks in (False, True)]
     reliable = fast or fits[0] >= LEAST_FIT
     values, ranks = (f"{100 * fit:.0f} %" for fit in fits)
     notes = [f"a linear model of the factors explains {values} of the variance, of ranks {ranks}"]
@@ -98,9 +98,12 @@ def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
     fraction = float(y.var()) / float(samples.y.var())
     constant = fraction < 1e-12
     first = _rbd_fast(samples, y, fraction) if fast and not constant else [ZERO] * len(samples.names)
-    coefficients, rank_coefficients = (
-        {} if constant else linear_model(samples, y, ranked)[0] for ranked in (False, True)
-    )
+    models: dict[str, dict[str, float]] = {}
+    coefficients: dict[str, IntervalEstimate] = {}
+    if not constant:
+        linear, ranked = (LinearModel(samples, y, ranks) for ranks in (False, True))
+        models = {"regression": linear.values, "rank_regression": ranked.values}
+        coefficients = linear.intervals()
     directions = rank_correlations(samples, y)
     effects = []
     for i, dimension in enumerate(samples.dimensions):
@@ -112,44 +115,54 @@ def _effects(samples: OutputSamples, fast: bool) -> list[Effect]:
         if isinstance(dimension, Choice):
             first[i] = squared = ZERO if constant else _epsilon_squared(samples.x[:, i], y, fraction)
         estimates = {REGRESSION: squared, **({FIRST: first[i]} if fast else {})}
-        models = {"regression": coefficients, "rank_regression": rank_coefficients}
-        more = {key: model[name].value for key, model in models.items() if name in model}
+        more = {key: values[name] for key, values in models.items() if name in values}
         effects.append(Effect(name, dimension.kind, estimates, more, directions[i]))
     return effects
 
 
-def linear_model(
-    samples: OutputSamples, y: Array, ranks: bool = False
-) -> tuple[dict[str, IntervalEstimate], float]:
-    """Standardised coefficients of the factors that vary, by name, and R^2; for y or for its ranks.
+class LinearModel:
+    """A linear model of y, or of its ranks, in the factors that vary and in the options of choices.
 
-    Intervals are from the bootstrap, because variances differ between samples even without a residual.
+    values   standardised coefficients of factors, and of choices between two options, by name
+    fit      R^2
     """
-    columns, names = [], []
-    for dimension, label, x in zip(samples.dimensions, samples.names, samples.x.T, strict=True):
-        if isinstance(dimension, Choice):
-            added = [(x == option).astype(float) for option in np.unique(x)[1:]]
-        else:
-            added = [rankdata(x) if ranks else x] if np.ptp(x) > 0 else []
-        columns += added
-        names += [label if len(added) == 1 else ""] * len(added)
-    if not columns:
-        return {}, 0.0
-    x = np.column_stack(columns)
-    response = np.asarray(rankdata(y) if ranks else y, np.float64)
 
-    def coefficients(rows: Rows) -> Array:
-        return np.asarray(np.linalg.lstsq(_standard(x[rows]), _standard(response[rows]), rcond=None)[0])
+    def __init__(self, samples: OutputSamples, y: Array, ranks: bool = False) -> None:
+        columns, self._names = list[Array](), list[str]()
+        for dimension, label, x in zip(samples.dimensions, samples.names, samples.x.T, strict=True):
+            if isinstance(dimension, Choice):
+                added = [(x == option).astype(float) for option in np.unique(x)[1:]]
+            else:
+                added = [rankdata(x) if ranks else x] if np.ptp(x) > 0 else []
+            columns += added
+            self._names += [label if len(added) == 1 else ""] * len(added)
+        self.values, self.fit = dict[str, float](), 0.0
+        if not columns:
+            return
+        self._x = np.column_stack(columns)
+        self._y = np.asarray(rankdata(y) if ranks else y, np.float64)
+        values = self._coefficients(np.arange(len(self._y)))
+        residual = _standard(self._y) - _standard(self._x) @ values
+        self.values = {n: float(value) for n, value in zip(self._names, values, strict=True) if n}
+        self.fit = 1.0 - float(np.mean(residual**2))
 
-    estimates = intervals(coefficients, len(response))
-    residual = _standard(response) - _standard(x) @ np.array([e.value for e in estimates])
-    return {n: e for n, e in zip(names, estimates, strict=True) if n}, 1.0 - float(np.mean(residual**2))
+    def _coefficients(self, rows: Rows) -> Array:
+        x, y = _standard(self._x[rows]), _standard(self._y[rows])
+        return np.asarray(np.linalg.lstsq(x, y, rcond=None)[0])
+
+    def intervals(self) -> dict[str, IntervalEstimate]:
+        """Of the values, from the bootstrap: variances differ between samples even without a residual."""
+        if not self._names:
+            return {}
+        estimates = intervals(self._coefficients, len(self._y))
+        return {n: estimate for n, estimate in zip(self._names, estimates, strict=True) if n}
 
 
 def _standard(values: Array) -> Array:
     """Columns scaled to mean 0 and standard deviation 1; constant columns become 0."""
-    deviation = values.std(axis=0)
-    return np.asarray((values - values.mean(axis=0)) / np.where(deviation > 0, deviation, 1.0), np.float64)
+    mean = values.mean(axis=0, keepdims=True)
+    deviation = values.std(axis=0, mean=mean)
+    return np.asarray((values - mean) / np.where(deviation > 0, deviation, 1.0), np.float64)
 
 
 def _epsilon_squared(group: Array, y: Array, fraction: float) -> IntervalEstimate:
