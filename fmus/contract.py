@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import os
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from numbers import Real
 from pathlib import Path
@@ -483,8 +483,9 @@ def _call(sub: Subsystem, function: str, *groups: Any) -> Any:
     if function in ("derive", "initial", "require"):
         if not isinstance(result, Mapping):
             raise _wrong_result(sub, function, "a dictionary", result)
+        known = _symbols(groups)
         for name, value in result.items():
-            _scalar(sub, function, name, value, groups)
+            _scalar(sub, function, name, value, known)
     return result
 
 
@@ -493,18 +494,23 @@ def _evaluate(sub: Subsystem, function: str, group: type[Any], *groups: Any) -> 
     result = _call(sub, function, *groups)
     if not is_dataclass(result) or list(found := flat(result)) != list(quantities(group)):
         raise _wrong_result(sub, function, group.__name__, result)
-    return column(*(_scalar(sub, function, name, value, groups) for name, value in found.items()))
+    known = _symbols(groups)
+    return column(*(_scalar(sub, function, name, value, known) for name, value in found.items()))
 
 
-def _scalar(sub: Subsystem, function: str, name: str, value: Scalar, groups: Sequence[Any]) -> ca.SX:
-    """An expression of x, u and p; raises Problem for anything else."""
+def _symbols(groups: Sequence[Any]) -> set[int]:
+    """Hashes of the symbols of x, u and p."""
+    return {s.__hash__() for g in groups for s in ca.symvar(stack(g))}
+
+
+def _scalar(sub: Subsystem, function: str, name: str, value: Scalar, known: Collection[int]) -> ca.SX:
+    """An expression of known symbols; raises Problem for anything else."""
     try:
         expression = ca.SX(value)
     except (NotImplementedError, TypeError):  # CasADi's answers to a wrong type
         raise _wrong_result(sub, function, f"{name} as one expression", value) from None
     if expression.shape != (1, 1):
         raise _wrong_result(sub, function, f"{name} as one expression", f"shape {expression.shape}")
-    known = {s.__hash__() for g in groups for s in ca.symvar(stack(g))}
     if free := [s.name() for s in ca.symvar(expression) if s.__hash__() not in known]:
         raise _wrong_result(sub, function, f"{name} in terms of x, u and p", f"the symbol {free[0]}")
     return expression
