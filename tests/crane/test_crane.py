@@ -11,7 +11,7 @@ from crane.rigid_bodies import bodies
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
-from kit.cranes import EXAMPLES, changed, checked, crane, machine
+from kit.cranes import EXAMPLES, changed, checked, crane, machine, solved
 from kit.equations import Part
 from kit.mistakes import problem, table
 from kit.properties import examples
@@ -24,9 +24,7 @@ from fmus.crane.check import table as text_of
 from fmus.crane.description import new, read
 from fmus.crane.machine import crane_machine
 from fmus.crane.manipulator import manipulator
-from fmus.machine.machine import wiring
 from fmus.manipulator import MANIPULATOR
-from fmus.monolith import join, simulate
 from fmus.parameters import values
 from orchestrator import load, run
 from orchestrator.base.errors import Mistakes
@@ -146,18 +144,10 @@ def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
     """
     system = load(loader_folder / "loader.ssp")
     found = run(system, stop=20.0, master="jacobi", step=1e-3, record="manipulator.*", swap=swap)
-    chosen = machine().subsystems | machine().feeding | machine().chosen(**swap)
-    model = join(chosen, *wiring(chosen))
-    commands = run(load(loader_folder / "loader.ssp"), stop=20.0, record="operator_input.*")
-    time = np.asarray(commands.time)
-    inputs = np.tile(model.u, (time.size, 1))
-    for k, name in enumerate(model.inputs):
-        if f"operator_input.{name}" in commands:
-            inputs[:, k] = commands[f"operator_input.{name}"]
-    _, outputs = simulate(model, time, inputs, tolerance=1e-9)
+    solution = solved(loader_folder, "loader", 20.0, **swap)
     for name in ("boom_angle", "jib_angle", "extension_extension", "link_angle", "boom_holding_force"):
-        true = outputs[:, model.output_names.index(f"manipulator.{name}")]
-        at = np.interp(found.time, time, true)
+        true = solution[f"manipulator.{name}"]
+        at = np.interp(found.time, solution["time"], true)
         assert np.sqrt(np.mean((found[f"manipulator.{name}"] - at) ** 2)) < 1e-4 * np.ptp(true)
 
 
