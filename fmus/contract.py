@@ -373,7 +373,8 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
             expected = 'Annotated[float, Quantity("unit", "text")]'
             raise Problem(f"{group.__name__}.{name}: expected {expected}, found {quantity!r}")
         heading = quantity.group or heading
-        declared[name] = replace(quantity, group=heading)
+        if quantity.group != heading:
+            declared[name] = replace(quantity, group=heading)
     return _CACHE.setdefault(group, MappingProxyType(declared))
 
 

@@ -28,6 +28,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -88,9 +89,16 @@ def read(path: Path, content: bytes | None = None) -> dict[str, dict[str, Number
     content   of the file; default: what is on disk at `path`
     """
     try:
-        document = toml.read(path, path.read_bytes() if content is None else content).data
+        tables = _parsed(path, path.read_bytes() if content is None else content)
     except OSError as error:
         raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    return {section: dict(entries) for section, entries in tables.items()}
+
+
+@cache
+def _parsed(path: Path, content: bytes) -> dict[str, dict[str, Number]]:
+    """The tables of a file; each variant of a part reads the same one."""
+    document = toml.read(path, content).data
     unknown = set(document) - {"parameters", "start"}
     if unknown:
         raise Problem(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")
@@ -205,7 +213,8 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
             if name in declared:
                 check(path, f"[{section}.{name}]", declared[name], number)
                 listed = f"{name.rpartition('_')[0]}s" if declared[name].listed else ""
-                checked[section][name] = replace(number, listed=listed)
+                same = number.listed == listed
+                checked[section][name] = number if same else replace(number, listed=listed)
             elif name not in sub.names_of_variants and number.listed:
                 raise _too_long(path, number.listed, declared)
             elif name not in sub.names_of_variants:

@@ -90,11 +90,14 @@ class Capacity:
         return float(self.load[near].max()) if near.any() else 0.0
 
 
-def check(crane: CraneDescription) -> list[AxisCheck]:
-    """All axes; a Problem with a line for each mistake."""
+def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> list[AxisCheck]:
+    """All axes; a Problem with a line for each mistake.
+
+    start   `outputs_at_start` of its manipulator, if they are known
+    """
     sub = manipulator(crane)
     of, v = _functions(sub), values(sub)
-    start = outputs_at_start(sub)
+    start = outputs_at_start(sub) if start is None else start
     found, mistakes = list[AxisCheck](), list[str]()
     for joint in crane.driven:
         try:

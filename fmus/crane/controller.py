@@ -243,16 +243,16 @@ def _axis(joint: JointDescription) -> ControlledAxis:
 # ---- numbers
 
 
-def gains_of(crane: CraneDescription, arm: CraneArm) -> dict[str, Number]:
+def gains_of(crane: CraneDescription, arm: CraneArm, pose: Mapping[str, float]) -> dict[str, Number]:
     """Gains as the harvester's, in proportion to the lowest mode w of the axes, and limits of the speeds.
 
     Pistons: k_p = w/4, g = 2 w/3, k_i = 0.4 k_p^2. Column, of its own mode: k_p = w/4, g = 3 k_p, k_i = 0.2
     k_p^2. The lead is the lag of amplifier and valve.
+
+    pose   outputs of the manipulator at its start
     """
-    axes, pressure = (
-        {a.joint.name: a for a in check(crane)},
-        crane.numbers["supply"]["pressure_setting"].value,
-    )
+    axes, supply = {a.joint.name: a for a in check(crane, pose)}, crane.numbers["supply"]
+    pressure = supply["pressure_setting"].value
     turn, *pistons = (axes[j.name] for j in arm.joints)
     low, own = (2 * math.pi * f for f in (min(a.mode for a in pistons), turn.mode))
     name, k, of_column = turn.joint.name, low / 4, own / 4
@@ -282,7 +282,7 @@ def controller(crane: CraneDescription, machine: Machine) -> Subsystem:
     for sub in (manipulator, *(s for n, s in machine.subsystems.items() if n != "manipulator")):
         known |= numbers(sub)["parameters"]
     assumed = {n.replace("swing_", f"{slew}_", 1): x for n, x in shipped.items()}
-    assumed |= gains_of(crane, arm)
+    assumed |= gains_of(crane, arm, pose)
     assumed["nominal_supply_pressure"] = crane.numbers["supply"]["pressure_setting"]
     assumed["centring"] = Number(CENTRING, "1", "assumed", "a third of the speed of the tip at most")
     zero = Number(0.0, "m3/s", "derived", "the valves of the default machine have no compensators")

@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -12,58 +11,46 @@ from crane.rigid_bodies import bodies
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
+from kit.cranes import EXAMPLES, changed, checked, crane, machine, solved
+from kit.equations import Part
 from kit.mistakes import problem, table
 from kit.properties import examples
 from scipy.optimize import brentq
 
 from fmus.components.chain import Payload
-from fmus.contract import nested, quantities, symbolic
+from fmus.contract import nested
 from fmus.crane.check import capacity, check, levers_at_start, lifting_moment
 from fmus.crane.check import table as text_of
 from fmus.crane.description import new, read
 from fmus.crane.machine import crane_machine
 from fmus.crane.manipulator import manipulator
-from fmus.machine.machine import wiring
 from fmus.manipulator import MANIPULATOR
-from fmus.monolith import join, simulate
 from fmus.parameters import values
 from orchestrator import load, run
 from orchestrator.base.errors import Mistakes
 
 NEW = ("compensated", "detailed")
-CRANES = Path(__file__).parents[2] / "examples" / "cranes"
-LOADER = (CRANES / "loader.toml").read_text(encoding="utf-8")
-
-
-@cache
-def loader_machine():
-    """The machine of the loader."""
-    return crane_machine(read(CRANES / "loader.toml"))
-
-
-def changed(folder, *changes):
-    """The file of the loader with other texts."""
-    text = LOADER
-    for old, by in changes:
-        assert old in text
-        text = text.replace(old, by)
-    path = folder / "crane.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def at_start(crane, **parameters):
     """Rates and outputs at the start, the cylinders holding."""
-    sub = manipulator(crane)
-    model, v = symbolic(sub), values(sub)
-    u, p = dict(v.u), {**v.p, **parameters}
-    x = model.initial()(list(v.x.values()), list(u.values()), list(p.values()))
+    of, u = Part(manipulator(crane), **parameters), {}
     for _ in range(2):
-        dx, y = (a.full()[:, 0] for a in model.function()(x, list(u.values()), list(p.values())))
-        shown = dict(zip(quantities(sub.outputs), y, strict=True))
+        dx, shown = of(of.start(), **u)
         for kind in ("force", "torque"):
-            u |= {n: shown[n.replace(kind, f"holding_{kind}")] for n in u if n.endswith(f"_{kind}")}
-    return dict(zip(quantities(sub.states), dx, strict=True)), shown
+            u |= {n: shown[n.replace(kind, f"holding_{kind}")] for n in of.inputs if n.endswith(f"_{kind}")}
+    return dict(zip(of.states, dx, strict=True)), shown
+
+
+@cache
+def loads_of_loader():
+    """Over the strokes of its pistons."""
+    return capacity(crane(), checked())
+
+
+def told_of(crane):
+    """The text of the check; warnings and assumptions do not depend on the loads, which are the loader's."""
+    return text_of(crane, check(crane), loads_of_loader())
 
 
 @table(__file__, "mistakes", "old, by, message")
@@ -104,25 +91,19 @@ def test_a_new_file_is_a_crane(tmp_path):
     assert "exists already" in problem(lambda: new(path))
 
 
-@pytest.mark.parametrize("path", sorted(CRANES.glob("*.toml")), ids=lambda p: p.stem)
-def test_each_example_passes_its_check(path):
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_each_example_passes_its_check(name):
     """No mistake and no doubt; its loads are positive somewhere."""
-    crane = read(path)
-    found = check(crane)
-    loads = capacity(crane, found)
-    assert "warning" not in text_of(crane, found, loads)
+    loads = loads_of_loader() if name == "loader" else capacity(crane(name), checked(name))
+    assert "warning" not in text_of(crane(name), checked(name), loads)
     assert loads.load.max() > 100
 
 
 def test_the_machine_of_the_paper_has_its_holding_forces():
     """At its start pose, with the head as a point mass at the tip: those of the manipulator by hand."""
-    crane = read(CRANES / "feric.toml")
-    _, shown = at_start(crane)
-    own, v = symbolic(MANIPULATOR), values(MANIPULATOR)
-    y = own.function()(
-        own.initial()(*(list(g.values()) for g in (v.x, v.u, v.p))), list(v.u.values()), list(v.p.values())
-    )
-    paper = dict(zip(quantities(MANIPULATOR.outputs), y[1].full()[:, 0], strict=True))
+    _, shown = at_start(crane("feric"))
+    of = Part(MANIPULATOR)
+    _, paper = of(of.start())
     # the head hangs below the tip, which changes no torque of its weight
     for name in ("boom_holding_force", "stick_holding_force", "boom_position", "stick_position"):
         assert shown[name] == pytest.approx(paper[name], rel=1e-12)
@@ -131,7 +112,7 @@ def test_the_machine_of_the_paper_has_its_holding_forces():
 @pytest.mark.parametrize(("pitch", "roll"), [(0.0, 0.0), (0.2, 0.0), (-0.1, 0.15)])
 def test_passive_joints_start_at_rest(pitch, roll):
     """On any slope link and grapple hang, cylinders and the slewing motor hold: nothing moves."""
-    rates, shown = at_start(read(CRANES / "loader.toml"), base_pitch=pitch, base_roll=roll)
+    rates, shown = at_start(crane(), base_pitch=pitch, base_roll=roll)
     assert max(map(abs, rates.values())) < 1e-9
     assert (abs(shown["slew_holding_torque"]) > 1e3) == (roll != 0)
 
@@ -139,12 +120,8 @@ def test_passive_joints_start_at_rest(pitch, roll):
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed", "compensated"])
 def test_the_slewing_motor_holds_its_torque_from_the_start(variant):
     """Its lines begin with the pressures of the torque; the motor's leakage takes less than 1e-4 in them."""
-    drives = loader_machine().families["drives"][variant]
-    model, v = symbolic(drives), values(drives)
-    u = {**v.u, "slew_holding_torque": -8e3}
-    x = model.initial()(list(v.x.values()), list(u.values()), list(v.p.values()))
-    y = model.function()(x, list(u.values()), list(v.p.values()))[1].full()[:, 0]
-    shown = dict(zip(quantities(drives.outputs), y, strict=True))
+    of, held = Part(machine().families["drives"][variant]), {"slew_holding_torque": -8e3}
+    _, shown = of(of.start(held), **held)
     assert shown["slew_torque"] == pytest.approx(-8e3, rel=1e-4)
 
 
@@ -153,7 +130,7 @@ def test_a_crane_on_tyres_has_its_tip(tmp_path):
     tyres = '[tyres]\naxis = "y"\nmass = 1\ninertia = [1, 1, 1]\nstiffness = 1e12\ndamping = 1e5\n'
     slew = '[slew]\naxis = "z"'
     soft = read(changed(tmp_path, (slew, tyres + slew)))
-    (_, own), (_, shown) = (at_start(c) for c in (soft, read(CRANES / "loader.toml")))
+    (_, own), (_, shown) = (at_start(c) for c in (soft, crane()))
     for name in ("crane_tip_radius", "crane_tip_height"):
         assert own[name] == pytest.approx(shown[name], abs=1e-6)  # the spring gives way by 1e-7 rad
 
@@ -167,72 +144,30 @@ def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
     """
     system = load(loader_folder / "loader.ssp")
     found = run(system, stop=20.0, master="jacobi", step=1e-3, record="manipulator.*", swap=swap)
-    machine = loader_machine()
-    chosen = machine.subsystems | machine.feeding | machine.chosen(**swap)
-    model = join(chosen, *wiring(chosen))
-    commands = run(load(loader_folder / "loader.ssp"), stop=20.0, record="operator_input.*")
-    time = np.asarray(commands.time)
-    inputs = np.tile(model.u, (time.size, 1))
-    for k, name in enumerate(model.inputs):
-        if f"operator_input.{name}" in commands:
-            inputs[:, k] = commands[f"operator_input.{name}"]
-    _, outputs = simulate(model, time, inputs, tolerance=1e-9)
+    solution = solved(loader_folder, "loader", 20.0, **swap)
     for name in ("boom_angle", "jib_angle", "extension_extension", "link_angle", "boom_holding_force"):
-        true = outputs[:, model.output_names.index(f"manipulator.{name}")]
-        at = np.interp(found.time, time, true)
+        true = solution[f"manipulator.{name}"]
+        at = np.interp(found.time, solution["time"], true)
         assert np.sqrt(np.mean((found[f"manipulator.{name}"] - at) ** 2)) < 1e-4 * np.ptp(true)
 
 
 def test_a_passive_joint_without_damping_is_a_warning(tmp_path):
     """A line below the tables, no mistake; the example has none."""
-    told = []
-    for crane in (
-        read(CRANES / "loader.toml"),
-        read(changed(tmp_path, ("damping = 60\n\n[grapple]", "\n[grapple]"))),
-    ):
-        found = check(crane)
-        told.append(
-            [line for line in text_of(crane, found, capacity(crane, found)).splitlines() if "warning" in line]
-        )
-    assert told == [
-        [],
-        [f"warning: {tmp_path / 'crane.toml'}: [link] passive and without damping: it swings for ever"],
+    path = changed(tmp_path, ("damping = 60\n\n[grapple]", "\n[grapple]"))
+    assert [line for line in told_of(read(path)).splitlines() if "warning" in line] == [
+        f"warning: {path}: [link] passive and without damping: it swings for ever"
     ]
 
 
 def test_a_small_lever_is_a_warning_and_the_dead_point_ends_a_run(tmp_path):
     """A longer stroke of the boom leaves a tenth of the lever; beyond the dead point the FMU refuses."""
     crane = read(changed(tmp_path, ('stroke = "610 mm"', 'stroke = "666 mm"')))
-    found = check(crane)
-    text = text_of(crane, found, capacity(crane, found))
-    assert re.search(r"\[boom\] lever down to \d+ of 401 mm near an end of the stroke", text)
-    sub = manipulator(crane)
-    model, v = symbolic(sub), values(sub)
-    x = dict(
-        zip(
-            quantities(sub.states),
-            model.initial()(*(list(g.values()) for g in (v.x, v.u, v.p))).full()[:, 0],
-            strict=True,
-        )
-    )
-    required = ca.Function("required", [model.x, model.u, model.p], [model.require])
-    kept = dict(
-        zip(
-            model.statements,
-            required(list(x.values()), list(v.u.values()), list(v.p.values())).full()[:, 0],
-            strict=True,
-        )
-    )
-    assert min(kept.values()) > 0
-    x["boom_angle"] = 1.9  # the lever has passed zero
-    kept = dict(
-        zip(
-            model.statements,
-            required(list(x.values()), list(v.u.values()), list(v.p.values())).full()[:, 0],
-            strict=True,
-        )
-    )
-    assert kept["boom_angle keeps the boom cylinder off its dead point"] < 0
+    assert re.search(r"\[boom\] lever down to \d+ of 401 mm near an end of the stroke", told_of(crane))
+    of = Part(manipulator(crane))
+    required = of.of(of.model.require)
+    assert required(of.start())[0].min() > 0
+    (kept,) = required(of.start(boom_angle=1.9))  # the lever has passed zero
+    assert kept[of.model.statements.index("boom_angle keeps the boom cylinder off its dead point")] < 0
 
 
 def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
@@ -240,17 +175,15 @@ def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
     crane = read(changed(tmp_path, ('valve = "40 mm2", hose = "3 m"', 'flow = "90 l/min", drop = "35 bar"')))
     area = crane.joint("boom")["valve_area"]
     assert 0.62 * area * np.sqrt(2 * 35e5 / 870) == pytest.approx(90 / 6e4, rel=1e-12)
-    found = check(crane)
-    told = text_of(crane, found, capacity(crane, found))
+    told = told_of(crane)
     assert "assumed: [boom] cylinder.dead_volume 0.0003 m3, cylinder.damping 2e+04 N.s/m" in told
     assert "hydraulics.hose 3 m" in told
 
 
 def test_speeds_are_those_of_both_edges_in_series():
     """The steady state without load, by bisection: the forces of both pressures are in balance."""
-    crane = read(CRANES / "loader.toml")
-    supply, density, levers = 215e5, 870.0, levers_at_start(crane)
-    for axis in check(crane)[1:]:
+    supply, density, levers = 215e5, 870.0, levers_at_start(crane())
+    for axis in checked()[1:]:
         joint = axis.joint
         head, rod = (np.pi / 4 * d for d in (joint["bore"] ** 2, joint["bore"] ** 2 - joint["rod"] ** 2))
         gain = 0.62 * joint["valve_area"] * np.sqrt(2 / density)
@@ -264,23 +197,11 @@ def test_speeds_are_those_of_both_edges_in_series():
 
 def test_a_payload_of_the_file_is_held_from_the_start(tmp_path):
     """By the program of the operator, and the pressure of the return line is that of the file."""
-    crane = read(
-        changed(
-            tmp_path,
-            ('on = "grapple"', 'on = "grapple"\nmass = "300 kg"'),
-            ("[supply]", '[supply]\nreturn = "4 bar"'),
-        )
-    )
-    machine = crane_machine(crane)
-    own = values(machine.operator)
-    y = (
-        symbolic(machine.operator)
-        .function()(*(list(g.values()) for g in (own.x, own.u, own.p)))[1]
-        .full()[:, 0]
-    )
-    assert dict(zip(quantities(machine.operator.outputs), y, strict=True))["payload_mass"] == 300
-    engine = machine.families["supply"]["load_sensing"]
-    assert values(engine).p["reservoir_pressure"] == 4e5
+    payload = ('on = "grapple"', 'on = "grapple"\nmass = "300 kg"')
+    own = crane_machine(read(changed(tmp_path, payload, ("[supply]", '[supply]\nreturn = "4 bar"'))))
+    operator = Part(own.operator)
+    assert operator(operator.start())[1]["payload_mass"] == 300
+    assert values(own.families["supply"]["load_sensing"]).p["reservoir_pressure"] == 4e5
 
 
 BOOM = """
@@ -375,29 +296,23 @@ WORKING = (
 def test_energy_closes_with_ground_springs_and_a_force_on_the_tip(tmp_path):
     """At random states: power of drives, tip force and payload less heat is the rate of all energies."""
     crane = read(changed(tmp_path, *WORKING))
-    sub = manipulator(crane)
-    model, v, rng = symbolic(sub), values(sub), np.random.default_rng(3)
-    names, outputs = list(quantities(sub.states)), list(quantities(sub.outputs))
+    of, rng = Part(manipulator(crane)), np.random.default_rng(3)
     stored = ("kinetic_energy", "potential_energy", "stop_energy", "elastic_energy")
-    along = ca.SX.sym("along", model.x.shape[0])
-    y = dict(zip(outputs, ca.vertsplit(model.y), strict=True))
-    rate = ca.jtimes(ca.vertcat(*(y[n] for n in stored)), model.x, along)
-    rates = ca.Function("rates", [model.x, model.u, model.p, along], [rate])
+    y = ca.vertcat(*(of.expressions["y"][n] for n in stored))
+    rates = of.of(ca.jtimes(y, of.model.x, of.model.dx))
     touched = 0
     for _ in range(40):
-        state = {n: rng.uniform(-0.5, 0.5) for n in names} | {"held_mass": 200.0, "payload_flow": 50.0}
+        state = {n: rng.uniform(-0.5, 0.5) for n in of.states} | {"held_mass": 200.0, "payload_flow": 50.0}
         state |= {"boom_angle": rng.uniform(-0.3, 0.3), "jib_angle": rng.uniform(-1.6, -1.0)}
         state |= {"extension_extension": rng.uniform(0.1, 1.7)}
-        u = dict.fromkeys(v.u, 0.0) | {
-            n: rng.uniform(-1e4, 1e4) for n in v.u if "force" in n or "torque" in n
-        }
+        forces = (n for n in of.inputs if "force" in n or "torque" in n)
+        u = dict.fromkeys(of.inputs, 0.0) | {n: rng.uniform(-1e4, 1e4) for n in forces}
         u = {n: 0.0 if n.endswith("_rate") else x for n, x in u.items()}
-        x = [state[n] for n in names]
-        dx, shown = (a.full()[:, 0] for a in model.function()(x, list(u.values()), list(v.p.values())))
-        s = dict(zip(outputs, shown, strict=True))
+        x = np.array([state[n] for n in of.states])
+        _, s = of(x, **u)
         given = sum(u[f"{n}_force"] * s[f"{n}_velocity"] for n in ("boom", "jib", "extension"))
         given += u["slew_torque"] * s["slew_speed"] + s["tip_force_power"] + s["payload_power"]
-        changes = rates(x, list(u.values()), list(v.p.values()), dx).full()[:, 0]
+        (changes,) = rates(x, **u)
         # an identity; the energies of stops and ground are much larger than their sum
         size = np.abs(changes).sum() + abs(given) + s["dissipated_power"]
         assert abs(changes.sum() - given + s["dissipated_power"]) < 1e-9 * size
@@ -420,11 +335,11 @@ def test_a_log_that_is_slewed_needs_its_moment_of_inertia(tmp_path):
     """m L^2/12 about the slewing axis beside the point mass."""
     point, log = (read(changed(tmp_path, ("[start]", "[start]"), *c)) for c in ((), WORKING[1:2]))
     found = []
-    for crane in (point, log):
-        sub = manipulator(crane)
+    for each in (point, log):
+        sub = manipulator(each)
         own, v = sub.dynamics.__self__, values(sub)
         p = nested(own.parameters, v.p)
-        q = ca.DM([v.p[f"initial_{j.coordinate}"] for j in crane.joints if not j.follows])
+        q = ca.DM([v.p[f"initial_{j.coordinate}"] for j in each.joints if not j.follows])
         motion = own.chain(p).equations(ca.SX(q), ca.SX(q * 0), own.payload(300, p))
         found.append(float(ca.evalf(motion.mass[0, 0])))
     assert found[1] - found[0] == pytest.approx(300 * 4**2 / 12, rel=1e-9)
@@ -465,17 +380,14 @@ def test_any_crane_moves_as_in_pinocchio(tmp_path_factory, text, seed):
     path = tmp_path_factory.mktemp("random") / "crane.toml"
     path.write_text(text, encoding="utf-8")
     crane, rng = read(path), np.random.default_rng(seed)
-    sub = manipulator(crane)
-    model, v = symbolic(sub), values(sub)
-    x = dict(zip(quantities(sub.states), rng.uniform(-1, 1, model.x.shape[0]), strict=True))
+    of = Part(manipulator(crane))
+    x = dict(zip(of.states, rng.uniform(-1, 1, len(of.states)), strict=True))
     x |= {"held_mass": rng.uniform(0, 300), "payload_flow": 0.0}
-    u = {n: rng.uniform(-1e3, 1e3) if n.endswith("torque") else 0.0 for n in quantities(sub.inputs)}
-    given_values = [list(d.values()) for d in (x, u, v.p)]
-    dx, y = (a.full()[:, 0] for a in model.function()(*given_values))
-    rates = dict(zip(quantities(sub.states), dx, strict=True))
-    shown = dict(zip(quantities(sub.outputs), y, strict=True))
-    own = sub.dynamics.__self__
-    chain = own.chain(nested(own.parameters, v.p))
+    u = {n: rng.uniform(-1e3, 1e3) if n.endswith("torque") else 0.0 for n in of.inputs}
+    dx, shown = of(np.array([*x.values()]), **u)
+    rates = dict(zip(of.states, dx, strict=True))
+    own = of.sub.dynamics.__self__
+    chain = own.chain(nested(own.parameters, of.p))
     numbers = [
         replace(
             link,
@@ -486,7 +398,7 @@ def test_any_crane_moves_as_in_pinocchio(tmp_path_factory, text, seed):
         )
         for link in chain.links
     ]
-    load = Payload(len(numbers) - 1, tuple(v.p[f"tip_at_{n}"] for n in "xyz"), x["held_mass"])
+    load = Payload(len(numbers) - 1, tuple(of.p[f"tip_at_{n}"] for n in "xyz"), x["held_mass"])
     tree, data = bodies(pin, numbers, [float(g) for g in chain.gravity], load)
     columns = [
         [d[n] for d, n in zip((x, x, rates), (j.coordinate, *[f"{j.name}_speed"] * 2), strict=True)]

@@ -11,19 +11,15 @@ import pytest
 from fmpy import simulate_fmu
 from fmpy.validation import validate_fmu
 from kit import shards
+from kit.cranes import crane, solved
 from kit.work_cycle import load
 
-from fmus.crane.description import read
-from fmus.crane.machine import build_crane, crane_machine
-from fmus.machine.machine import wiring
-from fmus.monolith import join, simulate
-from orchestrator import run
+from fmus.crane.machine import build_crane
 from orchestrator.__main__ import main
 from orchestrator.modelica import write_package
 
 pytestmark = shards.tools
 
-CRANES = Path(__file__).parents[2] / "examples" / "cranes"
 STOP = 12.0  # s: strokes of the first levers
 SHOWN = {
     "loader": ("slew_angle", "boom_angle", "jib_angle", "extension_extension", "link_angle"),
@@ -44,20 +40,10 @@ class Built(NamedTuple):
 def built(request, tmp_path_factory):
     """FMUs, system and solution of a crane."""
     name = request.param
-    crane, folder = read(CRANES / f"{name}.toml"), tmp_path_factory.mktemp(name)
-    build_crane(crane, folder)
-    machine = crane_machine(crane)
-    chosen = machine.subsystems | machine.feeding
-    model = join(chosen, *wiring(chosen))
-    commands = run(folder / f"{name}.ssp", stop=STOP, record="operator_input.*")
-    time = np.asarray(commands.time)
-    inputs = np.tile(model.u, (time.size, 1))
-    for k, n in enumerate(model.inputs):
-        if f"operator_input.{n}" in commands:
-            inputs[:, k] = commands[f"operator_input.{n}"]
-    _, outputs = simulate(model, time, inputs, tolerance=1e-9)
-    rows = {n: outputs[:, model.output_names.index(f"manipulator.{n}")] for n in SHOWN[name]}
-    return Built(name, folder, time, rows)
+    folder = tmp_path_factory.mktemp(name)
+    build_crane(crane(name), folder)
+    solution = solved(folder, name, STOP)
+    return Built(name, folder, solution["time"], {n: solution[f"manipulator.{n}"] for n in SHOWN[name]})
 
 
 def agrees(built, time, found, limit):

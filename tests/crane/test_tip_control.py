@@ -2,23 +2,21 @@
 
 import math
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
-from crane.test_crane import changed
 from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
+from kit.cranes import changed, checked, machine
 from kit.equations import Part
 from kit.mistakes import problem
 
 from fmus.contract import column, nested
 from fmus.controller import CONTROLLER
 from fmus.controller.arm import Cylindrical
-from fmus.crane.check import check
 from fmus.crane.controller import controlled, hanging_sway, start_pose
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine, tracked
@@ -27,10 +25,9 @@ from fmus.package_files import PACKAGE
 from fmus.parameters import values
 from orchestrator import load
 
-CRANES = Path(__file__).parents[2] / "examples" / "cranes"
-LOADER = crane_machine(read(CRANES / "loader.toml")).controller
+LOADER = machine().controller
 ARM, P = LOADER.dynamics.__self__.arm, values(LOADER).p
-RANGES = {a.joint.name: (a.low, a.high) for a in check(read(CRANES / "loader.toml")) if math.isfinite(a.low)}
+RANGES = {a.joint.name: (a.low, a.high) for a in checked() if math.isfinite(a.low)}
 POSES = st.tuples(*(st.floats(low + 0.02 * (high - low), high) for low, high in RANGES.values()))
 SPEED = st.floats(-1.0, 1.0)
 
@@ -60,7 +57,7 @@ def test_a_crane_like_the_harvester_is_controlled_like_it():
 
     examples/cranes/feric.toml has the same pins and cylinders; valves, lines and gains are made the same.
     """
-    sub = crane_machine(read(CRANES / "feric.toml")).controller
+    sub = machine("feric").controller
     own, shipped, shown = Part(sub), Part(CONTROLLER), values(CONTROLLER)
     assert (own.states, own.inputs) == (shipped.states, shipped.inputs)
     p, same = dict(values(sub).p), {"swing_line": "line", "swing_motor": "motor", "swing_gear": "gear"}
@@ -155,7 +152,7 @@ def test_a_place_out_of_reach_is_told():
 
 def test_the_sway_of_a_grapple_is_the_mean_of_its_axes():
     """Of loader.toml by hand: link and grapple together about the pin, the grapple alone about its axis."""
-    arm = crane_machine(read(CRANES / "loader.toml")).subsystems["manipulator"]
+    arm = machine().subsystems["manipulator"]
     as_it_is = SimpleNamespace(real_parameters=dict, value=lambda _: 0.0)
     both = (0.3 + 20 * 0.15**2 + 15 + 180 * 0.8**2) / (20 * 0.15 + 180 * 0.8)
     alone = (15 + 180 * 0.5**2) / (180 * 0.5)

@@ -16,11 +16,9 @@ RNG = np.random.default_rng(5)
 
 def states(fit, columns, right):
     """Sums of the normal equations, without fading."""
-    sums = dict.fromkeys(fit.states, 0.0)
-    for c, y in zip(columns, right, strict=True):
-        rates = fit.rates(SimpleNamespace(**dict.fromkeys(fit.states, 0.0)), 1.0, [(list(c), y)], 1e9)
-        sums = {n: sums[n] + float(rates[n]) for n in sums}
-    return SimpleNamespace(**sums)
+    empty = SimpleNamespace(**dict.fromkeys(fit.states, 0.0))
+    equations = [(list(c), y) for c, y in zip(columns, right, strict=True)]
+    return SimpleNamespace(**{n: float(s) for n, s in fit.rates(empty, 1.0, equations, 1e9).items()})
 
 
 def test_sizes_that_are_not_negative_are_those_of_scipy():

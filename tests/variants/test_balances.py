@@ -2,7 +2,6 @@
 
 from dataclasses import is_dataclass, replace
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
@@ -10,12 +9,11 @@ import numpy as np
 import pytest
 from equations import transcription
 from equations.circuits_transcription import air
+from kit.cranes import machine
 from kit.equations import Part, cavity, piston_areas
 
 from fmus import boom_stick, swing
 from fmus.contract import Subsystem, family, quantities, symbols
-from fmus.crane.description import read
-from fmus.crane.machine import crane_machine
 from fmus.drives import cylinder, motor
 from fmus.drives.compensated import COMPENSATED
 from fmus.drives.cylinder import CYLINDER
@@ -55,7 +53,7 @@ def crane(variant: str, fidelity: Fidelity) -> Subsystem:
 FIDELITIES = {"lumped": LUMPED, "quasistatic": QUASISTATIC, "compensated": COMPENSATED}
 FIDELITIES["detailed"] = detailed(lambda axis: 1 + len(axis.name) % 2)
 CRANES = family("crane", **{variant: crane(variant, fidelity) for variant, fidelity in FIDELITIES.items()})
-LOADER = crane_machine(read(Path(__file__).parents[2] / "examples/cranes/loader.toml")).families["drives"]
+LOADER = machine().families["drives"]
 DRIVES = {f"{part} {name}": sub for part in PARTS for name, sub in FAMILIES[part].items()} | {
     "swing, three lumps": swing.with_lumps(3),
     "boom_stick, different lumps": boom_stick.with_lumps({"boom": 1, "stick": 4}),

@@ -3,14 +3,12 @@
 import casadi as ca
 import numpy as np
 import pytest
+from kit.cranes import machine
 from kit.equations import Part
 from variants.test_additions import flows, point
 
 from fmus.contract import quantities
-from fmus.crane.description import read
-from fmus.crane.machine import crane_machine
 from fmus.machine.parts import FERIC, with_faults
-from fmus.package_files import data
 from orchestrator import run
 from orchestrator.base.errors import Problem
 
@@ -119,11 +117,10 @@ def test_a_valve_with_a_fault():
 
 def test_a_crane_has_faults_of_its_joints():
     """Inputs by joint and part; without a fault its drives are those of the healthy crane."""
-    crane = read(data("../examples/cranes/loader.toml"))
-    machine = crane_machine(crane, faults=True)
-    named = {n for sub in machine.components.values() for n in faults(sub)} | {*faults(machine.actuation)}
+    made = machine(faults=True)
+    named = {n for sub in made.components.values() for n in faults(sub)} | {*faults(made.actuation)}
     assert named >= {"boom_head_leak", "slew_leak_a", "extension_seal_leakage", "jib_spool_stuck"}
-    healthy, faulty = (Part(m.subsystems["drives"]) for m in (crane_machine(crane), machine))
+    healthy, faulty = (Part(m.subsystems["drives"]) for m in (machine(), made))
     x, u = point(healthy, np.random.default_rng(4))
     assert faulty(x, **u)[0] == pytest.approx(healthy(x, **u)[0], rel=1e-12)
 

@@ -4,12 +4,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from kit import shards
+from kit.cranes import machine
 from kit.equations import Part
 from scipy.integrate import solve_ivp
 
 from fmus.controller.paths import start_angles
-from fmus.crane.description import read
-from fmus.crane.machine import crane_machine
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FERIC, with_faults
 from fmus.machine.path_following import first_point, follow, read_machine
@@ -92,14 +91,13 @@ def test_faults_of_a_sensor():
 
 def test_a_machine_with_faults_has_sensors_for_all_that_its_controller_measures():
     """Each measured input of the controller comes from a reading; the other wires are the same."""
-    crane = read(data("../examples/cranes/loader.toml"))
-    for machine in (with_faults(), crane_machine(crane, faults=True)):
-        wires, own = machine.sensed(machine.controller_wires), machine.sensors.name
+    for made in (with_faults(), machine(faults=True)):
+        wires, own = made.sensed(made.controller_wires), made.sensors.name
         into = {target: source for source, target in wires}
-        for name in machine.measured:
+        for name in made.measured:
             assert into[f"controller.{name}"] == f"{own}.{name}_measured"
-            assert (into[f"{own}.{name}"], f"controller.{name}") in machine.controller_wires
-        others = {w for w in machine.controller_wires if w[1].partition(".")[2] not in machine.measured}
+            assert (into[f"{own}.{name}"], f"controller.{name}") in made.controller_wires
+        others = {w for w in made.controller_wires if w[1].partition(".")[2] not in made.measured}
         assert others <= set(wires)
     assert FERIC.sensed(FERIC.controller_wires) == FERIC.controller_wires
 
