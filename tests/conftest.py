@@ -55,7 +55,7 @@ def pytest_runtest_setup() -> None:
     os.environ.pop("PYTEST_CURRENT_TEST", None)
 
 
-pytest_pyfunc_call = pytest_runtest_setup
+pytest_pyfunc_call = pytest_fixture_setup = pytest_runtest_setup
 
 
 @pytest.fixture(scope="session")

@@ -78,21 +78,24 @@ def nonzeros(matrix: ca.SX) -> dict[Entry, ca.SX]:
 
 def pivot_order(n: int, entries: Collection[Entry]) -> list[int]:
     """The order of the pivots of an n x n matrix: the next pivot is the one with the least fill-in."""
-    filled = {(i, i) for i in range(n)} | set(entries)
-    remaining, pivots = set(range(n)), list[int]()
+    right, below = ([set[int]() for _ in range(n)] for _ in range(2))  # of the diagonal: columns, rows
+    for i, j in entries:
+        if i != j:
+            right[i].add(j)
+            below[j].add(i)
+    remaining, pivots = list(range(n)), list[int]()
+
+    def fill_in(k: int) -> tuple[int, int]:
+        return sum(len(right[k] - right[i] - {i}) for i in below[k]), len(below[k]) * len(right[k])
+
     while remaining:
-        updates = {
-            k: [
-                (i, j)
-                for i in remaining - {k}
-                if (i, k) in filled
-                for j in remaining - {k}
-                if (k, j) in filled
-            ]
-            for k in sorted(remaining)
-        }
-        best = min(updates, key=lambda k: (len(set(updates[k]) - filled), len(updates[k])))
-        filled.update(updates[best])
+        best = min(remaining, key=fill_in)
+        for i in below[best]:
+            right[i] |= right[best] - {i}
+            right[i].remove(best)
+        for j in right[best]:
+            below[j] |= below[best] - {j}
+            below[j].remove(best)
         remaining.remove(best)
         pivots.append(best)
     return pivots
