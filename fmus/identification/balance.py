@@ -305,9 +305,9 @@ def evaluated(function: ca.Function, *arguments: Array) -> list[Array]:
     results = [np.empty(n * function.size1_out(i)) for i in range(function.n_out())]
     buffer, run = _mapped(function, n).buffer()
     for i, x in enumerate(given):
-        buffer.set_arg(i, memoryview(x))
+        buffer.set_arg(i, x.data)  # type: ignore[call-arg]  # its stub is that of C++
     for i, y in enumerate(results):
-        buffer.set_res(i, memoryview(y))
+        buffer.set_res(i, y.data)  # type: ignore[call-arg]
     run()
     return [np.ascontiguousarray(y.reshape(n, -1).T) for y in results]
 
