@@ -98,7 +98,7 @@ def law(
     return Law(
         unknowns=tuple(unknowns),
         rows=force.shape[0],
-        terms=ca.Function("terms", arguments, [ca.densify(both), *derivatives[:2]]),
+        terms=ca.Function("terms", arguments, [ca.densify(both), *derivatives[:2]], {"cse": True}),
         by_known=ca.Function("by_known", arguments, derivatives[2:]),
         by_squares=ca.Function("by_squares", [*arguments, sd], [ca.densify(by_squares)], {"cse": True}),
     )
