@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -98,7 +98,7 @@ def law(
     return Law(
         unknowns=tuple(unknowns),
         rows=force.shape[0],
-        terms=ca.Function("terms", arguments, [ca.densify(both), *derivatives[:2]]),
+        terms=ca.Function("terms", arguments, [ca.densify(both), *derivatives[:2]], {"cse": True}),
         by_known=ca.Function("by_known", arguments, derivatives[2:]),
         by_squares=ca.Function("by_squares", [*arguments, sd], [ca.densify(by_squares)], {"cse": True}),
     )
@@ -175,14 +175,70 @@ class Samples:
         f, h = (sliding_window_view(x, size, axis=-1)[..., self.starts, :] for x in (force, momentum))
         return np.asarray(f @ self.bump - h @ self.slope)
 
-    def by_samples(self, g: Array) -> Any:
-        """`Linear.g` as a sparse matrix (m rows, k n), its rows in the order of `flat`."""
+    def by_samples(self, g: Array) -> BySamples:
+        """`Linear.g` as a matrix."""
         k, r, m, size = g.shape
+        if self.steady and r == 1:
+            return BySample(g[:, 0, :, 0], self.starts, self.raw.shape)
         under = self.starts[:, None] + np.arange(size)
         columns = np.arange(k)[:, None] * self.raw.shape[1] + under[:, None, None]
         indices = np.broadcast_to(columns, (m, r, k, size)).ravel()
         ends = np.arange(m * r + 1) * k * size
-        return sparse.csr_array((g.transpose(2, 1, 0, 3).ravel(), indices, ends), (m * r, self.raw.size))
+        matrix = sparse.csr_array((g.transpose(2, 1, 0, 3).ravel(), indices, ends), (m * r, self.raw.size))
+        return ByWindow(matrix, self.raw.shape)
+
+
+@dataclass(frozen=True)
+class ByWindow:
+    """G of balances over windows: a sparse matrix (m rows, k n), its rows in the order of `flat`."""
+
+    matrix: Any
+    shape: tuple[int, ...]
+
+    def times(self, samples: Array) -> Array:
+        """G y for samples (k, n), shape (N,)."""
+        return np.asarray(self.matrix @ samples.ravel())
+
+    def transposed(self, weights: Array) -> Array:
+        """G' w, shape (k, n)."""
+        return np.asarray(self.matrix.T @ weights).reshape(self.shape)
+
+    def covariance(self, variance: Array) -> Array:
+        """Lower bands of G diag(variance) G' for variances (k, n)."""
+        lower = sparse.tril(self.matrix * variance.ravel() @ self.matrix.T).todia()
+        bands = np.zeros((1 - lower.offsets.min(), self.matrix.shape[0]))
+        bands[-lower.offsets] = lower.data
+        return bands
+
+
+@dataclass(frozen=True)
+class BySample:
+    """G of balances of one row and one sample each, (k, m): as `ByWindow`, which takes ten times as long."""
+
+    g: Array
+    starts: Indices
+    shape: tuple[int, ...]
+
+    def times(self, samples: Array) -> Array:
+        """As that of `ByWindow`."""
+        return self._summed(self.g * samples[:, self.starts])
+
+    def transposed(self, weights: Array) -> Array:
+        """As that of `ByWindow`."""
+        back = np.zeros(self.shape)
+        back[:, self.starts] += self.g * weights
+        return back
+
+    def covariance(self, variance: Array) -> Array:
+        """As that of `ByWindow`."""
+        return self._summed(self.g * variance[:, self.starts] * self.g)[None]
+
+    def _summed(self, terms: Array) -> Array:
+        """The sum over the sensors, one after the other as a product of sparse matrices adds them."""
+        return sum(terms, start=np.zeros(terms.shape[1]))
+
+
+BySamples: TypeAlias = ByWindow | BySample
 
 
 def hop(size: int) -> int:
@@ -238,10 +294,34 @@ class Linear:
     g: Array
 
 
+def evaluated(function: ca.Function, *arguments: Array) -> list[Array]:
+    """The results (rows, n) of a function at samples (k, n) and constants (k,).
+
+    They pass through buffers: CasADi's own matrices take most of the time of a fit.
+    """
+    n = max(x.shape[1] for x in arguments if x.ndim == 2)
+    columns = [x.T if x.ndim == 2 else np.broadcast_to(x, (n, x.size)) for x in arguments]
+    given = [np.ascontiguousarray(x, dtype=float).reshape(-1) for x in columns]
+    results = [np.empty(n * function.size1_out(i)) for i in range(function.n_out())]
+    buffer, run = _mapped(function, n).buffer()
+    for i, x in enumerate(given):
+        buffer.set_arg(i, x.data)  # type: ignore[call-arg]  # its stub is that of C++
+    for i, y in enumerate(results):
+        buffer.set_res(i, y.data)  # type: ignore[call-arg]
+    run()
+    return [np.ascontiguousarray(y.reshape(n, -1).T) for y in results]
+
+
+@lru_cache(maxsize=64)
+def _mapped(function: ca.Function, n: int) -> ca.Function:
+    """The function at n samples, which takes as long to make as to evaluate."""
+    return function.map(n)
+
+
 def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
     """The balance at samples (k, n) and parameters in the order of the law's unknowns."""
     z, r, size = s.filtered(raw), s.law.rows, s.bump.size
-    both, by_z, by_theta = (x.full() for x in s.law.terms(z, theta, s.known))
+    both, by_z, by_theta = evaluated(s.law.terms, z, theta, s.known)
     by_z, by_theta = (x.reshape(-1, 2 * r, z.shape[1]) for x in (by_z, by_theta))
     g = np.zeros((len(s.sensors), r, s.starts.size, size + s.taps - 1))
     if s.steady:
@@ -265,7 +345,7 @@ def squares_of_noise(s: Samples, true: Array, theta: Array) -> Array:
     variance = np.broadcast_to(s.sd**2, true.shape)
     kernels = ((variance[sensor], kernel**2) for sensor, kernel in s.channels)
     sds = np.sqrt(variance if s.steady else [np.correlate(*both, "valid") for both in kernels])
-    mean, r = s.law.by_squares(s.filtered(true), theta, s.known, sds).full(), s.law.rows
+    (mean,), r = evaluated(s.law.by_squares, s.filtered(true), theta, s.known, sds), s.law.rows
     return s.integral(mean[:r], mean[r:])
 
 
@@ -286,7 +366,7 @@ class Whitened:
     """
 
     linear: Linear
-    g: Any
+    g: BySamples
     factor: Array
     columns: Array
     e: Array
@@ -299,7 +379,7 @@ class Whitened:
     def most_probable(self, measured: Array, variance: Array) -> Array:
         """The true signals y - sd^2 G' S^-1 e, for samples y of this variance."""
         weighted = dtbtrs(self.factor, self.e[:, None], uplo="L", trans="T")[0][:, 0]
-        return np.asarray(measured - variance * (self.g.T @ weighted).reshape(measured.shape))
+        return np.asarray(measured - variance * self.g.transposed(weighted))
 
 
 def whitened(
@@ -314,10 +394,8 @@ def whitened(
     theta = np.array([x[n] for n in s.names])
     linear = linearised(s, true, theta)
     g = s.by_samples(linear.g)
-    e = flat(linear.e - squares_of_noise(s, true, theta)) + g @ (measured - true).ravel()
-    lower = sparse.tril(g * np.broadcast_to(s.sd**2, true.shape).ravel() @ g.T).todia()
-    bands = np.zeros((1 - lower.offsets.min(), e.size))
-    bands[-lower.offsets] = lower.data
+    e = flat(linear.e - squares_of_noise(s, true, theta)) + g.times(measured - true)
+    bands = g.covariance(np.broadcast_to(s.sd**2, true.shape))
     bands[0] *= 1 + 1e-12  # rounding
     columns = dict(zip(s.names, linear.by_theta, strict=True))
     columns |= dict(zip(s.sensors, -linear.g.sum(axis=-1), strict=True))
@@ -325,7 +403,7 @@ def whitened(
         width = min(SLOPE, s.raw.shape[1] - 1 | 1)
         slopes = savgol_filter(measured, width, 3, deriv=1, delta=1 / s.rate, axis=1)
     for name, late in delays.items():
-        by_delay = g @ (np.isin(s.sensors, list(late))[:, None] * slopes).ravel()
+        by_delay = g.times(np.isin(s.sensors, list(late))[:, None] * slopes)
         columns[name] = by_delay.reshape(-1, s.law.rows).T
     every = flat(np.array([columns.get(n, np.zeros_like(linear.e)) for n in x]))
     linear = replace(linear, e=e.reshape(-1, s.law.rows).T)
@@ -532,7 +610,7 @@ class Solution:
         each = np.split(influence[:estimates], _ends(self.samples), axis=1)
         for s, part, own in zip(self.samples, self.parts, each, strict=True):
             at = np.array([theta.get(n, 0.0) for n in s.names])
-            terms = s.law.by_known(s.filtered(s.raw), at, s.known).full()
+            (terms,) = evaluated(s.law.by_known, s.filtered(s.raw), at, s.known)
             terms = terms.reshape(s.known.size, 2, s.law.rows, -1)
             total += own @ part.whiten(flat(s.integral(terms[:, 0], terms[:, 1]))).T
         return total

@@ -158,12 +158,11 @@ def ramp(z: float, width: float) -> float:
 
 def opening(p: Group, edge: str, volts: float) -> float:
     """Opening [1] of an edge that a positive command opens, section 2; by SciPy if there is a table."""
-    table = [
-        (getattr(p, f"valve_{edge}_command_{i}"), getattr(p, f"valve_{edge}_opening_{i}"))
-        for i in range(1, 11)
-    ]
-    v, a = zip(*(point for i, point in enumerate(table) if i == 0 or point[0] > 0), strict=True)
-    if len(v) > 1:
+    if getattr(p, f"valve_{edge}_command_2") > 0:
+        numbered = [
+            [getattr(p, f"valve_{edge}_{n}_{i}") for n in ("command", "opening")] for i in range(1, 11)
+        ]
+        v, a = zip(*(point for i, point in enumerate(numbered) if i == 0 or point[0] > 0), strict=True)
         # the flat start of the curve is that of a closed interval before it
         inside = PchipInterpolator([v[0] - 1.0, *v], [0.0, *a])
         return float(inside(min(volts, v[-1]))) if volts > v[0] else 0.0

@@ -14,6 +14,7 @@ from kit.mistakes import refused, table
 from fmus.identification import pipeline
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
+from fmus.identification.report import attribution
 from fmus.identification.results import Finding
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
@@ -134,8 +135,10 @@ def test_the_joint_refinement_returns_the_machine(everything, here, capsys, monk
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_swapped_levers_are_warned_of(recordings, here, capsys):
+def test_swapped_levers_are_warned_of(recordings, here, capsys, monkeypatch):
     """A model that does not follow its training data is a warning, with advice."""
+    # of the effects that may explain it one is simulated: tests/identification/report
+    monkeypatch.setattr(attribution, "EFFECTS", {"swinging head": {"manipulator": "pendulum"}})
     here(recordings, "machine_train_1")
     boom, stick = '[signals."boom_stick.boom_command"]', '[signals."boom_stick.stick_command"]'
     # each header gets the column of the other lever

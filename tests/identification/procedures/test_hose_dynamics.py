@@ -130,7 +130,7 @@ def test_the_delay_of_a_logger_is_taken_out_and_named(late, delay):
 
     From half a sample on only the delay is named.
     """
-    result = hoses.identify_dynamics(bench.moving_hose(1, late=late, delay=delay), bench.KNOWN)
+    result = hoses.identify_dynamics(bench.moving_hose(1, length=6.0, late=late, delay=delay), bench.KNOWN)
     assert [f.fault for f in named(result.findings)] == ["time shift"] * (delay > 0.0025)
     found = bench.named(result)
     for name, truth in TRUTHS:

@@ -1,6 +1,7 @@
 """Joint refinement of the harvester: its lumped model against its own simulation with the paper's sensors."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ SENSORS = {
 }
 
 
+@cache
 def machine_recording(seconds: float) -> Recording:
     """The beginning of the work cycle with noise, quantisation and the dead zones of the flow meters."""
     time = np.arange(round(200 * seconds) + 1) / 200

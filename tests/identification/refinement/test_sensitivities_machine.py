@@ -163,12 +163,18 @@ def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
     assert (np.abs(found - expected).max(axis=0) < 1e-6 * np.abs(found).max(axis=0)).all()
 
 
+@cache
+def whole_run() -> SegmentSolution:
+    """All of it in one segment."""
+    machine, rows, x0, _ = started(1e-10)
+    return machine.segment(x0, machine.p0, TIME, rows)
+
+
 @examples(10)
 @given(cut=st.integers(1, TIME.size - 2))
 def test_two_pieces_are_one(cut: int) -> None:
     """Two consecutive segments give the whole by the chain rule, as multiple shooting requires."""
-    machine, rows, x0, _ = started(1e-10)
-    whole = machine.segment(x0, machine.p0, TIME, rows)
+    (machine, rows, x0, _), whole = started(1e-10), whole_run()
     first = machine.segment(x0, machine.p0, TIME[: cut + 1], rows[: cut + 1])
     second = machine.segment(first.x, machine.p0, TIME[cut:], rows[cut:])
     assert np.array_equal(first.y, whole.y[: cut + 1])

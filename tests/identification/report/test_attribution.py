@@ -35,6 +35,12 @@ def excitation():
 
 
 @pytest.fixture(scope="module")
+def default(excitation):
+    """What the machine does."""
+    return predict(excitation, {})
+
+
+@pytest.fixture(scope="module")
 def effects(excitation):
     """Change of angles, pressures and flows by each effect."""
     signals = ("angle", "pressure", "pressure_a", "pressure_b", "flow_a", "head_flow")
@@ -120,9 +126,9 @@ def test_without_an_unexplained_residual_no_effect_is_simulated(excitation, monk
     assert attribution.attribute(compare(recording, dict(recording.signals)), {}).shares == ()
 
 
-def test_parameters_and_an_effect_are_told_apart(excitation, effects):
+def test_parameters_and_an_effect_are_told_apart(excitation, default, effects):
     """A wrong damping is one of parameters; dry friction is found, although it resembles damping."""
-    default, damped = (predict(excitation, {DAMPING: 300.0 * factor}) for factor in (1.0, 1.001))
+    damped = predict(excitation, {DAMPING: 300.0 * 1.001})
     slope = {DAMPING: {n: damped[n] - y for n, y in default.items()}}
     explanation = attribution.explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
     assert explanation.effect == ""
@@ -135,11 +141,11 @@ def test_parameters_and_an_effect_are_told_apart(excitation, effects):
 
 
 @pytest.mark.parametrize("delay", [0.01, -0.015])
-def test_commands_at_another_time_are_named_with_their_delay(excitation, effects, delay):
+def test_commands_at_another_time_are_named_with_their_delay(excitation, default, effects, delay):
     """The machine acts on the commands of other times."""
     moved = {n: MOVES[n].sample(excitation.time - delay) for n in COMMANDS}
-    now, then = (predict(e, {}) for e in (excitation, replace(excitation, commands=moved)))
-    residual = {n: then[n] - now[n] for n in effects[attribution.LATE]}
+    then = predict(replace(excitation, commands=moved), {})
+    residual = {n: then[n] - default[n] for n in effects[attribution.LATE]}
     explanation = attribution.explain(noisy(residual, 0.1), effects, step=STEP)
     assert explanation.effect == (attribution.LATE if delay > 0 else attribution.EARLY)
     told = float(re.search(r"`delay = (\S+)` at each command", explanation.verdict)[1])
