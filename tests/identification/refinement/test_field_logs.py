@@ -122,7 +122,7 @@ def write(folder: Path, columns: dict[str, np.ndarray], keys: dict[str, dict[str
 
 # each way of logging with the keys for it, at the slowest clock; an undisturbed log is a part of all
 # and three delays to be found are in test_delays.py
-OTHERS = ("as it was", "50 Hz", "codes that are stated", "empty cells", "commands 10, 40 and 100 ms early")
+OTHERS = ("as it was", "50 Hz", "codes at the supply", "empty cells", "commands 10, 40 and 100 ms early")
 QUICK = {*LOGS} - {*OTHERS}
 
 
