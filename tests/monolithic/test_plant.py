@@ -94,11 +94,8 @@ def test_a_loop_through_components_with_states(fmu):
 @pytest.mark.parametrize(
     ("before", "after", "u"),
     [
-        (
-            (0.0, 0.0),
-            (0.0, 1.0),
-            0.5,
-        ),  # a slope of 0.75 in place of 0 leaves 75 % of the error in an iteration
+        # a slope of 0.75 in place of 0 leaves 75 % of the error in an iteration
+        ((0.0, 0.0), (0.0, 1.0), 0.5),
         ((4.0, 0.0), (1.625, 0.59375), 2.001),  # near to the solution: 8.75 in place of 4 leaves 95 %
     ],
 )
@@ -112,9 +109,8 @@ def test_the_slope_of_a_loop_is_renewed_where_it_has_changed(fmu, before, after,
             for name, value in zip("ab", parameters, strict=True):
                 plant.slaves["g"].set(name, value)
             plant.settle(np.zeros(0), np.zeros(0))
-            assert plant.v == pytest.approx(
-                [solution], rel=1e-12
-            )  # the tolerance of Newton's method is 1e-13
+            # the tolerance of Newton's method is 1e-13
+            assert plant.v == pytest.approx([solution], rel=1e-12)
 
 
 @pytest.mark.parametrize("closed", [False, True])

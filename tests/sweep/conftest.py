@@ -19,12 +19,6 @@ def fails(fmus: Workshop) -> Path:
     return fmus["fails"]
 
 
-@pytest.fixture(scope="session")
-def one() -> int:
-    """A worker."""
-    return 1
-
-
 @pytest.fixture
 def file(gain: Path, tmp_path: Path) -> Path:
     """The file of the study of the gain."""

@@ -17,7 +17,6 @@ from sweep.synthetic import (
     uniform,
 )
 
-from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
@@ -107,15 +106,6 @@ def test_failed_runs_stand_with_reason_and_place() -> None:
     assert found.notes == ("runs fail more often at large x2",)
     found = finding(results(lambda x: x["x1"], UNIT, "latin", 20, failed=lambda t: np.ones(len(t), bool)))
     assert sentences(found) == ["No run has peak."]
-
-
-def test_numbers_are_read_in_usual_units() -> None:
-    """bar for Pa, L/min for m3/s, powers of ten raised, pure numbers without a unit."""
-    assert display_unit("Pa").text(2.0684e7) == "207 bar"
-    assert display_unit("m3/s").text(1e-3) == "60 L/min"
-    assert display_unit("m3/(s.V)").text(9.38e-13) == "9.38·10⁻¹³ m³/(s·V)"
-    assert display_unit("1").text(0.62) == "0.62"
-    assert display_unit("1").text(-0.5) == "\N{MINUS SIGN}0.5"
 
 
 def test_points_of_sobol_do_not_lend_one_factor_the_effect_of_another() -> None:

@@ -7,9 +7,10 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import dask
 import psutil
@@ -25,7 +26,6 @@ from orchestrator import Problem
 from orchestrator.studies import cluster
 from orchestrator.studies.cases import Sample
 from orchestrator.studies.parameter_study import sweep
-from orchestrator.studies.single_run import RunOutcome
 
 pytestmark = shards.faults
 
@@ -42,19 +42,6 @@ def address() -> Iterator[str]:
         yield there.scheduler_address
 
 
-class Killer:
-    """Kills the worker, once, when the first batch is done."""
-
-    def __init__(self, address: str) -> None:
-        self._address, self.killed = address, 0
-
-    def __call__(self, _total: int, _done: int, batch: Sequence[RunOutcome]) -> None:
-        if batch and not self.killed:
-            with Client(self._address) as client:
-                self.killed = next(iter(client.run(os.getpid).values()))
-            os.kill(self.killed, signal.SIGKILL)
-
-
 def listening() -> set[object]:
     """Addresses at which this process listens: a server of another test may still be ending."""
     return {c.laddr for c in psutil.Process().net_connections() if c.status == psutil.CONN_LISTEN}
@@ -67,13 +54,21 @@ def test_no_port_is_opened_on_this_machine(file, tmp_path):
     assert during <= before
 
 
-def test_a_worker_that_dies_costs_no_run(gain, one, address, tmp_path):
+def test_a_worker_that_dies_costs_no_run(gain, address, tmp_path):
     """What it was at is run again elsewhere; the content is that of an undisturbed study, byte by byte."""
     file = study(tmp_path, BATCHES, gain)
-    run(file, one, "here")
-    killer = Killer(address)
-    sweep(file, tmp_path / "there", scheduler=address, watch=killer)
-    assert killer.killed
+    run(file, "here")
+    killed = []
+
+    def kill(_total, _done, batch):
+        """The worker, once, when the first batch is done."""
+        if batch and not killed:
+            with Client(address) as client:
+                killed.extend(client.run(os.getpid).values())
+            os.kill(killed[0], signal.SIGKILL)
+
+    sweep(file, tmp_path / "there", scheduler=address, watch=kill)
+    assert killed
     assert content(tmp_path / "there") == content(tmp_path / "here")
 
 
@@ -111,11 +106,11 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
 
 
 @pytest.mark.parametrize("kept", [False, True])
-def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp_path, monkeypatch):
+def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, tmp_path, monkeypatch):
     """No folder where there was none, also none above it; with --fresh what is there stays, to be read."""
     monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.5)
     file, out, url = study(tmp_path, GAIN, gain), tmp_path / "deep" / "out", "tcp://127.0.0.1:1"
-    before = content(out) if kept and run(file, one, "deep/out") else {}
+    before = content(out) if kept and run(file, "deep/out") else {}
     line = problem(lambda: sweep(file, out, scheduler=url, fresh=kept))
     assert line.startswith(f"--scheduler {url}: expected a Dask scheduler")
     assert (tmp_path / "deep").exists() is kept
@@ -125,33 +120,12 @@ def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp
         assert len(sweep(file, out, scheduler=url).table) == 12
 
 
-class Deserted:
-    """A connection to a cluster whose workers are gone."""
-
-    def nthreads(self) -> dict[str, int]:
-        return {}
-
-    def submit(self, *_: object, **__: object) -> object:
-        return object()
-
-    def cancel(self, *_: object, **__: object) -> None:
-        """Nobody is there."""
-
-
-class Nothing(list):
-    """A queue in which no batch ends."""
-
-    add = list.append
-
-    def has_ready(self) -> bool:
-        return False
-
-
 def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
-    monkeypatch.setattr(cluster, "as_completed", Nothing)
+    monkeypatch.setattr(cluster, "as_completed", lambda: Mock(**{"has_ready.return_value": False}))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT", 0.0)
-    batches = cluster.Batches(Deserted(), "study", None, [(Sample(0, (), {}),)], lambda: None)
+    deserted = Mock(**{"nthreads.return_value": {}})
+    batches = cluster.Batches(deserted, "study", None, [(Sample(0, (), {}),)], lambda: None)
     expected = r"^the Dask cluster has no workers left; finished runs are stored; the"
     with pytest.raises(Problem, match=expected):
         next(batches.outcomes())
@@ -210,7 +184,7 @@ def _address(file: Path) -> str:
         return ""
 
 
-def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, one, scheduler, tmp_path) -> None:
+def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, scheduler, tmp_path) -> None:
     """No log of Dask and no traceback, exit status 2; what was finished is kept, and the study goes on."""
     address, process = scheduler
     file, out = study(tmp_path, MANY, gain), tmp_path / "out"
@@ -224,7 +198,7 @@ def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, one, scheduler, tm
     )
     assert all(f" of {RUNS} runs, " in line for line in progress), done.stderr
     assert (done.stdout, done.returncode) == ("", 2)
-    _, fresh = run(file, one)
+    _, fresh = run(file)
     assert 0 < len(fresh) < RUNS
-    run(file, one, "undisturbed")
+    run(file, "undisturbed")
     assert content(out) == content(tmp_path / "undisturbed")

@@ -12,7 +12,7 @@ from sweep.synthetic import ISHIGAMI, Columns, effects, every, finding, ishigami
 
 from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analysis_text import sentences
-from orchestrator.studies.report.study_figures import bands, medians, quantiles, tornado
+from orchestrator.studies.report.study_figures import bands, medians, tornado
 from orchestrator.studies.study import Choice
 
 
@@ -77,15 +77,6 @@ def test_the_number_at_the_top_is_called_the_median() -> None:
     assert " in nine of ten runs<br>" in page
     assert '30 bar</b><span class="soft">in all 20 runs<br>' in shown("constant").page
     assert '<b>-</b><span class="soft">no run has it<br>' in shown("all failed").page
-
-
-def test_bands_are_quantiles_over_the_runs() -> None:
-    """At each time those of all runs, by an independent route."""
-    found = shown("latin").found
-    time, quantile = quantiles(found.bands, "part.pressure")
-    at = found.bands.loc[np.isclose(found.bands["time"], time[5]), "part.pressure"]
-    # rounding only
-    assert quantile[:, 5] == pytest.approx(at.quantile([0, 0.05, 0.5, 0.95, 1]).to_numpy(), rel=1e-12)
 
 
 def test_the_line_of_a_scatter_is_the_median_in_bins() -> None:

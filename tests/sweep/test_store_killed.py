@@ -25,7 +25,7 @@ LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 def long(gain, tmp_path_factory):
     """The file of a study of some seconds, and its results without a kill, by two workers."""
     file = study(tmp_path_factory.mktemp("long"), LONG, gain)
-    _, runs = run(file, 2, "undisturbed")
+    _, runs = run(file, "undisturbed", workers=2)
     assert runs == list(range(RUNS))
     return file, content(file.parent / "undisturbed")
 
@@ -71,7 +71,7 @@ def kept(out: Path) -> set[int]:
     return {n for f in out.glob("parts/batch-*.parquet") for n in pq.read_table(f)["run"].to_pylist()}
 
 
-def test_killed_and_started_again_the_content_is_the_same(long, one):
+def test_killed_and_started_again_the_content_is_the_same(long):
     """Byte by byte, with another number of workers; the runs that were kept do not take place again."""
     file, undisturbed = long
     out = file.parent / "killed"
@@ -81,7 +81,7 @@ def test_killed_and_started_again_the_content_is_the_same(long, one):
     there = kept(out)
     assert 0 < len(there) < RUNS
     assert not (out / "runs.parquet").exists()
-    _, runs = run(file, one, "killed")
+    _, runs = run(file, "killed")
     assert runs == sorted(set(range(RUNS)) - there)
     assert content(out) == undisturbed
 
