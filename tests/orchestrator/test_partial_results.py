@@ -11,6 +11,7 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
+import psutil
 import pytest
 from kit import shards
 from kit.mistakes import problem
@@ -195,12 +196,6 @@ SEED, KILLS = 17, 20
 CASES = [*range(2), *(pytest.param(n, marks=shards.faults) for n in range(2, KILLS))]  # one of each format
 
 
-def _children(pid):
-    """The child processes of a process."""
-    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
-    return [int(child) for child in listed]
-
-
 def _killed(fmu, folder, victims, delay, suffix):
     """Run over an earlier result, and kill the engine, the supervisor, or both."""
     arguments = [sys.executable, "-m", "orchestrator", "run", fmu, *ENDLESS, "--out", f"t{suffix}"]
@@ -213,7 +208,7 @@ def _killed(fmu, folder, victims, delay, suffix):
     time.sleep(delay)
     # one that dies before its run has begun is replaced, and the run goes on
     assert victims != ["engine"] or until((folder / f"t.partial{suffix}").exists)
-    (engine,) = _children(run.pid)[:1] or [0]
+    (engine,) = [child.pid for child in psutil.Process(run.pid).children()][:1] or [0]
     for victim in victims:
         if victim == "supervisor":
             run.kill()

@@ -296,5 +296,3 @@ def test_settings_together_and_by_themselves(oscillator):
     np.testing.assert_array_equal(one.trace.time, two.trace.time)
     assert one.card.errors == two.card.errors != ()
     assert len(run(oscillator, step=0.1, stop=1.0, record_step=0.5, **together).trace.time) == 3
-    with pytest.raises(TypeError, match="recrd"):
-        run(oscillator, step=0.1, stop=1.0, recrd=["a.x"])

@@ -5,11 +5,11 @@ python tests/orchestrator/test_standards.py    prints the table
 
 import re
 import sys
-import zipfile
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[1])]  # as a script
 
+from kit.any_fmu.description import packed  # noqa: E402  # after the path of a script
 from kit.any_fmu.models import Workshop  # noqa: E402  # after the path of a script
 from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402  # as above
 
@@ -116,15 +116,12 @@ def table(folder):
     for n, (element, more) in enumerate(FMI):
         rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
     for n, (element, text) in enumerate(SSP):
-        path = folder / f"{n}" / "system.ssp"
-        path.parent.mkdir()
+        (folder / f"{n}").mkdir()
         edition = second(text).replace(
             'version="2.0" name', f'version="{3 if "version 3" in element else 2}.0" name', 1
         )
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("SystemStructure.ssd", edition)
-            archive.write(workshop["gain"], "g.fmu")
-        rows.append(f"|SSP 2.0|{element}|{outcome(path)}|")
+        parts = {"SystemStructure.ssd": edition, "g.fmu": workshop["gain"].read_bytes()}
+        rows.append(f"|SSP 2.0|{element}|{outcome(packed(folder / f'{n}' / 'system.ssp', parts))}|")
     return "\n".join(rows)
 
 

@@ -50,7 +50,8 @@ def test_connections_are_cut_by_the_name_of_their_target(fmus):
     assert whole.without("u").connections == ()
     told = r"cut r\.u: no connected input matches; did you mean p.u, q.u\?"
     problem(lambda: whole.without("*.u", "r.u"), told)
-    result = run(whole.without("q.u"), step=0.5, stop=1.0, set={"q.u": 7.0})
+    result = run(whole, cut="q.u", step=0.5, stop=1.0, set={"q.u": 7.0})
+    assert [str(c) for c in result.system.connections] == ["s.y -> p.u"]
     np.testing.assert_array_equal(result.trace["q.y"], 7.0)
     assert result.card.notes == ("connections removed by --cut; these inputs keep their start values: q.u",)
 

@@ -2,13 +2,13 @@
 
 import re
 import tomllib
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.any_fmu.description import packed
 from kit.mistakes import problem, refused, table
 from kit.properties import examples
 
@@ -217,15 +217,11 @@ def whole(fmus, tmp_path_factory) -> Callable[[str], Path]:
         "</ssd:ParameterBinding></ssd:ParameterBindings>"
     )
     text = ssd(experiment=BASE, in_system=FIXED, bindings=binding)
-    parts = {"resources/a.fmu": fmus["mass_a"].read_bytes(), "resources/b.fmu": fmus["mass_b"].read_bytes()}
+    parts = {f"resources/{name}.fmu": fmus[f"mass_{name}"].read_bytes() for name in "ab"}
     path = tmp_path_factory.mktemp("broken") / "system.ssp"
 
     def write(change: Callable[[str], str]) -> Path:
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("SystemStructure.ssd", change(text))
-            for name, data in parts.items():
-                archive.writestr(name, data)
-        return path
+        return packed(path, {"SystemStructure.ssd": change(text), **parts})
 
     assert load(write(str)).components["a"].start == {"x2": 2.0}
     return write

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from sweep.synthetic import ISHIGAMI, Columns, ishigami, results, uniform
+from sweep.synthetic import ISHIGAMI, Columns, every, ishigami, results, uniform
 
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import Analysis
@@ -71,7 +71,7 @@ CASES: dict[str, Callable[[], Results]] = {
     "latin": lambda: results(ishigami, ISHIGAMI, "latin", 220, SINGLE),
     "morris": lambda: results(_length, UNIT, "morris", 6, [TWO, MANY], unit="m"),
     "failed runs": _failed,
-    "all failed": lambda: results(ishigami, ISHIGAMI, "latin", 20, failed=lambda t: np.ones(len(t), bool)),
+    "all failed": lambda: results(ishigami, ISHIGAMI, "latin", 20, failed=every(1)),
     "constant": lambda: results(lambda x: np.full(len(x["x1"]), 3e6), UNIT[:1], "latin", 20),
     "one factor": _one_factor,
     "one run": lambda: results(lambda x: x["x1"], UNIT[:1], "latin", 1),

@@ -5,25 +5,14 @@ import re
 import numpy as np
 import pytest
 from kit import shards
-from sweep.synthetic import (
-    ISHIGAMI,
-    Function,
-    effects,
-    every,
-    finding,
-    ishigami,
-    ishigami_indices,
-    results,
-    uniform,
-)
+from sweep.pages import TWO
+from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigami_indices, results, uniform
 
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
-from orchestrator.studies.study import Choice
 
 UNIT = tuple(uniform(name, 0.0, 1.0) for name in ("x1", "x2", "x3"))
-TWO = Choice("swing", ("lumped", "detailed"))
 
 
 @pytest.mark.parametrize("method", ["latin", "sobol"])
@@ -59,7 +48,7 @@ def test_a_small_sample_is_enough_if_the_function_is_linear() -> None:
     ],
     ids=["one", "two"],
 )
-def test_the_sentence_names_what_leads(function: Function, runs: int, expected: str) -> None:
+def test_the_sentence_names_what_leads(function, runs, expected):
     """Only as far as the numbers support it."""
     said = "\n".join(sentences(finding(results(function, UNIT, "saltelli", runs))))
     assert re.match(f"peak depends most on {expected}", said, re.MULTILINE)
@@ -104,7 +93,7 @@ def test_failed_runs_stand_with_reason_and_place() -> None:
     assert found.failures[0].count == 20
     assert found.failures[0].by_choice == {"swing": {"lumped": 10, "detailed": 10}}
     assert found.notes == ("runs fail more often at large x2",)
-    found = finding(results(lambda x: x["x1"], UNIT, "latin", 20, failed=lambda t: np.ones(len(t), bool)))
+    found = finding(results(lambda x: x["x1"], UNIT, "latin", 20, failed=every(1)))
     assert sentences(found) == ["No run has peak."]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit import shards
 from sweep.pages import CASES, TWO, UNIT, shown, written
-from sweep.synthetic import ISHIGAMI, Columns, effects, every, finding, ishigami, results
+from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, results
 
 from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analysis_text import sentences
@@ -129,16 +129,12 @@ def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
         assert area.high == pytest.approx(own[0.95].to_numpy(), rel=1e-12, abs=1e-12)
 
 
-def _mostly_one(x: Columns) -> np.ndarray:
-    """Nearly all of it is x1, in units of 1e5 Pa."""
-    return 1e5 * (10 * x["x1"] ** 4 + 0.1 * x["x2"])
-
-
 @pytest.mark.parametrize("choices", [(), (TWO,)])
 @pytest.mark.parametrize("runs", [8, 16])
 def test_shares_end_within_the_axis(runs: int, choices: tuple[Choice, ...]) -> None:
     """All marks, of a linear model (8) and of Sobol' indices (16); a cap at 100 % is in sight."""
-    found = finding(results(_mostly_one, UNIT, "saltelli", runs, choices))
+    found = results(lambda x: 1e5 * (10 * x["x1"] ** 4 + 0.1 * x["x2"]), UNIT, "saltelli", runs, choices)
+    found = finding(found)
     estimate = effects(found)["x1"].estimates[found.sensitivity.measure]
     assert estimate.ceiling > 1.03  # beyond the axis, if it were drawn as it is
     axes = tornado(found, found.sensitivity).axes[0]
