@@ -137,10 +137,7 @@ def test_by_default_outputs_and_inputs_that_nothing_feeds_are_recorded(fmus):
 
 
 def test_the_rate_input_of_a_driven_input_has_its_slope(each):
-    """Just after each communication point; without it rate outputs that depend on it are wrong.
-
-    The load pressure of a valve that opens had 1/200 of its slope, and adaptive steps shrank to 1e-7 s.
-    """
+    """Just after each communication point; without it rate outputs that depend on it are wrong."""
     drift = str(each["drift"])
     scenario = {"time": [0.5, 1.0, 1.5], "u": [0.0, 2.0, 1.0]}
     trace = run(drift, scenario, step=0.25, stop=2.0, record=["drift.u", "drift.u_rate"]).trace
@@ -151,10 +148,7 @@ def test_the_rate_input_of_a_driven_input_has_its_slope(each):
 
 
 def test_outside_its_scenario_a_run_holds_the_first_and_last_values(fmus):
-    """Notes report it, and that a start value of a driven input has no effect.
-
-    Outputs behind feed-through follow from the scenario from the first instant on.
-    """
+    """Notes report it, and a start value without effect; feed-through follows from the first instant on."""
     scenario = Trace(np.array([0.5, 1.0]), {"u": np.array([5.0, 6.0])})
     result = run(str(fmus["gain"]), scenario, step=0.25, stop=2.0, set={"gain.u": 7.0, "gain.factor": 2.0})
     np.testing.assert_array_equal(result.trace["gain.u"], [5, 5, 5, 5.5, 6, 6, 6, 6, 6])

@@ -277,10 +277,7 @@ INTERRUPTS = [("jacobi", 1, 1.0), ("jacobi", 1, -1.0), ("hermite", 1, 1.0), ("ja
 
 @pytest.mark.parametrize(("master", "in_c", "worth"), few(INTERRUPTS[:1], INTERRUPTS, shards.faults))
 def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, worth):
-    """With and without threads, and FMUs that Python calls; the run would go on for hours.
-
-    C checks for an interrupt every 0.1 s.
-    """
+    """With and without threads, and FMUs that Python calls; C checks for an interrupt every 0.1 s."""
     assert open_job.ADVANCE_TIME <= 0.1
     files = [part.source.path for part in moving.components.values()]
     rows, reached, steps, complete = interrupted(*files, master, in_c, worth)

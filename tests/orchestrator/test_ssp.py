@@ -92,18 +92,13 @@ def test_outer_bindings_win_over_inner_ones(make):
 
 def test_external_sets_and_mappings_with_units(make):
     """SSV and SSM files: a new name, a unit, a transformation; one inside the component's FMU."""
-    ssv = """<ssv:ParameterSet version="1.0" name="p"
- xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
- xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"><ssv:Parameters>
-<ssv:Parameter name="shift"><ssv:Real value="250" unit="mm"/></ssv:Parameter>
-<ssv:Parameter name="nothing"><ssv:Real value="1"/></ssv:Parameter></ssv:Parameters>
-<ssv:Units><ssc:Unit name="mm"><ssc:BaseUnit m="1" factor="0.001"/></ssc:Unit></ssv:Units>
-</ssv:ParameterSet>"""
-    ssm = """<ssm:ParameterMapping version="1.0"
- xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping"
- xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon">
-<ssm:MappingEntry source="shift" target="a.offset"><ssc:LinearTransformation factor="2"/></ssm:MappingEntry>
-<ssm:MappingEntry source="shift" target="a.factor" suppressUnitConversion="true"/></ssm:ParameterMapping>"""
+    ssv = """<ParameterSet version="1.0" name="p"><Parameters>
+<Parameter name="shift"><Real value="250" unit="mm"/></Parameter>
+<Parameter name="nothing"><Real value="1"/></Parameter></Parameters>
+<Units><Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit></Units></ParameterSet>"""
+    ssm = """<ParameterMapping version="1.0">
+<MappingEntry source="shift" target="a.offset"><LinearTransformation factor="2"/></MappingEntry>
+<MappingEntry source="shift" target="a.factor" suppressUnitConversion="true"/></ParameterMapping>"""
     binding = bound('source="resources/p%20q.ssv"', '<ssd:ParameterMapping source="resources/p.ssm"/>')
     path = make(system([gain("a")], [], bindings=binding), {"resources/p q.ssv": ssv, "resources/p.ssm": ssm})
     loaded = load(path)

@@ -16,7 +16,9 @@ from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  #
 from orchestrator import Problem, load, run  # noqa: E402  # as above
 
 PAGE = Path(__file__).parents[2] / "orchestrator/README.md"
-ONE = 'valueReference="400" causality="output" variability="discrete"'
+AT = 'valueReference="400"'
+ONE = f'{AT} causality="output" variability="discrete"'
+CLOCK = '<Clock name="c" valueReference="{}" causality="local" intervalVariability="triggered"/>'
 ANNOTATED = "<ssd:Annotations><ssc:Annotation type='org.any'><any/></ssc:Annotation></ssd:Annotations>"
 DATA = '<ssc:MetaData kind="general"><ssc:Content><a/></ssc:Content></ssc:MetaData>'
 MAPPED = (
@@ -25,20 +27,13 @@ MAPPED = (
 # (element, XML of one more variable of an FMU)
 FMI = [
     ("numbers of 8 to 64 bits, Boolean, Enumeration", ""),
-    ("String", '<String name="s" valueReference="400" causality="parameter"><Start value="a"/></String>'),
-    (
-        "structural parameter",
-        '<UInt64 name="n" valueReference="400" causality="structuralParameter" start="2"/>',
-    ),
+    ("String", f'<String name="s" {AT} causality="parameter"><Start value="a"/></String>'),
+    ("structural parameter", f'<UInt64 name="n" {AT} causality="structuralParameter" start="2"/>'),
     ("Binary", f'<Binary name="b" {ONE}/>'),
     ("array", f'<Float64 name="a" {ONE}><Dimension start="3"/></Float64>'),
     ("array of a size that may be 0", f'<Float64 name="a" {ONE}><Dimension start="0"/></Float64>'),
-    ("Clock", '<Clock name="c" valueReference="400" causality="local" intervalVariability="triggered"/>'),
-    (
-        "variable with clocks",
-        f'<Float64 name="x" {ONE} clocks="401"/>'
-        '<Clock name="c" valueReference="401" causality="local" intervalVariability="triggered"/>',
-    ),
+    ("Clock", CLOCK.format(400)),
+    ("variable with clocks", f'<Float64 name="x" {ONE} clocks="401"/>{CLOCK.format(401)}'),
 ]
 
 

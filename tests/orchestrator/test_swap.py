@@ -115,10 +115,7 @@ def test_what_does_not_fit_is_told_in_one_line(fmus, oscillator, changes, messag
 
 
 def test_an_input_that_an_fmu_does_not_use_may_be_missing(fmus, oscillator):
-    """With a note; if another input could be meant, it is refused, and the message tells how to do without.
-
-    An additional input keeps its start value, because no wire reaches it.
-    """
+    """With a note; refused if another could be meant, with a way out; an additional input keeps its start."""
     loose = edited(fmus["mass_b"], "loose", renamed("force"), caused("other", "local"))
     other = edited(fmus["mass_b"], "other", renamed("force"))
     told = r"got none \(it has other; to do without: --cut b.force\)$"

@@ -171,10 +171,7 @@ def test_a_column_silences_a_component_without_inputs(fmus):
 
 
 def test_the_slope_of_a_driven_input_is_not_lost(fmus):
-    """A rate input follows from the column that drives its input: the note does not name it.
-
-    Be it declared or known by its name where the run gives slopes; where it gives none, the rate is lost.
-    """
+    """It follows from the column: the note names it only where the run gives no slopes, and it is lost."""
     source = fmus.make("source", "source_bare", units={"y": None})
     ramp = Trace(np.array([0.0, 1.0]), {"d.u": np.array([0.0, 1.0])})
     system = assemble({"s": source, "d": fmus["drift"]}, ["s.y -> d.u", "s.y -> d.u_rate"])

@@ -123,15 +123,6 @@ def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
     assert "a.x2" in capsys.readouterr().out
 
 
-@table(__file__, "limits", "name, value, got")
-def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, name, value, got):
-    """The message has the line of the annotation."""
-    path = make(in_system=re.sub(rf'{name}="[^"]*"', f'{name}="{value}"', note("oms", "{variable}")))
-    told = r"ssd: line \d+: VariableStepMaster: smallest and largest step: expected 0 < .*, got "
-    problem(lambda: run(path), f"{told}{got}; --master")
-    assert run(path, master="jacobi", step=0.05).card.steps == 2
-
-
 @table(__file__, "steps", "step, told")
 def test_a_step_that_does_not_fit_the_times_is_told_with_its_place(make, step, told):
     """The message has the line of the suggestion, unless the user gives another step."""

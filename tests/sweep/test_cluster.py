@@ -29,7 +29,8 @@ from orchestrator.studies.parameter_study import sweep
 
 pytestmark = shards.faults
 
-BATCHES = GAIN.replace("runs = 12", "runs = 120").replace("stop = 0.2", "stop = 20")  # many
+RUNS = 240  # in many batches
+MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 20")
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def test_no_port_is_opened_on_this_machine(file, tmp_path):
 
 def test_a_worker_that_dies_costs_no_run(gain, address, tmp_path):
     """What it was at is run again elsewhere; the content is that of an undisturbed study, byte by byte."""
-    file = study(tmp_path, BATCHES, gain)
+    file = study(tmp_path, MANY, gain)
     run(file, "here")
     killed = []
 
@@ -133,8 +134,6 @@ def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
 
 # ---- a scheduler that is killed in the middle of a study: for real, all in processes of their own
 
-RUNS = 240
-MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 20")
 # the command line, which kills the scheduler itself when its first batch is kept: in the middle, however slow
 # or fast this computer is
 COMMAND = """

@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import signal
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +11,9 @@ from kit.mistakes import problem, table
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
-from orchestrator.__main__ import main
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.processes import RunProcesses, run_units
+from orchestrator.studies.processes import run_units
 from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
@@ -81,44 +78,6 @@ def test_only_missing_runs_take_place(file, begun, rows, finished):
     assert sorted(log["run"]) == ALL
     assert set(log["status"]) == {"ok"}
     assert (log["seconds"] > 0).all()
-
-
-def test_an_interrupt_keeps_what_is_finished(file, finished, monkeypatch, capsys):
-    """One line and the exit status of an interrupt; the same command runs the others, and says how far it is.
-
-    The signal comes in this process, when the first batch is kept: test_store_killed.py has real ones.
-    """
-    add, run_unit, kept = store.Store.add, RunProcesses.run, []
-
-    def slow(self, unit):
-        time.sleep(0.05)
-        return run_unit(self, unit)
-
-    def interrupted(self, batch):
-        add(self, batch)
-        kept.extend(row.run for row in batch)
-        signal.raise_signal(signal.SIGINT)
-
-    out = file.parent / "out"
-    command = ["sweep", str(file), "--workers", "1", "--no-report", "--out", str(out)]
-    with monkeypatch.context() as patch:
-        patch.setattr(store.Store, "add", interrupted)
-        patch.setattr(RunProcesses, "run", slow)
-        assert main(command) == 130
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert 0 < len(kept) < 12
-    stored = f"{len(kept)} of 12 runs are stored in {out}"
-    assert told.err.splitlines()[-1] == (
-        f"harvester: interrupted; {stored}; the same command continues the study"
-    )
-    assert main(command) == 0
-    told = capsys.readouterr()
-    assert told.out.startswith("12 runs: 12 ok\n")
-    assert all(" of 12 runs, " in line for line in told.err.splitlines())
-    assert told.err.splitlines()[-1].startswith("100 %: 12 of 12 runs, ")
-    assert content(out) == content(finished / "out")
-    assert pd.read_csv(out / "log.csv")["run"].tolist()[: len(kept)] == kept
 
 
 @table(__file__, "changes", "old, new, told")

@@ -81,8 +81,8 @@ def interrupt(group: int) -> None:
 
 
 def test_an_interrupt_keeps_what_is_finished(long):
-    """One line, the exit status of an interrupt, and what was finished is there."""
-    file, _ = long
+    """One line and the exit status of an interrupt; the same command runs the others to the same content."""
+    file, undisturbed = long
     out = file.parent / "interrupted"
     status, _, told, wrong = stopped(file, out, interrupt)
     assert (status, told) == (130, ""), wrong
@@ -92,6 +92,8 @@ def test_an_interrupt_keeps_what_is_finished(long):
         " the same command continues the study"
     )
     assert all(f" of {RUNS} runs, " in line for line in progress)
+    run(file, "interrupted")
+    assert content(out) == undisturbed
 
 
 def test_an_interrupt_while_the_processes_start(long):

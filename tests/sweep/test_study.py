@@ -97,9 +97,9 @@ def test_a_study_needs_something_to_vary_and_to_keep(file):
     assert refused(file, GAIN[: GAIN.index("[outputs")]) == expected
 
 
-def test_whole_numbers_stay_whole(fails, tmp_path):
+def test_whole_numbers_stay_whole(fmus, tmp_path):
     """A variable that is an Integer takes values only, and whole ones."""
-    file = study(tmp_path, FAILS, fails)
+    file = study(tmp_path, FAILS, fmus["fails"])
     expected = "values: expected whole numbers, as fails.how is not a Real variable"
     assert expected in refused(file, FAILS.replace("[0, 3,", "[0.5, 3,"))
 
