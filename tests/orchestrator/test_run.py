@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Execution, Interrupted, Problem, Record, Trace, assemble, run
+from orchestrator import Execution, Interrupted, Problem, Record, Trace, run
 from orchestrator.base.errors import Ended
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import open_job
@@ -262,24 +262,6 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert "10 s simulated" in shown()
-
-
-def test_notes_of_the_system_reach_the_card(fmus):
-    """Shown once."""
-    files = {"s": fmus.make("source", "note_s", units={"y": "odd"}), "g": fmus["gain"]}
-    card = run(assemble(files, ["s.y -> g.u"]), step=0.1, stop=0.2).card
-    assert card.text().count("not both defined") == 1
-
-
-def test_a_result_by_its_signals(oscillator):
-    """The values of one signal, and all of them as a data frame over time."""
-    result = run(oscillator, step=0.1, stop=1.0, record=Record(["a.x", "b.x"], step=0.5))
-    np.testing.assert_array_equal(result["a.x"], result.trace["a.x"])
-    frame = result.to_pandas()
-    assert list(frame.columns) == ["a.x", "b.x"]
-    assert frame.index.name == "time"
-    np.testing.assert_array_equal(frame.index, [0.0, 0.5, 1.0])
-    np.testing.assert_array_equal(frame["b.x"], result["b.x"])
 
 
 def test_settings_together_and_by_themselves(oscillator):

@@ -1,6 +1,5 @@
 """Sobol' indices, Morris effects and main effects against functions whose answers are known."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from statistics import NormalDist
 
@@ -20,12 +19,12 @@ UNIT = tuple(uniform(name, 0.0, 1.0) for name in LINEAR)
 GRID = tuple(Factor(f.name, "values", {"values": (0.5, 1.0, 2.0)}, unit="m") for f in UNIT[:2])
 
 
-def linear(x: Mapping[str, np.ndarray]) -> np.ndarray:
+def linear(x):
     """A sum of the factors with known weights."""
     return 10.0 + sum(weight * x[name] for name, weight in LINEAR.items())
 
 
-def bent(x: Mapping[str, np.ndarray]) -> np.ndarray:
+def bent(x):
     """A function in which both factors act, alone and together."""
     return np.sin(3 * x["x1"]) + x["x1"] * x["x2"]
 

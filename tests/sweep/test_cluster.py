@@ -128,8 +128,7 @@ def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     deserted = Mock(**{"nthreads.return_value": {}})
     batches = cluster.Batches(deserted, "study", None, [(Sample(0, (), {}),)], lambda: None)
     expected = r"^the Dask cluster has no workers left; finished runs are stored; the"
-    with pytest.raises(Problem, match=expected):
-        next(batches.outcomes())
+    problem(lambda: next(batches.outcomes()), expected)
 
 
 # ---- a scheduler that is killed in the middle of a study: for real, all in processes of their own

@@ -13,7 +13,6 @@ from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, results
 from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.report.study_figures import bands, medians, tornado
-from orchestrator.studies.study import Choice
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -107,7 +106,7 @@ def test_a_browser_shows_the_page_without_any_request(tmp_path: Path, chromium: 
 
 
 @pytest.mark.parametrize("choice", [None, TWO])
-def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
+def test_the_drawn_bands_are_those_of_pandas(choice):
     """Median, area and dashed lines in bar, over all runs and by option, where some runs failed."""
     found = results(ishigami, ISHIGAMI, "saltelli", 32, [TWO], failed=every(25))
     (panel,) = bands(found, "part.pressure", display_unit("Pa"), choice).panels
@@ -131,7 +130,7 @@ def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
 
 @pytest.mark.parametrize("choices", [(), (TWO,)])
 @pytest.mark.parametrize("runs", [8, 16])
-def test_shares_end_within_the_axis(runs: int, choices: tuple[Choice, ...]) -> None:
+def test_shares_end_within_the_axis(runs, choices):
     """All marks, of a linear model (8) and of Sobol' indices (16); a cap at 100 % is in sight."""
     found = results(lambda x: 1e5 * (10 * x["x1"] ** 4 + 0.1 * x["x2"]), UNIT, "saltelli", runs, choices)
     found = finding(found)

@@ -10,7 +10,6 @@ import pytest
 from kit.mistakes import problem, table
 from sweep.studies import GAIN, content, run, study
 
-from orchestrator import Problem
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
 from orchestrator.studies.processes import run_units
@@ -94,8 +93,7 @@ def test_a_changed_fmu_is_refused(done, fmus):
     os.utime(fmu, (0, 0))
     assert run(done)[1] == []
     fmu.write_bytes(fmus.make("gain", "other_gain", more="<!-- another -->").read_bytes())
-    with pytest.raises(Problem, match=r"another study: the FMU of gain changed; --fresh deletes them$"):
-        run(done)
+    problem(lambda: run(done), r"another study: the FMU of gain changed; --fresh deletes them$")
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", "half a fi"])
@@ -144,8 +142,7 @@ def test_a_part_that_is_damaged_while_the_study_runs_is_refused(begun, rows):
     begun.add([rows[0]])
     (part,) = (begun.folder / "parts").iterdir()
     part.write_bytes(part.read_bytes()[:-1])
-    with pytest.raises(Problem, match=r"batch-000000000-\w+.parquet: [^\n]+ repeats its runs$"):
-        begun.done()
+    problem(begun.done, r"batch-000000000-\w+.parquet: [^\n]+ repeats its runs$")
 
 
 @pytest.mark.parametrize("name", ["runs.parquet", "bands.parquet"])
@@ -155,8 +152,7 @@ def test_damaged_results_are_refused(done, name):
     data = bytearray(path.read_bytes())
     data[60] ^= 1  # in the first page
     path.write_bytes(data)
-    with pytest.raises(Problem, match=rf"{name}: cannot be read [^\n]+; --fresh computes the study again$"):
-        run(done)
+    problem(lambda: run(done), rf"{name}: cannot be read [^\n]+; --fresh computes the study again$")
 
 
 @pytest.mark.parametrize("fresh", [False, True])
