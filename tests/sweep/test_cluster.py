@@ -1,7 +1,6 @@
 """On a Dask cluster that is there already: the same content, also when one of its processes dies."""
 
 import gc
-import json
 import os
 import signal
 import subprocess
@@ -16,10 +15,10 @@ import dask
 import psutil
 import pytest
 from distributed import Client, LocalCluster
-from distributed.utils import LoopRunner
+from distributed.utils import LoopRunner, json_load_robust
 from kit import shards
 from kit.mistakes import problem
-from kit.wait import LONG, until
+from kit.wait import LONG
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
@@ -153,12 +152,11 @@ sys.exit(main())
 def _dask(program: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
     """A program of Dask until the end of the block."""
     command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *arguments, "--no-dashboard"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture
@@ -167,19 +165,11 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     file = tmp_path / "scheduler.json"
     options = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
     with _dask("scheduler", *options) as process:
-        assert until(lambda: process.poll() is not None or _address(file))
-        with _dask("worker", address := _address(file), "--nthreads", "1", "--no-nanny"):
+        address = json_load_robust(file, timeout=LONG)["address"]
+        with _dask("worker", address, "--nthreads", "1", "--no-nanny"):
             with Client(address, timeout=LONG) as client:
                 client.wait_for_workers(1, timeout=LONG)
             yield address, process
-
-
-def _address(file: Path) -> str:
-    """Of the scheduler, when all of its file is written."""
-    try:
-        return json.loads(file.read_text())["address"]
-    except (OSError, ValueError):
-        return ""
 
 
 def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, scheduler, tmp_path) -> None:
