@@ -1,18 +1,29 @@
-"""The models of hybrid.c as a fixture."""
+"""The models of hybrid.c as FMUs for Model Exchange."""
 
-from functools import partial
+from pathlib import Path
 
 import pytest
+from kit.any_fmu.description import Description, V, member, packed, tables
+from kit.compile import library
 
-from monolithic.hybrid import build
+SOURCE = Path(__file__).with_name("hybrid.c")
+MODELS = tables(str(SOURCE))
+TIME = V("time", "independent", place=0)
 
 
 @pytest.fixture
 def fmu(once):
-    """fmu("ball", 3): a model of hybrid.c, compiled once for all test processes."""
+    """fmu("ball", 3): a model for a version of FMI, compiled once for all test processes."""
 
-    def made(model: str, version: int):
-        folder = once(f"hybrid-{model}{version}", partial(build, model=model, version=version))
-        return folder / f"{model}{version}.fmu"
+    def made(model: str, version: int) -> Path:
+        def build(folder: Path) -> None:
+            variables = MODELS[model] if version == 2 else [TIME, *MODELS[model]]
+            able = {"needsCompletedIntegratorStep": "true"} if version == 3 else {}
+            text = Description(model, variables, {"ModelExchange": able}, initial=False).text(version)
+            binary = library("hybrid", [SOURCE], f"-DFMI={version}", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
+            members = {"modelDescription.xml": text, member(version, model): binary}
+            packed(folder / f"{model}{version}.fmu", members)
+
+        return once(f"hybrid-{model}{version}", build) / f"{model}{version}.fmu"
 
     return made

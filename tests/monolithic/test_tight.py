@@ -117,6 +117,20 @@ def test_all_runs_together_have_at_most_a_million_steps(monkeypatch, steps, runs
     assert len(done) == runs
 
 
+def test_first_steps_may_fail_and_a_run_may_have_no_estimate():
+    """Without a run at half the step the card says so, with the reason for the co-simulation."""
+
+    def co_simulated(step, _):
+        if step != 0.25:
+            raise RunFailed(Problem("diverged"), outcome(step, 1))
+        return outcome(step, 4)
+
+    card = tightened(co_simulated, 1.0, 1e-5, "because").card
+    assert card.step == 0.25
+    assert "no estimate of its error" in card.notes[-1]
+    assert card.notes[-1].endswith("reason: because")
+
+
 def test_its_error_is_what_it_says(fmus):
     """Two masses without Model Exchange against their closed form: 4e-8 and 4e-7, estimated to 1 %."""
     result = solving.reference(oscillator_of(fmus["mass_a"], fmus["mass_b"]), record_step=0.01)

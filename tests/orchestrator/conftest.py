@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit.any_fmu.description import packed
 from kit.any_fmu.models import HIGHEST, RATES, Workshop, oscillation, oscillator_of, telling
 from kit.any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
@@ -142,15 +143,10 @@ def order() -> Callable[[Callable[[float], float], float], float]:
 @pytest.fixture
 def zip_ssp(tmp_path: Path) -> Callable[..., Path]:
     """Writes an .ssp from the text of its .ssd and files by member name."""
-    import zipfile
 
     def write(ssd: str, files: dict[str, Path | str], name: str = "system.ssp") -> Path:
-        path = tmp_path / name
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("SystemStructure.ssd", ssd)
-            for member, content in files.items():
-                archive.writestr(member, content if isinstance(content, str) else content.read_bytes())
-        return path
+        parts = {n: f if isinstance(f, str) else f.read_bytes() for n, f in files.items()}
+        return packed(tmp_path / name, {"SystemStructure.ssd": ssd, **parts})
 
     return write
 

@@ -50,35 +50,30 @@ DEFAULTS = {
 }
 
 
-@pytest.mark.parametrize("name", DEFAULTS)
-def test_the_default_that_a_text_states_is_what_happens(fmus, zip_ssp, name):
+def test_the_default_that_a_text_states_is_what_happens(fmus, zip_ssp):
     """Of a file with a start time, with and without a scenario, and of an FMU with a DefaultExperiment."""
-    assert DEFAULTS[name] in option_texts(arguments.RunArguments)[name]
+    told = option_texts(arguments.RunArguments)
+    assert all(text in told[name] for name, text in DEFAULTS.items())
     experiment = 'startTime="0.25" stopTime="1.25" stepSize="0.125" tolerance="1e-4"'
     fmu = fmus.make("gain", "timed", experiment=experiment)
     ssp = zip_ssp(ssd(system([gain("g", source="g.fmu")], [])), {"g.fmu": fmu})  # from 0.5 to 1.5 s
-    times, alone = run(ssp).trace.time, run(fmus["gain"], stop=1.0, step=0.5).trace.time
-    if name == "start":
-        assert (times[0], alone[0]) == (0.5, 0.0)
-    if name == "stop":
-        driven = run(ssp, {"time": [0.0, 2.0], "g.u": [0.0, 1.0]}).trace.time
-        assert (times[-1], driven[-1], run(fmu).trace.time[-1]) == (1.5, 2.0, 1.25)
-    if name == "step":
-        assert run(ssp).card.step == 0.125
-    if name == "record_step":
-        assert len(alone) == 3
-    if name == "tolerance":
-        given = []
+    result, alone = run(ssp), run(fmus["gain"], stop=1.0, step=0.5).time
+    driven = run(ssp, {"time": [0.0, 2.0], "g.u": [0.0, 1.0]})
+    assert (result.time[0], alone[0]) == (0.5, 0.0)
+    assert (result.time[-1], driven.time[-1], run(fmu).time[-1]) == (1.5, 2.0, 1.25)
+    assert result.card.step == 0.125
+    assert len(alone) == 3
+    given = []
 
-        def noted(component):
-            slave = open_slave(component)
-            setup = slave.setup
-            slave.setup = lambda *span: given.append(span[2]) or setup(*span)
-            return slave
+    def noted(component):
+        slave = open_slave(component)
+        setup = slave.setup
+        slave.setup = lambda *span: given.append(span[2]) or setup(*span)
+        return slave
 
-        run(ssp, isolate=False, open=noted)
-        run(ssp, isolate=False, open=noted, tolerance=1e-6)
-        assert given == [1e-4, 1e-6]
+    run(ssp, isolate=False, open=noted)
+    run(ssp, isolate=False, open=noted, tolerance=1e-6)
+    assert given == [1e-4, 1e-6]
 
 
 def test_the_options_of_a_coupling_are_its_fields():
@@ -112,8 +107,6 @@ def test_an_unknown_option_is_a_type_error_with_the_nearest_name(function):
 def test_a_wrong_value_is_refused_in_one_line(option, message):
     """With what is expected, before the system is read."""
     assert problem(lambda: run("none.ssp", **option)).startswith(message)
-    with pytest.raises(TypeError, match=r"^run\(\) has no option 'native'"):  # was accepted without effect
-        run("none.ssp", native="banana")
 
 
 def test_quantities_have_units_in_python_and_on_the_command_line(fmus, tmp_path, capsys):
@@ -128,13 +121,6 @@ def test_quantities_have_units_in_python_and_on_the_command_line(fmus, tmp_path,
     out = str(tmp_path / "o.csv")
     assert main(["run", str(fmus["gain"]), "--step", "50ms", "--stop", "200 ms", "--out", out]) == 0
     assert "4 steps" in capsys.readouterr().out
-
-
-def test_cut_removes_connections_in_a_run(oscillator):
-    """As `--cut`; a pattern that matches nothing is refused."""
-    cut = run(oscillator, step=0.01, stop=0.1, cut="a.*", isolate=False)
-    assert not any(connection.target.component == "a" for connection in cut.system.connections)
-    assert "no connected input matches" in problem(lambda: run(oscillator, cut="*_jerk"))
 
 
 def test_options_work_without_docstrings():

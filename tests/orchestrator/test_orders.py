@@ -58,9 +58,7 @@ def test_a_textbook_master_in_python_has_order_one(oscillators, measured):
 @pytest.mark.parametrize("passes", [1, 2, 40])
 @pytest.mark.parametrize("follow", ["curves", "lines", "rates"])
 def test_hermite_has_order_four(oscillators, measured, passes, follow):
-    """One pass extrapolates what has not stepped by a cubic; further ones make every input the cubic through
-    both ends, up to h^4; lines keep its mean and first moment.
-    """
+    """In one pass by extrapolated cubics; in further ones by the cubic through both ends, up to h^4."""
     coupling = Coupling("hermite", guard=0, passes=passes, tolerance=1e-12 if passes > 1 else None)
     found = measured(oscillators(follow), coupling, MIDDLE if passes == 1 else COARSE)
     assert found == pytest.approx(4, abs=NEAR)
@@ -108,10 +106,7 @@ def test_without_slopes_continuing_has_order_two(oscillators, measured, master, 
 
 
 def test_without_slopes_a_flat_start_has_the_full_order(fmus, order):
-    """Without an error in the first step, differences of values are as good as slopes of FMUs.
-
-    An integrator behind a sine from its top on; the sine tells no slope.
-    """
+    """An integrator behind a sine from its top on: differences of values are as good as slopes of FMUs."""
     files = {"sine": fmus["source"], "sum": fmus.make("fails", "summing", interpolates=True)}
     system, top = assemble(files, ["sine.y -> sum.u"]), np.pi / 2
 

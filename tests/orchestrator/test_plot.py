@@ -215,10 +215,7 @@ def test_a_scenario_can_be_a_mapping_or_a_data_frame(body, tmp_path):
 
 
 def test_a_scenario_may_jump(body, tmp_path):
-    """Of two rows at one time the first one is 1 us earlier, or in the middle of a shorter interval.
-
-    At the beginning only the second one counts. Results of other tools have such rows, too.
-    """
+    """Of two rows at one time the first is 1 us earlier, or half a shorter interval; at the start none."""
     jumps = {"time": [0.0, 0.0, 0.5, 0.5, 0.5000002, 0.5000002, 1.0], "force": [9.0, 0, 1, 3, 3, 5, 5]}
     (tmp_path / "s.csv").write_text(pd.DataFrame(jumps).to_csv(index=False), encoding="utf-8")
     ramps = {"time": [0.0, 0.499999, 0.5, 0.5000001, 0.5000002, 1.0], "force": jumps["force"][1:]}

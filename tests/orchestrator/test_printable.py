@@ -3,9 +3,9 @@
 import io
 import logging
 import sys
-import zipfile
 
 import pytest
+from kit.any_fmu.description import packed
 
 from orchestrator.__main__ import PrintableStream, main
 from orchestrator.base.errors import Problem
@@ -53,9 +53,7 @@ def test_messages_of_an_fmu_have_no_control_characters(caplog, monkeypatch):
 @pytest.mark.parametrize("command", ["check", "signals"])
 def test_names_and_texts_of_a_file_have_no_control_characters(tmp_path, capsys, command):
     """XML allows C1 controls and marks of the writing direction in names and descriptions."""
-    with zipfile.ZipFile(tmp_path / "odd.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", DESCRIPTION)
-    main([command, str(tmp_path / "odd.fmu")])
+    main([command, str(packed(tmp_path / "odd.fmu", {"modelDescription.xml": DESCRIPTION}))])
     out, err = capsys.readouterr()
     assert out + err
     assert (out + err).replace("\n", "").isprintable()

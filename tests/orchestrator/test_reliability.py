@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator import Trace, assemble, batch, compare, run
+from orchestrator import Trace, batch, compare, run
 from orchestrator.__main__ import main
 from orchestrator.engine.job import with_default_guard
 from orchestrator.engine.result import (
@@ -27,10 +27,9 @@ ROUGH = {"master": "jacobi", "step": 0.02, "stop": 1.0}  # a delay of 0.02 s fee
 
 
 @pytest.fixture(scope="module")
-def oscillator(fmus):
+def oscillator(bounce):
     """A mass and a spring, 1 kg, 100 N/m, 100 m/s; force one way, velocity back."""
-    files = {n: fmus.make(m, f"reliable_{n}") for n, m in {"mass": "mass_b", "spring": "spring"}.items()}
-    return assemble(files, ["spring.force -> mass.force", "mass.v -> spring.v"], {"mass.spring": 0.0})
+    return bounce(False)
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +74,9 @@ def test_machines_are_judged_one_by_one():
 @pytest.mark.parametrize(("rms", "told"), [(0.049, False), (0.051, True)])
 def test_an_estimated_error_of_a_twentieth_of_the_range_is_the_limit(oscillator, rms, told):
     """Of a signal that feeds a bond; other signals do not count."""
-    system = oscillator
     error = SignalError("spring.force", largest=2 * rms, rms=rms, change=2 * rms * 1000.0)
-    assert len(unreliable_errors([error], system)) == told
-    assert not unreliable_errors([SignalError("mass.x", 2.0, 1.0, change=2.0)], system)
+    assert len(unreliable_errors([error], oscillator)) == told
+    assert not unreliable_errors([SignalError("mass.x", 2.0, 1.0, change=2.0)], oscillator)
 
 
 def test_an_error_is_relative_to_a_thousandth_of_the_nominal_value_at_least():
@@ -175,11 +173,10 @@ def test_validate_begins_with_it_and_fails(oscillator, tmp_path, capsys):
 
 def suggesting(oscillator, step, rollback=True):
     """The oscillator as a system that suggests 1 ms; its mass suggests another step."""
-    system = oscillator
     able = {"rollback": rollback, "variable_step": True}
-    parts = {n: replace(c, interface=replace(c.interface, **able)) for n, c in system.components.items()}
+    parts = {n: replace(c, interface=replace(c.interface, **able)) for n, c in oscillator.components.items()}
     mass = replace(parts["mass"], interface=replace(parts["mass"].interface, step=step))
-    return replace(system, components={**parts, "mass": mass}, suggestion=Suggestion(step=1e-3))
+    return replace(oscillator, components={**parts, "mass": mass}, suggestion=Suggestion(step=1e-3))
 
 
 def test_a_step_above_a_suggested_one_is_guarded(oscillator):

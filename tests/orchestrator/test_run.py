@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Execution, Interrupted, Problem, Record, Trace, assemble, run
+from orchestrator import Execution, Interrupted, Problem, Record, Trace, run
 from orchestrator.base.errors import Ended
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import open_job
@@ -137,10 +137,7 @@ def test_by_default_outputs_and_inputs_that_nothing_feeds_are_recorded(fmus):
 
 
 def test_the_rate_input_of_a_driven_input_has_its_slope(each):
-    """Just after each communication point; without it rate outputs that depend on it are wrong.
-
-    The load pressure of a valve that opens had 1/200 of its slope, and adaptive steps shrank to 1e-7 s.
-    """
+    """Just after each communication point; without it rate outputs that depend on it are wrong."""
     drift = str(each["drift"])
     scenario = {"time": [0.5, 1.0, 1.5], "u": [0.0, 2.0, 1.0]}
     trace = run(drift, scenario, step=0.25, stop=2.0, record=["drift.u", "drift.u_rate"]).trace
@@ -151,10 +148,7 @@ def test_the_rate_input_of_a_driven_input_has_its_slope(each):
 
 
 def test_outside_its_scenario_a_run_holds_the_first_and_last_values(fmus):
-    """Notes report it, and that a start value of a driven input has no effect.
-
-    Outputs behind feed-through follow from the scenario from the first instant on.
-    """
+    """Notes report it, and a start value without effect; feed-through follows from the first instant on."""
     scenario = Trace(np.array([0.5, 1.0]), {"u": np.array([5.0, 6.0])})
     result = run(str(fmus["gain"]), scenario, step=0.25, stop=2.0, set={"gain.u": 7.0, "gain.factor": 2.0})
     np.testing.assert_array_equal(result.trace["gain.u"], [5, 5, 5, 5.5, 6, 6, 6, 6, 6])
@@ -270,24 +264,6 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     assert "10 s simulated" in shown()
 
 
-def test_notes_of_the_system_reach_the_card(fmus):
-    """Shown once."""
-    files = {"s": fmus.make("source", "note_s", units={"y": "odd"}), "g": fmus["gain"]}
-    card = run(assemble(files, ["s.y -> g.u"]), step=0.1, stop=0.2).card
-    assert card.text().count("not both defined") == 1
-
-
-def test_a_result_by_its_signals(oscillator):
-    """The values of one signal, and all of them as a data frame over time."""
-    result = run(oscillator, step=0.1, stop=1.0, record=Record(["a.x", "b.x"], step=0.5))
-    np.testing.assert_array_equal(result["a.x"], result.trace["a.x"])
-    frame = result.to_pandas()
-    assert list(frame.columns) == ["a.x", "b.x"]
-    assert frame.index.name == "time"
-    np.testing.assert_array_equal(frame.index, [0.0, 0.5, 1.0])
-    np.testing.assert_array_equal(frame["b.x"], result["b.x"])
-
-
 def test_settings_together_and_by_themselves(oscillator):
     """Record and estimate are the same; a single option overrides that of an object."""
     together = {"record": Record(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
@@ -296,5 +272,3 @@ def test_settings_together_and_by_themselves(oscillator):
     np.testing.assert_array_equal(one.trace.time, two.trace.time)
     assert one.card.errors == two.card.errors != ()
     assert len(run(oscillator, step=0.1, stop=1.0, record_step=0.5, **together).trace.time) == 3
-    with pytest.raises(TypeError, match="recrd"):
-        run(oscillator, step=0.1, stop=1.0, recrd=["a.x"])

@@ -55,13 +55,6 @@ def test_the_settings_make_the_same_coupling(choices, order):
     assert again.settings == coupling.settings
 
 
-def test_a_name_is_a_coupling_with_defaults(oscillator):
-    """And without a master it is gauss-seidel."""
-    traces = [run(oscillator, master=m, step=1e-2, stop=0.2).trace for m in ("hermite", Coupling("hermite"))]
-    np.testing.assert_array_equal(traces[0]["a.x"], traces[1]["a.x"])
-    assert run(oscillator, step=1e-2, stop=0.2).coupling == Coupling("gauss-seidel")
-
-
 def test_the_card_and_the_side_file_tell_steps_passes_and_settings(oscillator, tmp_path):
     """Of an adaptive run the tolerance, the range of the steps, passes, repeats, and all settings."""
     result = run(oscillator, master=Coupling("hermite", adaptive=1e-3), step=1e-3, stop=1.0)

@@ -236,9 +236,7 @@ from orchestrator.ssp.coupling import Coupling
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
 system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
 """
-LONG = (
-    START
-    + """
+LONG = """
 from orchestrator.engine import open_job
 open_job.MIN_SAVING = float(sys.argv[5])
 if len(sys.argv) > 7:
@@ -259,7 +257,6 @@ except Interrupted as interrupted:
 except KeyboardInterrupt:
     print(0, 0, 0, "before the run")
 """
-)
 
 
 def interrupted(*arguments, talker=(), steps=1000):
@@ -268,7 +265,7 @@ def interrupted(*arguments, talker=(), steps=1000):
     Half a second after the start it has made many; where much else is done it gets more time to begin.
     """
     for delay in (0.5, 2.0, 8.0, 32.0):
-        said = in_new_process(LONG, *arguments, delay, *talker).split()
+        said = in_new_process(START + LONG, *arguments, delay, *talker).split()
         if int(said[2]) > steps:
             break
     return said
@@ -280,10 +277,7 @@ INTERRUPTS = [("jacobi", 1, 1.0), ("jacobi", 1, -1.0), ("hermite", 1, 1.0), ("ja
 
 @pytest.mark.parametrize(("master", "in_c", "worth"), few(INTERRUPTS[:1], INTERRUPTS, shards.faults))
 def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, worth):
-    """With and without threads, and FMUs that Python calls; the run would go on for hours.
-
-    C checks for an interrupt every 0.1 s.
-    """
+    """With and without threads, and FMUs that Python calls; C checks for an interrupt every 0.1 s."""
     assert open_job.ADVANCE_TIME <= 0.1
     files = [part.source.path for part in moving.components.values()]
     rows, reached, steps, complete = interrupted(*files, master, in_c, worth)
@@ -302,9 +296,7 @@ def test_ctrl_c_is_not_lost_in_the_messages_of_an_fmu(fmus, moving, in_c):
     assert complete == "False"
 
 
-GROWTH = (
-    START
-    + """
+GROWTH = """
 import os
 import numpy as np
 from orchestrator.engine import run as runs
@@ -322,7 +314,6 @@ run(system, master=master, step=1e-3, stop=stop, record_step=stop / int(sys.argv
 early = looks // 10
 print((sizes[early:looks].max() - sizes[:early].max()) * os.sysconf("SC_PAGE_SIZE"))
 """
-)
 LONG_RUNS = [{"master": "jacobi"}, {"master": "hermite", "passes": 2}, {"master": "gauss-seidel", "order": 2}]
 on_linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 
@@ -331,7 +322,7 @@ def grown(system, coupling, steps, rows=10):
     """By how much a process grows after the first tenth of a run [byte], looked at every 256 steps."""
     files = [part.source.path for part in system.components.values()]
     # NumPy asks for pages of 2 MB for large arrays: the first rows would take most of the memory at once
-    return int(in_new_process(GROWTH, *files, coupling, steps, rows, NUMPY_MADVISE_HUGEPAGE="0"))
+    return int(in_new_process(START + GROWTH, *files, coupling, steps, rows, NUMPY_MADVISE_HUGEPAGE="0"))
 
 
 @on_linux

@@ -5,18 +5,20 @@ python tests/orchestrator/test_standards.py    prints the table
 
 import re
 import sys
-import zipfile
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[1])]  # as a script
 
+from kit.any_fmu.description import packed  # noqa: E402  # after the path of a script
 from kit.any_fmu.models import Workshop  # noqa: E402  # after the path of a script
 from kit.ssp import bound, connector, inline, real, second, ssd, system, wire  # noqa: E402  # as above
 
 from orchestrator import Problem, load, run  # noqa: E402  # as above
 
 PAGE = Path(__file__).parents[2] / "orchestrator/README.md"
-ONE = 'valueReference="400" causality="output" variability="discrete"'
+AT = 'valueReference="400"'
+ONE = f'{AT} causality="output" variability="discrete"'
+CLOCK = '<Clock name="c" valueReference="{}" causality="local" intervalVariability="triggered"/>'
 ANNOTATED = "<ssd:Annotations><ssc:Annotation type='org.any'><any/></ssc:Annotation></ssd:Annotations>"
 DATA = '<ssc:MetaData kind="general"><ssc:Content><a/></ssc:Content></ssc:MetaData>'
 MAPPED = (
@@ -25,20 +27,13 @@ MAPPED = (
 # (element, XML of one more variable of an FMU)
 FMI = [
     ("numbers of 8 to 64 bits, Boolean, Enumeration", ""),
-    ("String", '<String name="s" valueReference="400" causality="parameter"><Start value="a"/></String>'),
-    (
-        "structural parameter",
-        '<UInt64 name="n" valueReference="400" causality="structuralParameter" start="2"/>',
-    ),
+    ("String", f'<String name="s" {AT} causality="parameter"><Start value="a"/></String>'),
+    ("structural parameter", f'<UInt64 name="n" {AT} causality="structuralParameter" start="2"/>'),
     ("Binary", f'<Binary name="b" {ONE}/>'),
     ("array", f'<Float64 name="a" {ONE}><Dimension start="3"/></Float64>'),
     ("array of a size that may be 0", f'<Float64 name="a" {ONE}><Dimension start="0"/></Float64>'),
-    ("Clock", '<Clock name="c" valueReference="400" causality="local" intervalVariability="triggered"/>'),
-    (
-        "variable with clocks",
-        f'<Float64 name="x" {ONE} clocks="401"/>'
-        '<Clock name="c" valueReference="401" causality="local" intervalVariability="triggered"/>',
-    ),
+    ("Clock", CLOCK.format(400)),
+    ("variable with clocks", f'<Float64 name="x" {ONE} clocks="401"/>{CLOCK.format(401)}'),
 ]
 
 
@@ -116,15 +111,12 @@ def table(folder):
     for n, (element, more) in enumerate(FMI):
         rows.append(f"|FMI 3.0|{element}|{outcome(workshop.make('types', f'p{n}', more=more))}|")
     for n, (element, text) in enumerate(SSP):
-        path = folder / f"{n}" / "system.ssp"
-        path.parent.mkdir()
+        (folder / f"{n}").mkdir()
         edition = second(text).replace(
             'version="2.0" name', f'version="{3 if "version 3" in element else 2}.0" name', 1
         )
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("SystemStructure.ssd", edition)
-            archive.write(workshop["gain"], "g.fmu")
-        rows.append(f"|SSP 2.0|{element}|{outcome(path)}|")
+        parts = {"SystemStructure.ssd": edition, "g.fmu": workshop["gain"].read_bytes()}
+        rows.append(f"|SSP 2.0|{element}|{outcome(packed(folder / f'{n}' / 'system.ssp', parts))}|")
     return "\n".join(rows)
 
 

@@ -36,6 +36,7 @@ def test_different_dimensions_are_refused_and_unknown_ones_noted(fmus):
     problem(lambda: gained(fmus, "bar", "N"), told + r"bar = kg\.m-1\.s-2 and N = kg\.m\.s-2")
     result = gained(fmus, "odd", "N")
     assert "not both defined" in result.card.notes[0]
+    assert result.card.text().count("not both defined") == 1
     assert result.trace["g.u"][0] == 2.0
     assert "differ in the radian only" in gained(fmus, "Hz", "rad/s").card.notes[0]
 
@@ -50,7 +51,8 @@ def test_connections_are_cut_by_the_name_of_their_target(fmus):
     assert whole.without("u").connections == ()
     told = r"cut r\.u: no connected input matches; did you mean p.u, q.u\?"
     problem(lambda: whole.without("*.u", "r.u"), told)
-    result = run(whole.without("q.u"), step=0.5, stop=1.0, set={"q.u": 7.0})
+    result = run(whole, cut="q.u", step=0.5, stop=1.0, set={"q.u": 7.0})
+    assert [str(c) for c in result.system.connections] == ["s.y -> p.u"]
     np.testing.assert_array_equal(result.trace["q.y"], 7.0)
     assert result.card.notes == ("connections removed by --cut; these inputs keep their start values: q.u",)
 
@@ -170,10 +172,7 @@ def test_a_column_silences_a_component_without_inputs(fmus):
 
 
 def test_the_slope_of_a_driven_input_is_not_lost(fmus):
-    """A rate input follows from the column that drives its input: the note does not name it.
-
-    Be it declared or known by its name where the run gives slopes; where it gives none, the rate is lost.
-    """
+    """It follows from the column: the note names it only where the run gives no slopes, and it is lost."""
     source = fmus.make("source", "source_bare", units={"y": None})
     ramp = Trace(np.array([0.0, 1.0]), {"d.u": np.array([0.0, 1.0])})
     system = assemble({"s": source, "d": fmus["drift"]}, ["s.y -> d.u", "s.y -> d.u_rate"])

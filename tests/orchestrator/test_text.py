@@ -10,6 +10,7 @@ from rich.console import Console
 
 from orchestrator.base.text import (
     TextTable,
+    display_unit,
     error_display_unit,
     join_words,
     number,
@@ -48,6 +49,8 @@ def test_print_has_other_signs_than_a_terminal() -> None:
     units = {"Pa.s2/m6": "Pa·s²/m⁶", "m3/(s.Pa^0.5)": "m³/(s·Pa^0.5)", "L/min": "L/min", "s-1": "s⁻¹"}
     assert {unit: pretty(unit) for unit in units} == units
     assert error_display_unit("m").ascii(1e-3) == "1 mm"
+    assert display_unit("1").text(-0.5) == "\N{MINUS SIGN}0.5"
+    assert display_unit("m3/(s.V)").text(9.38e-13) == "9.38·10⁻¹³ m³/(s·V)"
     assert error_display_unit("N.m").text(-2e-4) == "\N{MINUS SIGN}2·10⁻⁷ kN·m"
     joined = [join_words(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])]
     assert joined == ["a", "a and b", "a, b and c"]

@@ -2,13 +2,13 @@
 
 import re
 import tomllib
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.any_fmu.description import packed
 from kit.mistakes import problem, refused, table
 from kit.properties import examples
 
@@ -123,15 +123,6 @@ def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
     assert "a.x2" in capsys.readouterr().out
 
 
-@table(__file__, "limits", "name, value, got")
-def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, name, value, got):
-    """The message has the line of the annotation."""
-    path = make(in_system=re.sub(rf'{name}="[^"]*"', f'{name}="{value}"', note("oms", "{variable}")))
-    told = r"ssd: line \d+: VariableStepMaster: smallest and largest step: expected 0 < .*, got "
-    problem(lambda: run(path), f"{told}{got}; --master")
-    assert run(path, master="jacobi", step=0.05).card.steps == 2
-
-
 @table(__file__, "steps", "step, told")
 def test_a_step_that_does_not_fit_the_times_is_told_with_its_place(make, step, told):
     """The message has the line of the suggestion, unless the user gives another step."""
@@ -217,15 +208,11 @@ def whole(fmus, tmp_path_factory) -> Callable[[str], Path]:
         "</ssd:ParameterBinding></ssd:ParameterBindings>"
     )
     text = ssd(experiment=BASE, in_system=FIXED, bindings=binding)
-    parts = {"resources/a.fmu": fmus["mass_a"].read_bytes(), "resources/b.fmu": fmus["mass_b"].read_bytes()}
+    parts = {f"resources/{name}.fmu": fmus[f"mass_{name}"].read_bytes() for name in "ab"}
     path = tmp_path_factory.mktemp("broken") / "system.ssp"
 
     def write(change: Callable[[str], str]) -> Path:
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("SystemStructure.ssd", change(text))
-            for name, data in parts.items():
-                archive.writestr(name, data)
-        return path
+        return packed(path, {"SystemStructure.ssd": change(text), **parts})
 
     assert load(write(str)).components["a"].start == {"x2": 2.0}
     return write

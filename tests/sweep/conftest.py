@@ -13,18 +13,6 @@ def gain(fmus: Workshop) -> Path:
     return fmus["gain"]
 
 
-@pytest.fixture(scope="session")
-def fails(fmus: Workshop) -> Path:
-    """y' = u; fails in the way `how` from the time `when` on."""
-    return fmus["fails"]
-
-
-@pytest.fixture(scope="session")
-def one() -> int:
-    """A worker."""
-    return 1
-
-
 @pytest.fixture
 def file(gain: Path, tmp_path: Path) -> Path:
     """The file of the study of the gain."""

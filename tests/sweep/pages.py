@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from sweep.synthetic import ISHIGAMI, Columns, ishigami, results, uniform
+from sweep.synthetic import ISHIGAMI, Columns, every, ishigami, results, uniform
 
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import Analysis
@@ -48,11 +48,6 @@ def shown(case: str) -> Shown:
     return written(CASES[case]())
 
 
-def with_reasons(found: Results, reasons: dict[int, str]) -> Results:
-    """Runs of these numbers that failed, with their reasons."""
-    return replace(found, table=found.table.assign(reason=found.table["run"].map(reasons).fillna("")))
-
-
 def _length(x: Columns) -> np.ndarray:
     """Some millimetres, in m."""
     return 0.004 + 1e-3 * x["x1"] + 1e-4 * x["x2"]
@@ -61,10 +56,7 @@ def _length(x: Columns) -> np.ndarray:
 def _failed() -> Results:
     """For one reason, and for another one with a number in it."""
     some = {25 * n: "state became inf at 0.4 s" if n % 2 else f"mass is {-n} kg" for n in range(1, 99)}
-    found = results(
-        _length, UNIT, "saltelli", 32, [MANY], failed=lambda t: t["run"].isin(list(some)).to_numpy(), unit="m"
-    )
-    return with_reasons(found, some)
+    return results(_length, UNIT, "saltelli", 32, [MANY], unit="m", reasons=some)
 
 
 def _one_factor() -> Results:
@@ -79,7 +71,7 @@ CASES: dict[str, Callable[[], Results]] = {
     "latin": lambda: results(ishigami, ISHIGAMI, "latin", 220, SINGLE),
     "morris": lambda: results(_length, UNIT, "morris", 6, [TWO, MANY], unit="m"),
     "failed runs": _failed,
-    "all failed": lambda: results(ishigami, ISHIGAMI, "latin", 20, failed=lambda t: np.ones(len(t), bool)),
+    "all failed": lambda: results(ishigami, ISHIGAMI, "latin", 20, failed=every(1)),
     "constant": lambda: results(lambda x: np.full(len(x["x1"]), 3e6), UNIT[:1], "latin", 20),
     "one factor": _one_factor,
     "one run": lambda: results(lambda x: x["x1"], UNIT[:1], "latin", 1),

@@ -52,7 +52,7 @@ def refused(file: Path, text: str | None = None) -> str:
     return line.removeprefix(f"{file}: ")
 
 
-def run(file: Path, workers: int, folder: str = "out", fresh: bool = False) -> tuple[Results, list[int]]:
+def run(file: Path, folder: str = "out", workers: int = 1, fresh: bool = False) -> tuple[Results, list[int]]:
     """The results of a study, and the runs that took place for them now."""
     runs: list[int] = []
 

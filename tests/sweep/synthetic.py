@@ -28,13 +28,15 @@ def results(
     method: str,
     runs: int,
     choices: Sequence[Choice] = (),
-    failed: Callable[[pd.DataFrame], np.ndarray] | None = None,
+    failed: Callable[[pd.DataFrame], np.ndarray] = lambda table: np.zeros(len(table), bool),
     seed: int = 5,
     unit: str = "Pa",
+    reasons: Mapping[int, str] | None = None,
 ) -> Results:
     """A study of a function of its factors and choices, as if it had been run.
 
-    failed   which rows of the table of runs count as failed
+    failed    which rows of the table of runs count as failed
+    reasons   of runs that failed, by their numbers
     """
     output = Output("peak", "part.pressure", "maximum", 0.0, 1.0, True, unit, unit)
     space = {"factors": tuple(factors), "choices": tuple(choices), "outputs": (output,)}
@@ -42,10 +44,11 @@ def results(
     table = design.table(study).reset_index()
     columns = {f.name: table[f.column].to_numpy(float) for f in factors}
     columns |= {c.name: table[c.column].to_numpy(str) for c in choices}
-    bad = failed(table) if failed else np.zeros(len(table), bool)
+    reasons = reasons or dict.fromkeys(np.flatnonzero(failed(table)), "state became inf at 0.4 s")
+    bad = table["run"].isin(list(reasons))
     table[output.column] = np.where(bad, np.nan, function(columns))
     table["status"] = np.where(bad, "failed", "ok")
-    table["reason"] = np.where(bad, "state became inf at 0.4 s", "")
+    table["reason"] = [reasons.get(run, "") for run in table["run"]]
     return Results(study, table, _bands(table, output), {output.signal: unit})
 
 

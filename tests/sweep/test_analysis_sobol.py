@@ -1,6 +1,5 @@
 """Sobol' indices, Morris effects and main effects against functions whose answers are known."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from statistics import NormalDist
 
@@ -20,12 +19,12 @@ UNIT = tuple(uniform(name, 0.0, 1.0) for name in LINEAR)
 GRID = tuple(Factor(f.name, "values", {"values": (0.5, 1.0, 2.0)}, unit="m") for f in UNIT[:2])
 
 
-def linear(x: Mapping[str, np.ndarray]) -> np.ndarray:
+def linear(x):
     """A sum of the factors with known weights."""
     return 10.0 + sum(weight * x[name] for name, weight in LINEAR.items())
 
 
-def bent(x: Mapping[str, np.ndarray]) -> np.ndarray:
+def bent(x):
     """A function in which both factors act, alone and together."""
     return np.sin(3 * x["x1"]) + x["x1"] * x["x2"]
 
@@ -64,11 +63,10 @@ def test_ishigami_has_its_closed_form_indices() -> None:
 def test_a_choice_takes_its_part_of_the_variance() -> None:
     """An option that adds a constant d moves Var = d^2 / 4; the factors share the rest as without it."""
     step = 4e5
-
-    def function(x: Mapping[str, np.ndarray]) -> np.ndarray:
-        return ishigami(x) + step * (x["swing"] == "detailed")
-
-    found = effects(finding(results(function, ISHIGAMI, "saltelli", 512, [TWO])))
+    found = results(
+        lambda x: ishigami(x) + step * (x["swing"] == "detailed"), ISHIGAMI, "saltelli", 512, [TWO]
+    )
+    found = effects(finding(found))
     own = 13.8446e10  # variance of the Ishigami function, in Pa^2
     part = own / (own + step**2 / 4)
     for key in (FIRST, TOTAL):
@@ -113,11 +111,10 @@ def test_lost_base_samples_leave_the_indices_true() -> None:
 @pytest.mark.parametrize("crossed", [(), (TWO,)])
 def test_morris_gives_the_coefficients_of_a_linear_function(crossed: tuple[Choice, ...]) -> None:
     """mu* is the weight times the range, sigma is zero, mu has the sign, a crossed choice its difference."""
-
-    def function(x: Mapping[str, np.ndarray]) -> np.ndarray:
-        return linear(x) + 3.0 * (x["swing"] == "detailed" if crossed else 0.0)
-
-    found = effects(finding(results(function, UNIT, "morris", 6, crossed)))
+    found = results(
+        lambda x: linear(x) + 3.0 * (x["swing"] == "detailed" if crossed else 0.0), UNIT, "morris", 6, crossed
+    )
+    found = effects(finding(found))
     for name, weight in LINEAR.items():
         _is(found[name], abs(weight))
         assert found[name].more["mu"] == pytest.approx(weight, abs=1e-12)

@@ -5,26 +5,14 @@ import re
 import numpy as np
 import pytest
 from kit import shards
-from sweep.synthetic import (
-    ISHIGAMI,
-    Function,
-    effects,
-    every,
-    finding,
-    ishigami,
-    ishigami_indices,
-    results,
-    uniform,
-)
+from sweep.pages import TWO
+from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigami_indices, results, uniform
 
-from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
-from orchestrator.studies.study import Choice
 
 UNIT = tuple(uniform(name, 0.0, 1.0) for name in ("x1", "x2", "x3"))
-TWO = Choice("swing", ("lumped", "detailed"))
 
 
 @pytest.mark.parametrize("method", ["latin", "sobol"])
@@ -60,7 +48,7 @@ def test_a_small_sample_is_enough_if_the_function_is_linear() -> None:
     ],
     ids=["one", "two"],
 )
-def test_the_sentence_names_what_leads(function: Function, runs: int, expected: str) -> None:
+def test_the_sentence_names_what_leads(function, runs, expected):
     """Only as far as the numbers support it."""
     said = "\n".join(sentences(finding(results(function, UNIT, "saltelli", runs))))
     assert re.match(f"peak depends most on {expected}", said, re.MULTILINE)
@@ -105,17 +93,8 @@ def test_failed_runs_stand_with_reason_and_place() -> None:
     assert found.failures[0].count == 20
     assert found.failures[0].by_choice == {"swing": {"lumped": 10, "detailed": 10}}
     assert found.notes == ("runs fail more often at large x2",)
-    found = finding(results(lambda x: x["x1"], UNIT, "latin", 20, failed=lambda t: np.ones(len(t), bool)))
+    found = finding(results(lambda x: x["x1"], UNIT, "latin", 20, failed=every(1)))
     assert sentences(found) == ["No run has peak."]
-
-
-def test_numbers_are_read_in_usual_units() -> None:
-    """bar for Pa, L/min for m3/s, powers of ten raised, pure numbers without a unit."""
-    assert display_unit("Pa").text(2.0684e7) == "207 bar"
-    assert display_unit("m3/s").text(1e-3) == "60 L/min"
-    assert display_unit("m3/(s.V)").text(9.38e-13) == "9.38·10⁻¹³ m³/(s·V)"
-    assert display_unit("1").text(0.62) == "0.62"
-    assert display_unit("1").text(-0.5) == "\N{MINUS SIGN}0.5"
 
 
 def test_points_of_sobol_do_not_lend_one_factor_the_effect_of_another() -> None:

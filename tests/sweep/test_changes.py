@@ -1,6 +1,5 @@
 """One line says what is not as it was: the first difference, as the file names it, and how many others."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,17 +12,16 @@ MORE = GAIN.replace('"latin"', '"grid"').replace("runs = 12\n", "")
 MORE += Path(__file__).with_name("more.toml").read_text("utf-8")
 OLD = FACTOR.partition("\n")[2]
 TEXT = MORE.replace(OLD, 'distribution = "values"\nvalues = [1, 2]\n').replace('[fixed]\n"gain.u" = 2\n', "")
-Told = Callable[[str, str], str]
 LIST = ", ".join(map(str, range(40)))
 
 
 @pytest.fixture
-def told(gain: Path, tmp_path: Path) -> Told:
+def told(gain, tmp_path):
     """The reported changes between two texts of a study."""
     for name in ("up", "down"):
         (tmp_path / f"{name}.csv").write_text("time,u\n0,0\n0.2,1\n")
 
-    def between(one: str, other: str) -> str:
+    def between(one, other):
         old, new = (to_json(resolved(study(tmp_path, text, gain))) for text in (one, other))
         return changes({"study": old, "files": {}}, {"study": new, "files": {}})
 
@@ -31,13 +29,13 @@ def told(gain: Path, tmp_path: Path) -> Told:
 
 
 @table(__file__, "changes", "old, new, expected")
-def test_the_first_difference_is_told(told: Told, old: str, new: str, expected: str) -> None:
+def test_the_first_difference_is_told(told, old, new, expected):
     """By the name of the item and the key in it, and never cut before the difference."""
     assert old in TEXT
     assert told(TEXT, TEXT.replace(old, new)) == expected
 
 
-def test_an_end_of_a_range_is_told_by_its_name(told: Told) -> None:
+def test_an_end_of_a_range_is_told_by_its_name(told):
     """With the unit of the FMU; of another distribution its numbers go without saying."""
     one = GAIN.replace("gain.factor", "gain.offset")
     two = one.replace("minimum = 1", "minimum = 1.5")
@@ -47,7 +45,7 @@ def test_an_end_of_a_range_is_told_by_its_name(told: Told) -> None:
     assert told(one, other) == expected
 
 
-def test_of_a_long_list_the_item_is_told(told: Told) -> None:
+def test_of_a_long_list_the_item_is_told(told):
     """Or how long it was and is."""
     one = TEXT.replace("values = [1, 2]", f"values = [{LIST}]")
     two = one.replace(" 38,", " 38.5,")
@@ -56,7 +54,7 @@ def test_of_a_long_list_the_item_is_told(told: Told) -> None:
     assert told(one, two) == 'factors."gain.factor".values had 40 items, has 39'
 
 
-def test_another_order_of_factors_is_told(told: Told) -> None:
+def test_another_order_of_factors_is_told(told):
     """The samples follow it; between equal studies no change is reported."""
     first, second = ('[factors."gain.factor"]', '[factors."gain.offset"]')
     one = GAIN + f"\n{second}\n{OLD}"

@@ -1,35 +1,35 @@
 """On a Dask cluster that is there already: the same content, also when one of its processes dies."""
 
 import gc
-import json
 import os
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import dask
 import psutil
 import pytest
 from distributed import Client, LocalCluster
-from distributed.utils import LoopRunner
+from distributed.utils import LoopRunner, json_load_robust
 from kit import shards
 from kit.mistakes import problem
-from kit.wait import LONG, until
+from kit.wait import LONG
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
 from orchestrator.studies import cluster
 from orchestrator.studies.cases import Sample
 from orchestrator.studies.parameter_study import sweep
-from orchestrator.studies.single_run import RunOutcome
 
 pytestmark = shards.faults
 
-BATCHES = GAIN.replace("runs = 12", "runs = 120").replace("stop = 0.2", "stop = 20")  # many
+RUNS = 240  # in many batches
+MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 20")
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +40,6 @@ def address() -> Iterator[str]:
         LocalCluster(1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as there,
     ):
         yield there.scheduler_address
-
-
-class Killer:
-    """Kills the worker, once, when the first batch is done."""
-
-    def __init__(self, address: str) -> None:
-        self._address, self.killed = address, 0
-
-    def __call__(self, _total: int, _done: int, batch: Sequence[RunOutcome]) -> None:
-        if batch and not self.killed:
-            with Client(self._address) as client:
-                self.killed = next(iter(client.run(os.getpid).values()))
-            os.kill(self.killed, signal.SIGKILL)
 
 
 def listening() -> set[object]:
@@ -67,13 +54,21 @@ def test_no_port_is_opened_on_this_machine(file, tmp_path):
     assert during <= before
 
 
-def test_a_worker_that_dies_costs_no_run(gain, one, address, tmp_path):
+def test_a_worker_that_dies_costs_no_run(gain, address, tmp_path):
     """What it was at is run again elsewhere; the content is that of an undisturbed study, byte by byte."""
-    file = study(tmp_path, BATCHES, gain)
-    run(file, one, "here")
-    killer = Killer(address)
-    sweep(file, tmp_path / "there", scheduler=address, watch=killer)
-    assert killer.killed
+    file = study(tmp_path, MANY, gain)
+    run(file, "here")
+    killed = []
+
+    def kill(_total, _done, batch):
+        """The worker, once, when the first batch is done."""
+        if batch and not killed:
+            with Client(address) as client:
+                killed.extend(client.run(os.getpid).values())
+            os.kill(killed[0], signal.SIGKILL)
+
+    sweep(file, tmp_path / "there", scheduler=address, watch=kill)
+    assert killed
     assert content(tmp_path / "there") == content(tmp_path / "here")
 
 
@@ -111,11 +106,11 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
 
 
 @pytest.mark.parametrize("kept", [False, True])
-def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp_path, monkeypatch):
+def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, tmp_path, monkeypatch):
     """No folder where there was none, also none above it; with --fresh what is there stays, to be read."""
     monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.5)
     file, out, url = study(tmp_path, GAIN, gain), tmp_path / "deep" / "out", "tcp://127.0.0.1:1"
-    before = content(out) if kept and run(file, one, "deep/out") else {}
+    before = content(out) if kept and run(file, "deep/out") else {}
     line = problem(lambda: sweep(file, out, scheduler=url, fresh=kept))
     assert line.startswith(f"--scheduler {url}: expected a Dask scheduler")
     assert (tmp_path / "deep").exists() is kept
@@ -125,42 +120,18 @@ def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp
         assert len(sweep(file, out, scheduler=url).table) == 12
 
 
-class Deserted:
-    """A connection to a cluster whose workers are gone."""
-
-    def nthreads(self) -> dict[str, int]:
-        return {}
-
-    def submit(self, *_: object, **__: object) -> object:
-        return object()
-
-    def cancel(self, *_: object, **__: object) -> None:
-        """Nobody is there."""
-
-
-class Nothing(list):
-    """A queue in which no batch ends."""
-
-    add = list.append
-
-    def has_ready(self) -> bool:
-        return False
-
-
 def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
-    monkeypatch.setattr(cluster, "as_completed", Nothing)
+    monkeypatch.setattr(cluster, "as_completed", lambda: Mock(**{"has_ready.return_value": False}))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT", 0.0)
-    batches = cluster.Batches(Deserted(), "study", None, [(Sample(0, (), {}),)], lambda: None)
+    deserted = Mock(**{"nthreads.return_value": {}})
+    batches = cluster.Batches(deserted, "study", None, [(Sample(0, (), {}),)], lambda: None)
     expected = r"^the Dask cluster has no workers left; finished runs are stored; the"
-    with pytest.raises(Problem, match=expected):
-        next(batches.outcomes())
+    problem(lambda: next(batches.outcomes()), expected)
 
 
 # ---- a scheduler that is killed in the middle of a study: for real, all in processes of their own
 
-RUNS = 240
-MANY = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 20")
 # the command line, which kills the scheduler itself when its first batch is kept: in the middle, however slow
 # or fast this computer is
 COMMAND = """
@@ -181,12 +152,11 @@ sys.exit(main())
 def _dask(program: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
     """A program of Dask until the end of the block."""
     command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *arguments, "--no-dashboard"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture
@@ -195,22 +165,14 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     file = tmp_path / "scheduler.json"
     options = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
     with _dask("scheduler", *options) as process:
-        assert until(lambda: process.poll() is not None or _address(file))
-        with _dask("worker", address := _address(file), "--nthreads", "1", "--no-nanny"):
+        address = json_load_robust(file, timeout=LONG)["address"]
+        with _dask("worker", address, "--nthreads", "1", "--no-nanny"):
             with Client(address, timeout=LONG) as client:
                 client.wait_for_workers(1, timeout=LONG)
             yield address, process
 
 
-def _address(file: Path) -> str:
-    """Of the scheduler, when all of its file is written."""
-    try:
-        return json.loads(file.read_text())["address"]
-    except (OSError, ValueError):
-        return ""
-
-
-def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, one, scheduler, tmp_path) -> None:
+def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, scheduler, tmp_path) -> None:
     """No log of Dask and no traceback, exit status 2; what was finished is kept, and the study goes on."""
     address, process = scheduler
     file, out = study(tmp_path, MANY, gain), tmp_path / "out"
@@ -224,7 +186,7 @@ def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, one, scheduler, tm
     )
     assert all(f" of {RUNS} runs, " in line for line in progress), done.stderr
     assert (done.stdout, done.returncode) == ("", 2)
-    _, fresh = run(file, one)
+    _, fresh = run(file)
     assert 0 < len(fresh) < RUNS
-    run(file, one, "undisturbed")
+    run(file, "undisturbed")
     assert content(out) == content(tmp_path / "undisturbed")

@@ -40,9 +40,7 @@ def test_minimum_and_maximum_of_a_variable_are_read(bounded: Path) -> None:
 
 
 @table(__file__, "outside", "name, numbers, expected")
-def test_numbers_outside_are_refused(
-    bounded: Path, tmp_path: Path, name: str, numbers: str, expected: str
-) -> None:
+def test_numbers_outside_are_refused(bounded, tmp_path, name, numbers, expected):
     """In one line, in the unit of the FMU, whatever that of the study; shares are of the start value 1."""
     line = refused(_file(tmp_path, bounded, name, numbers))
     assert line.startswith("factors.")
@@ -66,8 +64,6 @@ def test_fixed_values_are_checked_and_scale_relative_factors(bounded: Path, tmp_
 
 
 @table(__file__, "impossible", "name, numbers, expected")
-def test_the_machine_refuses_what_cannot_be(
-    fmu_dir: Path, tmp_path: Path, name: str, numbers: str, expected: str
-) -> None:
+def test_the_machine_refuses_what_cannot_be(fmu_dir, tmp_path, name, numbers, expected):
     """A mass and a duration are not negative."""
     assert expected in refused(machine(tmp_path, fmu_dir, name, numbers))

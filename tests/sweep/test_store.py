@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import signal
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +10,9 @@ import pytest
 from kit.mistakes import problem, table
 from sweep.studies import GAIN, content, run, study
 
-from orchestrator import Problem
-from orchestrator.__main__ import main
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.processes import RunProcesses, run_units
+from orchestrator.studies.processes import run_units
 from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
@@ -24,10 +20,10 @@ ALL = list(range(12))
 
 
 @pytest.fixture(scope="module")
-def finished(gain, one, tmp_path_factory):
+def finished(gain, tmp_path_factory):
     """The folder of a study, with its results in `out`."""
     file = study(tmp_path_factory.mktemp("finished"), GAIN, gain)
-    assert run(file, one)[1] == ALL
+    assert run(file)[1] == ALL
     return file.parent
 
 
@@ -39,11 +35,11 @@ def done(finished, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def rows(finished, one):
+def rows(finished):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
     found = []
-    run_units(ready.payload, [(sample,) for sample in ready.samples], one, found.extend)
+    run_units(ready.payload, [(sample,) for sample in ready.samples], 1, found.extend)
     return {row.run: row for row in found}
 
 
@@ -56,23 +52,23 @@ def begun(file):
     return store.Store(file.parent / "out", ready.payload.study, fingerprint)
 
 
-def test_a_finished_study_is_not_run_again(done, one):
+def test_a_finished_study_is_not_run_again(done):
     """No run takes place, and nothing is written anew; another title changes no result."""
     before = content(done.parent / "out")
     assert set(before) == {"runs.parquet", "bands.parquet"}
     done.write_text(GAIN.replace("A gain", "Another title"), encoding="utf-8")
-    results, runs = run(done, one)
+    results, runs = run(done)
     assert runs == []
     assert results.table.equals(store.read(done.parent / "out").table)
     assert results.study.title == "Another title"
     assert content(done.parent / "out") == before
 
 
-def test_only_missing_runs_take_place(file, begun, rows, finished, one):
+def test_only_missing_runs_take_place(file, begun, rows, finished):
     """A batch that is lost is run again, the others are not, whatever their order; the log stands apart."""
     begun.add([rows[n] for n in (7, 2, 3)])
     (begun.folder / "parts" / f"batch-000000000.parquet{PARTIAL}").write_bytes(b"half a file")
-    results, runs = run(file, one)
+    results, runs = run(file)
     assert runs == [0, 1, 4, 5, 6, 8, 9, 10, 11]
     assert content(begun.folder) == content(finished / "out")
     assert results.table["run"].tolist() == ALL
@@ -83,86 +79,47 @@ def test_only_missing_runs_take_place(file, begun, rows, finished, one):
     assert (log["seconds"] > 0).all()
 
 
-def test_an_interrupt_keeps_what_is_finished(file, finished, monkeypatch, capsys):
-    """One line and the exit status of an interrupt; the same command runs the others, and says how far it is.
-
-    The signal comes in this process, when the first batch is kept: test_store_killed.py has real ones.
-    """
-    add, run_unit, kept = store.Store.add, RunProcesses.run, []
-
-    def slow(self, unit):
-        time.sleep(0.05)
-        return run_unit(self, unit)
-
-    def interrupted(self, batch):
-        add(self, batch)
-        kept.extend(row.run for row in batch)
-        signal.raise_signal(signal.SIGINT)
-
-    out = file.parent / "out"
-    command = ["sweep", str(file), "--workers", "1", "--no-report", "--out", str(out)]
-    with monkeypatch.context() as patch:
-        patch.setattr(store.Store, "add", interrupted)
-        patch.setattr(RunProcesses, "run", slow)
-        assert main(command) == 130
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert 0 < len(kept) < 12
-    stored = f"{len(kept)} of 12 runs are stored in {out}"
-    assert told.err.splitlines()[-1] == (
-        f"harvester: interrupted; {stored}; the same command continues the study"
-    )
-    assert main(command) == 0
-    told = capsys.readouterr()
-    assert told.out.startswith("12 runs: 12 ok\n")
-    assert all(" of 12 runs, " in line for line in told.err.splitlines())
-    assert told.err.splitlines()[-1].startswith("100 %: 12 of 12 runs, ")
-    assert content(out) == content(finished / "out")
-    assert pd.read_csv(out / "log.csv")["run"].tolist()[: len(kept)] == kept
-
-
 @table(__file__, "changes", "old, new, told")
-def test_a_changed_study_is_refused(done, one, old, new, told):
+def test_a_changed_study_is_refused(done, old, new, told):
     """The line says what changed and that --fresh deletes what is there."""
     done.write_text(GAIN.replace(old, new), encoding="utf-8")
-    line = problem(lambda: run(done, one))
+    line = problem(lambda: run(done))
     assert line == f"{done.parent / 'out'}: holds runs of another study: {told}; --fresh deletes them"
 
 
-def test_a_changed_fmu_is_refused(done, one, fmus):
+def test_a_changed_fmu_is_refused(done, fmus):
     """It is its content that counts, not its name or its date."""
     fmu = done.parent / "gain.fmu"
     os.utime(fmu, (0, 0))
-    assert run(done, one)[1] == []
+    assert run(done)[1] == []
     fmu.write_bytes(fmus.make("gain", "other_gain", more="<!-- another -->").read_bytes())
-    with pytest.raises(Problem, match=r"another study: the FMU of gain changed; --fresh deletes them$"):
-        run(done, one)
+    problem(lambda: run(done), r"another study: the FMU of gain changed; --fresh deletes them$")
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", "half a fi"])
-def test_a_folder_that_is_not_understood_is_refused(done, one, text):
+def test_a_folder_that_is_not_understood_is_refused(done, text):
     """Its study.json is not one of a study."""
     (done.parent / "out" / "study.json").write_text(text)
-    line = problem(lambda: run(done, one))
+    line = problem(lambda: run(done))
     assert "study.json: is not the study.json of a parameter study; --fresh" in line
 
 
 @table(__file__, "refused", "name, old, new")
-def test_fresh_deletes_what_is_refused(done, one, name, old, new):
+def test_fresh_deletes_what_is_refused(done, name, old, new):
     """Another study, and a folder that is not understood: all runs take place."""
     path = done.parent / name
     path.write_text(path.read_text("utf-8").replace(old, new, 1), encoding="utf-8")
-    assert run(done, one, fresh=True)[1] == ALL
+    assert run(done, fresh=True)[1] == ALL
 
 
-def test_two_processes_do_not_share_a_folder(done, one):
+def test_two_processes_do_not_share_a_folder(done):
     """The second one is refused, until the first is done."""
     with store.locked(done.parent / "out"):
-        assert "another process is running a study" in problem(lambda: run(done, one))
-    run(done, one)
+        assert "another process is running a study" in problem(lambda: run(done))
+    run(done)
 
 
-def test_runs_of_damaged_parts_are_computed_again(file, begun, rows, finished, one, caplog):
+def test_runs_of_damaged_parts_are_computed_again(file, begun, rows, finished, caplog):
     """One line; nothing of the part is taken for a result. A part without a checksum counts as damaged."""
     for batch in ((0, 1), (2,), (3,), (4,)):
         begun.add([rows[n] for n in batch])
@@ -173,7 +130,7 @@ def test_runs_of_damaged_parts_are_computed_again(file, begun, rows, finished, o
     short.write_bytes(short.read_bytes()[:100])
     old.rename(old.with_name("batch-000000003.parquet"))  # of an earlier version
     with caplog.at_level("WARNING"):
-        assert run(file, one)[1] == [0, 1, 2, 3, *range(5, 12)]
+        assert run(file)[1] == [0, 1, 2, 3, *range(5, 12)]
     messages = [m for m in caplog.messages if "batch-" in m]
     assert len(messages) == 3
     assert all(m.endswith("its runs are computed again") and "\n" not in m for m in messages)
@@ -185,46 +142,44 @@ def test_a_part_that_is_damaged_while_the_study_runs_is_refused(begun, rows):
     begun.add([rows[0]])
     (part,) = (begun.folder / "parts").iterdir()
     part.write_bytes(part.read_bytes()[:-1])
-    with pytest.raises(Problem, match=r"batch-000000000-\w+.parquet: [^\n]+ repeats its runs$"):
-        begun.done()
+    problem(begun.done, r"batch-000000000-\w+.parquet: [^\n]+ repeats its runs$")
 
 
 @pytest.mark.parametrize("name", ["runs.parquet", "bands.parquet"])
-def test_damaged_results_are_refused(done, one, name):
+def test_damaged_results_are_refused(done, name):
     """A flipped bit in a stored value is one line, not another result."""
     path = done.parent / "out" / name
     data = bytearray(path.read_bytes())
     data[60] ^= 1  # in the first page
     path.write_bytes(data)
-    with pytest.raises(Problem, match=rf"{name}: cannot be read [^\n]+; --fresh computes the study again$"):
-        run(done, one)
+    problem(lambda: run(done), rf"{name}: cannot be read [^\n]+; --fresh computes the study again$")
 
 
 @pytest.mark.parametrize("fresh", [False, True])
 @pytest.mark.parametrize("name", ["runs.parquet", "report.html"])
-def test_files_of_others_are_left_alone(file, one, name, fresh):
+def test_files_of_others_are_left_alone(file, name, fresh):
     """A folder with such a file that no study wrote is refused, also by --fresh."""
     other = file.parent / "out" / name
     other.parent.mkdir()
     other.write_text("of somebody else")
-    line = problem(lambda: run(file, one, fresh=fresh))
+    line = problem(lambda: run(file, fresh=fresh))
     assert line.endswith(f"out: contains {name} but no study.json, so it is not the folder of a study")
     assert other.read_text() == "of somebody else"
 
 
-def test_a_study_may_lie_in_its_own_folder(file, one):
+def test_a_study_may_lie_in_its_own_folder(file):
     """Its file stays, also when it begins anew."""
     for fresh in (False, True):
-        assert run(file, one, ".", fresh=fresh)[1] == ALL
+        assert run(file, ".", fresh=fresh)[1] == ALL
         assert file.read_text() == GAIN
 
 
-def test_where_no_results_are_and_none_can_be(file, one):
+def test_where_no_results_are_and_none_can_be(file):
     """A folder without a finished study, and a file."""
     line = problem(lambda: store.read(file.parent))
     assert line.endswith("expected a finished study, runs.parquet is missing")
     (file.parent / "out").write_text("")
-    line = problem(lambda: run(file, one))
+    line = problem(lambda: run(file))
     assert line.endswith("out: cannot be a folder for results: File exists")
 
 
@@ -233,35 +188,35 @@ def stopped(outcome, reason):
     return replace(outcome, status="failed", reason=reason, outputs=outcome.outputs * np.nan, bands=None)
 
 
-def test_a_larger_limit_runs_stopped_runs_again(file, begun, rows, one):
+def test_a_larger_limit_runs_stopped_runs_again(file, begun, rows):
     """Also in a finished study; other failed runs and those stopped at larger limits stay."""
     late = stopped(rows[2], "time_limit = 5: not done within 5 s, stopped in fmi2DoStep of gain")
     large = stopped(rows[5], "memory_limit = 1e+09: uses more than 1e+09 GB of memory")
     begun.add([rows[0], rows[1], late])
     begun.add([large, stopped(rows[7], "segmentation fault")])
     file.write_text(f"time_limit = 5\n{GAIN}")
-    _, runs = run(file, one)
+    _, runs = run(file)
     assert runs == [3, 4, 6, 8, 9, 10, 11]
-    assert run(file, one)[1] == []
+    assert run(file)[1] == []
     file.write_text(f"time_limit = 60\n{GAIN}")
-    results, runs = run(file, one)
+    results, runs = run(file)
     assert runs == [2]
     assert results.table["run"].tolist() == ALL
     assert list(results.table.query("status == 'failed'")["run"]) == [5, 7]
     assert len(results.bands["run"].unique()) == 10
-    assert run(file, one)[1] == []
+    assert run(file)[1] == []
 
 
-def test_a_run_stopped_at_its_time_limit_runs_again(file, one):
+def test_a_run_stopped_at_its_time_limit_runs_again(file):
     """The reason of a stopped run names the limit, by which a start with a larger one finds it."""
     text = GAIN.replace("runs = 12", "runs = 2")
     text = text.replace("step = 0.01", "step = 2e-6")  # a run outlasts an interval between two checks
     file.write_text(f"time_limit = 1e-9\n{text}")
-    results, _ = run(file, one)
+    results, _ = run(file)
     again = [i for i, r in enumerate(results.table["reason"]) if r.startswith("time_limit = 1e-09: not done")]
     assert again
     file.write_text(text)
-    results, runs = run(file, one)
+    results, runs = run(file)
     assert runs == again
     assert set(results.table["status"]) == {"ok"}
 

@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -25,43 +24,33 @@ LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 def long(gain, tmp_path_factory):
     """The file of a study of some seconds, and its results without a kill, by two workers."""
     file = study(tmp_path_factory.mktemp("long"), LONG, gain)
-    _, runs = run(file, 2, "undisturbed")
+    _, runs = run(file, "undisturbed", workers=2)
     assert runs == list(range(RUNS))
     return file, content(file.parent / "undisturbed")
 
 
-def command(file: Path, out: Path, **environment: str) -> subprocess.Popen[str]:
-    """The command line in a process group of its own, as a terminal starts it."""
+def stopped(file, out, stop, begun="parts/batch-*.parquet", most=RUNS):
+    """The command line, which is stopped when it has made such a file: status, children, and what it said.
+
+    It has a process group of its own, as a terminal starts it. Where much else is done a signal may come when
+    `most` runs are kept or all are done: then all is done once more.
+    """
     arguments = ["sweep", str(file), "--out", str(out), "--no-report"]
     # a process that was started in the background would ignore Ctrl-C: its handler is set again
     begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     begin += f"import sys; sys.argv[1:] = {arguments!r}; from orchestrator.__main__ import script; script()"
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    environ = os.environ | environment
-    return subprocess.Popen([sys.executable, "-c", begin], start_new_session=True, env=environ, **pipes)
-
-
-def reached(process: subprocess.Popen[str], folder: Path, pattern: str) -> None:
-    """Wait until a command that runs has made such a file."""
-    assert until(lambda: process.poll() is not None or list(folder.glob(pattern)))
-    assert process.poll() is None, process.communicate()
-
-
-def stopped(
-    file: Path, out: Path, stop: Callable[[int], object]
-) -> tuple[subprocess.Popen[str], list[psutil.Process], str, str]:
-    """The command after it was stopped in the middle, its children, and what it said.
-
-    Where much else is done a signal may come after the last run: then all is done once more.
-    """
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
     for _ in range(10):
-        process = command(file, out)
-        reached(process, out, "parts/batch-*.parquet")
+        out.mkdir()
+        options["env"] = os.environ | {"TMPDIR": str(out)}
+        process = subprocess.Popen([sys.executable, "-c", begin], **options)
+        assert until(lambda p=process: p.poll() is not None or list(out.glob(begun)))
+        assert process.poll() is None, process.communicate()
         children = psutil.Process(process.pid).children()
         stop(process.pid)
         told, wrong = process.communicate()
-        if not (out / "runs.parquet").exists() and len(kept(out)) < RUNS:
-            return process, children, told, wrong
+        if not (out / "runs.parquet").exists() and len(kept(out)) < most:
+            return process.returncode, children, told, wrong
         shutil.rmtree(out)
     pytest.fail("ten times the study was over before it was stopped")
 
@@ -71,7 +60,7 @@ def kept(out: Path) -> set[int]:
     return {n for f in out.glob("parts/batch-*.parquet") for n in pq.read_table(f)["run"].to_pylist()}
 
 
-def test_killed_and_started_again_the_content_is_the_same(long, one):
+def test_killed_and_started_again_the_content_is_the_same(long):
     """Byte by byte, with another number of workers; the runs that were kept do not take place again."""
     file, undisturbed = long
     out = file.parent / "killed"
@@ -81,40 +70,35 @@ def test_killed_and_started_again_the_content_is_the_same(long, one):
     there = kept(out)
     assert 0 < len(there) < RUNS
     assert not (out / "runs.parquet").exists()
-    _, runs = run(file, one, "killed")
+    _, runs = run(file, "killed")
     assert runs == sorted(set(range(RUNS)) - there)
     assert content(out) == undisturbed
 
 
+def interrupt(group: int) -> None:
+    """As the terminal does, of all processes of the command."""
+    os.killpg(group, signal.SIGINT)
+
+
 def test_an_interrupt_keeps_what_is_finished(long):
-    """One line, the exit status of an interrupt, and what was finished is there."""
-    file, _ = long
+    """One line and the exit status of an interrupt; the same command runs the others to the same content."""
+    file, undisturbed = long
     out = file.parent / "interrupted"
-    # as the terminal does, to all processes of the command
-    process, _, told, wrong = stopped(file, out, lambda group: os.killpg(group, signal.SIGINT))
-    assert process.returncode == 130, wrong
-    assert told == ""
+    status, _, told, wrong = stopped(file, out, interrupt)
+    assert (status, told) == (130, ""), wrong
     *progress, last = wrong.splitlines()
     assert last == (
         f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are stored in {out};"
         " the same command continues the study"
     )
     assert all(f" of {RUNS} runs, " in line for line in progress)
+    run(file, "interrupted")
+    assert content(out) == undisturbed
 
 
-def test_an_interrupt_while_the_processes_start(long, tmp_path):
+def test_an_interrupt_while_the_processes_start(long):
     """It is an interrupt, no process that could not be started."""
     file, _ = long
-    out = file.parent / "early"
-    for _ in range(10):
-        process = command(file, out, TMPDIR=str(tmp_path))
-        reached(process, tmp_path, "sweep-*/errors")
-        os.killpg(process.pid, signal.SIGINT)
-        _, wrong = process.communicate()
-        if not kept(out) and not (out / "runs.parquet").exists():
-            break
-        shutil.rmtree(out)  # where much else is done the signal may come after the first runs
-        shutil.rmtree(tmp_path)
-        tmp_path.mkdir()
-    assert process.returncode == 130, wrong
+    status, *_, wrong = stopped(file, file.parent / "early", interrupt, "sweep-*/errors", 1)
+    assert status == 130, wrong
     assert wrong.splitlines()[-1].startswith(f"harvester: interrupted; 0 of {RUNS} runs are stored")

@@ -55,15 +55,15 @@ def test_numbers_are_converted_to_the_unit_of_the_fmu(offset):
     assert found.outputs[0].unit == "m.s"
 
 
-def test_shares_are_of_the_value_that_the_system_has(file, one):
+def test_shares_are_of_the_value_that_the_system_has(file):
     """Of the FMU's own start value 1, or of the one that is fixed."""
     text = GAIN.replace(FACTOR, FACTOR + "relative = true\n")
     file.write_text(text.replace("[fixed]\n", '[fixed]\n"gain.factor" = 5\n'), encoding="utf-8")
-    rows = run(file, one)[0].table
+    rows = run(file)[0].table
     assert (rows["start:gain.factor"] == 5.0 * rows["factor:gain.factor"]).all()
 
 
-def test_a_scenario_and_a_variant_are_choices(offset, one):
+def test_a_scenario_and_a_variant_are_choices(offset):
     """Files beside the study; each combination is run. A factor that a variant lacks leaves it as it is."""
     text, file = offset
     (file.parent / "up.csv").write_text(UP)
@@ -72,7 +72,7 @@ def test_a_scenario_and_a_variant_are_choices(offset, one):
     found = resolved(file, f'{text}{BENT}scenario = ["up.csv", "down.csv"]\n')
     variants, scenarios = Choice("gain", ("gain.fmu", "bent.fmu")), Choice("scenario", ("up.csv", "down.csv"))
     assert found.choices == (variants, scenarios)
-    rows = run(file, one)[0].table
+    rows = run(file)[0].table
     sign = rows["choice:scenario"].map({"up.csv": 1.0, "down.csv": -1.0})
     drawn = rows["factor:gain.offset"].where(rows["choice:gain"] == "gain.fmu")
     assert len(rows) == 8
@@ -97,9 +97,9 @@ def test_a_study_needs_something_to_vary_and_to_keep(file):
     assert refused(file, GAIN[: GAIN.index("[outputs")]) == expected
 
 
-def test_whole_numbers_stay_whole(fails, tmp_path):
+def test_whole_numbers_stay_whole(fmus, tmp_path):
     """A variable that is an Integer takes values only, and whole ones."""
-    file = study(tmp_path, FAILS, fails)
+    file = study(tmp_path, FAILS, fmus["fails"])
     expected = "values: expected whole numbers, as fails.how is not a Real variable"
     assert expected in refused(file, FAILS.replace("[0, 3,", "[0.5, 3,"))
 
@@ -166,11 +166,11 @@ def in_python(gain) -> Study:
     )
 
 
-def test_python_and_file_give_the_same_results(in_python, gain, one, tmp_path):
+def test_python_and_file_give_the_same_results(in_python, gain, tmp_path):
     """Byte by byte: units and names of outputs come from the FMU in both."""
     text = GAIN.replace('"gain.fmu"', f'"{gain.as_posix()}"')
-    run(study(tmp_path, text, gain), one, "file")
-    results = sweep(in_python, tmp_path / "python", workers=one)
+    run(study(tmp_path, text, gain), "file")
+    results = sweep(in_python, tmp_path / "python", workers=1)
     assert content(tmp_path / "python") == content(tmp_path / "file")
     assert results.study == resolved(tmp_path / "study.toml")
     assert read_results(tmp_path / "python").table.equals(results.table)

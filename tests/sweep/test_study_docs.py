@@ -35,23 +35,23 @@ def _small(fmus: Path, folder: Path, more: str = "") -> Path:
     return _placed(_block("toml", 0) + more, folder / "peak.toml", fmus, ("runs = 200", "runs = 4"))
 
 
-def test_the_small_study_runs_as_it_stands(fmu_dir, tmp_path, one):
+def test_the_small_study_runs_as_it_stands(fmu_dir, tmp_path):
     """All its runs end, with a report; peaks lie between the preload and the largest supply pressure."""
-    results, runs = run(_small(fmu_dir, tmp_path), one)
+    results, runs = run(_small(fmu_dir, tmp_path))
     assert runs == [0, 1, 2, 3]
     assert (results.table["status"] == "ok").all()
     assert results.table["output:peak"].between(1e6, 2.07e7).all()
     assert study_page.report(tmp_path / "out").exists()
 
 
-def test_the_short_scenario_leaves_the_machine_at_rest(fmu_dir, tmp_path, one):
+def test_the_short_scenario_leaves_the_machine_at_rest(fmu_dir, tmp_path):
     """It takes the place of all levers: the swing keeps its angle, the preload is not left upwards."""
     (tmp_path / "rest.csv").write_text(_block("csv", 0), encoding="utf-8")
     more = """angle = { signal = "manipulator.swing_angle", measure = "range" }
 [choices]
 scenario = "rest.csv"
 """
-    table = run(_small(fmu_dir, tmp_path, more), one)[0].table
+    table = run(_small(fmu_dir, tmp_path, more))[0].table
     assert (table["status"] == "ok").all()
     assert table["output:angle"].max() < 1e-6  # rad; in the work cycle it is more than one
     assert table["output:peak"].max() < 1.1e6  # Pa; it begins at 1e6
@@ -68,12 +68,12 @@ def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
     assert [o.name for o in found.outputs] == ["peak_pressure", "angle"]
 
 
-def test_the_ramp_of_a_lever_is_varied_as_the_page_says(fmu_dir, tmp_path, one):
+def test_the_ramp_of_a_lever_is_varied_as_the_page_says(fmu_dir, tmp_path):
     """Unchanged: one lever makes one stroke up to 3.6 V in all runs, with another peak in each."""
     more = """lever = { signal = "operator_input.swing_command", measure = "maximum" }
 boom = { signal = "operator_input.boom_command", measure = "range" }
 """
-    table = run(_placed(_block("toml", 2) + more, tmp_path / "ramp.toml", fmu_dir), one)[0].table
+    table = run(_placed(_block("toml", 2) + more, tmp_path / "ramp.toml", fmu_dir))[0].table
     assert table["status"].tolist() == ["ok"] * 8
     assert table["start:operator_input.swing_1_rise"].between(0.1, 0.7).all()
     assert table["output:lever"].to_numpy() == pytest.approx(3.6, rel=1e-12)  # V; rounding only

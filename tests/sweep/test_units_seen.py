@@ -15,9 +15,7 @@ from orchestrator.studies.report.study_page import distribution_text
 
 
 @table(__file__, "units", "unit, largest, shown, scale")
-def test_the_unit_follows_from_the_largest_number(
-    unit: str, largest: float, shown: str, scale: float
-) -> None:
+def test_the_unit_follows_from_the_largest_number(unit, largest, shown, scale):
     """mm and mm/s where all is small, else the units of all other reports."""
     own = display_unit(unit, largest)
     assert own.name == shown
