@@ -43,14 +43,9 @@ EVERY = sorted({module for modules in EXTRAS.values() for module in modules})
 def without(hidden, code, folder):
     """Run code in a process that cannot import the modules."""
     script = HIDE.format(hidden=tuple(hidden), code=code)
-    environment = {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
-    return subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, env=environment)
 
 
 packages = cache(packages_distributions)  # it reads the metadata of all packages: half a second
@@ -168,13 +163,11 @@ def test_a_command_of_the_base_needs_no_extra(fmu_dir, tmp_path):
 @pytest.mark.parametrize("path", sorted(identity.FOLDER.rglob("*.xsd")), ids=lambda path: path.name)
 def test_the_schemas_are_those_of_the_standard(path):
     """As FMPy contains them, too."""
-    assert (
-        Path(fmpy.__file__).parent / "schema" / path.relative_to(identity.FOLDER)
-    ).read_bytes() == path.read_bytes()
+    theirs = Path(fmpy.__file__).parent / "schema" / path.relative_to(identity.FOLDER)
+    assert theirs.read_bytes() == path.read_bytes()
 
 
 # ---- the wheel: built FMUs and compiled libraries
-
 
 # one system and two variants; all files together take long to compress
 SOME = ("harvester.ssp", "[bmos]*.fmu", "variants/swing_lumped.fmu", "variants/*_detailed.fmu")
@@ -182,11 +175,10 @@ SOME = ("harvester.ssp", "[bmos]*.fmu", "variants/swing_lumped.fmu", "variants/*
 
 def packed(built, patterns, folder):
     """The archive of some of the built FMUs in both versions of FMI, as in the wheel but compressed less."""
-    for file in (
-        file for pattern in patterns for file in (*built.glob(pattern), *built.glob(f"fmi3/{pattern}"))
-    ):
-        (folder / file.relative_to(built)).parent.mkdir(parents=True, exist_ok=True)
-        (folder / file.relative_to(built)).symlink_to(file)
+    for pattern in (*patterns, *(f"fmi3/{pattern}" for pattern in patterns)):
+        for file in built.glob(pattern):
+            (folder / file.relative_to(built)).parent.mkdir(parents=True, exist_ok=True)
+            (folder / file.relative_to(built)).symlink_to(file)
     package_files.pack(folder, folder / "built.tar.xz", preset=0)
     return folder / "built.tar.xz"
 
@@ -250,12 +242,11 @@ def test_without_a_built_system_commands_take_the_one_in_the_package(wheel, caps
 def test_what_is_shipped_has_names(capsys, monkeypatch):
     """In commands and in Python, from an empty folder; a path of a checkout does, too, and is told once."""
     monkeypatch.setattr(files, "_told", set())
-    heavy = run("harvester", "boom_up", stop=0.01, record=["swing.swing_pressure_a"])
+    options = {"stop": 0.01, "record": ["swing.swing_pressure_a"]}
+    heavy = run("harvester", "boom_up", **options)
     assert capsys.readouterr().err == ""
     for _ in range(2):
-        same = run(
-            "build/harvester.ssp", "data/scenarios/boom_up.csv", stop=0.01, record=["swing.swing_pressure_a"]
-        )
+        same = run("build/harvester.ssp", "data/scenarios/boom_up.csv", **options)
     assert same.provenance.files == heavy.provenance.files
     told = "build/harvester.ssp does not exist", "data/scenarios/boom_up.csv does not exist"
     assert [line[: line.index(";")] for line in capsys.readouterr().err.splitlines()] == list(told)
