@@ -38,13 +38,13 @@ PROGRAMS = [
 
 @pytest.mark.parametrize(("program", "chosen", "others"), PROGRAMS)
 def test_a_program_moves_the_machine_like_the_scenario_of_the_same_moves(capsys, program, chosen, others):
-    """That of the system itself, or one chosen by name; what the scenario replaces and leaves alone is told."""
+    """That of the system itself, or one chosen by name; what the scenario replaces is told, and what not."""
     run = ["run", "--stop", "2", "--record-step", "0.02"]
     assert main([*run, *chosen, "--out", "own.csv"]) == 0
     assert "scenario" not in capsys.readouterr().out
     assert main([*run, "--scenario", str(data(f"scenarios/{program}.csv")), "--out", "given.csv"]) == 0
-    told = "note: the scenario replaces operator_input; inputs that are not in the scenario keep their start values: "
-    kept = capsys.readouterr().out.partition(told)[2].partition("\n")[0].split(", ")
+    told = "replaces operator_input; inputs that are not in the scenario keep their start values: "
+    kept = capsys.readouterr().out.partition(f"note: the scenario {told}")[2].partition("\n")[0].split(", ")
     assert set(kept) == {"manipulator.payload_mass", *others}
     own, given = (read_trace(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
