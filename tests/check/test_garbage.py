@@ -10,7 +10,6 @@ import pytest
 from kit.mistakes import table
 
 from check.good import DESCRIPTION, Archive
-from orchestrator.base.errors import Problem
 from orchestrator.check.checking import DEFECT, _without_repeats, check
 
 LFS_POINTER = "version https://git-lfs.github.com/spec/v1\n"
@@ -144,10 +143,3 @@ def test_fmpy_speaks_where_no_rule_does(
     for tool, severity in (("any", "warning"), ("fmpy", "error")):
         findings = check(path, tool, run=False).findings
         assert [f.severity for f in findings if f.rule == "fmpy.validate"] == [severity]
-
-
-@pytest.mark.parametrize(("path", "says"), [("gone.fmu", "no such file"), (".", "got a folder")])
-def test_a_path_without_file_is_the_users_mistake(path: str, says: str, tmp_path: Path) -> None:
-    """Without a file there is an error message and no report."""
-    with pytest.raises(Problem, match=says):
-        check(tmp_path / path, run=False)

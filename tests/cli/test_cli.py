@@ -128,14 +128,6 @@ def test_poses_and_programs_are_chosen_by_name():
     assert not trace["operator_input.boom_command"].any()
 
 
-def test_an_angle_is_set_by_its_parameter(capsys):
-    """The start of an angle is calculated: one line says from which parameter."""
-    assert main(["run", "--set", "manipulator.boom_angle=0.5"]) == 2
-    told = capsys.readouterr().err.strip()
-    assert told.endswith("that the FMU computes itself, at the start from initial_boom_angle")
-    assert "\n" not in told
-
-
 @table(__file__, "mistakes_are_one_line_and_status_2", "arguments, told")
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
     """Named with what was expected and found, without a traceback."""

@@ -173,33 +173,28 @@ def test_the_schemas_are_those_of_the_standard(path):
 SOME = ("harvester.ssp", "[bmos]*.fmu", "variants/swing_lumped.fmu", "variants/*_detailed.fmu")
 
 
-def packed(built, patterns, folder):
-    """The archive of some of the built FMUs in both versions of FMI, as in the wheel but compressed less."""
-    for pattern in (*patterns, *(f"fmi3/{pattern}" for pattern in patterns)):
-        for file in built.glob(pattern):
-            (folder / file.relative_to(built)).parent.mkdir(parents=True, exist_ok=True)
-            (folder / file.relative_to(built)).symlink_to(file)
-    package_files.pack(folder, folder / "built.tar.xz", preset=0)
-    return folder / "built.tar.xz"
-
-
 @pytest.fixture(scope="module")
 def archives(built, tmp_path_factory):
-    """The archive of files that match some patterns, each made once."""
-    return cache(lambda *patterns: packed(built, patterns, tmp_path_factory.mktemp("package")))
+    """The archive of the FMUs that match some patterns, as in the wheel but compressed less, made once."""
 
+    @cache
+    def packed(*patterns):
+        folder = tmp_path_factory.mktemp("package")
+        for pattern in (*patterns, *(f"fmi3/{pattern}" for pattern in patterns)):
+            for file in built.glob(pattern):
+                (folder / file.relative_to(built)).parent.mkdir(parents=True, exist_ok=True)
+                (folder / file.relative_to(built)).symlink_to(file)
+        package_files.pack(folder, folder / "built.tar.xz", preset=0)
+        return folder / "built.tar.xz"
 
-@pytest.fixture(scope="module")
-def archive(archives):
-    """The archive of some FMUs."""
-    return archives(*SOME)
+    return packed
 
 
 @pytest.fixture
-def wheel(archive, tmp_path_factory, tmp_path, monkeypatch):
+def wheel(archives, tmp_path_factory, tmp_path, monkeypatch):
     """The cache of a user with an empty working folder, and with a package that contains built FMUs."""
     cache = tmp_path_factory.mktemp("cache")
-    monkeypatch.setattr(package_files, "BUILT", archive)
+    monkeypatch.setattr(package_files, "BUILT", archives(*SOME))
     monkeypatch.setattr(compiler, "cache_folder", lambda: cache)
     monkeypatch.setattr(files, "CHECKOUT", Path("none"))
     monkeypatch.chdir(tmp_path)
@@ -218,9 +213,9 @@ def test_the_archive_restores_the_files(some, built, archives):
     assert dict(package_files.unpack(archive, fmi3=False)) == second
 
 
-def test_the_archive_has_each_fmu_once(archive):
+def test_the_archive_has_each_fmu_once(archives):
     """Those in systems and the default variants are links."""
-    with tarfile.open(archive) as opened:
+    with tarfile.open(archives(*SOME)) as opened:
         entries = {entry.name: entry for entry in opened}
     assert entries["harvester.ssp/resources/swing.fmu"].linkname == "swing.fmu"
     assert entries["variants/swing_lumped.fmu"].linkname == "swing.fmu"

@@ -105,16 +105,8 @@ def test_keyboard_alone(opened: Any) -> None:
     for _ in range(32):
         page.page.keyboard.press("Tab")
         reached.add(page.page.evaluate("() => document.activeElement.textContent.trim().split('\\n')[0]"))
-    assert {
-        "Demonstration",
-        "Drive",
-        "Start again",
-        "Save the drive",
-        "Training task",
-        "SAE",
-        "Keys",
-        "top",
-    } <= reached
+    wanted = {"Demonstration", "Drive", "Start again", "Save the drive", "Training task"}
+    assert reached >= wanted | {"SAE", "Keys", "top"}
 
 
 @shards.browser

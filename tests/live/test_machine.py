@@ -20,8 +20,7 @@ from .conftest import u
 
 
 def test_it_does_what_it_is_told_and_run_does_the_same(opened, drift):
-    """A session with commands from outside: `run` with its axes as the scenario gives the same bits; the trace
-    has units as that of a run."""
+    """`run` with the axes of a session as the scenario gives the same bits; the session's trace has units."""
     station = opened(drift)
     assert (station.axes, station.signals) == (("u",), ("drift.y", "drift.u"))
     assert station.units == {"u": "m", "drift.u": "m"}

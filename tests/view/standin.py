@@ -99,16 +99,10 @@ class Server:
     machine: StandIn
     authority: ControlAuthority
     port: int
+    http: str
+    socket: str
     rules: Rules
     silence: Callable[[float], None]
-
-    @property
-    def http(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
-
-    @property
-    def socket(self) -> str:
-        return f"ws://127.0.0.1:{self.port}/live"
 
 
 @contextlib.contextmanager
@@ -138,7 +132,8 @@ def serving(
     assert until(lambda: server.started)
     try:
         port = server.servers[0].sockets[0].getsockname()[1]
-        yield Server(machine, authority, port, asked, passed.append)
+        addresses = f"http://127.0.0.1:{port}", f"ws://127.0.0.1:{port}/live"
+        yield Server(machine, authority, port, *addresses, asked, passed.append)
     finally:
         server.should_exit = True
         thread.join(LONG)

@@ -88,19 +88,17 @@ class Frames:
     """A table of findings, from frames: times, states of the hole, deviations of the load."""
 
     def __init__(self) -> None:
-        self.kept = list[tuple[float, float, float]]()
+        self.machine = StandIn(signals=SIGNALS)
         self.table = FindingTable((HOLE, LOAD, HEAT), SIGNALS, self.since)
 
     def since(self, number: int) -> tuple[np.ndarray, ...]:
         self.asked = number
-        numbers = np.arange(number + 1, len(self.kept))
-        new = self.kept[number + 1 :]
-        values = [[9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0] for _, state, off in new]
-        return numbers, np.array([t for t, *_ in new]), np.empty((len(new), 0)), np.array(values)
+        return self.machine.since(number)
 
     def rows(self, *more: tuple[float, float, float]) -> np.ndarray:
         """After further frames."""
-        self.kept += more
+        values = [(t, [9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0]) for t, state, off in more]
+        self.machine.frames += values
         self.table.look()
         return self.table.rows
 
@@ -114,7 +112,7 @@ def test_since_when() -> None:
     assert heat == pytest.approx([26.85, 2.0, -1.0, math.nan], nan_ok=True)
     assert frames.rows((0.5, 1, 5))[0, 3] == 0.3
     assert frames.rows()[0, 3] == 0.3, "no frame while the machine is paused"
-    assert frames.asked == len(frames.kept) - 1, "no frame is read twice"
+    assert frames.asked == len(frames.machine.frames) - 1, "no frame is read twice"
     assert math.isnan(frames.rows((0.6, -1, 5))[0, 3])
     assert frames.rows((0.7, 1, 5), (0.01, 1, 5))[0, 3] == 0.01
 

@@ -4,6 +4,7 @@ import json
 import math
 
 import pytest
+from kit.mistakes import problem
 from view.standin import CONTROLLER, DESCRIPTION, LEVERS, StandIn
 
 from orchestrator.base.errors import Problem
@@ -256,9 +257,10 @@ def test_choice(desk: Desk) -> None:
     desk.authority.choose(station, "SAE")
     assert not desk.machine.moving
     assert desk.status().pattern == "SAE"
-    for wrong in ({"pattern_name": "X"}, {"mode": "tip"}):
-        with pytest.raises(Problem, match="expected"):
-            desk.authority.choose(station, **wrong)
+    told = problem(lambda: desk.authority.choose(station, "JCB"))
+    assert told == "pattern: expected ISO or SAE, found JCB"
+    told = problem(lambda: desk.authority.choose(station, mode="tip"))
+    assert told == "mode: expected one of levers, found tip"
 
 
 def test_restart_as_another_machine(desk: Desk) -> None:
