@@ -19,10 +19,7 @@ class Desk:
         self.authority = ControlAuthority(
             self.machine, lambda: DESCRIPTION, timeout=0.25, silence_limit=1.0, clock=lambda: self.now
         )
-        self.status, self.take = self.authority.status, self.authority.take
-
-    def page(self) -> OperatorStation:
-        return self.authority.join()
+        self.page, self.status, self.take = self.authority.join, self.authority.status, self.authority.take
 
     def driver(self) -> OperatorStation:
         """A page that drives to the left."""
@@ -234,9 +231,8 @@ def test_inputs_that_are_set(desk: Desk) -> None:
     assert "manipulator.payload_mass" not in desk.machine.commands[-1]
 
 
-def test_machine_without_sticks() -> None:
+def test_machine_without_sticks(desk: Desk) -> None:
     """Its inputs are set by sliders alone; sticks are a fault, and the page says what to do."""
-    desk = Desk()
     desk.machine.axes = ("u",)
     station = desk.page()
     desk.authority.take(station)
