@@ -44,7 +44,6 @@ from fmus.valve_actuation import ACTUATION
 from orchestrator.check.ls_ref import EXPERIMENT, ExperimentComparison, cases, compare_experiment, table
 from orchestrator.check.ls_ref import parameter_set as read_parameters
 from orchestrator.check.probe_process import probe_limits, use_probe_limits
-from orchestrator.check.subject import parse_unpacked
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in FERIC.components]
 # but the ideal source: it has no states, there is nothing to prove
@@ -57,20 +56,15 @@ SUBSYSTEMS = {
 
 def built(folder: Path, name: str) -> Path:
     """The FMU of a subsystem in a folder of the built machine."""
-    return folder / (
-        f"{name}.fmu"
-        if name in (*FERIC.components, ACTUATION.name, CONTROLLER.name, HARVESTER.name)
-        else f"variants/{name}.fmu"
-    )
+    return folder / ("variants" if SUBSYSTEMS[name] in OTHERS else "") / f"{name}.fmu"
 
 
 def compared(path: Path, folder: Path) -> ExperimentComparison:
     """The first experiment of an FMU."""
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder)
+    subject = opened(path, folder)
     found, texts = cases(folder)
     assert texts == []
-    return compare_experiment(parse_unpacked(path, folder), found[0])
+    return compare_experiment(subject, found[0])
 
 
 @pytest.fixture(autouse=True)

@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from kit.fmu import driving
+from kit.toy import toy
 
 import fmus
 from fmus.contract import flat, nested, symbolic
@@ -43,25 +45,9 @@ def test_numbers_in_the_code_are_told_as_such(example):
 
 def test_a_parameter_without_a_number_is_refused():
     """Neither file nor value: one line that names it."""
-
-    class Parameters(fmus.Group):
-        lag: fmus.Scalar = fmus.Quantity("s", "Time constant")
-
-    class Nothing(fmus.Group):
-        pass
-
-    sub = fmus.Subsystem(
-        name="empty",
-        text="Nothing",
-        parameters=Parameters,
-        states=Nothing,
-        inputs=Nothing,
-        outputs=Nothing,
-        dynamics=lambda *x_u_p: x_u_p[0],
-        observe=lambda *x_u_p: x_u_p[0],
-    )
+    sub = toy("empty", {"lag": fmus.Quantity("s", "Time constant")}, {}, {}, {}, None, None)
     with pytest.raises(Problem, match=r"^empty: parameter lag of empty is missing$"):
-        fmus.values(sub)
+        fmus.values(replace(sub, values=None))
 
 
 def test_several_become_one(example):

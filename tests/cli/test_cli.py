@@ -15,6 +15,8 @@ from orchestrator import read_trace
 from orchestrator.__main__ import main
 from orchestrator.base.files import require
 
+pytestmark = pytest.mark.usefixtures("here")
+
 
 def test_build_makes_the_machine(built):
     """The FMUs, the system that connects them and all variants, for FMI 2.0 and 3.0, each with its size."""
@@ -27,24 +29,29 @@ def test_build_makes_the_machine(built):
     assert all((built / name).stat().st_size > 10_000 for name in names)
 
 
-@pytest.mark.usefixtures("here")
-def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
-    """Without scenario the levers move the machine, as the scenario of the same moves does."""
-    assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "own.csv"]) == 0
+SWING, STICK = "swing.swing_command", "boom_stick.stick_command"
+PROGRAMS = [
+    ("work_cycle", [], ()),
+    ("boom_up", ["--parameters", "boom_up"], (SWING, f"{SWING}_rate", STICK, f"{STICK}_rate")),
+]
+
+
+@pytest.mark.parametrize(("program", "chosen", "others"), PROGRAMS)
+def test_a_program_moves_the_machine_like_the_scenario_of_the_same_moves(capsys, program, chosen, others):
+    """That of the system itself, or one chosen by name; what the scenario replaces is told, and what not."""
+    run = ["run", "--stop", "2", "--record-step", "0.02"]
+    assert main([*run, *chosen, "--out", "own.csv"]) == 0
     assert "scenario" not in capsys.readouterr().out
-    scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
-    assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
-    note = (
-        "operator_input; inputs that are not in the scenario keep their start values: "
-        "manipulator.payload_mass\n"
-    )
-    assert f"note: the scenario replaces {note}" in capsys.readouterr().out
+    assert main([*run, "--scenario", str(data(f"scenarios/{program}.csv")), "--out", "given.csv"]) == 0
+    told = "replaces operator_input; inputs that are not in the scenario keep their start values: "
+    kept = capsys.readouterr().out.partition(f"note: the scenario {told}")[2].partition("\n")[0].split(", ")
+    assert set(kept) == {"manipulator.payload_mass", *others}
     own, given = (read_trace(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
-    np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)  # the scenario has its commands to 1e-9 V
+    # the scenario has its commands to 1e-9 V, and the rounding of the clock
+    np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)
 
 
-@pytest.mark.usefixtures("here")
 def test_parameters_of_one_source(capsys):
     """Only those, and how many of all they are."""
     assert main(["parameters", "--source", "paper"]) == 0
@@ -60,7 +67,6 @@ def test_parameters_of_one_source(capsys):
     assert f"{total} numbers: {rows.count('paper')} paper, " in whole
 
 
-@pytest.mark.usefixtures("here")
 def test_signals_are_listed(capsys, fmu_dir):
     """Inputs that nothing feeds, and every variable with unit and text, in 100 columns."""
     assert main(["signals", str(fmu_dir / "harvester.fmu")]) == 0
@@ -86,7 +92,6 @@ def printed_json(capsys, *command):
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.usefixtures("here")
 def test_lists_as_data(capsys):
     """The rows of signals, parameters and variants, with units."""
     pressure = {"name": "supply.supply_pressure", "kind": "output", "unit": "Pa"}
@@ -100,7 +105,6 @@ def test_lists_as_data(capsys):
     assert found["swing", "lumped"]["states"] == len(quantities(FERIC.subsystems["swing"].states))
 
 
-@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("only", [None, "swing", "boom_stick", "manipulator", "operator_input"])
 def test_parameters_are_printed_with_their_sources(capsys, only):
     """One subsystem, or those of the machine; the words for the sources are explained."""
@@ -112,7 +116,6 @@ def test_parameters_are_printed_with_their_sources(capsys, only):
     assert "printed in the paper" in printed
 
 
-@pytest.mark.usefixtures("here")
 def test_poses_and_programs_are_chosen_by_name():
     """Later sets win over earlier ones and over those that the system binds, --set over all."""
     options = ["--parameters", "raised", "--parameters", "still"]
@@ -125,27 +128,6 @@ def test_poses_and_programs_are_chosen_by_name():
     assert not trace["operator_input.boom_command"].any()
 
 
-@pytest.mark.usefixtures("here")
-def test_an_angle_is_set_by_its_parameter(capsys):
-    """The start of an angle is calculated: one line says from which parameter."""
-    assert main(["run", "--set", "manipulator.boom_angle=0.5"]) == 2
-    told = capsys.readouterr().err.strip()
-    assert told.endswith("that the FMU computes itself, at the start from initial_boom_angle")
-    assert "\n" not in told
-
-
-@pytest.mark.usefixtures("here")
-def test_a_program_moves_the_machine_like_the_scenario_of_the_same_moves():
-    """boom_up by name and as data/scenarios/boom_up.csv."""
-    chosen = ["--parameters", "boom_up"], ["--scenario", str(data("scenarios/boom_up.csv"))]
-    for name, options in zip(("a.csv", "b.csv"), chosen, strict=True):
-        assert main(["run", *options, "--stop", "2", "--out", name]) == 0
-    a, b = (read_trace(name)["manipulator.boom_angle"] for name in ("a.csv", "b.csv"))
-    assert np.ptp(a) > 0.1  # rad: it moves
-    np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)  # the same numbers but for the clock's rounding
-
-
-@pytest.mark.usefixtures("here")
 @table(__file__, "mistakes_are_one_line_and_status_2", "arguments, told")
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
     """Named with what was expected and found, without a traceback."""
@@ -155,10 +137,8 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
     assert told in printed
 
 
-def test_only_a_similar_file_is_proposed(tmp_path, monkeypatch):
+def test_only_a_similar_file_is_proposed():
     """Of the same kind with most letters in common, or of another kind with the same name."""
-    monkeypatch.chdir(tmp_path)
-    Path("build").mkdir()
     for name in ("other.csv", "open.csv"):
         Path("build", name).touch()
     told = {
@@ -173,15 +153,14 @@ def test_only_a_similar_file_is_proposed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("command", ["run", "validate"])
-def test_a_machine_that_is_not_built_yet(tmp_path, monkeypatch, capsys, command):
+def test_a_machine_that_is_not_built_yet(capsys, command):
     """The command that makes it is told."""
-    monkeypatch.chdir(tmp_path)
-    assert main([command]) == 2
     missing = Path("build/harvester.ssp")
+    missing.unlink()
+    assert main([command]) == 2
     assert capsys.readouterr().err == f"harvester: {missing}: no such file; build it with: harvester build\n"
 
 
-@pytest.mark.usefixtures("here")
 @table(__file__, "failing", "command, option")
 def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     """A supply pressure beyond reason breaks the linkage: the record stays, the FMU's own words are told."""
@@ -200,7 +179,6 @@ def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     assert "likely cause" not in printed.err  # the coupling is not to blame
 
 
-@pytest.mark.usefixtures("here")
 def test_a_coupling_that_kills_the_run_is_named(capsys):
     """Jacobi at 10 ms, rate ports connected: the FMU that fails is not the cause, and the message says so."""
     assert main(["run", "--master", "jacobi", "--step", "0.01", "--out", "coarse.csv"]) == 2
@@ -212,9 +190,10 @@ def test_a_coupling_that_kills_the_run_is_named(capsys):
 
 def test_a_build_of_some_fmus(tmp_path, capsys):
     """Those whose names match, and no system, because a part of it is not built; a mistake names all FMUs."""
-    assert main(["build", "--fmi", "2", "--only", "supply", "--out", str(tmp_path)]) == 0
-    files = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+    out = tmp_path / "some"
+    assert main(["build", "--fmi", "2", "--only", "supply", "--out", str(out)]) == 0
+    files = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
     assert files == {"supply.fmu", "variants/supply_ideal.fmu"}
     capsys.readouterr()
-    assert main(["build", "--only", "pump", "--out", str(tmp_path)]) == 2
+    assert main(["build", "--only", "pump", "--out", str(out)]) == 2
     assert "--only pump: expected the name of an FMU; there are " in capsys.readouterr().err

@@ -43,14 +43,9 @@ EVERY = sorted({module for modules in EXTRAS.values() for module in modules})
 def without(hidden, code, folder):
     """Run code in a process that cannot import the modules."""
     script = HIDE.format(hidden=tuple(hidden), code=code)
-    environment = {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
-    return subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, env=environment)
 
 
 packages = cache(packages_distributions)  # it reads the metadata of all packages: half a second
@@ -168,46 +163,38 @@ def test_a_command_of_the_base_needs_no_extra(fmu_dir, tmp_path):
 @pytest.mark.parametrize("path", sorted(identity.FOLDER.rglob("*.xsd")), ids=lambda path: path.name)
 def test_the_schemas_are_those_of_the_standard(path):
     """As FMPy contains them, too."""
-    assert (
-        Path(fmpy.__file__).parent / "schema" / path.relative_to(identity.FOLDER)
-    ).read_bytes() == path.read_bytes()
+    theirs = Path(fmpy.__file__).parent / "schema" / path.relative_to(identity.FOLDER)
+    assert theirs.read_bytes() == path.read_bytes()
 
 
 # ---- the wheel: built FMUs and compiled libraries
-
 
 # one system and two variants; all files together take long to compress
 SOME = ("harvester.ssp", "[bmos]*.fmu", "variants/swing_lumped.fmu", "variants/*_detailed.fmu")
 
 
-def packed(built, patterns, folder):
-    """The archive of some of the built FMUs in both versions of FMI, as in the wheel but compressed less."""
-    for file in (
-        file for pattern in patterns for file in (*built.glob(pattern), *built.glob(f"fmi3/{pattern}"))
-    ):
-        (folder / file.relative_to(built)).parent.mkdir(parents=True, exist_ok=True)
-        (folder / file.relative_to(built)).symlink_to(file)
-    package_files.pack(folder, folder / "built.tar.xz", preset=0)
-    return folder / "built.tar.xz"
-
-
 @pytest.fixture(scope="module")
 def archives(built, tmp_path_factory):
-    """The archive of files that match some patterns, each made once."""
-    return cache(lambda *patterns: packed(built, patterns, tmp_path_factory.mktemp("package")))
+    """The archive of the FMUs that match some patterns, as in the wheel but compressed less, made once."""
 
+    @cache
+    def packed(*patterns):
+        folder = tmp_path_factory.mktemp("package")
+        for pattern in (*patterns, *(f"fmi3/{pattern}" for pattern in patterns)):
+            for file in built.glob(pattern):
+                (folder / file.relative_to(built)).parent.mkdir(parents=True, exist_ok=True)
+                (folder / file.relative_to(built)).symlink_to(file)
+        package_files.pack(folder, folder / "built.tar.xz", preset=0)
+        return folder / "built.tar.xz"
 
-@pytest.fixture(scope="module")
-def archive(archives):
-    """The archive of some FMUs."""
-    return archives(*SOME)
+    return packed
 
 
 @pytest.fixture
-def wheel(archive, tmp_path_factory, tmp_path, monkeypatch):
+def wheel(archives, tmp_path_factory, tmp_path, monkeypatch):
     """The cache of a user with an empty working folder, and with a package that contains built FMUs."""
     cache = tmp_path_factory.mktemp("cache")
-    monkeypatch.setattr(package_files, "BUILT", archive)
+    monkeypatch.setattr(package_files, "BUILT", archives(*SOME))
     monkeypatch.setattr(compiler, "cache_folder", lambda: cache)
     monkeypatch.setattr(files, "CHECKOUT", Path("none"))
     monkeypatch.chdir(tmp_path)
@@ -226,9 +213,9 @@ def test_the_archive_restores_the_files(some, built, archives):
     assert dict(package_files.unpack(archive, fmi3=False)) == second
 
 
-def test_the_archive_has_each_fmu_once(archive):
+def test_the_archive_has_each_fmu_once(archives):
     """Those in systems and the default variants are links."""
-    with tarfile.open(archive) as opened:
+    with tarfile.open(archives(*SOME)) as opened:
         entries = {entry.name: entry for entry in opened}
     assert entries["harvester.ssp/resources/swing.fmu"].linkname == "swing.fmu"
     assert entries["variants/swing_lumped.fmu"].linkname == "swing.fmu"
@@ -250,12 +237,11 @@ def test_without_a_built_system_commands_take_the_one_in_the_package(wheel, caps
 def test_what_is_shipped_has_names(capsys, monkeypatch):
     """In commands and in Python, from an empty folder; a path of a checkout does, too, and is told once."""
     monkeypatch.setattr(files, "_told", set())
-    heavy = run("harvester", "boom_up", stop=0.01, record=["swing.swing_pressure_a"])
+    options = {"stop": 0.01, "record": ["swing.swing_pressure_a"]}
+    heavy = run("harvester", "boom_up", **options)
     assert capsys.readouterr().err == ""
     for _ in range(2):
-        same = run(
-            "build/harvester.ssp", "data/scenarios/boom_up.csv", stop=0.01, record=["swing.swing_pressure_a"]
-        )
+        same = run("build/harvester.ssp", "data/scenarios/boom_up.csv", **options)
     assert same.provenance.files == heavy.provenance.files
     told = "build/harvester.ssp does not exist", "data/scenarios/boom_up.csv does not exist"
     assert [line[: line.index(";")] for line in capsys.readouterr().err.splitlines()] == list(told)

@@ -4,6 +4,7 @@ import io
 import time
 
 import pytest
+from kit.wait import until
 
 from orchestrator.base import progress
 from orchestrator.base.progress import Doing
@@ -40,9 +41,7 @@ def test_a_log_has_a_line_only_for_what_takes_long(monkeypatch):
     line = Doing("short", log)
     for text in ("one of 2", "two of 2"):
         line.update(text)
-        until = time.monotonic() + 10.0  # only bounds a failure
-        while text not in log.getvalue() and time.monotonic() < until:
-            time.sleep(0.01)
+        assert until(lambda text=text: text in log.getvalue())
         time.sleep(0.15)  # three times LONG
     line.update("three of 2")
     line.end()

@@ -16,6 +16,7 @@ from fmus.machine.build import data
 from orchestrator import Trace, read_trace, write_trace
 from orchestrator.__main__ import main
 
+pytestmark = pytest.mark.usefixtures("here")
 REFERENCE = data("reference/work_cycle.csv")
 
 
@@ -28,7 +29,6 @@ def own_reference(old: str = "", new: str = "") -> str:
     return "own.csv"
 
 
-@pytest.mark.usefixtures("here")
 def test_a_scenario_of_one_column_is_enough(capsys):
     """The operator lets go of all levers: inputs that no column drives are recorded at their start value."""
     Path("mine.csv").write_text("time,boom_command\n0,0\n0.1,0\n0.2,3\n", encoding="utf-8")
@@ -57,7 +57,6 @@ def plain(fmu_dir, tmp_path_factory):
     return printed.getvalue(), folder
 
 
-@pytest.mark.usefixtures("here")
 def test_an_own_reference_without_scenario_is_told_what_ran(capsys, plain):
     """In the terminal and in the report, whose title is not that of the project's own validation."""
     assert main(["validate", "--reference", own_reference(), "--stop", "0.2"]) == 0
@@ -72,7 +71,6 @@ def test_an_own_reference_without_scenario_is_told_what_ran(capsys, plain):
     assert "<title>Harvester, work cycle" in (folder / "build/report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("here")
 def test_a_recording_without_commands_is_told_what_ran(capsys):
     """Nothing to play in it: the levers play their own program, and a note says so."""
     shutil.copy(REFERENCE, "own.csv")
@@ -81,7 +79,6 @@ def test_a_recording_without_commands_is_told_what_ran(capsys):
     assert "note: no --scenario given: the inputs are those of the system" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("system", ["harvester.ssp", "harvester.fmu"])
 def test_a_recording_plays_its_own_commands(system, fmu_dir, capsys):
     """In other units and moved in time: the run is that of the recording, whatever the levers would play."""
@@ -93,8 +90,7 @@ def test_a_recording_plays_its_own_commands(system, fmu_dir, capsys):
         '[signals."manipulator.boom_angle"]\ncolumn = "ANGLE"\nunit = "deg"\n',
         encoding="utf-8",
     )
-    shutil.copy(fmu_dir / "harvester.fmu", "build/harvester.fmu")
-    assert main(["validate", f"build/{system}", "--reference", "own.csv"]) == 0
+    assert main(["validate", str(fmu_dir / system), "--reference", "own.csv"]) == 0
     assert "is taken from the reference" in capsys.readouterr().out
     trace = read_trace("build/run.csv")
     own = "harvester" if system.endswith("fmu") else "boom_stick"
@@ -104,7 +100,6 @@ def test_a_recording_plays_its_own_commands(system, fmu_dir, capsys):
     assert trace.time[-1] == pytest.approx(time[-1], abs=1e-3)
 
 
-@pytest.mark.usefixtures("here")
 def test_a_run_that_begins_elsewhere_than_the_recording_is_told(capsys):
     """A recording from another pose: a note says which joint stands elsewhere, and how far."""
     own = Path(own_reference())
@@ -118,7 +113,6 @@ def test_a_run_that_begins_elsewhere_than_the_recording_is_told(capsys):
     )
 
 
-@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("system", ["harvester.ssp", "harvester.fmu"])
 def test_a_recorded_supply_is_played_where_it_is_asked_for(system, fmu_dir, capsys):
     """One sensor for both drives: it goes in by --play, else it is compared with the ideal source."""
@@ -129,23 +123,21 @@ def test_a_recorded_supply_is_played_where_it_is_asked_for(system, fmu_dir, caps
     both = "".join(map(line.format, ("swing", "boom_stick")))
     command = '[signals."boom_stick.boom_command"]\ncolumn = "BOOM"\nunit = "V"\n'
     Path("own.toml").write_text(command + both, encoding="utf-8")
-    shutil.copy(fmu_dir / "harvester.fmu", "build/harvester.fmu")
     play = ["--play", "*.supply_pressure"]
-    assert main(["validate", f"build/{system}", "--reference", "own.csv", *play]) == 0
+    assert main(["validate", str(fmu_dir / system), "--reference", "own.csv", *play]) == 0
     trace = read_trace("build/run.csv")
     parts = ("harvester",) if system.endswith("fmu") else ("swing", "boom_stick")
     for part in parts:
         # recorded on the grid of the recording: exact but for rounding of 2e7 Pa
         np.testing.assert_allclose(trace[f"{part}.supply_pressure"], 1e5 * sagging, atol=1e-3)
     if len(parts) > 1:
-        assert main(["validate", f"build/{system}", "--reference", "own.csv"]) == 0
+        assert main(["validate", str(fmu_dir / system), "--reference", "own.csv"]) == 0
         assert np.ptp(read_trace("build/run.csv")["swing.supply_pressure"]) == 0
     capsys.readouterr()
-    assert main(["validate", f"build/{system}", "--reference", "own.csv", "--play", "*.presure"]) == 2
+    assert main(["validate", str(fmu_dir / system), "--reference", "own.csv", "--play", "*.presure"]) == 2
     assert "--play *.presure: expected a signal of own.csv" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("here")
 def test_wires_can_be_cut(capsys):
     """Without the rate ports the run is another one, and says so."""
     options = ["--stop", "0.1", "--cut", "*_rate", "--cut", "*_acceleration"]
@@ -157,7 +149,6 @@ def test_wires_can_be_cut(capsys):
     assert '"cut": "*_rate, *_acceleration"' in Path("build/report.json").read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("here")
 def test_validation_tells_the_sets_and_what_they_change(plain):
     """Among the facts; bound sets that repeat the FMUs' own values count as no change."""
     unchanged = json.loads((plain[1] / "build/report.json").read_text())["parameters"]
@@ -191,7 +182,6 @@ def test_the_reference_meets_the_record_over_the_whole_cycle():
     np.testing.assert_allclose(np.arange(0, 42001, 5)[::4] * 1e-3, time, rtol=0, atol=3e-14)
 
 
-@pytest.mark.usefixtures("here")
 def test_a_changed_machine_misses_its_limits(capsys):
     """Exit status 1; the first lines say which signals missed what; the report is written."""
     options = ["--stop", "2", "--set", "manipulator.boom_piston_damping=1e5", "--out", "new"]
@@ -204,7 +194,6 @@ def test_a_changed_machine_misses_its_limits(capsys):
     assert "set manipulator.boom_piston_damping" in Path("new/report.json").read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("here")
 def test_a_tighter_limit_is_missed(capsys):
     """The limits are those of the reference's meta file: exit status 1 if one is missed."""
     limit = 'label = "Boom speed", tolerance = { metric = "nrmse", limit = '
@@ -214,7 +203,6 @@ def test_a_tighter_limit_is_missed(capsys):
     assert [line.split()[1] for line in missed if "limit 1e-10 %" in line] != []
 
 
-@pytest.mark.usefixtures("here")
 def test_all_options_reach_the_validation(capsys):
     """Master, step, record step, start, scenario, layout."""
     Path("flat.csv").write_text(
@@ -230,7 +218,6 @@ def test_all_options_reach_the_validation(capsys):
     assert "<title>Mine" in Path("build/report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("here")
 def test_validate_needs_no_trace(capsys):
     """Against the monolithic solution of the FMUs: the same report, exit status 1 if a limit is missed."""
     options = ["validate", "--monolithic", "--set", "manipulator.head_mass=400", "--stop"]
@@ -246,7 +233,6 @@ def test_validate_needs_no_trace(capsys):
     assert "! manipulator.stick_acceleration: NRMSE " in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("here")
 @table(__file__, "a_bad_reference_is_told", "old, new, told")
 def test_a_bad_reference_is_told(capsys, old, new, told):
     """File, signal, expected and found, before anything is simulated."""
@@ -254,7 +240,6 @@ def test_a_bad_reference_is_told(capsys, old, new, told):
     assert not list(Path("build").glob("run*"))
 
 
-@pytest.mark.usefixtures("here")
 def test_what_cannot_be_compared_is_told_before_the_run(capsys):
     """A signal that the machine lacks, times that the run does not reach, a figure of an unknown signal."""
     own_reference()

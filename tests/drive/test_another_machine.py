@@ -1,6 +1,7 @@
 """A machine with other joints, levers and task is drawn and driven by its own file alone."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from kit.toy import toy
 from fmus import parameters
 from fmus.contract import Quantity, Subsystem
 from fmus.export.build import build, build_all
+from orchestrator.base.signals import bare_name
 from orchestrator.base.toml import read, read_dataclass
 from orchestrator.drive.page import write_page
 from orchestrator.drive.sticks import StickAxes, commands, functions, modes
@@ -78,15 +80,10 @@ def test_driven(tmp_path: Path) -> None:
     pulled = functions(StickAxes(left_x=-1.0, left_y=1.0, right_y=-1.0), described.patterns["loader"], CURVE)
     wanted = commands(pulled, described.modes["hand"], names)
     assert wanted == {"mast_lever": 1.0, "lift_lever": 0.5, "telescope_lever": 1.0}
-    live = FrameStepper(found.setup)
-    try:
+    with closing(FrameStepper(found.setup)) as live:
         for _ in range(101):
             live.advance(np.array([wanted[name] for name in names]))
-        values = dict(
-            zip((name.rpartition(".")[2] for name in found.setup.signals), live.values, strict=True)
-        )
-    finally:
-        live.close()
+        values = dict(zip(map(bare_name, found.setup.signals), live.values, strict=True))
     # 1 s at the speed of the levers, and the ramp of the first frame
     moved = {"mast": SPEED, "lift": 0.5 * SPEED, "extension": SPEED}
     for name, way in moved.items():

@@ -1,6 +1,7 @@
 """The page of a crane with six functions, of which two are on thumb wheels, and with a mesh."""
 
 import itertools
+import json
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,11 +11,11 @@ import numpy as np
 import pytest
 from kit import glb, shards
 from kit.driven_page import PAD
+from kit.equations import Part
 from kit.mistakes import problem
 from kit.wait import LONG, until
 from view.standin import Server, serving
 
-from fmus.contract import quantities, symbolic
 from fmus.crane.description import CraneDescription, read
 from fmus.crane.manipulator import manipulator
 from fmus.crane.view import page_files
@@ -22,6 +23,7 @@ from fmus.parameters import values
 from orchestrator.base.files import Location
 from orchestrator.data import gltf
 from orchestrator.drive import drawing
+from orchestrator.drive.page import page_data
 from orchestrator.drive.sticks import ResponseCurve, StickAxes, functions
 from orchestrator.drive.view_description import ViewDescription, view_description
 from orchestrator.ssp.load import load
@@ -67,16 +69,16 @@ def test_functions_have_places(view: ViewDescription) -> None:
 
 @shards.browser
 def test_wheels_as_in_real_time(script: Any, view: ViewDescription) -> None:
-    """Functions of a page's own machine are those of the server; wheels that are missing rest."""
-    pattern, curve = view.patterns["ISO"], ResponseCurve()
-    rows = [[0.5] * 4, [0.5] * 5, *np.random.default_rng(3).uniform(-1, 1, (20, 6)).tolist()]
-    asked = [rows, {name: list(names) for name, names in vars(pattern).items()}, vars(curve)]
-    for row, found in zip(
-        rows, script("levers", "a[0].map((r) => m.functions(r, a[1], a[2]))", asked), strict=True
-    ):
-        expected = functions(StickAxes(*row[:4], tuple(row[4:])), pattern, curve)
-        assert found == pytest.approx(expected, abs=1e-15)  # rounding
-        assert len(found) == 6
+    """Pattern and response curve of a page's own machine are those of the server; missing wheels rest."""
+    told = json.loads(json.dumps(page_data(view, None)))
+    rows = [[0.05, 1, -1, 0.08], [0.5] * 5, *np.random.default_rng(3).uniform(-1, 1, (50, 6)).tolist()]
+    for name, pattern in view.patterns.items():
+        asked = [rows, told["patterns"][name], told["curve"]]
+        given = script("levers", "a[0].map((r) => m.functions(r, a[1], a[2]))", asked)
+        for row, found in zip(rows, given, strict=True):
+            expected = functions(StickAxes(*row[:4], tuple(row[4:])), pattern, ResponseCurve())
+            assert found == pytest.approx(expected, abs=1e-15)  # rounding
+            assert len(found) == 6
 
 
 # ---- hands
@@ -182,22 +184,19 @@ SHOWN = """(() => { const rig = new m.Rig({}, a.machine, "#000"); return a.value
 @shards.browser
 def test_a_mesh_is_where_its_link_is(script: Any, crane: CraneDescription, view: ViewDescription) -> None:
     """Its bounding box is that of its corners, where the mechanics have them if they are the tip."""
-    sub = manipulator(crane)
-    own, model, rng = values(sub), symbolic(sub).function(), np.random.default_rng(4)
+    model, rng = Part(manipulator(crane)), np.random.default_rng(4)
     assert view.scene is not None
     free, poses, boxes = [j for j in crane.joints if not j.follows], [], []
     for row in rng.uniform(-1.0, 1.0, (20, len(free))):
         state = {j.coordinate: q if j.kind == "revolute" else 1 + q for j, q in zip(free, row, strict=True)}
-        x, shown = [state.get(name, 0.0) for name in quantities(sub.states)], dict[str, float]()
         corners = list[list[float]]()
         for right, up, back in itertools.product(*zip(LOW, HIGH, strict=True)):
-            p = own.p | {"tip_at_x": right, "tip_at_y": -back, "tip_at_z": up}
-            y = model(x, list(own.u.values()), list(p.values()))[1].full()[:, 0]
-            shown = dict(zip(quantities(sub.outputs), map(float, y), strict=True))
+            model.p |= {"tip_at_x": right, "tip_at_y": -back, "tip_at_z": up}
+            shown = model(model.start(**state))[1]
             corners.append([shown["tip_x"], shown["tip_y"], shown["tip_height"]])
         poses.append([shown[name] for name in view.scene.signals])
         boxes.append([np.min(corners, axis=0).tolist(), np.max(corners, axis=0).tolist()])
-    given = {"machine": drawing.scene(view.scene, own.p)["machine"], "values": poses}
+    given = {"machine": drawing.scene(view.scene, model.p)["machine"], "values": poses}
     for (parts, *found), box in zip(script("rig", SHOWN, given), boxes, strict=True):
         assert parts == 1, "only the mesh, and no beam"
         np.testing.assert_allclose(found, box, atol=1e-6)  # m; positions of some metres in 32 bit

@@ -4,7 +4,6 @@ import json
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 from kit import shards
 from kit.mistakes import table
@@ -12,26 +11,11 @@ from view.standin import DESCRIPTION
 
 from orchestrator.drive.drawing import SCALE, UNKNOWN
 from orchestrator.drive.page import libraries, page_data
-from orchestrator.drive.sticks import ResponseCurve, StickAxes, functions
 from orchestrator.drive.view_description import CAVITATION
 
 pytestmark = shards.browser
 DATA = json.loads(json.dumps(page_data(DESCRIPTION, None)))
 GAUGES = {line["name"]: line for group in DATA["gauges"] for line in group["lines"]}
-
-
-def test_levers_as_in_real_time(script: Any) -> None:
-    """Patterns and response curve of a page's own machine are those of the server's."""
-    rows = [[0.05, 1, -1, 0.08], *np.random.default_rng(1).uniform(-1, 1, (50, 4)).tolist()]
-    for name, pattern in DESCRIPTION.patterns.items():
-        found = script(
-            "levers",
-            "a[0].map((row) => m.functions(row, a[1], a[2]))",
-            [rows, DATA["patterns"][name], DATA["curve"]],
-        )
-        for row, values in zip(rows, found, strict=True):
-            expected = functions(StickAxes(*row), pattern, ResponseCurve())
-            assert values == pytest.approx(expected, abs=1e-15)  # rounding
 
 
 def test_figures(script: Any) -> None:
@@ -119,8 +103,7 @@ def test_what_holds_the_tip(script: Any, values: tuple[float, ...], told: str) -
 def test_an_end_of_stroke_is_noticed(script: Any, force: float | None, shown: list[str]) -> None:
     """Above the value of the notice, of either sign; not without the signal."""
     described = [
-        {"name": "stop_force", "above": 1e3, "text": "at an end"},
-        {"name": "x", "above": 0.0, "text": "x"},
+        {"name": n, "above": a, "text": t} for n, a, t in (("stop_force", 1e3, "at an end"), ("x", 0.0, "x"))
     ]
     assert script("panels", "m.notices(a[0], { stop_force: a[1] ?? NaN })", [described, force]) == shown
 

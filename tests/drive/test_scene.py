@@ -1,16 +1,16 @@
 """The machine in space: where the page draws it is where the mechanics say it is."""
 
-import functools
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 from kit import shards
+from kit.equations import Part
 from view.standin import DESCRIPTION
 
-from fmus.contract import quantities, symbolic
+from fmus.contract import quantities
 from fmus.crane.description import read
 from fmus.crane.machine import crane_machine
 from fmus.crane.manipulator import manipulator
@@ -37,41 +37,20 @@ ROUNDING = 1e-12
 LOW, HIGH = (-math.pi, -0.45, -2.15, -1.0, -1.0), (math.pi, 1.0, -0.6, 1.0, 1.0)
 
 
-class Angles(NamedTuple):
-    """Angles of the joints [rad]."""
-
-    swing: float
-    boom: float
-    stick: float
-    head: float
-    side: float
-
-
-@functools.cache
-def equations(name: str) -> Any:
-    """The model as a function, made once."""
-    return symbolic(VARIANTS[name]).function()
-
-
-def told(q: Angles) -> dict[str, float]:
-    """Outputs of the mechanics at these angles, by its own equations."""
-    state = {"swing_angle": q.swing, "boom_angle": q.boom, "stick_angle": q.stick}
-    state |= {"head_angle": q.head, "head_side_angle": q.side}
-    x = [state.get(name, 0.0) for name in quantities(PENDULUM.states)]
-    own = values(PENDULUM)
-    outputs = equations("pendulum")(x, list(own.u.values()), list(own.p.values()))[1].full()[:, 0]
-    return dict(zip(quantities(PENDULUM.outputs), map(float, outputs), strict=True))
+ANGLES = ("swing_angle", "boom_angle", "stick_angle", "head_angle", "head_side_angle")
+POSES = """a.values.map((q) => m.pose(q, a.machine)).map((p) => (
+  { tip: p.tip, bodies: Object.fromEntries([...p.bodies].map(([n, at]) => [n, at.elements])) }))"""
 
 
 @pytest.fixture(scope="module")
-def found(script: Any) -> list[tuple[Angles, dict[str, Any]]]:
-    """Poses as the browser computes them, at random angles of the work space: angles -> tip, and bodies."""
-    rng = np.random.default_rng(1)
-    angles = [Angles(*row) for row in rng.uniform(LOW, HIGH, (60, 5)).tolist()]
-    told = "({ tip: p.tip, bodies: Object.fromEntries([...p.bodies].map(([n, at]) => [n, at.elements])) })"
-    given = {"machine": data(SCENE, OWN), "angles": [list(q) for q in angles]}
-    poses = script("rig", f"a.angles.map((q) => m.pose(q, a.machine)).map((p) => {told})", given)
-    return list(zip(angles, poses, strict=True))
+def found(script: Any) -> list[tuple[dict[str, float], Any]]:
+    """Outputs of the mechanics by their own equations at random angles of the work space, and the pose that
+    the browser computes."""
+    angles = np.random.default_rng(1).uniform(LOW, HIGH, (60, 5))
+    part = Part(PENDULUM)
+    shown = [part(part.start(**dict(zip(ANGLES, row, strict=True))))[1] for row in angles.tolist()]
+    given = {"machine": data(SCENE, OWN), "values": angles.tolist()}
+    return list(zip(shown, script("rig", POSES, given), strict=True))
 
 
 def drawn(pose: Any, body: str, point: tuple[float, float, float]) -> np.ndarray:
@@ -81,34 +60,23 @@ def drawn(pose: Any, body: str, point: tuple[float, float, float]) -> np.ndarray
 
 
 @shards.browser
-def test_tip_and_cylinders(found: Any) -> None:
-    """Tip and elbow are those of the mechanics, each cylinder is as long as closed length and position."""
-    for q, pose in found:
-        y = told(q)
+def test_tip_head_and_cylinders(found: Any) -> None:
+    """Tip and head are where the mechanics say, cylinders as long as they say and between their pins."""
+    for y, pose in found:
         tip = (y["tip_x"], y["tip_y"], y["tip_height"])
         assert pose["tip"] == pytest.approx(tip, abs=ROUNDING)
         assert drawn(pose, "stick", (OWN["stick_length"], 0, 0)) == pytest.approx(tip, abs=ROUNDING)
+        middle = drawn(pose, "head", (0.0, 0.0, -OWN["head_length"]))
+        assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
         for name in SCENE.cylinders:
             barrel, rod = (drawn(pose, f"{name}_{part}", (0.0, 0.0, 0.0)) for part in ("barrel", "rod"))
-            apart = float(np.linalg.norm(rod - barrel))
+            apart = math.dist(rod, barrel)
             closed = OWN[f"{name}_closed_length"]
             assert apart == pytest.approx(closed + y[f"{name}_position"], abs=ROUNDING)
             end = drawn(pose, f"{name}_barrel", (apart, 0.0, 0.0))
             assert end == pytest.approx(rod, abs=ROUNDING), "the barrel points to the rod"
-
-
-@shards.browser
-def test_head_and_rod_pins(found: Any) -> None:
-    """The head hangs where the mechanics say; rods end at the pins of boom and stick in any pose."""
-    for q, pose in found:
-        y = told(q)
-        middle = drawn(pose, "head", (0.0, 0.0, -OWN["head_length"]))
-        assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
-    for _, pose in found:
-        for link in SCENE.cylinders:
-            rod = drawn(pose, f"{link}_rod", (0.0, 0.0, 0.0))
-            pin = (OWN[f"{link}_pin_x"], 0.0, OWN[f"{link}_pin_z"])
-            assert drawn(pose, link, pin) == pytest.approx(rod, abs=ROUNDING)
+            pin = (OWN[f"{name}_pin_x"], 0.0, OWN[f"{name}_pin_z"])
+            assert drawn(pose, name, pin) == pytest.approx(rod, abs=ROUNDING)
 
 
 def test_geometry_of_a_system(fmu_dir: Path, system: System) -> None:
@@ -165,25 +133,14 @@ def lightness(code: str) -> float:
 def test_a_crane_is_drawn_where_its_mechanics_are(script: Any) -> None:
     """Tip, rod of the boom and the pin of the four-bar linkage of the loader, at random coordinates."""
     crane = read(CRANES / "loader.toml")
-    scene, sub = _view(crane).scene, manipulator(crane)
+    scene, own = _view(crane).scene, Part(manipulator(crane))
     assert scene is not None
-    own, rng = values(sub), np.random.default_rng(2)
-    model = symbolic(sub).function()
     low, high = ([-math.pi, -0.5, -2.9, 0.0, -1.0, -1.0], [math.pi, 1.1, -0.3, 1.8, 1.0, 1.0])
-    free = [j for j in crane.joints if not j.follows]
-    shown = list[dict[str, float]]()
-    for row in rng.uniform(low, high, (40, 6)):
-        state = {j.coordinate: q for j, q in zip(free, row, strict=True)}
-        x = [state.get(name, 0.0) for name in quantities(sub.states)]
-        outputs = model(x, list(own.u.values()), list(own.p.values()))[1].full()[:, 0]
-        shown.append(dict(zip(quantities(sub.outputs), map(float, outputs), strict=True)))
+    free = [j.coordinate for j in crane.joints if not j.follows]
+    rows = np.random.default_rng(2).uniform(low, high, (40, 6)).tolist()
+    shown = [own(own.start(**dict(zip(free, row, strict=True))))[1] for row in rows]
     given = {"machine": data(scene, own.p), "values": [[y[s] for s in scene.signals] for y in shown]}
-    told = "({ tip: p.tip, bodies: Object.fromEntries([...p.bodies].map(([n, at]) => [n, at.elements])) })"
-    for y, pose in zip(
-        shown,
-        script("rig", f"a.values.map((q) => m.pose(q, a.machine)).map((p) => {told})", given),
-        strict=True,
-    ):
+    for y, pose in zip(shown, script("rig", POSES, given), strict=True):
         assert pose["tip"] == pytest.approx([y["tip_x"], y["tip_y"], y["tip_height"]], abs=ROUNDING)
         for name in ("boom", "jib"):  # as far apart as the piston says
             barrel, rod = (drawn(pose, f"{name}_{part}", (0.0, 0.0, 0.0)) for part in ("barrel", "rod"))

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.mistakes import problem
-from view.standin import CONTROLLER, DESCRIPTION, LEVERS, MODES, StandIn
+from view.standin import CONTROLLER, DESCRIPTION, LEVERS, MODES
 
 from orchestrator.base.errors import Problem
 from orchestrator.drive.sticks import (
@@ -16,10 +15,8 @@ from orchestrator.drive.sticks import (
     functions,
     legend,
     modes,
-    pattern,
     response,
 )
-from orchestrator.view.authority import ControlAuthority
 
 share = st.floats(0, 0.9)
 CURVES = st.builds(ResponseCurve, share, st.floats(0, 1))
@@ -109,11 +106,6 @@ def test_legend_of_a_machine_with_a_curl() -> None:
     assert (labels["right_left"], labels["right_right"]) == ("curl closed", "curl open")
 
 
-def test_unknown_pattern() -> None:
-    """The mistake names what there is."""
-    assert problem(lambda: pattern("JCB", PATTERNS)) == "pattern: expected ISO or SAE, found JCB"
-
-
 def test_commands() -> None:
     """Positive functions are positive commands, whatever the component is called.
 
@@ -130,13 +122,10 @@ def test_commands() -> None:
 
 
 def test_modes() -> None:
-    """A machine without a controller has no tip mode; asking for it is one line."""
+    """A machine without a controller has no tip mode, one without levers none at all."""
     assert modes(MODES, LEVERS) == ("levers",)
     assert modes(MODES, CONTROLLER) == ("levers", "tip")
     assert modes(MODES, ("engine.speed",)) == ()
-    authority = ControlAuthority(StandIn(), lambda: DESCRIPTION)
-    with pytest.raises(Problem, match="mode: expected one of levers, found tip"):
-        authority.choose(authority.join(), mode="tip")
 
 
 @given(

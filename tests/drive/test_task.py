@@ -13,6 +13,7 @@ from kit import shards
 from numpy.typing import NDArray
 from view.standin import DESCRIPTION
 
+from orchestrator.base.signals import bare_name
 from orchestrator.data.trace import Trace
 from orchestrator.drive.page import page_data
 from orchestrator.drive.task import Exercise, Target
@@ -74,20 +75,20 @@ def slow_after(rate: float, duration: float) -> float:
     return duration * (1 - math.asin(rate * 2 * duration / math.pi) / math.pi)
 
 
+def given(trace: Trace, exercise: Exercise = EXERCISE, restarts: tuple[int, ...] = ()) -> dict[str, Any]:
+    """What the page is given of these samples."""
+    columns = {
+        bare_name(name): [v if math.isfinite(v) else None for v in values.tolist()]
+        for name, values in trace.signals.items()
+    }
+    rules = RULES | {"exercises": [asdict(exercise)]}
+    return {"rules": rules, "time": trace.time.tolist(), "columns": columns, "restarts": restarts}
+
+
 @pytest.fixture
 def attempt(script: Any) -> Attempt:
     """attempt(trace, exercise): what the page makes of these samples."""
-
-    def run(trace: Trace, exercise: Exercise = EXERCISE, restarts: tuple[int, ...] = ()) -> Any:
-        columns = {
-            name.rpartition(".")[2]: [v if math.isfinite(v) else None for v in values.tolist()]
-            for name, values in trace.signals.items()
-        }
-        rules = RULES | {"exercises": [asdict(exercise)]}
-        given = {"rules": rules, "time": trace.time.tolist(), "columns": columns, "restarts": restarts}
-        return script("task", RUN, given)
-
-    return run
+    return lambda *samples, **more: script("task", RUN, given(*samples, **more))
 
 
 def test_cycle(attempt: Attempt) -> None:
@@ -169,10 +170,7 @@ def test_a_replay_is_scored_as_it_was_driven(attempt: Attempt, script: Any) -> N
       replay.task.show(true); replay.show(a.time[0]);
       for (const t of a.time.slice(1)) replay.show(t);
       return replay.task.table; })()"""
-    columns = {name.rpartition(".")[2]: values.tolist() for name, values in trace.signals.items()}
-    rules = RULES | {"exercises": [asdict(EXERCISE)]}
-    found = script("recording", run, {"rules": rules, "time": trace.time.tolist(), "columns": columns})
-    assert found == attempt(trace)["table"]
+    assert script("recording", run, given(trace)) == attempt(trace)["table"]
 
 
 def test_what_lacks(attempt: Attempt) -> None:

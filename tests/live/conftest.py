@@ -13,6 +13,8 @@ from orchestrator.realtime import deadlines
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
 
+DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
+DETAILED |= {"supply": "engine_pump"}
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 

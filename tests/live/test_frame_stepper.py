@@ -14,23 +14,20 @@ from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.stepping import FrameStepper
 from orchestrator.ssp import load as loading
 
+from .conftest import DETAILED
+
 COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
 SHOWN = ("manipulator.swing_angle", "manipulator.stick_angle", "swing.swing_pressure_a")
 SHOWN += ("boom_stick.boom_head_pressure", "boom_stick.boom_command")
-DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
-DETAILED |= {"supply": "engine_pump"}
 
 
 def played(setup: Setup, frames: int, wanted) -> Trace:
     """A live run; wanted: values of the axes by number of the frame."""
-    live = FrameStepper(setup)
-    rows = [(live.t, live.axes.copy(), live.values.copy())]
-    try:
+    with closing(FrameStepper(setup)) as live:
+        rows = [(live.t, live.axes.copy(), live.values.copy())]
         for n in range(frames):
             live.advance(wanted(n))
             rows.append((live.t, live.axes.copy(), live.values.copy()))
-    finally:
-        live.close()
     times, axes, values = (np.array(column) for column in zip(*rows, strict=True))
     table = {axis.name: axes[:, i] for i, axis in enumerate(setup.axes)}
     return Trace(times, table | {name: values[:, i] for i, name in enumerate(setup.signals)})

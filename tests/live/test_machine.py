@@ -5,7 +5,7 @@ meant.
 """
 
 import math
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from .conftest import u
 
 
 def test_it_does_what_it_is_told_and_run_does_the_same(opened, drift):
-    """A session with commands from outside: `run` with its axes as the scenario gives the same bits."""
+    """`run` with the axes of a session as the scenario gives the same bits; the session's trace has units."""
     station = opened(drift)
     assert (station.axes, station.signals) == (("u",), ("drift.y", "drift.u"))
     assert station.units == {"u": "m", "drift.u": "m"}
@@ -32,6 +32,7 @@ def test_it_does_what_it_is_told_and_run_does_the_same(opened, drift):
     assert until(lambda: u(station) == 0.0)
     station.close()
     trace = station.trace()
+    assert dict(trace.units) == {"u": "m", "drift.u": "m"}
     assert trace["drift.y"][-1] > 0
     again = run(drift.system, trace.select(["u"]), record=drift.signals, record_step=drift.frame).trace
     for name in drift.signals:
@@ -151,11 +152,8 @@ def test_commands_from_many_threads(opened, drift):
         for _ in range(300):
             station.command({"u": value})
 
-    threads = [threading.Thread(target=send, args=(k / 10,)) for k in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(send, (0.0, 0.1, 0.2, 0.3)))
     station.command({"u": 0.5})
     assert until(lambda: u(station) == 0.5)
     # one that halts for long has failed until it goes on

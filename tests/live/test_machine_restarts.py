@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from kit.wait import until
 
-from orchestrator import read_trace, write_trace
 from orchestrator.realtime import machine
 from orchestrator.realtime.setup import Axis, Setup
 
@@ -87,16 +86,3 @@ def test_old_frames_make_room(opened, drift, monkeypatch):
     assert numbers[-1] == station.latest().number
     np.testing.assert_allclose(times, 0.01 * (numbers - 1), rtol=1e-9)  # rounding of times
     assert f"the first {numbers[0] - 1} frames are no longer in memory" in station.notes
-
-
-def test_its_trace_is_a_result_file_like_any_other(opened, drift, tmp_path):
-    """It can be written, and read again."""
-    station = opened(drift)
-    station.command({"u": 1.0})
-    assert until(lambda: u(station) == 1.0)
-    station.close()
-    trace = station.trace()
-    again = read_trace(write_trace(trace, tmp_path / "session.parquet"))
-    assert dict(again.units) == {"u": "m", "drift.u": "m"}
-    for name in ("u", "drift.y", "drift.u"):
-        np.testing.assert_array_equal(again[name], trace[name])

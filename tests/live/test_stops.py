@@ -2,20 +2,22 @@
 
 import functools
 import itertools
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 from kit import shards
 
+from orchestrator.base.signals import bare_name
 from orchestrator.data.table import Array
 from orchestrator.drive.sticks import commands
 from orchestrator.realtime.stepping import FrameStepper, RateLimiter, RestDelay
 from orchestrator.view.choice import MachineChoice, plan
 
+from .conftest import DETAILED
+
 HELD, WATCHED = 400, 400  # frames of 10 ms
-DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
-DETAILED |= {"supply": "engine_pump"}
 SWAPS = {"lumped": {}, "detailed": DETAILED}
 POSES = ("nominal", "reach")
 
@@ -30,17 +32,14 @@ def released(system: Path, mode: str, pose: str, swap: str, load: float = 0.0) -
     setup, modes = chosen.setup, chosen.description.modes
     names = [axis.name for axis in setup.axes]
     full = commands({"swing": 1.0}, modes[mode], names, {"payload_mass": load})
-    live, limits = FrameStepper(setup), RateLimiter(setup.axes, setup.frame)
-    rest_delay = RestDelay(setup.axes, setup.frame)
+    limits, rest_delay = RateLimiter(setup.axes, setup.frame), RestDelay(setup.axes, setup.frame)
     rows = []
-    try:
+    with closing(FrameStepper(setup)) as live:
         for n in range(HELD + WATCHED):
             wanted = np.array([full.get(name, np.nan) if n < HELD else np.nan for name in names])
             live.advance(limits.toward(live.axes, rest_delay.delayed(live.axes, wanted)))
             rows.append([*live.axes, *live.values])
-    finally:
-        live.close()
-    shown = [*names, *(name.rpartition(".")[2] for name in setup.signals)]
+    shown = [*names, *map(bare_name, setup.signals)]
     return dict(zip(shown, np.array(rows).T, strict=True))
 
 

@@ -47,17 +47,12 @@ def garage() -> Subsystem:
 
 def scale() -> Subsystem:
     """A weight with a deviation, in an FMU without findings."""
+
+    def weigh(_x: Any, u: Any, _p: Any) -> dict[str, Any]:
+        return {"weight": u.now, "weight_deviation": u.reset}
+
     outputs = {"weight": "kg", "weight_deviation": "kg"}
-    inputs = {"now": "kg", "reset": "1"}
-    return toy(
-        "scale",
-        {},
-        {"x": "1"},
-        inputs,
-        outputs,
-        still,
-        lambda _x, u, _p: {"weight": u.now, "weight_deviation": u.reset},
-    )
+    return toy("scale", {}, {"x": "1"}, {"now": "kg", "reset": "1"}, outputs, still, weigh)
 
 
 def system(folder: Path, resources: Mapping[str, bytes] = BLANK) -> Path:

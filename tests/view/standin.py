@@ -55,10 +55,12 @@ class StandIn:
     def latest(self) -> Any:
         """A new frame; what drives it is at rest, but for what a test sets in `still`."""
         self.number += self.state == "running"
-        axes = np.array([self.still.get(name, 0.0) for name in self.axes])
         values = np.array(self.frames[-1][1] if self.frames else [0.0] * len(self.signals))
-        named = {"number": self.number, "state": self.state, "axes": axes, "values": values}
+        named = {"number": self.number, "state": self.state, "axes": self._axes(), "values": values}
         return SimpleNamespace(t=0.01 * self.number, message="", timing=Timing(), **named)
+
+    def _axes(self) -> np.ndarray:
+        return np.array([self.still.get(name, 0.0) for name in self.axes])
 
     @property
     def moving(self) -> bool:
@@ -69,8 +71,14 @@ class StandIn:
         first = max(number + 1, 0)
         part = self.frames[first:]
         values = np.array([row for _, row in part]).reshape(len(part), len(self.signals))
-        numbers = np.arange(first, first + len(part))
-        return numbers, np.array([t for t, _ in part]), np.zeros((len(part), len(self.axes))), values
+        numbers, times = np.arange(first, first + len(part)), np.array([t for t, _ in part])
+        return numbers, times, np.tile(self._axes(), (len(part), 1)), values
+
+
+def session(machine: StandIn, plan: Any) -> Any:
+    """Of a machine without physics."""
+    named = {"machine": machine, "columns": columns(machine), "plan": plan, "starts": 0, "factor": 1.0}
+    return SimpleNamespace(**named, title="", folders=())
 
 
 def pages(
@@ -81,10 +89,7 @@ def pages(
 ) -> Pages:
     """The pages of a machine; without parameters it has no scene."""
     plan = SimpleNamespace(description=description, parameters=parameters, findings=())
-    session = SimpleNamespace(
-        machine=machine, columns=columns(machine), plan=plan, starts=0, factor=1.0, title="", folders=()
-    )
-    return Pages(session, authority)
+    return Pages(session(machine, plan), authority)
 
 
 @dataclass
@@ -94,16 +99,10 @@ class Server:
     machine: StandIn
     authority: ControlAuthority
     port: int
+    http: str
+    socket: str
     rules: Rules
     silence: Callable[[float], None]
-
-    @property
-    def http(self) -> str:
-        return f"http://127.0.0.1:{self.port}"
-
-    @property
-    def socket(self) -> str:
-        return f"ws://127.0.0.1:{self.port}/live"
 
 
 @contextlib.contextmanager
@@ -133,7 +132,8 @@ def serving(
     assert until(lambda: server.started)
     try:
         port = server.servers[0].sockets[0].getsockname()[1]
-        yield Server(machine, authority, port, asked, passed.append)
+        addresses = f"http://127.0.0.1:{port}", f"ws://127.0.0.1:{port}/live"
+        yield Server(machine, authority, port, *addresses, asked, passed.append)
     finally:
         server.should_exit = True
         thread.join(LONG)

@@ -1,24 +1,22 @@
 """Findings of a diagnosis: what a system has of them, what a page is told, and since when each is a fault."""
 
 import math
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from view import garage
-from view.standin import StandIn
+from view.standin import StandIn, session
 
 from orchestrator.base.signals import bare_name
 from orchestrator.drive.findings import Finding, FindingTable, findings
 from orchestrator.realtime.stepping import FrameStepper
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import Connection, Port
-from orchestrator.view.choice import MachineChoice, ViewPlan, plan
+from orchestrator.view.choice import MachineChoice, plan
 from orchestrator.view.live import Broadcast
-from orchestrator.view.session import columns
 
 
 @pytest.fixture(scope="module")
@@ -71,12 +69,9 @@ def test_a_system_without_a_diagnosis(fmu_dir: Path) -> None:
 
 def test_forgotten(workshop: Path) -> None:
     """The axis that forgets is at its value in the next frame, so a short word is enough."""
-    live = FrameStepper(plan(MachineChoice(workshop)).setup)
-    try:
+    with closing(FrameStepper(plan(MachineChoice(workshop)).setup)) as live:
         live.advance(np.array([1.0]))
         assert live.axes == pytest.approx([1.0])
-    finally:
-        live.close()
 
 
 def three(name: str) -> tuple[str, ...]:
@@ -93,19 +88,17 @@ class Frames:
     """A table of findings, from frames: times, states of the hole, deviations of the load."""
 
     def __init__(self) -> None:
-        self.kept = list[tuple[float, float, float]]()
+        self.machine = StandIn(signals=SIGNALS)
         self.table = FindingTable((HOLE, LOAD, HEAT), SIGNALS, self.since)
 
     def since(self, number: int) -> tuple[np.ndarray, ...]:
         self.asked = number
-        numbers = np.arange(number + 1, len(self.kept))
-        new = self.kept[number + 1 :]
-        values = [[9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0] for _, state, off in new]
-        return numbers, np.array([t for t, *_ in new]), np.empty((len(new), 0)), np.array(values)
+        return self.machine.since(number)
 
     def rows(self, *more: tuple[float, float, float]) -> np.ndarray:
         """After further frames."""
-        self.kept += more
+        values = [(t, [9.0, 3e-6, 1e-6, state, 50.0, off, 300.0, 2.0, -1.0]) for t, state, off in more]
+        self.machine.frames += values
         self.table.look()
         return self.table.rows
 
@@ -119,7 +112,7 @@ def test_since_when() -> None:
     assert heat == pytest.approx([26.85, 2.0, -1.0, math.nan], nan_ok=True)
     assert frames.rows((0.5, 1, 5))[0, 3] == 0.3
     assert frames.rows()[0, 3] == 0.3, "no frame while the machine is paused"
-    assert frames.asked == len(frames.kept) - 1, "no frame is read twice"
+    assert frames.asked == len(frames.machine.frames) - 1, "no frame is read twice"
     assert math.isnan(frames.rows((0.6, -1, 5))[0, 3])
     assert frames.rows((0.7, 1, 5), (0.01, 1, 5))[0, 3] == 0.01
 
@@ -133,12 +126,6 @@ def test_an_estimate_that_is_not_known() -> None:
     assert unknown == pytest.approx([math.nan, 1001.0, math.nan, math.nan], nan_ok=True)
 
 
-def session(machine: StandIn, found: ViewPlan) -> Any:
-    """Of a machine whose frames a test writes."""
-    named = {"machine": machine, "plan": found, "columns": columns(machine), "starts": 0, "factor": 1.0}
-    return SimpleNamespace(**named, title="")
-
-
 def test_what_a_page_is_told(workshop: Path) -> None:
     """Texts once, values five times a second and not with each picture; a new start begins anew."""
     found = plan(MachineChoice(workshop))
@@ -146,12 +133,8 @@ def test_what_a_page_is_told(workshop: Path) -> None:
     machine = StandIn(("garage.reset",), found.setup.signals, frames=[(0.5, row), (0.51, row)])
     shown = session(machine, found)
     told = Broadcast(shown)
-    assert [one["repair"] for one in told.hello["findings"]] == [
-        "hose one (left)",
-        "cooler",
-        "<i>switch</i>",
-        "",
-    ]
+    repairs = ["hose one (left)", "cooler", "<i>switch</i>", ""]
+    assert [one["repair"] for one in told.hello["findings"]] == repairs
     assert (told.hello["names"], told.hello["forget"]) == (["reset"], "reset")
     leak, heat, switch, load_ = told.info["findings"]
     assert leak == [3.0, 0.2, 1.0, 0.5]

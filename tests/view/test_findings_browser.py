@@ -122,20 +122,17 @@ SIZES = [
     ([202.4, 0, "L/min"], "202 L/min"),
     ([1, 0, ""], ""),
     ([None, None, "bar"], ""),
+    # estimates
+    ([203.4, 12.3, "kg", ""], f"203 {SIGN} 12 kg"),
+    ([None, 3e4, "kg", ""], "not known"),
 ]
 
 
 @pytest.mark.parametrize(("asked", "text"), SIZES)
 def test_sizes(page: Any, asked: list[Any], text: str) -> None:
-    """Two digits of the interval count; what has no deviation has none, and what is there or not no size."""
-    *row, unit = asked
-    assert value(page, "m.size(a[0], { repair: 'hose', unit: a[1] })", [row, unit]) == text
-
-
-def test_estimates(page: Any) -> None:
-    """With a deviation in the same digits, unless it is not known."""
-    assert value(page, "m.size([203.4, 12.3], { repair: '', unit: 'kg' })") == f"203 {SIGN} 12 kg"
-    assert value(page, "m.size([null, 3e4], { repair: '', unit: 'kg' })") == "not known"
+    """Two digits of the interval, or of an estimate's deviation, count; what has no deviation has none, and
+    what is there or not no size."""
+    assert value(page, "m.size(a, { repair: a[3] ?? 'hose', unit: a[2] })", asked) == text
 
 
 def test_order(page: Any) -> None:
@@ -145,8 +142,7 @@ def test_order(page: Any) -> None:
         [1, 0, 1, 8],
         [-3, 0.5, 1, 7],
         [1, 0, 1, 6],
-        [9, 0.1, 0, None],
-        [9, 0.1, -1, None],
+        *([9, 0.1, k, None] for k in (0, -1)),
     ]
     assert value(page, "m.faults(a)", rows) == [3, 1, 2, 0]
     named = [{"text": f"t{k}", "repair": f"r{k % 2}"} for k in range(4)]

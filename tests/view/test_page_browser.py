@@ -4,7 +4,7 @@ import io
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from kit import shards
-from kit.driven_page import NO_WEBGL
 from kit.wait import LONG, until
 from matplotlib import image
 from numpy.typing import NDArray
@@ -52,8 +51,8 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     session.close()
 
 
-def page_of(chromium: Any, server: Server, blind: bool = False) -> Any:
-    """An open page that has drawn the machine; what it complains of and asks for is kept. blind: no WebGL."""
+def page_of(chromium: Any, server: Server) -> Any:
+    """An open page that has drawn the machine; what it complains of and asks for is kept."""
     context = chromium.new_context(viewport={"width": 1200, "height": 800}, accept_downloads=True)
     opened = context.new_page()
     opened.complaints, opened.hosts = [], set()
@@ -61,11 +60,8 @@ def page_of(chromium: Any, server: Server, blind: bool = False) -> Any:
     opened.on("pageerror", lambda error: opened.complaints.append(str(error)))
     context.on("request", lambda request: opened.hosts.add(urlsplit(request.url).netloc))
     opened.set_default_timeout(1e3 * LONG)
-    if blind:
-        opened.add_init_script(NO_WEBGL)
     opened.goto(server.url)
-    if not blind:
-        opened.wait_for_function(DRAWN, arg=1)
+    opened.wait_for_function(DRAWN, arg=1)
     return opened
 
 
@@ -118,11 +114,6 @@ def value(session: Session, name: str) -> float:
     return float(session.machine.latest().values[session.columns[name] - len(session.machine.axes)])
 
 
-def angle(server: Server, joint: str) -> float:
-    """Of a joint [rad], from the machine itself."""
-    return value(server.session, f"{joint}_angle")
-
-
 def comes_to(server: Server, state: str) -> bool:
     """Does the machine come to this state?"""
     return until(lambda: server.session.machine.latest().state == state)
@@ -150,18 +141,22 @@ def take(page: Any, server: Server) -> None:
     assert until(lambda: server.authority.status().driver != "")
 
 
-def drive(page: Any, server: Server, key: str, done: Callable[[], bool]) -> None:
-    """Hold dead-man and key until it is done. A browser that was slow for a moment has lost its dead-man, as
-    it should: then it is let go and held again, as a driver would."""
+def drive(page: Any, server: Server) -> None:
+    """Hold dead-man and a key until the machine has swung. A browser that was slow for a moment has lost its
+    dead-man, as it should: then it is let go and held again, as a driver would."""
+    first = value(server.session, "swing_angle")
+
+    def done() -> bool:
+        return abs(value(server.session, "swing_angle") - first) > MOVED
 
     def held() -> bool:
         if not server.authority.status().driver:
             take(page, server)
         page.keyboard.down("Shift")
-        page.keyboard.down(key)
+        page.keyboard.down("a")
         if until(done, 2.0) or (until(lambda: done() or not driven(server)) and done()):
             return True
-        page.keyboard.up(key)
+        page.keyboard.up("a")
         page.keyboard.up("Shift")
         page.wait_for_timeout(200)
         return False
@@ -187,8 +182,7 @@ def test_machine_is_seen_and_moves(own: Any, server: Server) -> None:
     """The picture is not blank; a key moves the joint and the picture; closing the page stops the motion."""
     before = picture(own)
     assert before.std() > 0.05, "a blank picture has no contrast"
-    first = angle(server, "swing")
-    drive(own, server, "a", lambda: angle(server, "swing") > first + MOVED)
+    drive(own, server)
     # the arm covers some per cent of the picture, and has turned by its own width; pictures come with delay
     assert until(lambda: bool((np.abs(picture(own) - before).max(axis=2) > 0.1).mean() > 0.005))
     own.close()
@@ -248,8 +242,7 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
 
     assert until(looked_at)
     take(page, server)
-    first = angle(server, "swing")
-    drive(page, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
+    drive(page, server)
     page.keyboard.up("a")
     page.keyboard.up("Shift")
     assert until(looked_at)
@@ -270,25 +263,10 @@ def test_connection_comes_back(own: Any, server: Server) -> None:
     assert until(lambda: server.authority.status().driver == "")
     own.get_by_text("the connection was lost: take the controls again").wait_for()
     assert np.allclose(own.evaluate(CAMERA), before, atol=0.05)  # m; the tip creeps
-    first = angle(server, "swing")
-    drive(own, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
+    drive(own, server)
     own.get_by_text("moving, ").wait_for()
     assert np.linalg.norm(np.subtract(own.evaluate(CAMERA), before)) > MOVED
     own.get_by_role("button", name="Training task").click()
-
-
-def test_without_webgl(chromium: Any, server: Server) -> None:
-    """In a browser without WebGL one line says so; gauges, charts and sticks work."""
-    blind = page_of(chromium, server, blind=True)
-    blind.get_by_text("no picture: this browser offers no WebGL").wait_for()
-    blind.wait_for_function("() => parseFloat(document.querySelector('.hm-gauge output').textContent) > 15")
-    assert blind.locator(".hm-chart").count() > 2
-    take(blind, server)
-    first = angle(server, "swing")
-    drive(blind, server, "a", lambda: angle(server, "swing") > first + MOVED)
-    assert blind.complaints == []
-    blind.context.close()
-    assert until(lambda: server.authority.status().driver == "")
 
 
 def test_a_view_keeps_the_focus(page: Any, server: Server) -> None:
@@ -332,8 +310,7 @@ def test_payload(page: Any, server: Server) -> None:
     put("100")
     page.get_by_role("button", name="Release controls").click()
     assert until(lambda: server.authority.status().driver == "")
-    first = angle(server, "swing")
-    drive(page, server, "a", lambda: angle(server, "swing") > first + MOVED)
+    drive(page, server)
     assert session.machine.latest().axes[payload] == 100.0
     put("0")
 

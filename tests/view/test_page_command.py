@@ -15,7 +15,7 @@ import pytest
 from kit.mistakes import refused, table
 from kit.wait import LONG
 from view.standin import URL, started
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.head_mass=900")
@@ -52,24 +52,12 @@ def test_begins_and_ends(fmu_dir: Path, tmp_path: Path) -> None:
 
 def talk_nonsense(url: str) -> None:
     """On the socket of a page."""
-    address = f"{url.replace('http', 'ws')}live"
     for piece in NONSENSE:
-        with contextlib.suppress(ConnectionClosed), opened(address) as socket:
+        with contextlib.suppress(ConnectionClosed), opened(f"{url.replace('http', 'ws')}live") as socket:
             assert "hello" in json.loads(socket.recv(timeout=LONG))
             socket.send(piece)
             # until it was read, or the connection was closed over it
             assert socket.ping(ack_on_close=True).wait(LONG)
-    assert httpx.post(f"{url}live", content=b"x" * 2_000_000, timeout=LONG).status_code == 405
-    assert get(f"{url}live").status_code == 404
-    for path in (
-        "result/../secret.csv",
-        "result/%2e%2e/secret.csv",
-        "result/nothing.csv",
-        "drive/../live.py",
-    ):
-        assert get(f"{url}{path}").status_code == 404
-    with pytest.raises(InvalidStatus, match="403"), opened(address, origin="http://evil.example"):
-        pass
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")

@@ -12,11 +12,9 @@ import httpx
 import pytest
 from view.standin import DESCRIPTION, SILENCE_LIMIT, TIMEOUT, StandIn, pages
 
-from orchestrator.base.errors import Problem
 from orchestrator.view import live
 from orchestrator.view.authority import ControlAuthority
-from orchestrator.view.choice import MachineChoice
-from orchestrator.view.live import ACTIONS, PATIENT, OpenPage, next_choice
+from orchestrator.view.live import ACTIONS, PATIENT, OpenPage
 from orchestrator.view.server import application
 
 Result = TypeVar("Result")
@@ -123,19 +121,6 @@ def test_a_machine_that_has_ended_starts_without_a_driver(room: Room) -> None:
     room.machine.state = "ended"
     room.ask(room.driver, "toggle")
     assert (room.done, room.role()) == (["again"], "free")
-
-
-@pytest.mark.parametrize("variant", [{"a": 1}, ["b"], 5])
-def test_a_variant_that_is_no_name_is_refused_in_one_line(
-    variant: object, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No page of ours sends one."""
-    offer = {"systems": ["a.ssp"], "variants": {"arm": {"long": "long"}}}
-    monkeypatch.setattr(live, "offered", lambda _: offer)
-    now = MachineChoice(Path("a.ssp"))
-    asked = {"system": "a.ssp", "pose": "", "swap": {"arm": variant}}
-    with pytest.raises(Problem, match=r"'arm': no variant .* is offered"):
-        next_choice(now, asked)
 
 
 def test_a_message_that_an_action_did_not_foresee_is_told_in_one_line(

@@ -4,8 +4,6 @@ import contextlib
 import http.client
 import json
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +15,7 @@ import httpx
 import pytest
 from kit import shards
 from kit.wait import LONG, until
-from view.standin import Server, serving
+from view.standin import URL, Server, serving, started
 from websockets.sync.client import connect
 
 from orchestrator.view import server_load
@@ -29,20 +27,16 @@ HALF = b"GET / HTTP/1.1\r\nHost: 127."
 
 @pytest.fixture(scope="module")
 def served(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of the real server, in a process of its own; its first page drives."""
-    command = [sys.executable, str(Path(__file__).with_name("first_drives.py"))]
-    command += [str(fmu_dir / "harvester.ssp"), str(tmp_path_factory.mktemp("results"))]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        yield [child.stdout.readline().strip() for _ in range(3)][1].rstrip("/")
-        child.kill()
+    """The address of the real server, in a process of its own."""
+    with started(fmu_dir, tmp_path_factory.mktemp("results")) as (_, said):
+        yield said[URL].rstrip("/")
 
 
 class Driver:
-    """Holds the dead-man like a browser, 33 times a second, and notes what the server answers."""
+    """Takes the controls and holds the dead-man like a browser, 33 times a second, and notes the answers."""
 
     def __init__(self, url: str) -> None:
-        self.live: list[bool] = []
+        self.live, self.role = list[bool](), ""
         self._address, self._end = f"ws{url[4:]}/live", threading.Event()
         self._thread = threading.Thread(target=self._drive)
         self._thread.start()
@@ -52,15 +46,20 @@ class Driver:
         with connect(self._address, compression=None, open_timeout=LONG) as opened:
             hearing = threading.Thread(target=lambda: [self._hear(raw) for raw in opened])
             hearing.start()
-            number = 0
+            number = took = 0
             while not self._end.wait(0.03):
-                held = number > 3  # released first
+                if self.role != "driving":
+                    opened.send('{"do": "take"}')
+                    took = number
+                held = number > took + 3  # released first
                 opened.send(json.dumps({"n": number, "sticks": (-0.2, 0, 0, 0), "dead_man": held}))
                 number += 1
         hearing.join()
 
     def _hear(self, raw: str | bytes) -> None:
-        self.live += [status["live"]] if (status := json.loads(raw).get("status")) else []
+        if status := json.loads(raw).get("status"):
+            self.live.append(status["live"])
+            self.role = status["role"]
 
     def stop(self) -> None:
         self._end.set()

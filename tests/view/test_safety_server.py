@@ -35,22 +35,13 @@ def server(running: Server) -> Iterator[Server]:
         drive(running, socket, station)
 
 
-class page:
+@contextlib.contextmanager
+def page(server: Server) -> Iterator[tuple[ClientConnection, OperatorStation]]:
     """A page with its socket."""
-
-    def __init__(self, server: Server) -> None:
-        self._stations = server.authority.stations
-        self._address = server.socket
-
-    def __enter__(self) -> tuple[ClientConnection, OperatorStation]:
-        before = list(self._stations)
-        self._opened = connect(self._address, compression=None, open_timeout=LONG, ping_timeout=None)
-        socket = self._opened.__enter__()
-        assert until(lambda: set(self._stations) - set(before))
-        return socket, next(iter(set(self._stations) - set(before)))
-
-    def __exit__(self, *error: Any) -> None:
-        self._opened.__exit__(*error)
+    before = set(server.authority.stations)
+    with connect(server.socket, compression=None, open_timeout=LONG, ping_timeout=None) as socket:
+        assert until(lambda: set(server.authority.stations) - before)
+        yield socket, next(iter(set(server.authority.stations) - before))
 
 
 def say(socket: ClientConnection, n: int, dead_man: bool = True, sticks: object = (-1, 0, 0, 0)) -> None:

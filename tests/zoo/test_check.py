@@ -10,36 +10,13 @@ import pytest
 from kit import shards
 from kit.wait import LONG
 
-from zoo.command import Ended, command
-from zoo.faulty import CASES, CAUSES, HANGS, MEMORY, Faulty, faulty
+from zoo.command import command
+from zoo.faulty import CASES, CAUSES, HANGS, MEMORY, faulty
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
 TIMEOUT = 1.0  # [s] for one call of an FMU that hangs; others may leak or print for a while
 # the limit is a quarter of the machine's memory
 LIMITS = f"import orchestrator.base.processes as p; p.machine_memory = lambda: 4 * {MEMORY}e9"
-
-
-def _check(folder: Path, fmu: Faulty) -> None:
-    timeout = TIMEOUT if fmu.fault in HANGS else LONG
-    ended = command(["check", fmu.fmu, "--timeout", str(timeout)], folder, setup=LIMITS)
-    assert ended.left == ()
-    assert fmu.committed.exists()
-    found = _findings(ended, "errors")
-    if fmu.harmless:
-        assert (ended.status, found, ended.err) == (0, [], "")
-        return
-    assert ended.status == 1
-    assert ended.out.startswith(f"{fmu.fmu}: ")
-    if fmu.fault == "nan":
-        assert any("y is nan" in line for line in found), ended.out
-        return
-    cause = f"hang: no return within {TIMEOUT:g} s" if fmu.fault in HANGS else CAUSES[fmu.fault]
-    assert any(cause in line and f" in {fmu.call}" in line for line in found), ended.out
-
-
-def _findings(ended: Ended, severity: str) -> list[str]:
-    """The findings under a heading."""
-    return ended.out.partition(f"\n{severity}\n")[2].partition("\n\n")[0].splitlines()
 
 
 @pytest.mark.parametrize(
@@ -48,4 +25,20 @@ def _findings(ended: Ended, severity: str) -> list[str]:
 )
 def test_a_fault_is_found(tmp_path: Path, fault: str, phase: str, major: int) -> None:
     """Under the name of the file, with the call that did not return."""
-    _check(tmp_path, faulty(tmp_path, fault, phase, major))
+    fmu = faulty(tmp_path, fault, phase, major)
+    timeout = TIMEOUT if fault in HANGS else LONG
+    ended = command(["check", fmu.fmu, "--timeout", str(timeout)], tmp_path, setup=LIMITS)
+    assert ended.left == ()
+    assert fmu.committed.exists()
+    # the findings under the heading of errors
+    found = ended.out.partition("\nerrors\n")[2].partition("\n\n")[0].splitlines()
+    if fmu.harmless:
+        assert (ended.status, found, ended.err) == (0, [], "")
+        return
+    assert ended.status == 1
+    assert ended.out.startswith(f"{fmu.fmu}: ")
+    if fault == "nan":
+        assert any("y is nan" in line for line in found), ended.out
+        return
+    cause = f"hang: no return within {TIMEOUT:g} s" if fault in HANGS else CAUSES[fault]
+    assert any(cause in line and f" in {fmu.call}" in line for line in found), ended.out

@@ -13,13 +13,14 @@ from orchestrator.data.trace import read_trace
 from orchestrator.realtime import machine as realtime
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
-from zoo.command import Ended, command
+from zoo.command import command
 from zoo.faulty import BEGIN, CASES, FAULTS, HANGS, MEMORY, Faulty, faulty
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
 SILENT, STARTED = 1.0, 4.0  # [s] instead of 5 and 60, to wait less
 SELECTED = [(fault, "step") for fault in FAULTS if fault not in ("exit_7", "overflow")]
 SELECTED += [("spin", "instantiate"), ("exit_0", "initialise"), ("exit_0", "free"), ("sleep", "free")]
+QUIET = ("--no-open", "--port", "0")
 QUICK = [("segfault", "step"), ("spin", "step"), ("exit_0", "initialise")]
 
 
@@ -80,42 +81,35 @@ def test_a_fault_fails_the_machine(
     assert until(lambda: not runs(int(fmu.committed.read_text())))
 
 
-def _view(folder: Path, fmu: Faulty) -> Ended:
-    """Ctrl-C after the fault was committed and its line is there, or if it is committed at the end."""
+@pytest.mark.parametrize(
+    ("fault", "phase", "major"), shards.few([("abort", "step", 3)], CASES, shards.faults)
+)
+def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str, major: int) -> None:
+    """In one line, also while an FMU hangs; Ctrl-C ends the command and leaves nothing."""
+    fmu = faulty(tmp_path, fault, phase, major)
 
     def begun() -> bool:
-        if fmu.phase == "free" or fmu.harmless:
-            return (folder / "stdout").stat().st_size > 0
-        return "session-" in (folder / "stderr").read_text("utf-8")
+        """The fault was committed and its line is there, or it is committed at the end."""
+        if phase == "free" or fmu.harmless:
+            return (tmp_path / "stdout").stat().st_size > 0
+        return "session-" in (tmp_path / "stderr").read_text("utf-8")
 
-    arguments = ["view", fmu.fmu, "--no-open", "--port", "0", "--results", "results"]
-    limits = "m.MEMORY, m.SILENT, m.START_TIMEOUT = {}, {}, {}".format(1e9 * MEMORY, *_timeouts(fmu.fault))
-    return command(arguments, folder, begun, f"import orchestrator.realtime.machine as m; {limits}")
-
-
-def _check_view(folder: Path, fmu: Faulty) -> None:
-    ended = _view(folder, fmu)
+    limits = "m.MEMORY, m.SILENT, m.START_TIMEOUT = {}, {}, {}".format(1e9 * MEMORY, *_timeouts(fault))
+    setup = f"import orchestrator.realtime.machine as m; {limits}"
+    ended = command(["view", fmu.fmu, *QUIET, "--results", "results"], tmp_path, begun, setup)
     assert ended.left == ()
     if "harvester: interrupted" not in ended.err:  # failed before its page was there
         assert ended.status == 2
-        assert fmu.phase in ("instantiate", "initialise")
+        assert phase in ("instantiate", "initialise")
         _check(fmu, "\n".join(ended.lines))
         return
     assert ended.status == 130
     assert len(ended.lines) == 2 - fmu.harmless
     if not fmu.harmless:
         _check(fmu, ended.lines[0])
-        file = folder / ended.lines[0].rpartition(" is in ")[2]
+        file = tmp_path / ended.lines[0].rpartition(" is in ")[2]
         # frames of 10 ms up to 0.5 s, and the first
-        assert len(read_trace(file).time) >= (51 if fmu.phase == "step" else 1)
-
-
-@pytest.mark.parametrize(
-    ("fault", "phase", "major"), shards.few([("abort", "step", 3)], CASES, shards.faults)
-)
-def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str, major: int) -> None:
-    """In one line, also while an FMU hangs; Ctrl-C ends the command and leaves nothing."""
-    _check_view(tmp_path, faulty(tmp_path, fault, phase, major))
+        assert len(read_trace(file).time) >= (51 if phase == "step" else 1)
 
 
 @pytest.mark.parametrize(
@@ -124,6 +118,6 @@ def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str, ma
 def test_an_interrupt_is_obeyed_while_an_fmu_hangs(tmp_path: Path, fault: str, phase: str) -> None:
     """Before the page is there, and after."""
     fmu = faulty(tmp_path, fault, phase)
-    ended = command(["view", fmu.fmu, "--no-open", "--port", "0"], tmp_path, fmu.committed.exists)
+    ended = command(["view", fmu.fmu, *QUIET], tmp_path, fmu.committed.exists)
     assert (ended.status, ended.lines[-1]) == (130, "harvester: interrupted")
     assert ended.left == ()
