@@ -57,17 +57,8 @@ def test_all_c_files_in_one_project_compile_without_a_warning(folder, version, n
     """Adding sources/*.c to a project makes the library: nothing is there twice or lacks its context."""
     code, others = project(folder(version, name))
     if platform == "gcc":
-        command = [
-            "gcc",
-            "-O2",
-            "-shared",
-            "-fPIC",
-            *WARNINGS,
-            f"-isystem{HEADERS}",
-            *code,
-            "-o",
-            "/dev/null",
-        ]
+        flags = ("-O2", "-shared", "-fPIC", *WARNINGS, f"-isystem{HEADERS}")
+        command = ["gcc", *flags, *code, "-o", "/dev/null"]
         run = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (run.returncode, run.stderr) == (0, "")
         return

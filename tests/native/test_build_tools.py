@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from fmpy import extract, simulate_fmu
 from kit import shards
-from kit.compile import HEADERS
 
 pytestmark = shards.c
 
 STEP = 1e-3  # s
 TABLE = [("time", float), ("swing_command", float)]
-FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{HEADERS}"]
 
 
 @pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")
