@@ -125,13 +125,11 @@ def test_what_cannot_be_compared_is_refused(trace: Trace) -> None:
     """Recordings that do not overlap, by their spans and the window asked for; a pressure and a length."""
     run = metres(np.array([0.0, 1.0]), np.zeros(2))
     expected = r"ref.csv: expected two or more .* got 0; the run covers 0 to 1 s; the reference"
-    with pytest.raises(Problem, match=expected):
-        validate(run, made(np.array([5.0, 6.0]), np.zeros(2)))
+    problem(lambda: validate(run, made(np.array([5.0, 6.0]), np.zeros(2))), expected)
     with pytest.raises(Problem, match="the requested window begins at 3 s"):
         validate(run, made(run.time, np.zeros(2), start=3.0))
     expected = "ref.csv: a.x: unit 'bar' cannot be converted, expected a unit like 'm'"
-    with pytest.raises(Problem, match=expected):
-        validate(run, made(run.time, np.zeros(2), "bar"))
+    problem(lambda: validate(run, made(run.time, np.zeros(2), "bar")), expected)
     # a signal that the run does not have is named, with those that it could be
     reference = Recording(trace.time, {"shaft.angel": trace.time}, {"shaft.angel": "rad"}, Path("ref.csv"))
     with pytest.raises(Problem, match=r"ref.csv: no signal shaft.angel in .*; did you mean shaft.angle\?"):
@@ -142,8 +140,7 @@ def test_a_row_is_found_by_its_name_with_or_without_component(trace: Trace) -> N
     """An unknown name is told with a similar one, and a name that two components have with both."""
     found = validate(trace, trace, rate=False)
     assert found["angle"] is found["shaft.angle"]
-    with pytest.raises(Problem, match=r"^no signal angel in the validation; did you mean shaft\.angle\?$"):
-        found["angel"]
+    problem(lambda: found["angel"], r"^no signal angel in the validation; did you mean shaft\.angle\?$")
     two = Trace(trace.time, {"a.x": trace.time, "b.x": trace.time})
     with pytest.raises(KeyError, match=r"^x is in 2 components: a\.x, b\.x$"):
         validate(two, two, rate=False)["x"]
