@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import pytest
 from kit.mistakes import problem, table
 
 from fmus.machine.build import data
-from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 

@@ -11,7 +11,6 @@ import pytest
 import scipy.io
 from kit.mistakes import problem, table
 
-from orchestrator.base.errors import Problem
 from orchestrator.data.description import Origin, Tolerance
 from orchestrator.data.recording import Recording, fill_gaps, read_recording, write_recording
 from orchestrator.data.trace import Trace
