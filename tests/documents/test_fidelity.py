@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import re
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from kit import shards
-from kit.tutorial import Tutorial
+from kit.scripts import names_of
 
 from fmus.machine.parts import FAMILIES
 
@@ -24,14 +23,9 @@ DOCUMENT = ROOT / "docs" / "fidelity.md"
 
 
 @pytest.fixture(scope="module")
-def measures() -> ModuleType:
+def measures() -> SimpleNamespace:
     """docs/fidelity_measures.py."""
-    path = DOCUMENT.with_name("fidelity_measures.py")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # dataclasses look there
-    spec.loader.exec_module(module)
-    return module
+    return SimpleNamespace(**names_of(DOCUMENT.with_name("fidelity_measures.py")))
 
 
 def script(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -62,16 +56,6 @@ def test_a_folder_without_a_build_is_told_in_one_line(tmp_path):
     run = script("--build", str(tmp_path))
     assert run.returncode == 1
     assert run.stderr == f"{tmp_path / 'harvester.ssp'} is not there: run `harvester build` first\n"
-
-
-@shards.documents
-def test_the_commands_by_hand_run(workplace):
-    """The `harvester` lines of the README work as they stand, one after the other."""
-    text = (EXAMPLE / "README.md").read_text(encoding="utf-8")
-    lines = re.findall(r"^    (harvester (?:run|compare) .*)$", text, re.MULTILINE)
-    assert len(lines) == 4
-    for line in lines:
-        Tutorial(EXAMPLE / "README.md", workplace).command(line)
 
 
 def test_ripple_parts_a_known_signal(measures):

@@ -15,11 +15,7 @@ pytestmark = shards.documents
 
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = sorted((ROOT / "examples/notebook").glob("*.ipynb"))
-
-
-def test_there_are_notebooks():
-    """Else the other tests would be empty."""
-    assert NOTEBOOKS
+assert NOTEBOOKS, "no notebook is tested"
 
 
 @pytest.mark.filterwarnings("ignore")  # of Jupyter's own packages

@@ -3,13 +3,14 @@
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from kit import glb, shards
+from kit import shards
 from kit.driven_page import PAD
 from kit.equations import Part
 from kit.mistakes import problem
@@ -36,6 +37,36 @@ LOW, HIGH = (-0.2, -0.9, -0.15), (0.3, -0.1, 0.25)  # corners of the mesh, in th
 # both sticks and both wheels at their stops, as keys, and what they command [V]
 HELD = {"a": ("slew", 4), "w": ("jib", -6), "ArrowDown": ("boom", 6), "ArrowLeft": ("rotator", 4)}
 HELD |= {"e": ("extension", 6), "u": ("grapple", -6)}
+SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # of a box
+
+
+def box(low: Sequence[float], high: Sequence[float], top: Any = None, **node: Any) -> bytes:
+    """A binary glTF file of a red box between two corners; node, top: further keys of node and file."""
+    ends = list(zip(low, high, strict=True))
+    points = np.array([[x, y, z] for x in ends[0] for y in ends[1] for z in ends[2]], "<f4").tobytes()
+    corners = np.array([(s[0], s[k], s[k + 1]) for s in SIDES for k in (1, 2)], "<u2").tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, **node}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}}],
+        "buffers": [{"byteLength": len(points + corners)}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": len(points)},
+            {"buffer": 0, "byteOffset": len(points), "byteLength": len(corners)},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 36, "type": "SCALAR"},
+        ],
+        **(top or {}),
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(points + corners), b"BIN\0") + points + corners
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +74,7 @@ def crane(tmp_path_factory: pytest.TempPathFactory) -> CraneDescription:
     """The loader with a rotator and a driven grapple, which has a mesh."""
     folder = tmp_path_factory.mktemp("crane")
     (folder / "meshes").mkdir()
-    (folder / "meshes" / "jaw.glb").write_bytes(glb.box(LOW, HIGH))
+    (folder / "meshes" / "jaw.glb").write_bytes(box(LOW, HIGH))
     text = LOADER.read_text(encoding="utf-8")
     begin, end = text.index("[grapple]"), text.index("[start]")
     six = f"{text[:begin]}{MORE.read_text(encoding='utf-8')}\n{text[end:]}"
@@ -212,20 +243,20 @@ def points(data: bytes, folder: Path) -> tuple[gltf.Mesh, Any]:
 def test_a_node_has_a_place(tmp_path: Path) -> None:
     """Scaled, then turned, then moved; y of the file is upwards; colours are encoded for a screen."""
     half = math.sqrt(0.5)
-    data = glb.box((0, 0, 0), (1, 2, 3), translation=[10, 0, 0], rotation=[0, 0, half, half], scale=[2, 1, 1])
+    data = box((0, 0, 0), (1, 2, 3), translation=[10, 0, 0], rotation=[0, 0, half, half], scale=[2, 1, 1])
     mesh, found = points(data, tmp_path)
     assert mesh.colour == "#ff0000"
     # a quarter turn about z of the file: x to y, y to -x
     np.testing.assert_allclose([found.min(axis=0), found.max(axis=0)], [[8, -3, 0], [10, 0, 2]], atol=1e-6)
     matrix = [0, 2, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 10, 0, 0, 1]
     np.testing.assert_allclose(
-        points(glb.box((0, 0, 0), (1, 2, 3), matrix=matrix), tmp_path)[1], found, atol=1e-6
+        points(box((0, 0, 0), (1, 2, 3), matrix=matrix), tmp_path)[1], found, atol=1e-6
     )
 
 
 def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:
     """Cut anywhere, it is refused in one line."""
-    data = glb.box(LOW, HIGH)
+    data = box(LOW, HIGH)
     for size in range(0, len(data), 7):
         message = problem(lambda size=size: points(data[:size], tmp_path))
         assert message.startswith(f"{tmp_path / 'one.glb'}: expected the triangles of a binary glTF 2.0 file")
@@ -241,7 +272,7 @@ def test_a_damaged_mesh_is_a_problem(tmp_path: Path) -> None:
 )
 def test_numbers_that_are_none_are_a_problem(key: str, value: Any, told: str, tmp_path: Path) -> None:
     """In one line: numbers that are too large or none, strips."""
-    assert told in problem(lambda: points(glb.box(LOW, HIGH, {key: value}), tmp_path))
+    assert told in problem(lambda: points(box(LOW, HIGH, {key: value}), tmp_path))
 
 
 SHAPES = {  # of a link -> what is wrong with it
@@ -260,7 +291,7 @@ def test_mistakes(shape: str, tmp_path: Path) -> None:
     (tmp_path / "text.glb").write_text("a mesh", encoding="utf-8")
     (tmp_path / "large.glb").write_bytes(bytes(6_000_000))
     draco = {"extensionsRequired": ["KHR_draco_mesh_compression"]}
-    (tmp_path / "packed.glb").write_bytes(glb.box(LOW, HIGH, draco))
+    (tmp_path / "packed.glb").write_bytes(box(LOW, HIGH, draco))
     text = LOADER.read_text(encoding="utf-8").replace("[boom]", f"[boom]\nshape = {shape}", 1)
     (tmp_path / "crane.toml").write_text(text, encoding="utf-8")
     message = problem(lambda: read(tmp_path / "crane.toml"))

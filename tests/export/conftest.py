@@ -18,6 +18,11 @@ from fmus.export.build import build
 from fmus.parameters import Values
 
 
+def stateless(name: str, u: dict[str, Any], y: dict[str, Any], observe: Any, p: Any = None) -> Subsystem:
+    """A subsystem of inputs u, outputs y and parameters p alone, with the function observe(x, u, p)."""
+    return toy(name, p or {}, {}, u, y, lambda *_: {}, observe)
+
+
 def q(unit: str = "1", nominal: float = 1.0, **more: Any) -> Quantity:
     return Quantity(unit, "of a toy", nominal, **more)
 
@@ -88,14 +93,12 @@ CHAMBER = toy(
     initial=lambda _, u, p: {"pressure": u.supply / 2, "flow": p.conductance * u.supply / 2},
     require=lambda x, u, p: {"the pressure stays below 100 % of burst": p.burst - x.pressure},
 )
-GAIN = toy(
+GAIN = stateless(
     "gain",
-    p={"factor": q()},
-    x={},
-    u={"left": q(), "right": q()},
-    y={"product": q()},
-    f=lambda x, u, p: {},
-    g=lambda x, u, p: {"product": p.factor * u.left * u.right},
+    {"left": q(), "right": q()},
+    {"product": q()},
+    lambda x, u, p: {"product": p.factor * u.left * u.right},
+    {"factor": q()},
 )
 BLOWUP = toy(
     "blowup",
@@ -158,9 +161,3 @@ def open_fmu(unpacked: Mapping[tuple[int, str], Path]) -> Iterator[Callable[...,
 def toys() -> Mapping[str, tuple[Subsystem, Values]]:
     """Toy -> its subsystem and numbers."""
     return {name: (sub, NUMBERS[name]) for name, sub in TOYS.items()}
-
-
-@pytest.fixture(scope="session")
-def make_toy() -> Callable[..., Subsystem]:
-    """The function that makes a subsystem of dictionaries."""
-    return toy

@@ -1,14 +1,13 @@
 """What an importer reads: modelDescription.xml, the layout of the archive, repeatable builds."""
 
 import re
-import shutil
-import subprocess
 import zipfile
 
 import fmpy
 import fmpy.validation
 import pytest
-from kit.compile import HEADERS
+from export.conftest import TOYS, stateless
+from kit.mistakes import problem
 
 from fmus.export.build import build
 from fmus.export.interface import interface_of
@@ -17,11 +16,8 @@ from fmus.parameters import Values, values
 from fmus.sensors import sensors
 from fmus.supply import SUPPLY
 from fmus.swing import SWING
-from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.fmi.interface import read_interface
-
-TOYS = ("decay", "path", "vanderpol", "chamber", "gain", "blowup")
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -63,33 +59,20 @@ def test_values_units_and_bounds_are_those_of_the_declaration(chamber):
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_optional_inputs_are_declared_with_their_meaning(tmp_path, fmi):
-    """Both versions of FMI carry them, and what their rates belong to."""
-    description = model_description(interface_of(SUPPLY, values(SUPPLY)), fmi, "token", 1e-3, 1.0)
-    (tmp_path / "modelDescription.xml").write_bytes(description)
-    interface = read_interface(Location(tmp_path))
-    drives = ("swing", "boom_stick")
-    assert interface.model.optional_inputs == {
-        f"{drive}_load_pressure": f"the load of {drive} is not sensed" for drive in drives
-    }
-    assert interface.rate_inputs == {f"{d}_load_pressure": f"{d}_load_pressure_rate" for d in drives}
+def test_what_only_this_tool_knows_is_declared(tmp_path, fmi):
+    """Optional inputs with their meaning and rates, held inputs, readings of sensors as noisy outputs."""
 
+    def declared(sub):
+        description = model_description(interface_of(sub, values(sub)), fmi, "token", 1e-3, 1.0)
+        (tmp_path / "modelDescription.xml").write_bytes(description)
+        return read_interface(Location(tmp_path))
 
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_held_inputs_are_declared(tmp_path, fmi):
-    """Slopes of outputs hold although the temperature of the oil has none."""
-    description = model_description(interface_of(SWING, values(SWING)), fmi, "token", 1e-3, 1.0)
-    (tmp_path / "modelDescription.xml").write_bytes(description)
-    assert read_interface(Location(tmp_path)).model.held_inputs == {"oil_temperature"}
-
-
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_noisy_outputs_are_declared(tmp_path, fmi):
-    """All readings of sensors, beside their optional inputs."""
-    sub = sensors({"pressure": "Pa", "angle": "rad"})
-    description = model_description(interface_of(sub, values(sub)), fmi, "token", 1e-3, 1.0)
-    (tmp_path / "modelDescription.xml").write_bytes(description)
-    model = read_interface(Location(tmp_path)).model
+    supply, drives = declared(SUPPLY), ("swing", "boom_stick")
+    means = {f"{drive}_load_pressure": f"the load of {drive} is not sensed" for drive in drives}
+    assert supply.model.optional_inputs == means
+    assert supply.rate_inputs == {name: f"{name}_rate" for name in means}
+    assert declared(SWING).model.held_inputs == {"oil_temperature"}
+    model = declared(sensors({"pressure": "Pa", "angle": "rad"})).model
     assert model.noisy_outputs == {"pressure_measured", "angle_measured"}
     assert "pressure_bias" in model.optional_inputs
 
@@ -151,48 +134,16 @@ def test_archive_holds_sources_and_documentation(toy_dir):
     assert "<code>pressure_rate</code>" in page
 
 
-def test_two_builds_differ_by_their_numbers_only(toys, toy_dir, tmp_path):
-    """Not by the time or the folder of the build; other parameter values give another GUID."""
-    sub, numbers = toys["chamber"]
-    again = build(sub, tmp_path / "elsewhere", step=0.01, stop=1.0, values=numbers)
-    assert again.read_bytes() == (toy_dir / "chamber.fmu").read_bytes()
+def test_other_numbers_give_another_guid(toys, toy_dir, tmp_path):
+    """Else the same name and the same equations."""
     sub, numbers = toys["gain"]
     other = build(sub, tmp_path, step=0.01, stop=1.0, values=Values({"factor": 3.0}, numbers.u, numbers.x))
     guids = {fmpy.read_model_description(str(f)).guid for f in (other, toy_dir / "gain.fmu")}
     assert len(guids) == 2
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there to try another compiler")
-@pytest.mark.parametrize("name", ["path", "gain", "blowup"])
-def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
-    """Another compiler accepts a model without parameters, states or inputs: no array has length zero."""
-    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
-    code = unpacked[2, name] / "sources" / f"{name}_fmu.c"
-    command = ["gcc", *flags, "-fPIC", "-shared", f"-I{HEADERS}", str(code), "-o", "/dev/null", "-lm"]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-
-
-# ---- mistakes in a declaration ---------------------------------------------------------------------
-
-
-def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
+def test_name_declared_twice_is_refused(tmp_path):
     """An input with the name of a parameter causes an error that contains the name."""
-    _, numbers = toys["gain"]
-    inputs = {"left": "1", "right": "1"}
-    sub = make_toy(
-        "twice", {"left": "1"}, {}, inputs, {"product": "1"}, lambda *_: {}, lambda *_: {"product": 0}
-    )
-    with pytest.raises(Problem, match="left is declared twice"):
-        build(sub, tmp_path, values=Values({"left": 1.0}, numbers.u, {}))
-
-
-def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
-    """C code that does not compile gives one line, with the location and message of the compiler."""
-    sub, numbers = toys["gain"]
-    monkeypatch.setattr("fmus.export.build.sources", lambda *_: {"gain_fmu.c": "#error broken\n"})
-    with pytest.raises(
-        Problem,
-        match=r"^gain, [a-z0-9_-]+: the C compiler failed with exit status 1: gain_fmu.c:1:2: error: broken$",
-    ):
-        build(sub, tmp_path, values=numbers)
+    sub = stateless("twice", {"left": "1"}, {"y": "1"}, lambda *_: {"y": 0}, {"left": "1"})
+    numbers = Values({"left": 1.0}, {"left": 1.0}, {})
+    problem(lambda: build(sub, tmp_path, values=numbers), "left is declared twice")

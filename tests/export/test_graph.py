@@ -67,21 +67,12 @@ def boxes(root) -> dict[str, Box]:
         if element.tag == f"{SVG}text":
             size = 11 if element.get("class") == "legend" else 14
             spans = [(s, 11 if s.get("class") == "index" else size) for s in element.iter(f"{SVG}tspan")]
-            long = sum(
-                0.62 * n * len((s.text or "").replace("\u0307", "")) for s, n in spans or [(element, size)]
-            )
-            left = (
-                x
-                + float(element.get("x"))
-                - {"start": 0, "middle": 0.5, "end": 1}[element.get("text-anchor", "start")] * long
-            )
-            y += float(element.get("y"))
-            found[f"{k} {''.join(element.itertext())}"] = (
-                left,
-                y - 0.9 * size,
-                left + long,
-                y + (6.5 if len(spans) > 1 else 3),
-            )
+            texts = [((s.text or "").replace("\u0307", ""), n) for s, n in spans or [(element, size)]]
+            long = sum(0.62 * n * len(letters) for letters, n in texts)
+            anchor = {"start": 0, "middle": 0.5, "end": 1}[element.get("text-anchor", "start")]
+            left, y = x + float(element.get("x")) - anchor * long, y + float(element.get("y"))
+            low = y + (6.5 if len(spans) > 1 else 3)
+            found[f"{k} {''.join(element.itertext())}"] = (left, y - 0.9 * size, left + long, low)
     return found
 
 
@@ -111,11 +102,9 @@ def along(d: str) -> list[tuple[float, float]]:
         c = complex(*v[:2]) if command == "Q" else (at + to) / 2
         steps = 1 + int((abs(c - at) + abs(to - c)) / 2)
         if command != "M":
-            curve = (
-                (1 - t) ** 2 * at + 2 * t * (1 - t) * c + t**2 * to
-                for t in (k / steps for k in range(steps + 1))
-            )
-            found += [(p.real, p.imag) for p in curve]
+            share = np.linspace(0, 1, steps + 1)
+            curve = (1 - share) ** 2 * at + 2 * share * (1 - share) * c + share**2 * to
+            found += zip(curve.real, curve.imag, strict=True)
         at = to
     return found
 
@@ -131,14 +120,10 @@ def overlaps(drawing: str) -> list[str]:
     ]
     lines = points(root)
     for name, (left, top, right, bottom) in labels.items():
-        wrong += [f"{name} and a line at {p}" for p in lines if left < p[0] < right and top < p[1] < bottom][
-            :1
-        ]
-        wrong += (
-            []
-            if left > 0 and right < width and top > 0 and bottom < height
-            else [f"{name} leaves the picture"]
-        )
+        hit = [p for p in lines if left < p[0] < right and top < p[1] < bottom]
+        wrong += [f"{name} and a line at {p}" for p in hit[:1]]
+        if not (left > 0 and right < width and top > 0 and bottom < height):
+            wrong.append(f"{name} leaves the picture")
     return wrong
 
 
@@ -167,17 +152,15 @@ def test_every_node_and_branch_is_drawn_once(name):
     of_branches = sorted(g.findtext(f"{SVG}title") for g in root.iter(f"{SVG}g") if g.findtext(f"{SVG}title"))
     expected = [f"{n}: {b.kind}" for n, b in circuit.branches.items()]
     expected += [f"{n}: capacitance" for n, node in circuit.nodes.items() if node.capacitance is not None]
-    given = {
-        n for n, node in circuit.nodes.items() if node.capacitance is None and node.symbol.startswith("P_")
-    }
+    free = {n: node for n, node in circuit.nodes.items() if node.capacitance is None}
+    given = {n for n, node in free.items() if node.symbol.startswith("P_")}
     lines = {"supply", "tank", "supply_pressure", "reservoir_pressure"}
     expected += [f"{n}: given pressure" for n in given & lines or given & {"tank_pressure"}]
     assert of_branches == sorted(expected)
     dots = {c.findtext(f"{SVG}title") for c in root.iter(f"{SVG}circle")} - {None}
     labels = {t.text for t in root.iter(f"{SVG}text")} - {None}
-    assert {n.replace("_", " ") for n in circuit.nodes} - {GROUND} == {n.replace("_", " ") for n in dots} | (
-        labels & {line.replace("_", " ") for line in circuit.nodes}
-    )
+    names = {n.replace("_", " ") for n in circuit.nodes}
+    assert names - {GROUND} == {n.replace("_", " ") for n in dots} | (labels & names)
 
 
 def test_any_circuit_is_drawn():
@@ -206,20 +189,10 @@ BRANCHES = {
 ACROSS = {"swing": "P_C1 P_C2 P_1 P_2 q̇_sw", "boom_stick": "P_C1 P_C2 ẋ"}
 # through variables: Q_i1, Q_i2, the motor's Q_sw, Q_in, Q_ex1, Q_ex2; the cylinder's Q_in, Q_out
 THROUGH = {
-    "swing": {
-        "flow_a": "I_1",
-        "flow_b": "I_2",
-        "motor": "D_m N",
-        "internal_leakage": "R_in",
-        "drain_a": "R_e1",
-        "drain_b": "R_e2",
-    },
-    "boom_stick": {
-        "head_flow": "I_1, R_1",
-        "rod_flow": "I_2, R_2",
-        "head_piston": "gy_1",
-        "rod_piston": "gy_2",
-    },
+    "swing": {"flow_a": "I_1", "flow_b": "I_2", "motor": "D_m N", "internal_leakage": "R_in"}
+    | {"drain_a": "R_e1", "drain_b": "R_e2"},
+    "boom_stick": {"head_flow": "I_1, R_1", "rod_flow": "I_2, R_2"}
+    | {"head_piston": "gy_1", "rod_piston": "gy_2"},
 }
 
 

@@ -1,18 +1,11 @@
 """What may stand in a model description: kinds of dependencies, names and numbers."""
 
 import casadi as ca
-import pytest
-from kit.mistakes import table
+from export.conftest import q, stateless
+from kit.mistakes import problem, table
 
-from fmus.contract import Quantity
 from fmus.export.interface import dependencies, interface_of
 from fmus.parameters import Values
-from orchestrator.base.errors import Problem
-
-
-def q(**more):
-    return Quantity("1", "of a toy", **more)
-
 
 STEPWISE = {
     "chosen": lambda u: ca.if_else(u > 0, 2, 3),
@@ -22,15 +15,14 @@ STEPWISE = {
 }
 
 
-def test_stepwise_dependency_has_no_factor(make_toy):
+def test_stepwise_dependency_has_no_factor():
     """An output that jumps with its input is "dependent", though its derivative is constant (2.2.8)."""
-    one = q()
-    y = {name: one for name in [*STEPWISE, "straight", "scaled"]}
+    y = dict.fromkeys([*STEPWISE, "straight", "scaled"], "1")
 
     def observe(_x, u, p):
         return {n: f(u.u) for n, f in STEPWISE.items()} | {"straight": 3 * u.u, "scaled": p.k * u.u}
 
-    sub = make_toy("steps", {"k": one}, {}, {"u": one}, y, lambda *_: {}, observe)
+    sub = stateless("steps", {"u": "1"}, y, observe, {"k": "1"})
     table = dependencies(interface_of(sub, Values({"k": 1.0}, {"u": 0.0}, {})))
     kinds = {name: [(v.name, kind) for v, kind in table[name]] for name in y}
     assert {n: kinds[n] for n in STEPWISE} == {n: [("u", "dependent")] for n in STEPWISE}
@@ -38,9 +30,7 @@ def test_stepwise_dependency_has_no_factor(make_toy):
 
 
 @table(__file__, "refused", "name, more, start, words")
-def test_what_a_description_cannot_have_is_refused(make_toy, name, more, start, words):
+def test_what_a_description_cannot_have_is_refused(name, more, start, words):
     """Nominal values that are not positive, starts out of bounds; a name that is none of a file and in C."""
-    u = q(**more)
-    sub = make_toy(name, {}, {}, {"u": u}, {"y": q()}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
-    with pytest.raises(Problem, match=words):
-        interface_of(sub, Values({}, {"u": start}, {}))
+    sub = stateless(name, {"u": q(**more)}, {"y": "1"}, lambda _x, u, _p: {"y": u.u})
+    problem(lambda: interface_of(sub, Values({}, {"u": start}, {})), words)

@@ -34,13 +34,6 @@ def test_call_in_a_wrong_state_names_function_and_state(open_fmu, call, function
     fmu.refuses(lambda: call(fmu), f"fmi2{function}: not allowed", state)
 
 
-def test_model_exchange_call_is_refused_in_cosimulation(open_fmu):
-    """An instance for co-simulation has no event mode."""
-    fmu = open_fmu("decay").start()
-    assert fmu.fmu.dll.fmi2EnterEventMode(ctypes.c_void_p(fmu.fmu.component)) == 3
-    assert "fmi2EnterEventMode: not allowed" in fmu.errors()[-1]
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_value_that_is_no_number_is_refused_by_name(open_fmu, value):
     """NaN and infinity are refused for all variables."""
@@ -181,13 +174,6 @@ def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, positions, 
     assert ["where = 9" in warning for warning in others] == [True]
     if named:
         assert "position moved in each of the last 4 steps while its rate input velocity stayed 0" in told
-
-
-def test_watched_state_warns_too(open_fmu):
-    """An output that is a state can have a warning limit."""
-    fmu = open_fmu("chamber").start().step(0.1, 3)
-    warnings = fmu.logged("logStatusWarning")
-    assert any("fmi2DoStep: pressure = " in text for text in warnings)
 
 
 def test_log_categories_are_filtered(open_fmu):

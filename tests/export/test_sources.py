@@ -1,7 +1,6 @@
 """The C in an FMU as its users compile it: all files in one project, and two FMUs in one program."""
 
 import subprocess
-from itertools import product
 from pathlib import Path
 
 import fmpy
@@ -10,7 +9,10 @@ import pytest
 from kit import shards
 from kit.compile import HEADERS, compiled
 from kit.fmu import Fmu
+from native.bench import needs_gcc
 
+from fmus.machine.one_block import HARVESTER
+from fmus.machine.parts import FERIC
 from orchestrator.base.compiler import PLATFORMS, host
 
 PROGRAM = Path(__file__).with_name("two_fmus.c")
@@ -44,12 +46,22 @@ def folder(unpacked, request, tmp_path):
     return find
 
 
-@pytest.mark.parametrize(
-    ("version", "name", "platform"), list(product((2, 3), ("gain", "swing", "harvester"), (host(), WINDOWS)))
-)
+# without parameters, states or inputs no array has length zero
+LACKING = ("path", "gain", "blowup")
+
+
+@pytest.mark.parametrize("platform", [host(), WINDOWS, pytest.param("gcc", marks=needs_gcc)])
+@pytest.mark.parametrize("name", [*LACKING, *FERIC.components, HARVESTER.name])
+@pytest.mark.parametrize("version", [2, 3])
 def test_all_c_files_in_one_project_compile_without_a_warning(folder, version, name, platform):
     """Adding sources/*.c to a project makes the library: nothing is there twice or lacks its context."""
     code, others = project(folder(version, name))
+    if platform == "gcc":
+        flags = ("-O2", "-shared", "-fPIC", *WARNINGS, f"-isystem{HEADERS}")
+        command = ["gcc", *flags, *code, "-o", "/dev/null"]
+        run = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (run.returncode, run.stderr) == (0, "")
+        return
     flags = ("-O0", "-shared", *(["-fPIC"] if platform == host() else []), *WARNINGS)
     library = compiled(
         f"{name}{PLATFORMS[platform].suffix}", code, *flags, "-isystem", str(HEADERS), included=others,

@@ -28,6 +28,7 @@ def test_nominals_are_known_before_the_initialisation(open_fmu):
     [
         ("cs", "fmi2GetContinuousStates", ((ctypes.c_double * 3)(), 3)),
         ("cs", "fmi2GetEventIndicators", (None, 0)),
+        ("cs", "fmi2EnterEventMode", ()),
         ("me", "fmi2SetRealInputDerivatives", (None, 0, None, None)),
         ("me", "fmi2DoStep", (ctypes.c_double(0.0), ctypes.c_double(1.0), 1)),
         ("me", "fmi2GetRealStatus", (2, ctypes.byref(ctypes.c_double()))),
@@ -35,9 +36,11 @@ def test_nominals_are_known_before_the_initialisation(open_fmu):
 )
 def test_functions_of_the_other_kind_are_refused(open_fmu, kind, function, arguments):
     """What only model exchange or only co-simulation has is an error in an instance of the other kind."""
-    fmu = open_fmu("chamber", kind).enter()
-    assert getattr(fmu.fmu.dll, function)(ctypes.c_void_p(fmu.fmu.component), *arguments) == ERROR
-    assert f"{function}: not allowed" in fmu.errors()[-1]
+    fmu = open_fmu("chamber", kind)
+    for begin in (fmu.enter, fmu.fmu.exitInitializationMode):
+        begin()
+        assert getattr(fmu.fmu.dll, function)(ctypes.c_void_p(fmu.fmu.component), *arguments) == ERROR
+        assert f"{function}: not allowed" in fmu.errors()[-1]
 
 
 def test_tunable_parameters_change_at_events(open_fmu):

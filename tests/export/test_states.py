@@ -1,11 +1,8 @@
-"""Saved states, many instances, threads, and what an FMU costs in memory."""
+"""Saved states, and instances beside each other."""
 
-import threading
-from ctypes import CDLL, byref, c_char, c_size_t, c_void_p
+from ctypes import byref, c_char, c_size_t
 
-import fmpy
 import pytest
-from kit.fmu import elsewhere
 
 
 def drive(fmu, first, count, step=0.01):
@@ -44,15 +41,6 @@ def test_state_remembers_input_derivatives_and_parameters(open_fmu):
     fmu.fmu.doStep(0.1, 0.1)
     fmu.fmu.freeFMUstate(saved)
     assert first == fmu.get("level", "mixed", "target", "rate").tolist()
-
-
-def test_serialised_state_continues_in_a_new_process(open_fmu, unpacked):
-    """Bytes written here, read by a new process: the next step gives the same bits."""
-    fmu = open_fmu("chamber").start()
-    drive(fmu, 0, 5)
-    fmu.time = 0.05
-    there = elsewhere(unpacked[2, "chamber"], fmu.state(), fmu.time, 0.01, 1, *fmu.references)
-    assert there == fmu.step(0.01).get(*fmu.references).tobytes()
 
 
 def test_foreign_and_damaged_states_are_refused(open_fmu):
@@ -106,45 +94,6 @@ def test_instances_do_not_know_each_other(open_fmu):
         for fmu in together:
             fmu.fmu.doStep(k * 0.1, 0.1)
     assert [fmu["level"] for fmu in together] == alone
-
-
-def test_threads_give_the_same_bits(open_fmu):
-    """Eight instances in eight threads at once: eight times the same result."""
-    instances = [open_fmu("vanderpol").start() for _ in range(8)]
-    threads = [threading.Thread(target=fmu.step, args=(0.01, 300)) for fmu in instances]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len({tuple(fmu.get("x", "v")) for fmu in instances}) == 1
-
-
-def test_thousand_instances_at_once_and_freed(unpacked):
-    """A thousand instances with saved states can coexist and free their memory."""
-    library = CDLL(str(unpacked[2, "decay"] / "binaries" / "linux64" / "decay.so"))
-    guid = fmpy.read_model_description(str(unpacked[2, "decay"]), validate=False).guid.encode()
-    for name in ("fmi2Instantiate", "fmi2FreeInstance", "fmi2GetFMUstate", "fmi2FreeFMUstate"):
-        getattr(library, name).restype = c_void_p if name == "fmi2Instantiate" else None
-    before = _resident()
-    for _ in range(3):
-        made = [c_void_p(library.fmi2Instantiate(b"i", 1, guid, b"", None, 0, 0)) for _ in range(1000)]
-        assert all(made)
-        states = []
-        for instance in made:
-            state = c_void_p()
-            library.fmi2GetFMUstate(instance, byref(state))
-            states.append(state)
-        for instance, state in zip(made, states, strict=True):
-            library.fmi2FreeFMUstate(instance, byref(state))
-            library.fmi2FreeInstance(instance)
-    # 3 x 1000 x some 3 kB would be 9 MB; the allocator keeps some pages
-    assert _resident() - before < 8e6
-
-
-def _resident() -> float:
-    """Memory of this process [bytes]."""
-    with open("/proc/self/statm") as file:
-        return float(file.read().split()[1]) * 4096
 
 
 def test_saved_state_memory_is_used_again(open_fmu):

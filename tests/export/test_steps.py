@@ -50,18 +50,12 @@ def test_tolerance_bounds_the_error_at_any_step(open_fmu, tolerance, count):
     """Stiff and badly scaled, one step of 1 s or many of 1 ms: the pressure stays near a tight solution."""
 
     def pressure(tolerance, count):
-        fmu = (
-            open_fmu("chamber")
-            .start(tolerance=tolerance)
-            .set(opening=0.5, supply=1e7)
-            .step(1.0 / count, count)
-        )
-        return fmu["pressure"]
+        fmu = open_fmu("chamber").start(tolerance=tolerance).set(opening=0.5, supply=1e7)
+        return fmu.step(1.0 / count, count)["pressure"]
 
     # error per inner step within the tolerance, none taken looser than 1e-3; they add up over a few steps
-    assert pressure(tolerance, count) == pytest.approx(
-        pressure(1e-11, 1), rel=10 * min(tolerance, 1e-3) + 1e-9
-    )
+    bound = 10 * min(tolerance, 1e-3) + 1e-9
+    assert pressure(tolerance, count) == pytest.approx(pressure(1e-11, 1), rel=bound)
 
 
 def test_no_tolerance_is_loose_enough_to_leave_the_curve(open_fmu):
@@ -76,7 +70,7 @@ def test_no_tolerance_is_loose_enough_to_leave_the_curve(open_fmu):
 
 def test_command_that_jumps_is_followed(open_fmu):
     """A target that jumps at each communication point, steps longer or shorter than the time constant."""
-    for rate in (0.1, 1e3, 1e7):
+    for rate in (0.1, 1e3, 1e7, 1e9):
         fmu = open_fmu("decay").start(rate=rate)
         exact = 1.0
         for k, target in enumerate((5.0, -5.0, 90.0, -90.0, 0.0, 1.0)):

@@ -2,6 +2,7 @@
 
 import io
 import random
+import re
 import struct
 import warnings
 import zipfile
@@ -197,7 +198,7 @@ def archive(draw: random.Random, members: Mapping[str, bytes]) -> bytes:
 def flip(draw: random.Random, data: bytes) -> bytes:
     """Bytes overwritten near the structures of the archive: its headers and its directory."""
     content = bytearray(data)
-    marks = [at for sign in (b"PK\x01\x02", b"PK\x03\x04", b"PK\x05\x06") for at in _places(data, sign)]
+    marks = [found.start() for found in re.finditer(rb"PK\x01\x02|PK\x03\x04|PK\x05\x06", data)]
     for _ in range(draw.choice((1, 2, 10))):
         at = draw.choice(marks or [0]) + draw.randrange(60)
         if at < len(content):
@@ -208,7 +209,7 @@ def flip(draw: random.Random, data: bytes) -> bytes:
 def field(draw: random.Random, data: bytes) -> bytes:
     """One number in the directory of the archive replaced: method, flags, sum, sizes, offset."""
     content = bytearray(data)
-    places = _places(data, b"PK\x01\x02")
+    places = [found.start() for found in re.finditer(rb"PK\x01\x02", data)]
     if places:
         at = draw.choice(places)
         offset, kind = draw.choice(
@@ -227,14 +228,6 @@ def cut(draw: random.Random, data: bytes) -> bytes:
     return draw.choice(
         (data[:at], data[at:], data[:at] + data[at + length :], more + data, data + more, data * 2)
     )
-
-
-def _places(data: bytes, sign: bytes) -> list[int]:
-    places, at = [], data.find(sign)
-    while at >= 0:
-        places.append(at)
-        at = data.find(sign, at + 1)
-    return places
 
 
 ARCHIVE: tuple[Callable[[random.Random, bytes], bytes], ...] = (flip, field, field, cut)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit.mistakes import problem
 
-from orchestrator.base.errors import Problem
 from orchestrator.base.files import put, write_columns, write_rows, write_whole
 from orchestrator.engine.result import read_metadata
 from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, plot, still
@@ -56,8 +56,7 @@ def test_a_full_disk_leaves_the_earlier_file_and_names_the_new_one(tmp_path, mon
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(Problem, match=r"folder/a\.txt: cannot be written: No space left on device$"):
-        write(path)
+    problem(lambda: write(path), r"folder/a\.txt: cannot be written: No space left on device$")
     assert [*path.parent.iterdir()] == [path]
     assert path.read_bytes() == before
 
@@ -89,8 +88,7 @@ def test_metadata_that_are_nested_too_deeply_are_refused_in_one_line(tmp_path, t
     trace = tmp_path / "a.csv"
     trace.write_text("time,a.y\n0,0\n1,1\n", "utf-8")
     trace.with_suffix(".run.json").write_text(text, "utf-8")
-    with pytest.raises(Problem, match=r"a\.run\.json: expected what harvester run writes"):
-        read_metadata(trace)
+    problem(lambda: read_metadata(trace), r"a\.run\.json: expected what harvester run writes")
 
 
 @pytest.mark.parametrize("time", [0.0, 0.04, -2.0])

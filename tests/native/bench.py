@@ -14,6 +14,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from kit.compile import compiled
 
 from fmus.export.compile import HEADERS, PLATFORMS, host
 from fmus.machine.reference import work_cycle
@@ -21,14 +22,11 @@ from fmus.machine.work_cycle import COMMANDS
 
 CODE = Path(__file__).parent / "c"
 STANDARD = ("-std=c99", "-D_XOPEN_SOURCE=700", "-Wall", "-Wextra", "-isystem", str(HEADERS))
-LINUX = sys.platform == "linux"
-needs_gcc = pytest.mark.skipif(not (LINUX and shutil.which("gcc")), reason="gcc on Linux is not there")
+# as for the FMUs: with others the project's compiler makes its Windows libraries anew, for a minute
+OPTIMISED = ("-O3", "-g0", "-s")
+HAS_GCC = sys.platform == "linux" and shutil.which("gcc")
+needs_gcc = pytest.mark.skipif(not HAS_GCC, reason="gcc on Linux is not there")
 _numbers = count()
-
-
-def zig(platform: str | None = None) -> list[str]:
-    """The project's own compiler, for a platform of `fmus.export.compile`."""
-    return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[platform or host()].target]
 
 
 def run(command: Sequence[object], **more: object) -> subprocess.CompletedProcess[str]:
@@ -41,16 +39,14 @@ def run(command: Sequence[object], **more: object) -> subprocess.CompletedProces
     return done
 
 
-def driver(version: int, folder: Path, compiler: Sequence[str], *flags: str, suffix: str = "") -> Path:
-    """The driver for FMUs of this version of FMI.
-
-    Flags as for the FMUs: with others the project's compiler makes its Windows libraries anew, for a minute.
-    """
-    program = folder / f"drive{version}{suffix}"
-    code = (CODE / "drive.c", CODE / f"fmu{version}.c")
-    libraries = () if suffix == ".exe" else ("-ldl", "-lpthread")
-    run([*compiler, *STANDARD, "-O3", "-g0", "-s", *flags, *code, "-o", program, *libraries])
-    return program
+def driver(version: int, platform: str | None = None) -> Path:
+    """The driver for FMUs of this version of FMI, for this computer or another platform."""
+    name = f"drive{version}" + (".exe" if "windows" in (platform or host()) else "")
+    libraries = () if name.endswith(".exe") else ("-ldl", "-lpthread")
+    code, headers = (CODE / "drive.c", CODE / f"fmu{version}.c"), sorted(CODE.glob("*.h"))
+    target = PLATFORMS[platform or host()].target
+    flags = (*STANDARD, *OPTIMISED, *libraries)
+    return compiled(name, code, *flags, included=headers, target=target)
 
 
 @dataclass(frozen=True)
@@ -78,16 +74,14 @@ def unpack(path: Path, folder: Path, platform: str | None = None) -> Fmu:
     description = fmpy.read_model_description(str(folder), validate=False)
     version = int(description.fmiVersion[0])
     target = PLATFORMS[platform or host()]
+    place = target.folders[0] if version == 2 else target.name
     variables = {v.name: v for v in description.modelVariables}
     shown = [v.valueReference for v in variables.values() if v.causality in ("local", "output")]
     return Fmu(
         name=description.modelName,
         version=version,
-        token=description.guid if version == 2 else description.instantiationToken,
-        library=folder
-        / "binaries"
-        / (target.folders[0] if version == 2 else target.name)
-        / f"{description.modelName}{target.suffix}",
+        token=description.guid,
+        library=folder / "binaries" / place / f"{description.modelName}{target.suffix}",
         sources=folder / "sources",
         references={name: v.valueReference for name, v in variables.items()},
         start={n: float(v.start) for n, v in variables.items() if v.causality == "input"},

@@ -6,9 +6,8 @@ from typing import Any
 
 import casadi as ca
 import pytest
-from kit.compile import WARNINGS, compiled
 from kit.toy import toy
-from native.bench import CODE, Fmu, unpack
+from native.bench import Fmu, driver, unpack
 
 from fmus.contract import Quantity
 from fmus.export.build import build
@@ -34,9 +33,7 @@ def machines(
 @pytest.fixture(scope="session")
 def drivers() -> Mapping[int, Path]:
     """The drivers for this machine by version of FMI."""
-    headers, flags = sorted(CODE.glob("*.h")), ("-std=c99", "-D_XOPEN_SOURCE=700", "-O3", *WARNINGS)
-    code = {version: (CODE / "drive.c", CODE / f"fmu{version}.c") for version in (2, 3)}
-    return {v: compiled(f"drive{v}", code[v], *flags, "-ldl", "-lpthread", included=headers) for v in code}
+    return {version: driver(version) for version in (2, 3)}
 
 
 # ---- a model that does not behave -------------------------------------------------------------------

@@ -1,44 +1,19 @@
-"""The C inside the FMUs, built by compilers and build systems that are not the project's own."""
+"""The C inside the FMUs, built by a build system that is not the project's own."""
 
 import os
 import shutil
 import sysconfig
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fmpy import extract, simulate_fmu
 from kit import shards
-from kit.compile import HEADERS
-from native.bench import needs_gcc, run
-
-from fmus.machine.one_block import HARVESTER
-from fmus.machine.parts import FERIC
 
 pytestmark = shards.c
 
 STEP = 1e-3  # s
 TABLE = [("time", float), ("swing_command", float)]
-FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{HEADERS}"]
-
-
-def sources(fmu: Path, folder: Path) -> list[Path]:
-    """The .c files, unpacked with what they include."""
-    with zipfile.ZipFile(fmu) as archive:
-        for name in archive.namelist():
-            if name.startswith("sources/"):
-                archive.extract(name, folder)
-    return sorted((folder / "sources").glob("*.c"))
-
-
-@needs_gcc
-@pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
-@pytest.mark.parametrize("name", [*FERIC.components, HARVESTER.name])
-def test_sources_compile_without_a_warning(request, tmp_path, name, version):
-    """All .c files in sources/ are plain C99 for another compiler, with FMPy's headers."""
-    code = sources(request.getfixturevalue(version) / f"{name}.fmu", tmp_path)
-    run(["gcc", *FLAGS, "-O2", "-fPIC", "-shared", *code, "-o", tmp_path / f"{name}.so", "-lm"])
 
 
 @pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")

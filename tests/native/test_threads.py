@@ -7,7 +7,7 @@ import sys
 
 import pytest
 from kit import shards
-from native.bench import STANDARD, begin, drive, driver, look, moves, needs_gcc, run
+from native.bench import CODE, STANDARD, begin, drive, look, moves, needs_gcc, run
 
 THREADS = 8
 
@@ -55,7 +55,8 @@ def test_no_thread_touches_the_memory_of_another(machines, tmp_path, version):
     """ThreadSanitizer sees no data race between eight instances in eight threads."""
     fmu = machines[version, "swing"]
     sanitized = ("gcc", "-fsanitize=thread", "-O1", "-g", "-fPIC")
-    library = tmp_path / "swing.so"
+    library, program = tmp_path / "swing.so", tmp_path / "drive"
     run([*sanitized, *STANDARD, "-shared", fmu.sources / "swing_fmu.c", "-o", library, "-lm"])
-    program = driver(version, tmp_path, ["gcc"], "-fsanitize=thread", "-O1")
+    code = (CODE / "drive.c", CODE / f"fmu{version}.c")
+    run([*sanitized, *STANDARD, *code, "-o", program, "-ldl", "-lpthread"])
     drive(program, fmu, work(fmu, 30), tmp_path, threads=THREADS, library=library, before=not_randomized())

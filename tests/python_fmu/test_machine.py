@@ -7,7 +7,6 @@ from kit import shards
 from kit.any_fmu.edit import edited
 
 from orchestrator import load, run
-from orchestrator.check.checking import check
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.write import write_ssp
 
@@ -62,9 +61,3 @@ def test_an_fmu_of_the_version_before_fits(fmu_dir, system, tmp_path):
         assert all(len([note for note in said if text in note]) == 1 for text in expected), said
         assert not any(f"{name}_rate" in note for note in said for name in names)
         assert swapped.warnings == ()
-
-
-def test_check_finds_no_error_in_the_example(actuator):
-    """`harvester check` without running it: every rule on its files."""
-    report = check(actuator, run=False)
-    assert [f for f in report.findings if f.severity == "error"] == []

@@ -4,7 +4,6 @@ test_openmodelica.mo has the models: harvester.fmu by the tool's own import, par
 """
 
 import re
-import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -15,6 +14,7 @@ import pandas as pd
 import pytest
 from kit import shards
 from kit.fmu import driving
+from kit.openmodelica import openmodelica
 from numpy.typing import NDArray
 
 from fmus.boom_stick import BOOM_STICK
@@ -58,9 +58,6 @@ Program = Callable[..., pd.DataFrame]
 @pytest.fixture(scope="module")
 def simulate(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Program:
     """simulate(model, *options): rows of the result, and what was printed in its attribute `said`."""
-    omc = shutil.which("omc")
-    if omc is None:
-        pytest.skip("no OpenModelica found: omc is not on the search path")
     folder = tmp_path_factory.mktemp("openmodelica")
     (folder / "imported").mkdir()
     files = [fmu_dir / "harvester.ssp", fmu_dir / "harvester_control.ssp"]
@@ -76,9 +73,8 @@ def simulate(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Program
             f"buildModel(Tested.{model}, stopTime = {STOP}, numberOfIntervals = 400, tolerance = 1e-8, "
             'outputFormat = "csv"); getErrorString();\n'
         )
-        done = subprocess.run([omc, "build.mos"], cwd=folder, capture_output=True, text=True, check=False)
-        built = folder / f"Tested.{model}"
-        assert built.is_file(), done.stdout + done.stderr
+        said, built = openmodelica(folder / "build.mos"), folder / f"Tested.{model}"
+        assert built.is_file(), said
         return built
 
     def simulating(model: str, *options: str) -> pd.DataFrame:

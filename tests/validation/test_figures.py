@@ -48,13 +48,6 @@ def test_decimation_keeps_the_extremes_and_the_ends(values: list[float], buckets
     assert np.all(np.diff(kept_t) > 0)
 
 
-def test_decimation_keeps_a_single_spike() -> None:
-    """A spike of one sample in 100000 is still in the figure."""
-    y = np.zeros(100_000)
-    y[54_321] = 1.0
-    assert decimate(np.arange(100_000.0), y)[1].max() == 1.0
-
-
 @pytest.fixture(scope="module")
 def figure(outcome: Validation, trace: Trace) -> Figure:
     """The figure of SPEC, drawn."""

@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import pytest
 from kit.mistakes import problem, table
 
 from fmus.machine.build import data
-from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 
@@ -72,7 +70,5 @@ def test_mistakes_name_file_place_and_what_was_expected(tmp_path: Path, text: st
 
 def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
     """As what they are."""
-    with pytest.raises(Problem, match=r"none.toml: no such file"):
-        read_layout(tmp_path / "none.toml")
-    with pytest.raises(Problem, match=r"cannot be read: "):
-        read_layout(tmp_path)
+    problem(lambda: read_layout(tmp_path / "none.toml"), r"none.toml: no such file")
+    problem(lambda: read_layout(tmp_path), r"cannot be read: ")

@@ -122,7 +122,7 @@ def wave(delay: float = 0.0, gain: float = 1.0) -> np.ndarray:
 
 
 def test_iso_rating_tells_what_is_wrong() -> None:
-    """A delay costs phase, a wrong gain costs magnitude, and the overall rating is their weighted sum."""
+    """A delay costs phase, a wrong gain costs magnitude; test_iso18571.py has every part and their sum."""
     t = np.linspace(0, 4, 400)
     late, weak = iso_rating(t, wave(delay=0.2), wave()), iso_rating(t, wave(gain=0.8), wave())
     # the standard allows a shift of 20 % of the 4 s: 0.2 s leave 0.75; to a sample of the 1000, 0.5 %
@@ -132,9 +132,6 @@ def test_iso_rating_tells_what_is_wrong() -> None:
     assert weak.magnitude is not None
     assert 0.6 <= weak.magnitude < 0.9
     assert iso_rating(t, wave(), wave()) == Rating(1, 1, 1, 1, 1)
-    for r in (late, weak):
-        weights = 0.4 * r.corridor + 0.2 * (r.phase + r.magnitude + r.slope)
-        assert r.overall == pytest.approx(weights, rel=1e-12)  # the standard's weights, rounding only
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ import pytest
 import scipy.io
 from kit.mistakes import problem, table
 
-from orchestrator.base.errors import Problem
 from orchestrator.data.description import Origin, Tolerance
 from orchestrator.data.recording import Recording, fill_gaps, read_recording, write_recording
 from orchestrator.data.trace import Trace
@@ -76,8 +75,7 @@ def test_a_recording_for_identification_is_read(edited: Edit) -> None:
     assert found.metadata == before.metadata
     for name, signal in found.signals.items():
         np.testing.assert_array_equal(signal, before[name])
-    with pytest.raises(Problem, match="unknown key 'deadzone'"):
-        read_recording(edited("dead_zone", "deadzone"))
+    problem(lambda: read_recording(edited("dead_zone", "deadzone")), "unknown key 'deadzone'")
 
 
 def test_a_signals_own_limit_beats_its_groups(edited: Edit) -> None:
@@ -92,16 +90,14 @@ def test_a_signals_own_limit_beats_its_groups(edited: Edit) -> None:
 def test_every_mistake_is_named(edited: Edit, old: str, new: str, message: str) -> None:
     """The message about a mistake in the TOML or CSV file contains file, position, expected and got."""
     path = edited(old, new)
-    with pytest.raises(Problem, match=message):
-        read_recording(path)
+    problem(lambda: read_recording(path), message)
 
 
 def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
     """Two columns with one name are ambiguous."""
     edited('unit = "bar"', 'unit = "bar"\ncolumn = "shaft.angle"')
     path = edited("shaft.angle,pump.pressure", "shaft.angle,shaft.angle")
-    with pytest.raises(Problem, match=r"ref.csv: expected the column 'shaft.angle' once, got it 2 times"):
-        read_recording(path)
+    problem(lambda: read_recording(path), r"ref.csv: expected the column 'shaft.angle' once, got it 2 times")
 
 
 def test_missing_and_empty_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -119,13 +119,10 @@ class Description:
 
     def _unknown(self, v: V, place: Mapping[str, int], fmi: int) -> str:
         """An unknown with its dependencies, as attributes."""
-        on = (
-            None
-            if self.undeclared or v.depends is None or v.indicates
-            else " ".join(str(place[d]) for d in v.depends)
-        )
-        key = "index" if fmi == 2 else "valueReference"
-        return _attributes({key: place[v.name], "dependencies": on}).strip()
+        unknown = {"index" if fmi == 2 else "valueReference": place[v.name]}
+        if not (self.undeclared or v.depends is None or v.indicates):
+            unknown["dependencies"] = " ".join(str(place[d]) for d in v.depends)
+        return _attributes(unknown).strip()
 
 
 def packed(path: Path, members: Mapping[str, bytes | str]) -> Path:
@@ -165,13 +162,8 @@ def _references(variables: Sequence[V]) -> dict[str, int]:
 
 def _common(v: V, reference: int) -> str:
     """What both versions have of a variable."""
-    initial = "exact" if v.exact else None
-    return _attributes(
-        {
-            **{"name": v.name, "valueReference": reference, "causality": v.causality},
-            **{"variability": _steady(v), "initial": initial},
-        }
-    )
+    usual = {"name": v.name, "valueReference": reference, "causality": v.causality}
+    return _attributes(usual | {"variability": _steady(v), "initial": "exact" if v.exact else None})
 
 
 def _steady(v: V) -> str:
