@@ -89,6 +89,13 @@ def test_solver_converges_with_its_order(open_fmu, tolerance, steps, order):
     assert orders == pytest.approx([order, order], abs=0.3)
 
 
+def test_very_stiff_system_goes_straight_to_its_end(open_fmu):
+    """Rate 1e9 1/s with steps of 1 s: an L-stable method lands on the target, without ringing."""
+    fmu = open_fmu("decay").start(rate=1e9, target=3.0).step(1.0, 3)
+    # atol + rtol of the default tolerance
+    assert fmu["level"] == pytest.approx(3.0, abs=1e-5)
+
+
 # ---- inputs inside a step ----------------------------------------------------------------------------
 
 
