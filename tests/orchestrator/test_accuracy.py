@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kit import shards
-from kit.any_fmu.models import telling
+from kit.any_fmu.models import TELLS, Workshop, oscillator_of, telling
 from kit.any_fmu.outcome import NO_ROLLBACK
 from kit.mistakes import problem, table
 
@@ -44,9 +44,12 @@ def test_steps_are_shortened_without_an_estimate(moving, exact):
     assert deviation(result, exact) <= 1e-4
 
 
-def test_the_note_names_the_signals(open_oscillator):
-    """Up to four, and the number of the run only if it was not the first."""
-    note = run(open_oscillator, stop=10.0, accuracy=0.1, accuracy_of=["a.x", "b.x"]).card.notes[-1]
+def test_decisive_outputs_are_recorded_and_named(open_oscillator):
+    """A selection of signals is extended by them; the note has up to four, and no number of a first run."""
+    chosen = {"accuracy_of": ["a.x", "b.x"], "record": ["a.x"]}
+    result = run(open_oscillator, stop=10.0, accuracy=0.1, **chosen)
+    assert list(result.trace.signals) == ["a.x", "b.x"]
+    note = result.card.notes[-1]
     assert note.startswith("accuracy 0.1 of a.x, b.x: estimated RMS error ")
     assert " of the range, tolerance of the FMUs " in note
 
@@ -100,12 +103,8 @@ def fed_mass(fmus, kind, model, **start):
     """A mass that is pulled by a source."""
     able = NO_SLOPES | (NO_ROLLBACK if kind == "poor" else {})
     source = fmus.make(model, f"{model}_{kind}", able=able, units={"y": "N"})
-    rich = {"able": {"providesDirectionalDerivative": "true", **able}}
-    mass = (
-        telling(fmus, "mass_b", "b_rich", **rich)
-        if kind == "rich"
-        else fmus.make("mass_b", f"b_{kind}", able=able)
-    )
+    make, tells = (telling, {TELLS[2]: "true"}) if kind == "rich" else (Workshop.make, {})
+    mass = make(fmus, "mass_b", f"b_{kind}", able=able | tells)
     return assemble({"s": source, "b": mass}, ["s.y -> b.force"], {f"s.{n}": v for n, v in start.items()})
 
 
@@ -194,9 +193,8 @@ def test_what_is_hidden_between_samples():
 @pytest.mark.parametrize(("able", "step"), [({}, 7e-3), (NO_SLOPES, 0.6180340e-3)])
 def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, step):
     """The FMUs suggest nothing, so that it is 1 ms; else over the golden ratio."""
-    rich = {"providesDirectionalDerivative": "true", **able}
-    files = {name: telling(fmus, f"mass_{name}", f"{name}_{len(able)}", able=rich) for name in "ab"}
-    system = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+    rich = {TELLS[2]: "true", **able}
+    system = oscillator_of(*(telling(fmus, f"mass_{n}", f"{n}_{len(able)}", able=rich) for n in "ab"))
     search = accuracy_search.AccuracySearch(system, Execution(accuracy_of=["a.x"]), 1e-2)
     assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
     search._next(1.0)
@@ -328,12 +326,6 @@ def test_too_many_runs(open_oscillator, monkeypatch):
 def test_what_follows_from_the_accuracy_is_not_chosen(open_oscillator, choices, message):
     """Master and step together with an accuracy, wrong values and unknown outputs are refused."""
     assert problem(lambda: run(open_oscillator, stop=1.0, **choices)).startswith(message)
-
-
-def test_decisive_outputs_are_recorded(open_oscillator):
-    """A selection of signals is extended by those to which the accuracy applies."""
-    result = run(open_oscillator, stop=1.0, accuracy=1e-2, accuracy_of=["b.x"], record=["a.x"])
-    assert list(result.trace.signals) == ["a.x", "b.x"]
 
 
 @table(__file__, "default", "suggested, choices, note")

@@ -58,10 +58,7 @@ def test_no_master_collapses_to_the_smallest_step(oscillators, worst, settings, 
 
 @pytest.mark.parametrize("master", ["gauss-seidel", "hermite"])
 def test_the_error_goes_with_the_tolerance(moving, worst, master):
-    """A hundredth of the tolerance, a hundredth of the error: within a factor of 3, over four decades.
-
-    No energy is lost, so errors add up over ten seconds; the error stays below the tolerance all the same.
-    """
+    """A hundredth of the tolerance, a hundredth of the error: within a factor of 3, over four decades."""
     results = [adaptive(moving, master, x, order=3) for x in (1e-3, 1e-5, 1e-7)]
     for a, b in pairwise(results):
         assert 100 / 3 < worst(a) / worst(b) < 100 * 3

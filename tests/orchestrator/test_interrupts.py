@@ -8,14 +8,6 @@ import pytest
 from orchestrator.base.interrupts import DeferredInterrupts
 
 
-@pytest.fixture(autouse=True)
-def interruptible():
-    """A shell may have switched the signal off for what it starts in the background."""
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, usual)
-
-
 def test_a_signal_waits_for_the_next_check():
     """Nothing is raised where it comes, which may be inside a function that an FMU calls."""
     with DeferredInterrupts() as interrupts:

@@ -183,13 +183,11 @@ def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
 
     run_isolated = isolated.run_isolated
     monkeypatch.setattr(runs, "run_isolated", noted)
-    run(oscillator, **STEPS, error_estimate=True, time_limit=LONG)
-    assert len(deadlines) > 1
-    assert len(set(deadlines)) == 1
-    deadlines.clear()
-    run(oscillator, stop=10.0, record_step=0.1, accuracy=1e-5, time_limit=LONG)
-    assert len(deadlines) > 1
-    assert len(set(deadlines)) == 1
+    for options in (STEPS | {"error_estimate": True}, {"stop": 10.0, "record_step": 0.1, "accuracy": 1e-5}):
+        deadlines.clear()
+        run(oscillator, **options, time_limit=LONG)
+        assert len(deadlines) > 1
+        assert len(set(deadlines)) == 1
 
 
 def test_a_search_ends_at_the_time_limit(oscillator):
