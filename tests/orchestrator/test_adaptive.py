@@ -209,14 +209,11 @@ def test_steps_stay_within_their_limits(history, power, repeats):
 
 @given(st.floats(1e-9, 10.0), st.floats(1e-6, 1.0))
 def test_the_end_is_hit_without_a_short_last_step(room, step):
-    """The step ends there, or the remaining time is at least as long as the step.
-
-    It may be longer than the largest by a share of 1e-9: times of a grid are rounded, and a step that
-    misses its end by less than that would be halved for it, with twice the cost.
-    """
+    """The step ends there, or the remaining time is at least as long as the step."""
     size = StepSize(first=step, largest=1.0)
     h = size.length(room)
     assert h == room or room - h >= h * (1 - 1e-15)
+    # a step that misses its end by 1e-9, the rounding of a grid, would be halved for it, with twice the cost
     assert h <= max(step / NEARLY, room / 2)
 
 

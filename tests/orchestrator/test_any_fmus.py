@@ -106,10 +106,7 @@ def lacking(workshop: Workshop, function: bytes) -> Workshop:
 
 
 def test_a_missing_function_matters_where_it_is_called(each, both):
-    """Only a master with rollback needs the functions for states, and names a missing one.
-
-    A declared ability that the binary lacks does not end the run: slopes follow from differences.
-    """
+    """Those for states are needed by masters with rollback, and named; differences replace slopes."""
     names = {2: ("GetFMUstate", "GetRealOutputDerivatives"), 3: ("GetFMUState", "GetOutputDerivatives")}
     save, tell = (f"fmi{each.fmi}{name}" for name in names[each.fmi])
     system = circle(lacking(each, save.encode()), "no_save")
@@ -191,10 +188,7 @@ def test_an_fmu_for_slopes_of_states_only(each, both):
 
 @pytest.mark.parametrize(("where", "how"), thinned(3, [*WHERE], [DISCARD, FAULT, FATAL]))
 def test_failures_lose_nothing(each, both, where, how):
-    """In whatever call, both loops say the same; what was computed stays; states and instances are freed.
-
-    Of an FMU with a fatal error nothing is called any more.
-    """
+    """In whatever call, both loops say the same; what was computed stays; states and instances are freed."""
     if where == "SetSlope" and each.fmi == 3:
         pytest.skip("FMI 3.0 has no such function")
     outcome = both(circle(each, "failing", when=0.45, how=how, where=WHERE[where]), master=HERMITE)
@@ -204,6 +198,7 @@ def test_failures_lose_nothing(each, both, where, how):
     assert f"with status {status}" in outcome.error
     assert not outcome.result.complete
     assert outcome.result.trace.time[-1] >= 0.4
+    # of an FMU with a fatal error nothing is called any more
     mine = [] if how == FATAL else ["freed, states left: 0"] if how == FAULT else [PROPERLY]
     assert outcome.farewells == [PROPERLY, *mine]
 
@@ -229,10 +224,7 @@ OR_ANY = [m if m in EACH_WAY else pytest.param(m, marks=shards.search) for m in 
 
 @pytest.mark.parametrize("master", OR_ANY)
 def test_an_fmu_may_end_the_run(each, both, master):
-    """The run is complete up to the communication point before; a note names the FMU and the time.
-
-    An end before the first step is an end, too: the record contains only the start.
-    """
+    """Even before the first step: the run is complete up to the point before; a note has FMU and time."""
     outcome = both(circle(each, "enough", when=0.45, how=ENOUGH), master=master)
     assert outcome.error == ""
     assert outcome.result.complete

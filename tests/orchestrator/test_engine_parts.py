@@ -155,10 +155,7 @@ class Step:
 
 
 def test_the_error_of_a_step_is_that_of_its_worst_input():
-    """A held line is off by its way, a driven one by what a line leaves out.
-
-    After repetition it is also what a further pass would change, and all of it relative to the magnitude.
-    """
+    """The way of a held line, what a line leaves out, what a pass would change: each over its magnitude."""
     lines = [(1.0, 4.0, 3.0), (-8.0, 2.0, -7.0)]
     step = Step(lines)
     assert step.error() == pytest.approx(2 / 3, rel=1e-15)  # rounding

@@ -16,11 +16,7 @@ class Estimate(LinearSystem):
         super().__init__(states, 1)
         self.b[:, 0] = 1.0
         wide = self.n_padded
-        self.e, self.stages, self.factors = (
-            np.zeros(wide),
-            np.zeros((ERROR_ROWS, wide)),
-            np.zeros((states, wide)),
-        )
+        self.e, self.stages, self.factors = map(np.zeros, (wide, (ERROR_ROWS, wide), (states, wide)))
         self.w, self.middle = np.zeros(self.m_padded), np.zeros(self.m_padded)
         self.defects, self.lengths, self.starts = np.zeros((1, 2)), np.zeros(3), np.zeros(2)
         self.diagonal, self.slope = np.zeros(states), np.zeros(1)

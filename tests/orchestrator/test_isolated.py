@@ -132,17 +132,6 @@ def test_a_crash_before_the_run_is_a_problem_without_a_result(tmp_path):
 
 
 @posix
-def test_a_limit_of_time_ends_a_run_that_hangs(tmp_path):
-    """With the call that does not return; a limit that could not be kept is refused."""
-    hanging, good = faulty(tmp_path, "sleep"), faulty(tmp_path, name="good")
-    run(good.fmu, **STEPS)  # on a busy computer, a process takes longer than the limit to start
-    with pytest.raises(RunFailed, match=r"^not done within 1 s in fmi2DoStep at t = 0\.5 s of lag "):
-        run(hanging.fmu, **STEPS, time_limit=1.0)
-    told = "time_limit: expected a run in its own process"
-    problem(lambda: run(good.fmu, **STEPS, isolate=False, time_limit=1.0), told)
-
-
-@posix
 def test_an_fmu_computes_in_its_own_rounding_mode(tmp_path):
     """Another one has the bits of a run without it; a warning, once, names the one that changed the mode."""
     good = faulty(tmp_path, name="good").fmu

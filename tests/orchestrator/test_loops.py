@@ -273,17 +273,14 @@ def test_fmus_called_by_python_and_by_c_agree_on_loops_of_several(each, both, un
 
 @pytest.mark.parametrize("n", range(1, 7))
 def test_linear_equations(n):
-    """Exact up to rounding, also with zeros on the diagonal; a singular matrix and NaN are detected.
-
-    The pivot is the largest number of its column, so no multiplier exceeds 1.
-    """
+    """Exact up to rounding, also with zeros on the diagonal; a singular matrix and NaN are detected."""
     random = np.random.default_rng(n)
     matrix, right = random.normal(size=(n, n)), random.normal(size=n)
     if n > 1:
         matrix[np.arange(n), np.arange(n)] = 0.0
     factors, rows, found = matrix.copy(), np.zeros(n, np.int32), right.copy()
     assert library().loop_factorise(address(factors), address(rows), n)
-    assert (np.abs(np.tril(factors, -1)) <= 1.0).all()
+    assert (np.abs(np.tril(factors, -1)) <= 1.0).all()  # the pivot is the largest number of its column
     library().loop_substitute(address(factors), address(rows), address(found), n)
     # rounding times the condition of these matrices, below 100
     np.testing.assert_allclose(matrix @ found, right, rtol=0, atol=1e-13)
