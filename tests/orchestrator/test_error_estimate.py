@@ -215,12 +215,10 @@ def test_the_estimate_changes_no_number(open_oscillator):
     """The trace is the same bit by bit, unless FMUs step in halves; then up to errors of their solvers."""
     for master, step in MASTERS:
         halves = master.master == "interface-jacobian" or (master.master == "hermite" and master.passes != 1)
-        runs = [
-            run(open_oscillator, master=master, step=step, stop=2.0, record_step=0.1, error_estimate=asked)
-            for asked in (False, True)
-        ]
-        for name, values in runs[0].trace.signals.items():
-            np.testing.assert_allclose(values, runs[1].trace[name], rtol=0, atol=1e-6 if halves else 0)
+        options = {"master": master, "step": step, "stop": 2.0, "record_step": 0.1}
+        plain, asked = (run(open_oscillator, **options, error_estimate=e).trace for e in (False, True))
+        for name, values in plain.signals.items():
+            np.testing.assert_allclose(values, asked[name], rtol=0, atol=1e-6 if halves else 0)
 
 
 def test_without_derivatives_the_run_is_repeated(fmus, open_oscillator):

@@ -23,18 +23,15 @@ def terminal(members, name="rod", rule="plug", kind="rod", inside=""):
 
 
 @pytest.fixture
-def joined(fmus, request):
+def joined(fmus):
     """The connections of the two masses with these terminals."""
 
     def make(ours, theirs, *wires):
+        text = "<fmiTerminalsAndIcons><Terminals>{}</Terminals></fmiTerminalsAndIcons>"
         files = {
-            name: fmus.make(
-                f"mass_{name}",
-                f"terminal_{name}_{abs(hash((request.node.name, xml)))}",
-                extra={FILE: f"<fmiTerminalsAndIcons><Terminals>{xml}</Terminals></fmiTerminalsAndIcons>"},
-            )
+            name: fmus.make(f"mass_{name}", f"terminal_{name}", extra={FILE: text.format(xml)})
             for name, xml in (("a", ours), ("b", theirs))
-        }  # fmt: skip
+        }
         return {str(c) for c in assemble(files, wires or ["a.rod -> b.rod"]).connections}
 
     return make

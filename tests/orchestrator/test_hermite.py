@@ -30,9 +30,8 @@ def test_the_undamped_oscillator_over_ten_seconds(moving, worst, coupling, step,
 def test_passes_end_when_the_tolerance_is_met(moving):
     """A stricter tolerance takes more passes, each of which reduces the error; their number is limited."""
     tolerances = (1e-2, 1e-4, 1e-6, 1e-8)
-    results = [
-        run(moving, master=Coupling("hermite", guard=0, tolerance=x), step=2e-2, stop=1.0) for x in tolerances
-    ]
+    masters = [Coupling("hermite", guard=0, tolerance=x) for x in tolerances]
+    results = [run(moving, master=master, step=2e-2, stop=1.0) for master in masters]
     passes = [r.card.passes for r in results]
     assert passes == sorted(set(passes))
     assert passes[0] < 2 * 50 < passes[-1] < 8 * 50
@@ -82,8 +81,8 @@ def test_corners_of_free_sources(fmus, bend):
     start = {"ramp.amplitude": 0.0, "ramp.ramp": 1.0, "ramp.bend": bend}
     system = assemble(files, ["ramp.y -> sum.u"], start)
     found = run(system, master="hermite", step=0.0625, stop=1.0).trace["sum.y"][-1]
-    # sums of products of short binary fractions: with the slope that an FMU tells at a corner, that of what
-    # follows, a cubic would rise before it, by h^2 / 12 = 3e-4 too much; inside of a step: between 0 and the ramp
+    # products of short binary fractions: with the slope of what follows, which an FMU tells at a corner, a cubic
+    # would rise before it, by h^2 / 12 = 3e-4 too much; in a step what is used is between 0 and the ramp
     bound = 1e-15 if bend % 0.0625 == 0 else 0.0625**2 / 2
     assert found == pytest.approx(0.5 * (1 - bend) ** 2, abs=bound)
 

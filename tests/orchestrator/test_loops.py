@@ -36,11 +36,8 @@ class Kind:
 
     def make(self, model: str, slopes: bool = True) -> Path:
         """An FMU, with or without slopes of its outputs."""
-        abilities = {
-            TELLS[self.fmus.fmi]: str(self.directional).lower(),
-            "maxOutputDerivativeOrder": int(slopes),
-        }
-        return self.fmus.make(model, f"{model}_{self.directional}_{slopes}", able=abilities)
+        able = {TELLS[self.fmus.fmi]: str(self.directional).lower(), "maxOutputDerivativeOrder": int(slopes)}
+        return self.fmus.make(model, f"{model}_{self.directional}_{slopes}", able=able)
 
 
 OTHERS = [("fmus", False), ("fmus3", True)]
