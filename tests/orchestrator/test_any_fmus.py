@@ -122,17 +122,16 @@ def test_a_missing_function_matters_where_it_is_called(each, both):
 @pytest.mark.parametrize(("step", "factor"), [(0.1, 1), (1 / 60, 3)])
 def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor, varies):
     """The FMU refuses any other length; the differences of the communication points are not all the same."""
+    times = {"step": step, "stop": 60 * step}
     for master in ("jacobi", "hermite"):
         able = {"canHandleVariableCommunicationStepSize": varies}
         system = circle(each, f"even_{varies}", able=able, even=1)
-        outcome = both(system, master=Coupling(master, factors={"q": factor}), step=step, stop=60 * step)
+        outcome = both(system, Coupling(master, factors={"q": factor}), **times)
         assert outcome.error == ""
         assert outcome.result.card.steps == 60
     points = step * np.arange(61)
     assert len(set(np.diff(points))) > 1
-    divided = both(
-        circle(each, "uneven", even=1), Coupling("jacobi", adaptive=1e-3), step=step, stop=60 * step
-    )
+    divided = both(circle(each, "uneven", even=1), Coupling("jacobi", adaptive=1e-3), **times)
     assert "the step is longer than the first by" in divided.error
 
 

@@ -109,10 +109,8 @@ def test_an_fmu_gets_the_nearest_polynomial_that_it_can_follow(degree, begin, la
 
     call("component_set_inputs", ctypes.c_double(begin), ctypes.c_double(length), int(last))
     # Legendre's polynomials are orthogonal over the part: the first terms are the nearest polynomial
-    parts = [
-        course.convert(kind=Legendre, domain=[begin, begin + length]).truncate(degree + 1)
-        for course in courses
-    ]
+    part = {"kind": Legendre, "domain": [begin, begin + length]}
+    parts = [course.convert(**part).truncate(degree + 1) for course in courses]
     expected = [[part.deriv(k)(begin) for k in range(degree + 1)] for part in parts]
     near = {"rel": 1e-12, "abs": 1e-12}  # rounding
     assert values == pytest.approx([e[0] for e in expected], **near)

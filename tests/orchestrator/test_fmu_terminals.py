@@ -14,10 +14,8 @@ WIRES = {"a.force -> b.force", "b.x -> a.x2"}
 
 def terminal(members, name="rod", rule="plug", kind="rod", inside=""):
     """XML of a terminal; members: name -> variable."""
-    text = "".join(
-        f'<TerminalMemberVariable variableName="{v}" memberName="{m}" variableKind="signal"/>'
-        for m, v in members.items()
-    )
+    form = '<TerminalMemberVariable variableName="{}" memberName="{}" variableKind="signal"/>'
+    text = "".join(form.format(variable, member) for member, variable in members.items())
     kinds = f' terminalKind="{kind}"' if kind else ""
     return f'<Terminal name="{name}" matchingRule="{rule}"{kinds}>{text}{inside}</Terminal>'
 

@@ -81,8 +81,8 @@ def test_corners_of_free_sources(fmus, bend):
     start = {"ramp.amplitude": 0.0, "ramp.ramp": 1.0, "ramp.bend": bend}
     system = assemble(files, ["ramp.y -> sum.u"], start)
     found = run(system, master="hermite", step=0.0625, stop=1.0).trace["sum.y"][-1]
-    # products of short binary fractions: with the slope of what follows, which an FMU tells at a corner, a cubic
-    # would rise before it, by h^2 / 12 = 3e-4 too much; in a step what is used is between 0 and the ramp
+    # products of short binary fractions; with the slope that an FMU tells at a corner, that of what follows,
+    # a cubic would rise before it: by h^2 / 12 = 3e-4; inside of a step, what is used is from 0 to the ramp
     bound = 1e-15 if bend % 0.0625 == 0 else 0.0625**2 / 2
     assert found == pytest.approx(0.5 * (1 - bend) ** 2, abs=bound)
 

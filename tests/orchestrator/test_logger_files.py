@@ -31,9 +31,8 @@ def mf4(tmp_path):
     with MDF(version="4.10") as log:
         pressure = Signal(np.round(100 + 9 * np.sin(FAST), 2), FAST, name="P1", unit="bar")
         log.append([pressure, Signal(FAST, FAST, name="U", unit="V")], acq_name="Drive")
-        log.append(
-            [Signal(line(SLOW), SLOW, name="angle", unit="deg"), Signal(SLOW, SLOW, name="U", unit="V")]
-        )
+        angle = Signal(line(SLOW), SLOW, name="angle", unit="deg")
+        log.append([angle, Signal(SLOW, SLOW, name="U", unit="V")])
         log.save(tmp_path / "can.mf4")
     return tmp_path / "can.mf4"
 

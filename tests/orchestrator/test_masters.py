@@ -186,10 +186,8 @@ def test_positions_move_at_their_velocity(each, order, master, expected):
 
 def test_parameters_of_the_run_do_not_leak_into_the_system(oscillator):
     """A second run of a system gives bit-identical results."""
-    heavy = {"a.mass": 2.0}
-    first, again, plain = (
-        run(oscillator, step=1e-2, stop=0.2, set=s).trace["a.x"] for s in (heavy, heavy, {})
-    )
+    masses = {"a.mass": 2.0}, {"a.mass": 2.0}, {}
+    first, again, plain = (run(oscillator, step=1e-2, stop=0.2, set=m).trace["a.x"] for m in masses)
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, plain)
 
@@ -219,10 +217,8 @@ def exchanging(components, time, length):
 )
 def test_a_master_of_ones_own_is_the_known_one_bit_for_bit(oscillators, mine, known, follow, order):
     """A function that only steps gets the exchanges of jacobi; a plan runs in C, with all options."""
-    own, ours = (
-        run(oscillators(follow), master=master, order=order, step=1e-2, stop=1.0)
-        for master in (Master("mine", **mine), known)
-    )
+    masters = Master("mine", **mine), known
+    own, ours = (run(oscillators(follow), master=m, order=order, step=1e-2, stop=1.0) for m in masters)
     assert own.card.master == ("mine" if order is None else "mine of order 2")
     assert own.trace == ours.trace
 
