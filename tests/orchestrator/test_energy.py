@@ -35,16 +35,11 @@ def wired(*signals):
     return System("s", {c: Component(c, FmuInterface(v)) for c, v in variables.items()}, tuple(connections))
 
 
-def energy(trace):
-    """Energy of mass and spring [J]."""
-    return 0.5 * trace["mass.v"] ** 2 + 0.5 * 100.0 * trace["spring.stretch"] ** 2
-
-
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_residual_is_the_energy_that_the_coupling_made(bounce, master):
     """Both parts conserve energy, so the total change of energy is the residual of the bond."""
     result = run(bounce(False), master=master, step=1e-3, stop=1.0)
-    made = energy(result.trace)
+    made = 0.5 * result["mass.v"] ** 2 + 0.5 * 100.0 * result["spring.stretch"] ** 2  # energy of both [J]
     (bond,) = result.card.bonds
     assert bond.name == "mass - spring"
     # the trapezoidal rule over a step of 0.01 rad is wrong by (0.01)^2/12 of the power; the residual of

@@ -3,6 +3,7 @@
 import multiprocessing
 import platform
 import sys
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -32,10 +33,8 @@ def test_a_run_says_in_advance_what_it_takes_and_is_refused_if_it_cannot_fit(fmu
     """Steps, rows and bytes, in one line, before the first step."""
 
     def told(**options):
-        def accept(*_):
-            raise Problem("not now")
-
-        return problem(lambda: run_to_file(fmus["gain"], None, tmp_path / "t.csv", accept=accept, **options))
+        options["accept"] = Mock(side_effect=Problem("not now"))
+        return problem(lambda: run_to_file(fmus["gain"], None, tmp_path / "t.csv", **options))
 
     assert told(step=1e-7, stop=2.0, record_step=1.0) == "not now"
     size = "3 points of 2 signals, 1.4e-07 GB of values"
