@@ -57,13 +57,13 @@ def scenario():
         **{name: binding.at(array) for name, array in arrays.items()},
         samples=5, width=2, count=1, rate_count=1, evaluated_at=np.nan,
     )  # fmt: skip
-    simulation = binding.h.Simulation(scenario=binding.pointer(struct), reals=binding.at(reals))
+    binding.simulation.scenario, binding.simulation.reals = binding.pointer(struct), binding.at(reals)
 
-    def evaluated(t):
-        assert everything().scenario_set_inputs(ctypes.byref(simulation), ctypes.c_double(t)) == 0
+    def evaluated(t):  # the binding keeps the arrays
+        assert everything().scenario_set_inputs(ctypes.byref(binding.simulation), ctypes.c_double(t)) == 0
         return reals[2], reals[0]
 
-    yield evaluated, times, columns[:, 1]  # its arrays live as long as the test
+    return evaluated, times, columns[:, 1]
 
 
 def test_a_table_is_read_at_any_time_in_any_order(scenario):
