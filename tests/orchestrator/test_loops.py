@@ -93,7 +93,7 @@ def test_a_loop_that_is_not_linear_is_solved(kind, both, master):
 @pytest.mark.parametrize("undeclared", [False, True])
 def test_hermite_keeps_its_order_around_a_loop(fmus, both, order, undeclared):
     """A mass whose force and displacement are in a loop of gain 2: copied values would diverge."""
-    mass = fmus.make("mass_a", f"mass_{undeclared}", interpolates=True, undeclared=undeclared)
+    mass = fmus.make("mass_a", f"looped_{undeclared}", interpolates=True, undeclared=undeclared)
     soft = fmus.make("gain", f"soft_{undeclared}", units={"u": "N"}, undeclared=undeclared, able=MUTE)
     start = {"g.factor": -0.02, "m.spring": 100.0}
     system = assemble({"m": mass, "g": soft}, ["m.force -> g.u", "g.y -> m.x2"], start)
