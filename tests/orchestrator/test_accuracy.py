@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kit import shards
-from kit.any_fmu.models import telling
+from kit.any_fmu.models import TELLS, Workshop, oscillator_of, telling
 from kit.any_fmu.outcome import NO_ROLLBACK
 from kit.mistakes import problem, table
 
@@ -21,32 +21,34 @@ from orchestrator.ssp.coupling import Suggestion
 SPEEDS = "manipulator.*_speed"
 
 
-def deviation(result, exact):
-    """The larger RMS error of both positions, over its range."""
+def accurate(system, exact, asked):
+    """The card of a run whose RMS errors of both positions, over their ranges, are as asked."""
+    result = run(system, stop=10.0, record_step=0.1, accuracy=asked)
     found = np.stack([result.trace["a.x"], result.trace["b.x"]], axis=1)
     mean = np.mean(np.square(found - exact(result.trace.time)), axis=0)
-    return np.max(np.sqrt(mean) / np.ptp(found, axis=0))
+    assert np.max(np.sqrt(mean) / np.ptp(found, axis=0)) <= asked
+    return result.card
 
 
 @pytest.mark.parametrize("asked", [1e-2, 1e-4, 1e-6])
 def test_an_oscillator_is_as_accurate_as_asked(open_oscillator, exact, asked):
     """An undamped oscillator keeps every error, and still the accuracy holds against the closed form."""
-    result = run(open_oscillator, stop=10.0, record_step=0.1, accuracy=asked)
-    assert deviation(result, exact) <= asked
-    assert f"accuracy {asked:g} of" in result.card.notes[-1]
+    assert f"accuracy {asked:g} of" in accurate(open_oscillator, exact, asked).notes[-1]
 
 
 def test_steps_are_shortened_without_an_estimate(moving, exact):
     """Without directional derivatives the estimate follows from the change since the run before."""
-    result = run(moving, stop=10.0, record_step=0.1, accuracy=1e-4)
-    assert not result.card.errors_of_inputs
-    assert " in run " in result.card.notes[-1]
-    assert deviation(result, exact) <= 1e-4
+    card = accurate(moving, exact, 1e-4)
+    assert not card.errors_of_inputs
+    assert " in run " in card.notes[-1]
 
 
-def test_the_note_names_the_signals(open_oscillator):
-    """Up to four, and the number of the run only if it was not the first."""
-    note = run(open_oscillator, stop=10.0, accuracy=0.1, accuracy_of=["a.x", "b.x"]).card.notes[-1]
+def test_decisive_outputs_are_recorded_and_named(open_oscillator):
+    """A selection of signals is extended by them; the note has up to four, and no number of a first run."""
+    chosen = {"accuracy_of": ["a.x", "b.x"], "record": ["a.x"]}
+    result = run(open_oscillator, stop=10.0, accuracy=0.1, **chosen)
+    assert list(result.trace.signals) == ["a.x", "b.x"]
+    note = result.card.notes[-1]
     assert note.startswith("accuracy 0.1 of a.x, b.x: estimated RMS error ")
     assert " of the range, tolerance of the FMUs " in note
 
@@ -100,20 +102,14 @@ def fed_mass(fmus, kind, model, **start):
     """A mass that is pulled by a source."""
     able = NO_SLOPES | (NO_ROLLBACK if kind == "poor" else {})
     source = fmus.make(model, f"{model}_{kind}", able=able, units={"y": "N"})
-    rich = {"able": {"providesDirectionalDerivative": "true", **able}}
-    mass = (
-        telling(fmus, "mass_b", "b_rich", **rich)
-        if kind == "rich"
-        else fmus.make("mass_b", f"b_{kind}", able=able)
-    )
+    make, tells = (telling, {TELLS[2]: "true"}) if kind == "rich" else (Workshop.make, {})
+    mass = make(fmus, "mass_b", f"b_{kind}", able=able | tells)
     return assemble({"s": source, "b": mass}, ["s.y -> b.force"], {f"s.{n}": v for n, v in start.items()})
 
 
-SHAKING = {"amplitude": 1e5, "omega": TONE}
 SOURCES = {
-    "pwm": ("pulses", PWM, pulled),
-    "pulse": ("pulses", PULSE, pulled),
-    "tone": ("source", SHAKING, shaken),
+    **{"pwm": ("pulses", PWM, pulled), "pulse": ("pulses", PULSE, pulled)},
+    "tone": ("source", {"amplitude": 1e5, "omega": TONE}, shaken),
 }
 
 
@@ -191,19 +187,16 @@ def test_what_is_hidden_between_samples():
     assert seen(np.zeros(1000), 60, 0.1) == 60
 
 
-@pytest.mark.parametrize(("able", "step"), [({}, 7e-3), (NO_SLOPES, 0.6180340e-3)])
-def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, step):
+@pytest.mark.parametrize(("able", "step", "largest"), [({}, 7e-3, 0.1), (NO_SLOPES, *[0.6180340e-3] * 2)])
+def test_steps_are_longer_than_suggested_only_where_slopes_are_told(fmus, able, step, largest):
     """The FMUs suggest nothing, so that it is 1 ms; else over the golden ratio."""
-    rich = {"providesDirectionalDerivative": "true", **able}
-    files = {name: telling(fmus, f"mass_{name}", f"{name}_{len(able)}", able=rich) for name in "ab"}
-    system = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+    rich = {TELLS[2]: "true", **able}
+    system = oscillator_of(*(telling(fmus, f"mass_{n}", f"{n}_{len(able)}", able=rich) for n in "ab"))
     search = accuracy_search.AccuracySearch(system, Execution(accuracy_of=["a.x"]), 1e-2)
     assert search.settings.step == pytest.approx(step, rel=1e-6)  # as printed above
     search._next(1.0)
-    adaptive = search.settings.coupling
-    assert (adaptive.adaptive is None) or adaptive.largest == pytest.approx(
-        min(step, 0.1) if able else 0.1, rel=1e-6
-    )
+    coupling = search.settings.coupling
+    assert coupling.adaptive is None or coupling.largest == pytest.approx(largest, rel=1e-6)
 
 
 def test_no_period_divides_both_of_two_steps(moving):
@@ -311,9 +304,7 @@ def test_the_machine_is_as_accurate_as_asked(fmu_dir, asked, variants):
 def test_an_unstable_first_run_is_repeated(open_oscillator, exact, monkeypatch):
     """A first step beyond the limit of stability is followed by shorter ones, until the accuracy holds."""
     monkeypatch.setattr(accuracy_search, "FIRST", ((0.0, Coupling("jacobi"), 1000),))
-    result = run(open_oscillator, stop=10.0, record_step=0.1, accuracy=1e-3)
-    assert " in run " in result.card.notes[-1]
-    assert deviation(result, exact) <= 1e-3
+    assert " in run " in accurate(open_oscillator, exact, 1e-3).notes[-1]
 
 
 def test_too_many_runs(open_oscillator, monkeypatch):
@@ -328,12 +319,6 @@ def test_too_many_runs(open_oscillator, monkeypatch):
 def test_what_follows_from_the_accuracy_is_not_chosen(open_oscillator, choices, message):
     """Master and step together with an accuracy, wrong values and unknown outputs are refused."""
     assert problem(lambda: run(open_oscillator, stop=1.0, **choices)).startswith(message)
-
-
-def test_decisive_outputs_are_recorded(open_oscillator):
-    """A selection of signals is extended by those to which the accuracy applies."""
-    result = run(open_oscillator, stop=1.0, accuracy=1e-2, accuracy_of=["b.x"], record=["a.x"])
-    assert list(result.trace.signals) == ["a.x", "b.x"]
 
 
 @table(__file__, "default", "suggested, choices, note")

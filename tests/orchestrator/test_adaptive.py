@@ -58,10 +58,7 @@ def test_no_master_collapses_to_the_smallest_step(oscillators, worst, settings, 
 
 @pytest.mark.parametrize("master", ["gauss-seidel", "hermite"])
 def test_the_error_goes_with_the_tolerance(moving, worst, master):
-    """A hundredth of the tolerance, a hundredth of the error: within a factor of 3, over four decades.
-
-    No energy is lost, so errors add up over ten seconds; the error stays below the tolerance all the same.
-    """
+    """A hundredth of the tolerance, a hundredth of the error: within a factor of 3, over four decades."""
     results = [adaptive(moving, master, x, order=3) for x in (1e-3, 1e-5, 1e-7)]
     for a, b in pairwise(results):
         assert 100 / 3 < worst(a) / worst(b) < 100 * 3
@@ -212,14 +209,11 @@ def test_steps_stay_within_their_limits(history, power, repeats):
 
 @given(st.floats(1e-9, 10.0), st.floats(1e-6, 1.0))
 def test_the_end_is_hit_without_a_short_last_step(room, step):
-    """The step ends there, or the remaining time is at least as long as the step.
-
-    It may be longer than the largest by a share of 1e-9: times of a grid are rounded, and a step that
-    misses its end by less than that would be halved for it, with twice the cost.
-    """
+    """The step ends there, or the remaining time is at least as long as the step."""
     size = StepSize(first=step, largest=1.0)
     h = size.length(room)
     assert h == room or room - h >= h * (1 - 1e-15)
+    # a step that misses its end by 1e-9, the rounding of a grid, would be halved for it, with twice the cost
     assert h <= max(step / NEARLY, room / 2)
 
 

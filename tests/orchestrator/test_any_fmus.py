@@ -106,10 +106,7 @@ def lacking(workshop: Workshop, function: bytes) -> Workshop:
 
 
 def test_a_missing_function_matters_where_it_is_called(each, both):
-    """Only a master with rollback needs the functions for states, and names a missing one.
-
-    A declared ability that the binary lacks does not end the run: slopes follow from differences.
-    """
+    """Those for states are needed by masters with rollback, and named; differences replace slopes."""
     names = {2: ("GetFMUstate", "GetRealOutputDerivatives"), 3: ("GetFMUState", "GetOutputDerivatives")}
     save, tell = (f"fmi{each.fmi}{name}" for name in names[each.fmi])
     system = circle(lacking(each, save.encode()), "no_save")
@@ -125,17 +122,16 @@ def test_a_missing_function_matters_where_it_is_called(each, both):
 @pytest.mark.parametrize(("step", "factor"), [(0.1, 1), (1 / 60, 3)])
 def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor, varies):
     """The FMU refuses any other length; the differences of the communication points are not all the same."""
+    times = {"step": step, "stop": 60 * step}
     for master in ("jacobi", "hermite"):
         able = {"canHandleVariableCommunicationStepSize": varies}
         system = circle(each, f"even_{varies}", able=able, even=1)
-        outcome = both(system, master=Coupling(master, factors={"q": factor}), step=step, stop=60 * step)
+        outcome = both(system, Coupling(master, factors={"q": factor}), **times)
         assert outcome.error == ""
         assert outcome.result.card.steps == 60
     points = step * np.arange(61)
     assert len(set(np.diff(points))) > 1
-    divided = both(
-        circle(each, "uneven", even=1), Coupling("jacobi", adaptive=1e-3), step=step, stop=60 * step
-    )
+    divided = both(circle(each, "uneven", even=1), Coupling("jacobi", adaptive=1e-3), **times)
     assert "the step is longer than the first by" in divided.error
 
 
@@ -191,10 +187,7 @@ def test_an_fmu_for_slopes_of_states_only(each, both):
 
 @pytest.mark.parametrize(("where", "how"), thinned(3, [*WHERE], [DISCARD, FAULT, FATAL]))
 def test_failures_lose_nothing(each, both, where, how):
-    """In whatever call, both loops say the same; what was computed stays; states and instances are freed.
-
-    Of an FMU with a fatal error nothing is called any more.
-    """
+    """In whatever call, both loops say the same; what was computed stays; states and instances are freed."""
     if where == "SetSlope" and each.fmi == 3:
         pytest.skip("FMI 3.0 has no such function")
     outcome = both(circle(each, "failing", when=0.45, how=how, where=WHERE[where]), master=HERMITE)
@@ -204,6 +197,7 @@ def test_failures_lose_nothing(each, both, where, how):
     assert f"with status {status}" in outcome.error
     assert not outcome.result.complete
     assert outcome.result.trace.time[-1] >= 0.4
+    # of an FMU with a fatal error nothing is called any more
     mine = [] if how == FATAL else ["freed, states left: 0"] if how == FAULT else [PROPERLY]
     assert outcome.farewells == [PROPERLY, *mine]
 
@@ -229,10 +223,7 @@ OR_ANY = [m if m in EACH_WAY else pytest.param(m, marks=shards.search) for m in 
 
 @pytest.mark.parametrize("master", OR_ANY)
 def test_an_fmu_may_end_the_run(each, both, master):
-    """The run is complete up to the communication point before; a note names the FMU and the time.
-
-    An end before the first step is an end, too: the record contains only the start.
-    """
+    """Even before the first step: the run is complete up to the point before; a note has FMU and time."""
     outcome = both(circle(each, "enough", when=0.45, how=ENOUGH), master=master)
     assert outcome.error == ""
     assert outcome.result.complete
@@ -299,12 +290,6 @@ def test_warnings_pass_in_every_call(each, both, how):
     assert {round(10 * m.time) for m in talking.messages} == set(range(11))
 
 
-def test_a_message_inside_a_step_has_the_time_of_the_step(each, both):
-    """Its beginning, in the order of the steps."""
-    told = both(circle(each, "chatty", when=0.25, how=TALK), master="jacobi", step=0.125).result.messages
-    assert [m.time for m in told] == [0.25, 0.375, 0.5, 0.625, 0.75, 0.875]
-
-
 @pytest.mark.parametrize("master", OR_ANY)
 def test_a_number_that_is_none_ends_the_record(each, both, master):
     """The last point is the last one that is finite."""
@@ -348,7 +333,7 @@ def test_what_a_shorter_step_avoids_is_no_failure(each, both):
 
 @pytest.mark.parametrize("longest", [0.0, 5e-3])
 def test_messages_are_those_of_the_steps_that_stand(each, both, longest):
-    """One for each, in time, where steps are rejected and where another FMU does only a part of them."""
+    """One for each, at its begin, where steps are rejected and where another FMU does only a part of them."""
     system = circle(each, "chatty", when=-1.0, how=TALK).with_start({"p.longest": longest})
     result = both(system, master=Coupling("jacobi", 1, adaptive=1e-4), step=0.5).result
     assert result.card.repeated > 0
@@ -390,9 +375,7 @@ def test_an_input_that_is_only_watched_is_left_alone(each, both):
     """An input that an FMU varies by its rate input does so in all substeps."""
     files, wires = {"sum": each["drift"], "mass": each["mass_b"]}, ["mass.x -> sum.u", "mass.v -> sum.u_rate"]
     system = assemble(files, wires, {"mass.spring": 1.0})
-    whole, twice = (
-        both(system, Coupling("jacobi", adaptive=1e-2, factors={"sum": factor})).result.trace
-        for factor in (1, 2)
-    )
+    masters = (Coupling("jacobi", adaptive=1e-2, factors={"sum": factor}) for factor in (1, 2))
+    whole, twice = (both(system, master).result.trace for master in masters)
     # the same line in one piece or in two; rounding of inner steps
     np.testing.assert_allclose(twice["sum.y"], whole["sum.y"], rtol=1e-12)

@@ -47,18 +47,13 @@ def test_a_text_as_input_is_left_alone(each, both):
     assert "column 'p.ear': expected an input or a tunable parameter, got a String input" in message
 
 
-LIMITS = {
-    f"{u}Int{n}": (0, 2**n - 1) if u else (-(2 ** (n - 1)), 2 ** (n - 1) - 1)
-    for u in ("", "U")
-    for n in (8, 16, 32, 64)
-}
 LARGE = 2**53  # whole numbers that a trace keeps
 
 
 @pytest.mark.parametrize("kind", WIDTHS)
 def test_whole_numbers_pass_up_to_their_limits(fmus3, both, kind):
     """From a scenario, along a connection, to the record; a value that does not fit is refused by name."""
-    name, (low, high) = kind.lower(), LIMITS[kind]
+    name, (low, high) = kind.lower(), (np.iinfo(kind.lower()).min, np.iinfo(kind.lower()).max)
     system = assemble({"p": fmus3["wide"], "q": fmus3["wide"]}, [f"p.int64_out -> q.{name}_in"])
     ends = np.array([max(low, -LARGE), min(high, LARGE)], float)
     moved = both(system, scenario=Trace(np.array([0.0, 1.0]), {"p.int64_in": ends}), step=0.5).result.trace
@@ -185,17 +180,27 @@ def test_inputs_that_do_not_move_take_the_newest_value(each, both, master):
     assert "q.u" not in " ".join(both(system, master).result.card.notes)
 
 
-@pytest.mark.parametrize("name", ["q.gain", "gain"])
-def test_tunable_parameters_follow_a_scenario(each, both, name):
-    """FMI 2.0.5, 2.2.7: from the communication point of a row on, also in outputs that are read there."""
-    fmu = each.make("quirk", "tuned", changes={"gain": {"steady": "tunable"}})
-    rows = Trace(np.array([0.0, 0.5, 1.0]), {name: np.array([1.0, 3.0, 7.0]), "u": np.full(3, 2.0)})
-    trace = both(assemble({"q": fmu}), scenario=rows, step=0.25).result.trace
-    np.testing.assert_array_equal(trace["q.gain"], [1, 1, 3, 3, 7])
-    np.testing.assert_allclose(trace["q.y"], [0, 0.5, 1, 2.5, 4], rtol=1e-12)  # rounding of inner steps
-    direct = each.make("gain", "tuned_gain", changes={"factor": {"steady": "tunable"}})
-    rows = Trace(rows.time, {"factor": np.array([1.0, 3.0, 7.0])})
-    trace = both(assemble({"g": direct}).with_start({"g.u": 2.0}), scenario=rows, step=0.25).result.trace
+STAIRS = np.array([0.0, 0.5, 1.0]), np.array([1.0, 3.0, 7.0])
+TUNABLE = {"gain": {"steady": "tunable"}}
+
+
+@pytest.mark.parametrize("master", ["jacobi", "hermite"])
+@pytest.mark.parametrize(("name", "changes"), [("q.gain", TUNABLE), ("gain", TUNABLE), ("q.u", HELD)])
+def test_scenarios_hold_what_does_not_move(each, both, master, name, changes):
+    """A row, not a line between rows, is the value of a tunable parameter and of an input that is held."""
+    fmu = each.make("quirk", "stairs", interpolates=each.fmi == 2, changes=changes)
+    system, other = assemble({"q": fmu}), {"q.gain": 1.0} if name == "q.u" else {"q.u": 1.0}
+    rows = Trace(STAIRS[0], {name: STAIRS[1]})
+    trace = both(system.with_start(other), master, scenario=rows, step=0.25).result.trace
+    np.testing.assert_array_equal(trace[f"q.{name.removeprefix('q.')}"], [1, 1, 3, 3, 7])
+    np.testing.assert_allclose(trace["q.y"], [0, 0.25, 0.5, 1.25, 2.0], rtol=1e-12)  # rounding of inner steps
+
+
+def test_tunable_parameters_count_from_the_point_of_a_row_on(each, both):
+    """FMI 2.0.5, 2.2.7: also in outputs that are read there."""
+    fmu = each.make("gain", "tuned_gain", changes={"factor": {"steady": "tunable"}})
+    system, rows = assemble({"g": fmu}).with_start({"g.u": 2.0}), Trace(STAIRS[0], {"factor": STAIRS[1]})
+    trace = both(system, scenario=rows, step=0.25).result.trace
     np.testing.assert_array_equal(trace["g.y"], [2, 2, 6, 6, 14])
 
 
@@ -239,13 +244,3 @@ def test_inputs_cannot_be_tunable(each):
     fmu = each.make("quirk", "tunable", changes={"u": {"steady": "tunable"}})
     message = problem(lambda: assemble({"q": fmu}))
     assert message.endswith("u: causality input with variability tunable is not allowed")
-
-
-@pytest.mark.parametrize("master", ["jacobi", "hermite"])
-def test_scenarios_hold_what_does_not_move(each, both, master):
-    """A column gives its last sample, not a line between samples, to an input that is not continuous."""
-    fmu = each.make("quirk", "driven", interpolates=each.fmi == 2, changes=HELD, units={"u": "bar"})
-    stairs = Trace(np.array([0.0, 0.5, 1.0]), {"q.u": np.array([1.0, 3.0, 7.0])})
-    trace = both(assemble({"q": fmu}), master, scenario=stairs, step=0.25).result.trace
-    np.testing.assert_array_equal(trace["q.u"], [1, 1, 3, 3, 7])
-    np.testing.assert_allclose(trace["q.y"], [0, 0.25, 0.5, 1.25, 2.0], rtol=1e-12)  # rounding of inner steps

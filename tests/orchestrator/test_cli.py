@@ -3,15 +3,15 @@
 import json
 import os
 import re
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
+from kit.fmu import in_new_process
 from kit.mistakes import refused, table
+from zoo.command import command
 
 from fmus.export.compile import PLATFORMS
 from fmus.parameters import SOURCES
@@ -144,54 +144,21 @@ def test_runs_that_are_compared_are_told_apart(capsys):
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_single_fmu_runs(each, capsys):
-    """`harvester run some.fmu` and `harvester signals some.fmu`, for both versions of FMI."""
-    assert harvester(f"run {each['source']} --stop 1 --step 0.1 --out o.csv") == 0
-    assert len(read_trace("o.csv").time) == 11
-    capsys.readouterr()
-    assert harvester(f"signals {each['source']}") == 0
-    assert "  source.amplitude  m" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("folder")
 @table(__file__, "mistakes", "arguments, message")
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
     """No traceback."""
     assert message in refused(capsys, arguments.split())
 
 
-INTERRUPTED = """
-import os, signal, sys
-from orchestrator.__main__ import main
-from orchestrator.data.trace_writer import TraceFile
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
-append = TraceFile.append
-def interrupt(self, times, values):
-    append(self, times, values)
-    if 1000 < self.rows < 2000:
-        os.kill(os.getpid(), signal.SIGINT)
-TraceFile.append = interrupt
-sys.exit(main(sys.argv[1:]))
-"""
-
-
 @pytest.mark.skipif(os.name == "nt", reason="sends a POSIX signal")
-@pytest.mark.usefixtures("folder")
-def test_ctrl_c_leaves_the_record(fmus):
+def test_ctrl_c_leaves_the_record(fmus, tmp_path):
     """A signal in the middle of a run: exit status 130, the record readable and whole."""
-    arguments = ["run", str(fmus["mass_b"]), "--stop", "1e4", "--record-step", "1e-3", "--out", "o.parquet"]
-    ended = python(INTERRUPTED, *arguments)
-    assert ended.returncode == 130, ended.stderr
-    assert "is in o.partial.parquet" in ended.stdout
-    assert "Traceback" not in ended.stderr
-    assert len(read_trace("o.partial.parquet").time) > 1000
-
-
-def python(code, *arguments):
-    """Run code in another process."""
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=300)
+    arguments = ["run", fmus["mass_b"], "--stop", "1e4", "--record-step", "1e-3", "--out", "o.parquet"]
+    ended = command(arguments, tmp_path, lambda: [*tmp_path.glob("o.partial.parquet/*.parquet")])
+    assert (ended.status, ended.left) == (130, ())
+    assert "Traceback" not in ended.err
+    assert "is in o.partial.parquet" in ended.out
+    assert len(read_trace(tmp_path / "o.partial.parquet").time) > 1000
 
 
 @pytest.mark.parametrize(
@@ -216,21 +183,16 @@ def test_help_names_the_values_to_type(command, option, values):
 def test_help_starts_fast():
     """Heavy packages are not imported to show the help."""
     code = "import sys; from orchestrator.__main__ import main; main(['--help']); print(sorted(sys.modules))"
-    loaded = python(code)
-    assert loaded.returncode == 0
+    loaded = in_new_process(code)
     for heavy in ("'numpy'", "'fmpy'", "'scipy'", "'casadi'", "'pyarrow'", "'matplotlib'"):
-        assert heavy not in loaded.stdout
+        assert heavy not in loaded
 
 
 def test_a_run_imports_few_modules(fmu_dir, tmp_path):
     """`harvester run` needs at most 50 modules of the project, packages not counted."""
     arguments = ["run", str(fmu_dir / "swing.fmu"), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
-    listing = (
-        "[n for n, m in sys.modules.items() if n.startswith('orchestrator.') and not hasattr(m, '__path__')]"
-    )
-    loaded = python(
-        f"import sys; from orchestrator.__main__ import main; main({arguments}); print(*{listing})"
-    )
-    own = loaded.stdout.splitlines()[-1].split()
+    code = f"import sys; from orchestrator.__main__ import main; main({arguments}); "
+    code += "print(*(n for n, m in sys.modules.items() if not hasattr(m, '__path__')))"
+    own = [n for n in in_new_process(code).splitlines()[-1].split() if n.startswith("orchestrator.")]
     assert "orchestrator.engine.run" in own
     assert len(own) <= 50, own

@@ -122,10 +122,8 @@ def test_the_largest_difference_is_that_of_all_signals():
 
 def test_costs_tell_what_was_swapped_and_the_ratio(fmus):
     """The name of the FMU beside that of the run; the reference costs once itself."""
-    results = {
-        name: run(str(fmus["gain"]), step=0.1, stop=1.0, swap=swap)
-        for name, swap in (("usual", {}), ("other", {"gain": fmus["gain"]}))
-    }
+    swaps = {"usual": {}, "other": {"gain": fmus["gain"]}}
+    results = {name: run(str(fmus["gain"]), step=0.1, stop=1.0, swap=swap) for name, swap in swaps.items()}
     told = text(compare(results))
     assert re.search(r"^usual +gauss-seidel +0.1 s +\S+ +\S+ +\S+ +1$", told, re.MULTILINE)
     assert re.search(r"^other +gauss-seidel +0.1 s", told, re.MULTILINE)

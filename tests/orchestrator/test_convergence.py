@@ -45,10 +45,7 @@ def truth(exact):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, moving, zip_ssp, exact):
-    """A working directory with the oscillator and its exact solution, a sample every 20 ms.
-
-    Another reference has a signal that the system lacks.
-    """
+    """A working directory: the oscillator, its exact solution every 20 ms, and one with an unknown signal."""
     monkeypatch.chdir(tmp_path)
     files = {f"resources/{name}.fmu": part.source.path for name, part in moving.components.items()}
     zip_ssp(SSD, files, "two.ssp")
@@ -212,10 +209,7 @@ def test_the_command_prints_and_writes(capsys):
 
 @pytest.mark.usefixtures("folder")
 def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
-    """A note names that run; errors against it are about those against the exact solution.
-
-    Stop time and start values count, and nothing is held against the solution for other values.
-    """
+    """For the stop time and start values of the run; errors are about those against the exact solution."""
     options = ["two.ssp", "--steps", "0.01", "--masters", "jacobi order 0", "--signals", "*.x"]
     assert main(["convergence", *options]) == 0
     assert "no reference for this run: hermite at 5 ms, half the smallest step" in capsys.readouterr().out

@@ -87,10 +87,7 @@ def moment(c, h):
 @example((1.0, 2.0, 0.0, 1.0), 2.0)
 @given(cubics, lengths)
 def test_projections_keep_mean_and_moment(c, h):
-    """A polynomial of lower degree has the mean of the cubic; the line also that of s u(s): it is nearest.
-
-    A polynomial that has the degree is unchanged, bit for bit.
-    """
+    """A lower degree keeps the mean, the line both: it is nearest; what has the degree stays as it is."""
     constant, line = projected(c, 0, h), projected(c, 1, h)
     assert constant[1:] == (0.0, 0.0, 0.0)
     assert line[2:] == (0.0, 0.0)
@@ -144,10 +141,7 @@ def test_a_driven_input_is_a_line_that_errs_by_what_it_leaves_out_in_the_middle(
 
 @given(cubics, lengths, numbers)
 def test_a_prediction_is_the_cubic_through_thirds_and_errs_by_a_quarter_in_the_mean(c, h, error):
-    """Its error grows as t^3: the deviation is the mean of the source less that of the input.
-
-    If the source has stepped, its value there is the end, with the same value, slope and bend at the start.
-    """
+    """Its error grows as t^3; behind a source that has stepped it ends there, and begins as before."""
     s = Input(value=c[0])
     s.predict(*(at(c, k * h / 3) - c[0] for k in (1, 2, 3)), h)
     magnitude = 200 * size(c, h) + 10 * abs(error)  # coefficients of the thirds are up to 45
@@ -164,10 +158,7 @@ def test_a_prediction_is_the_cubic_through_thirds_and_errs_by_a_quarter_in_the_m
 
 @given(st.floats(0.5, 2.0), st.floats(0.5, 2.0))
 def test_between_two_ends_an_input_errs_by_less_than_its_deviation(before, h):
-    """From a source of one degree more: t^2, t^3, t^4, whose largest errors are those of Hermite's remainder.
-
-    The deviation is once, about twice and four times that.
-    """
+    """From a source of one degree more: t^2, t^3, t^4, whose errors are those of Hermite's remainder."""
     largest = {1: h**2 / 4, 2: 4 * h**3 / 27, 3: h**4 / 16}
     times = {1: 1.0, 2: 27 / 16 * (h + 1.5 * before) / (h + before), 3: 4.0}
     for degree in (1, 2, 3):
@@ -191,10 +182,7 @@ def test_shifting_counts_time_from_elsewhere(c, by, s):
 
 
 def watched(c, lengths, order=0, slopes=True, degree=3):
-    """An input whose source followed the polynomial c over steps of these lengths, the last one undone.
-
-    It was continued at `order`; `slopes` says whether its source gives them.
-    """
+    """An input whose source followed c over these steps, the last one undone; `slopes`: it gives them."""
     missing = {} if slopes else {"source_slope": None}
     s = Input(fmu_degree=degree, order=order, **missing)
     s.begin(c[0], c[1] if slopes else 0.0)
@@ -226,14 +214,6 @@ def test_a_polynomial_within_reach_is_no_error(c, before, h):
     s.interpolate(3, h, step)
     close(s.deviation(h, 1), 0.0, magnitude)
     close(s.mismatch(h) * s.magnitude(), 0.0, magnitude)
-
-
-@given(numbers, numbers.filter(lambda x: abs(x) > 1e-3), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
-def test_a_held_line_is_off_by_its_way(value, slope, before, h):
-    """The deviation of a held input is the change of the source."""
-    s, _, _ = watched((value, slope, 0.0, 0.0), [before, h])
-    magnitude = abs(value) + 4 * abs(slope)
-    close(abs(s.deviation(h, 0)), abs(slope) * h, magnitude)
 
 
 def test_corners_of_autonomous_sources_and_the_largest_magnitude():

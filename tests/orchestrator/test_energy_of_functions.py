@@ -114,13 +114,10 @@ def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_trace(crane(**{n: None for n in POWERS if n.endswith("_heat")}), "old.csv", "")
     told = refused(capsys, ["energy", "old.csv"])
-    assert told.startswith(
-        "harvester: old.csv: expected signals NAME_hydraulic_power, NAME_mechanical_power "
-    )
+    assert "old.csv: expected signals NAME_hydraulic_power, NAME_mechanical_power " in told
     assert "expected the trace of a run, got none" in refused(capsys, ["energy"])
-    assert "--out a.txt: expected a file name ending in" in refused(
-        capsys, ["energy", "old.csv", "--out", "a.txt"]
-    )
+    told = refused(capsys, ["energy", "old.csv", "--out", "a.txt"])
+    assert "--out a.txt: expected a file name ending in" in told
 
 
 @pytest.mark.parametrize("drives", ["lumped", "compensated"])

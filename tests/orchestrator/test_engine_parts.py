@@ -57,10 +57,10 @@ def scenario():
         **{name: binding.at(array) for name, array in arrays.items()},
         samples=5, width=2, count=1, rate_count=1, evaluated_at=np.nan,
     )  # fmt: skip
-    simulation = binding.h.Simulation(scenario=binding.pointer(struct), reals=binding.at(reals))
+    binding.simulation.scenario, binding.simulation.reals = binding.pointer(struct), binding.at(reals)
 
-    def evaluated(t):
-        assert everything().scenario_set_inputs(ctypes.byref(simulation), ctypes.c_double(t)) == 0
+    def evaluated(t):  # the binding keeps the arrays
+        assert everything().scenario_set_inputs(ctypes.byref(binding.simulation), ctypes.c_double(t)) == 0
         return reals[2], reals[0]
 
     return evaluated, times, columns[:, 1]
@@ -109,10 +109,8 @@ def test_an_fmu_gets_the_nearest_polynomial_that_it_can_follow(degree, begin, la
 
     call("component_set_inputs", ctypes.c_double(begin), ctypes.c_double(length), int(last))
     # Legendre's polynomials are orthogonal over the part: the first terms are the nearest polynomial
-    parts = [
-        course.convert(kind=Legendre, domain=[begin, begin + length]).truncate(degree + 1)
-        for course in courses
-    ]
+    part = {"kind": Legendre, "domain": [begin, begin + length]}
+    parts = [course.convert(**part).truncate(degree + 1) for course in courses]
     expected = [[part.deriv(k)(begin) for k in range(degree + 1)] for part in parts]
     near = {"rel": 1e-12, "abs": 1e-12}  # rounding
     assert values == pytest.approx([e[0] for e in expected], **near)
@@ -155,10 +153,7 @@ class Step:
 
 
 def test_the_error_of_a_step_is_that_of_its_worst_input():
-    """A held line is off by its way, a driven one by what a line leaves out.
-
-    After repetition it is also what a further pass would change, and all of it relative to the magnitude.
-    """
+    """The way of a held line, what a line leaves out, what a pass would change: each over its magnitude."""
     lines = [(1.0, 4.0, 3.0), (-8.0, 2.0, -7.0)]
     step = Step(lines)
     assert step.error() == pytest.approx(2 / 3, rel=1e-15)  # rounding

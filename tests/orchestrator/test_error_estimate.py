@@ -30,10 +30,7 @@ def estimate_over_truth(result, exact):
 
 @pytest.mark.parametrize(("master", "step"), MASTERS)
 def test_the_estimate_is_the_error(open_oscillator, exact, master, step):
-    """An undamped oscillator keeps every error; the estimated RMS error is that of the exact solution.
-
-    At every point of a linear system without jumps the truth is inside the band.
-    """
+    """An undamped oscillator keeps every error; the estimate is true, and the truth is inside the band."""
     result = run(open_oscillator, master=master, step=step, stop=10.0, record_step=0.1, error_estimate=True)
     assert result.card.errors_of_inputs
     # measured 0.89 to 1.07; interface-jacobian 0.8, because a quarter of the period is too long for
@@ -205,10 +202,7 @@ def test_errors_until_the_end_of_the_process(fmus, open_oscillator):
     [(False, Coupling("hermite", guard=0), 1e-2), (True, Coupling("jacobi"), 1e-3)],
 )
 def test_inputs_that_an_fmu_does_not_interpolate(fmus, exact, rated, master, step):
-    """Inputs at their right mean: an error of the first moment only; or varied by their rate inputs.
-
-    The slopes of the sources come from the same wires.
-    """
+    """Inputs at their right mean: an error of the first moment only; or varied by their rate inputs."""
     also = {m: [*STATES[m], *[RATES[m]] * rated] for m in RATES}
     files = {m[-1]: telling(fmus, m, f"{m}_holds_{rated}", interpolates=False, also=also[m]) for m in also}
     wires = ["a.force -> b.force", "b.x -> a.x2", *["b.v -> a.x2_rate"] * rated]
@@ -221,12 +215,10 @@ def test_the_estimate_changes_no_number(open_oscillator):
     """The trace is the same bit by bit, unless FMUs step in halves; then up to errors of their solvers."""
     for master, step in MASTERS:
         halves = master.master == "interface-jacobian" or (master.master == "hermite" and master.passes != 1)
-        runs = [
-            run(open_oscillator, master=master, step=step, stop=2.0, record_step=0.1, error_estimate=asked)
-            for asked in (False, True)
-        ]
-        for name, values in runs[0].trace.signals.items():
-            np.testing.assert_allclose(values, runs[1].trace[name], rtol=0, atol=1e-6 if halves else 0)
+        options = {"master": master, "step": step, "stop": 2.0, "record_step": 0.1}
+        plain, asked = (run(open_oscillator, **options, error_estimate=e).trace for e in (False, True))
+        for name, values in plain.signals.items():
+            np.testing.assert_allclose(values, asked[name], rtol=0, atol=1e-6 if halves else 0)
 
 
 def test_without_derivatives_the_run_is_repeated(fmus, open_oscillator):

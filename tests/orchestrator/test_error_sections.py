@@ -16,11 +16,7 @@ class Estimate(LinearSystem):
         super().__init__(states, 1)
         self.b[:, 0] = 1.0
         wide = self.n_padded
-        self.e, self.stages, self.factors = (
-            np.zeros(wide),
-            np.zeros((ERROR_ROWS, wide)),
-            np.zeros((states, wide)),
-        )
+        self.e, self.stages, self.factors = map(np.zeros, (wide, (ERROR_ROWS, wide), (states, wide)))
         self.w, self.middle = np.zeros(self.m_padded), np.zeros(self.m_padded)
         self.defects, self.lengths, self.starts = np.zeros((1, 2)), np.zeros(3), np.zeros(2)
         self.diagonal, self.slope = np.zeros(states), np.zeros(1)
@@ -60,13 +56,6 @@ class Estimate(LinearSystem):
         return self.e[0] + self.defects[0, 0]
 
 
-def bent(estimate, h, start, slope, jump, tau):
-    """A step with a straight course but for a jump of the slope after tau; its end and its integral."""
-    end, slope_end = start + slope * h + jump * (h - tau), slope + jump
-    estimate.step(h, start, slope, end, slope_end)
-    return end, slope_end, h * (start + slope * h / 2) + jump * (h - tau) ** 2 / 2
-
-
 @pytest.mark.parametrize(("between", "limit"), [(0, 4.0), (5, 4.0 * 0.9**5)])
 @pytest.mark.parametrize("over", [0.99, 1.01])
 def test_a_slope_that_changes_four_times_as_much_as_usual_has_a_corner(between, limit, over):
@@ -79,7 +68,11 @@ def test_a_slope_that_changes_four_times_as_much_as_usual_has_a_corner(between, 
         p.step(h, value, slope, value + slope * h, slope)
         value += slope * h
     limit *= 0.9  # of the first straight step
-    value, slope, exact = bent(p, h, value, slope, over * limit * h, 0.3 * h)
+    jump, rest = over * limit * h, 0.7 * h  # of the slope, after which it is straight again
+    exact = h * (value + slope * h / 2) + jump * rest**2 / 2
+    end = value + slope * h + jump * rest
+    p.step(h, value, slope, end, slope + jump)
+    value, slope = end, slope + jump
     before = p.integral
     p.step(h, value, slope, value + slope * h, slope)
     found = p.integral - before

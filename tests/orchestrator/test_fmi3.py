@@ -7,7 +7,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from kit.any_fmu.models import WIDTHS
+from kit.any_fmu.models import WIDTHS, oscillator_of
 from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, load, run
@@ -39,8 +39,7 @@ def test_both_versions_give_the_same_numbers_also_mixed(fmus, fmus3, master):
     traces = []
     for first in (fmus, fmus3):
         for second in (fmus, fmus3):
-            files = {"a": first["mass_a"], "b": second["mass_b"]}
-            system = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+            system = oscillator_of(first["mass_a"], second["mass_b"])
             traces.append(run(system, master=master, step=1e-2, stop=0.5).trace)
     assert all(other == traces[0] for other in traces[1:])
     assert np.ptp(traces[0]["a.x"]) > 1.0
@@ -50,16 +49,14 @@ def test_both_versions_give_the_same_numbers_also_mixed(fmus, fmus3, master):
 
 
 def test_numbers_of_all_widths_pass(fmus3):
-    """From a scenario through an FMU and a connection; Float32 keeps seven digits.
-
-    A structural parameter is set in configuration mode: the FMU refuses it in any other.
-    """
+    """From a scenario through an FMU and a connection; Float32 keeps seven digits."""
     lower = {kind: 0 if kind.startswith("U") else -7 for kind in WIDTHS}
     columns = {f"{kind.lower()}_in": np.array([lower[kind], 100.0]) for kind in WIDTHS}
     columns["float32_in"] = np.array([0.1, 1.1])
     files = {"p": fmus3["wide"], "q": fmus3["wide"]}
     wires = [f"p.{name}_out -> q.{name}_in" for name in ("float32", *(k.lower() for k in WIDTHS))]
     scenario = Trace(np.array([0.0, 1.0]), {f"p.{name}": values for name, values in columns.items()})
+    # a structural parameter, which the FMU refuses in any other mode than the configuration mode
     trace = run(assemble(files, wires), scenario, step=0.5, set={"p.size": 9}).trace
     np.testing.assert_array_equal(trace["p.size_out"], 9)
     for kind in WIDTHS:

@@ -14,27 +14,22 @@ WIRES = {"a.force -> b.force", "b.x -> a.x2"}
 
 def terminal(members, name="rod", rule="plug", kind="rod", inside=""):
     """XML of a terminal; members: name -> variable."""
-    text = "".join(
-        f'<TerminalMemberVariable variableName="{v}" memberName="{m}" variableKind="signal"/>'
-        for m, v in members.items()
-    )
+    form = '<TerminalMemberVariable variableName="{}" memberName="{}" variableKind="signal"/>'
+    text = "".join(form.format(variable, member) for member, variable in members.items())
     kinds = f' terminalKind="{kind}"' if kind else ""
     return f'<Terminal name="{name}" matchingRule="{rule}"{kinds}>{text}{inside}</Terminal>'
 
 
 @pytest.fixture
-def joined(fmus, request):
+def joined(fmus):
     """The connections of the two masses with these terminals."""
 
     def make(ours, theirs, *wires):
+        text = "<fmiTerminalsAndIcons><Terminals>{}</Terminals></fmiTerminalsAndIcons>"
         files = {
-            name: fmus.make(
-                f"mass_{name}",
-                f"terminal_{name}_{abs(hash((request.node.name, xml)))}",
-                extra={FILE: f"<fmiTerminalsAndIcons><Terminals>{xml}</Terminals></fmiTerminalsAndIcons>"},
-            )
+            name: fmus.make(f"mass_{name}", f"terminal_{name}", extra={FILE: text.format(xml)})
             for name, xml in (("a", ours), ("b", theirs))
-        }  # fmt: skip
+        }
         return {str(c) for c in assemble(files, wires or ["a.rod -> b.rod"]).connections}
 
     return make

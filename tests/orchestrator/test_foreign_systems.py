@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from kit.any_fmu.description import V
 from kit.mistakes import problem
-from kit.ssp import connector, gain, inline, real, second, ssd, system, wire
+from kit.ssp import UNITS, connector, gain, inline, real, second, ssd, system, wire
 
 from orchestrator import Trace, assemble, load, run
 from orchestrator.ssp.write import write_ssp
@@ -48,10 +48,8 @@ def test_differences_through_connectors_of_a_file(pair, zip_ssp):
     )
     wires = [wire("u", "a.u"), wire("a.y", "inner.u"), wire("inner.y", "y")]
     ports = connector("u", "input", "K") + connector("y", "output", "K")
-    text = ssd(
-        system([inner, gain("a", source="a.fmu")], wires, ports, inline(real("u", 3, "degC"))), CELSIUS
-    )
-    path = zip_ssp(text, {"a.fmu": pair["a"], "b.fmu": pair["b"]})
+    top = system([inner, gain("a", source="a.fmu")], wires, ports, inline(real("u", 3, "degC")))
+    path = zip_ssp(ssd(top, CELSIUS), {f"{name}.fmu": fmu for name, fmu in pair.items()})
     # sums of whole numbers
     assert run(path, step=0.5, stop=0.5).trace["y"].tolist() == [8.0, 8.0]
     assert run(path, step=0.5, stop=0.5, set={"u": "4 degC"}).trace["y"].tolist() == [9.0, 9.0]
@@ -77,20 +75,12 @@ def test_without_a_base_unit_values_are_passed_unchanged(each, units, monkeypatc
 
     for name in ("h", "%", "C", "g"):
         monkeypatch.setitem(description.BASE, name, {})
-        other = {"odd": name}
-        made = [
-            each.make("gain", f"u{k}", units=dict.fromkeys(("u", "y"), other.get(u, u)))
-            for k, u in enumerate(units)
-        ]
-        result = run(
-            assemble(dict(zip("ab", made, strict=True)), ["a.y -> b.u"]),
-            set={"a.u": 21.0},
-            step=0.5,
-            stop=0.5,
-        )
+        both = [name if u == "odd" else u for u in units]
+        made = [each.make("gain", f"u{k}", units=dict.fromkeys("uy", u)) for k, u in enumerate(both)]
+        pair = assemble(dict(zip("ab", made, strict=True)), ["a.y -> b.u"])
+        result = run(pair, set={"a.u": 21.0}, step=0.5, stop=0.5)
         assert result.trace["b.y"][0] == 21.0
-        told = [f"[{other.get(u, u)}]" for u in units]
-        assert f"{told[0]} and {told[1]} are not both defined" in " ".join(result.card.notes)
+        assert "[{}] and [{}] are not both defined".format(*both) in " ".join(result.card.notes)
 
 
 def test_a_connector_does_not_hide_the_definition_of_the_fmu(fmus, zip_ssp):
@@ -104,16 +94,24 @@ def test_a_connector_does_not_hide_the_definition_of_the_fmu(fmus, zip_ssp):
     assert run(path, set={"a.u": 3.0}, step=0.5, stop=0.5).trace["b.u"][0] == 3e5
 
 
+@pytest.fixture
+def around(fmus, zip_ssp):
+    """An .ssp around g.fmu, a gain, from the arguments of `system` and what follows it."""
+
+    def write(*inside, tail=UNITS):
+        return zip_ssp(ssd(system(*inside), tail), {"g.fmu": fmus["gain"]})
+
+    return write
+
+
 # ---- outputs
 
 
 def test_outputs_that_feed_nothing_are_recorded(fmus):
     """Two sources with one name of their outputs; a source beside a gain that has this name, too."""
-    two = assemble({"a": fmus["source"], "b": fmus["source"]}, start={"a.omega": 0.0, "b.offset": 2.0})
-    assert {"a.y", "b.y"} <= set(run(two, step=0.5, stop=0.5).trace.signals)
-    three = assemble(
-        {"a": fmus["source"], "b": fmus["source"], "g": fmus["gain"]}, ["a.y -> g.u"], {"b.offset": 2.0}
-    )
+    files = {"a": fmus["source"], "b": fmus["source"]}
+    assert {"a.y", "b.y"} <= set(run(assemble(files), step=0.5, stop=0.5).trace.signals)
+    three = assemble(files | {"g": fmus["gain"]}, ["a.y -> g.u"], {"b.offset": 2.0})
     np.testing.assert_array_equal(run(three, step=0.5, stop=0.5).trace["b.y"], 2 + np.sin([0.0, 0.5]))
     replaced = run(three, {"time": [0.0, 1.0], "g.u": [0.0, 1.0]}, step=0.5).trace
     assert {"a.y", "b.y", "g.y"} <= set(replaced.signals)  # `y` is no input
@@ -121,66 +119,50 @@ def test_outputs_that_feed_nothing_are_recorded(fmus):
 
 def test_an_output_of_the_system_may_be_a_local_variable(fmus, zip_ssp):
     """It is recorded with it."""
-    fmu = fmus.make(
-        "gain", "inside", changes={"y": {"causality": "local", "depends": ()}}, also=[V("z", "output")]
-    )
-    path = zip_ssp(ssd(system([gain("a", source="g.fmu").replace("output", "local")], [wire("a.y", "y")],
-                              connector("y", "output"))), {"g.fmu": fmu})  # fmt: skip
+    hidden = {"y": {"causality": "local", "depends": ()}}
+    fmu = fmus.make("gain", "inside", changes=hidden, also=[V("z", "output")])
+    local = gain("a", source="g.fmu").replace("output", "local")
+    path = zip_ssp(ssd(system([local], [wire("a.y", "y")], connector("y", "output"))), {"g.fmu": fmu})
     assert run(path, set={"a.u": 3.0}, step=0.5, stop=1.0).trace["y"].tolist() == [3.0, 3.0]
 
 
 @pytest.mark.parametrize("beside", [True, False])
-def test_an_input_of_the_system_is_passed_to_an_output(fmus, zip_ssp, beside):
+def test_an_input_of_the_system_is_passed_to_an_output(around, beside):
     """From a scenario, a start value, a set value and a set; with and without a component that it feeds."""
-    wires = [wire("x", "z", '<ssc:LinearTransformation factor="2" offset="1"/>')] + [
-        wire("x", "a.u")
-    ] * beside
+    doubled = wire("x", "z", '<ssc:LinearTransformation factor="2" offset="1"/>')
     ports = connector("x", "input", "m") + connector("z", "output", "mm")
-
-    def make(bindings=""):
-        return zip_ssp(
-            ssd(system([gain("a", source="g.fmu")], wires, ports, bindings)), {"g.fmu": fmus["gain"]}
-        )
-
+    parts = [gain("a", source="g.fmu")], [doubled] + [wire("x", "a.u")] * beside, ports
     ramp = Trace(np.array([0.5, 1.5]), {"x": np.array([0.0, 1.0])})
-    # m become mm, then 2 x + 1
-    np.testing.assert_allclose(
-        run(make(), ramp, step=0.25).trace["z"], [1, 501, 1001, 1501, 2001], rtol=1e-15
-    )
-    bound_to_4 = make(inline(real("x", 4)))
+    z = run(around(*parts), ramp, step=0.25).trace["z"]
+    np.testing.assert_allclose(z, [1, 501, 1001, 1501, 2001], rtol=1e-15)  # m become mm, then 2 x + 1
+    bound_to_4 = around(*parts, inline(real("x", 4)))
     assert run(bound_to_4, step=0.5).trace["z"].tolist() == [8001.0] * 3
     assert run(bound_to_4, step=0.5, set={"x": "5 mm"}).trace["z"].tolist() == [11.0] * 3
     again = write_ssp(load(bound_to_4), bound_to_4.with_name("again.ssp"))
     assert run(again, step=0.5).trace["z"].tolist() == [8001.0] * 3
-    started = run(make(), step=0.5).trace
+    started = run(around(*parts), step=0.5).trace
     assert started["z"].tolist() == [1.0] * 3 if beside else "z" not in started
 
 
-def test_steps_are_passed_on_as_steps(fmus, zip_ssp):
+def test_steps_are_passed_on_as_steps(around):
     """A whole number and a truth hold the last sample, through the connectors of a system inside."""
-    types = {"n": ("input", "Integer"), "m": ("output", "Integer"), "b": ("input", "Boolean")}
-    types["c"] = "output", "Boolean"
-    ports = "".join(connector(name, kind, type_=type_) for name, (kind, type_) in types.items())
+    kinds = {"n": "input", "m": "output", "b": "input", "c": "output"}
+    ports = "".join(connector(n, k, type_="Integer" if n in "nm" else "Boolean") for n, k in kinds.items())
     inner = system([], [wire("n", "m"), wire("b", "c")], ports, name="inner")
     wires = [wire("n", "inner.n"), wire("b", "inner.b"), wire("inner.m", "m"), wire("inner.c", "c")]
-    path = zip_ssp(ssd(system([inner, gain("a", source="g.fmu")], wires, ports), ""), {"g.fmu": fmus["gain"]})
-    samples = Trace(
-        np.array([0.0, 1.0, 2.0]), {"n": np.array([1.0, 3.0, 2.0]), "b": np.array([0.0, 1.0, 0.0])}
-    )
+    path = around([inner, gain("a", source="g.fmu")], wires, ports, tail="")
+    samples = {"time": [0.0, 1.0, 2.0], "n": [1.0, 3.0, 2.0], "b": [0.0, 1.0, 0.0]}
     trace = run(path, samples, step=0.5).trace
     assert (trace["m"].tolist(), trace["c"].tolist()) == ([1, 1, 3, 3, 2], [0, 0, 1, 1, 0])
     single = run(path, samples, step=0.5, isolate=False, master="jacobi").trace
     assert single["m"].tolist() == [1, 1, 3, 3, 2]
 
 
-def test_inputs_without_effect_are_told(fmus, zip_ssp):
+def test_inputs_without_effect_are_told(around):
     """A column and a value for an input of the system that feeds nothing; an output that nothing feeds."""
     inner = system([], [wire("p", "q")], connector("p", "input") + connector("q", "output"), name="inner")
     ports = connector("x", "input") + connector("z", "output")
-    path = zip_ssp(
-        ssd(system([inner, gain("a", source="g.fmu")], [wire("inner.q", "z")], ports)),
-        {"g.fmu": fmus["gain"]},
-    )
+    path = around([inner, gain("a", source="g.fmu")], [wire("inner.q", "z")], ports)
     result = run(path, {"time": [0.0, 1.0], "x": [0.0, 1.0]}, step=0.5)
     assert result.card.notes[-2:] == ("z is not recorded: nothing feeds inner.p",
                                       "x has no effect: this input of the system feeds nothing")  # fmt: skip
@@ -189,13 +171,10 @@ def test_inputs_without_effect_are_told(fmus, zip_ssp):
 # ---- values
 
 
-def test_a_column_cannot_drive_a_parameter_of_a_component(fmus, zip_ssp):
+def test_a_column_cannot_drive_a_parameter_of_a_component(around):
     """By the name of a connector of the system neither; a value at the start can (FMI 2.0, 2.2.7)."""
     ports = connector("k", "parameter") + connector("u", "input")
-    path = zip_ssp(
-        ssd(system([gain("g", source="g.fmu")], [wire("k", "g.factor"), wire("u", "g.u")], ports)),
-        {"g.fmu": fmus["gain"]},
-    )
+    path = around([gain("g", source="g.fmu")], [wire("k", "g.factor"), wire("u", "g.u")], ports)
     steps = {"time": [0.0, 0.5], "k": [1.0, 3.0]}
     told = r"column 'k': expected an input or a tunable parameter, got a Real parameter g\.factor$"
     problem(lambda: run(path, steps, step=0.25), told)
@@ -218,11 +197,8 @@ def test_values_of_ssp_2(fmus3, zip_ssp):
     missing = [f"parameter {n!r} of t does not match a variable" for n in ("picture", "table")]
     assert given == ({"label": "a b", "enum_in": 2}, missing)
     many = "<ssv:String>" + '<ssv:Value value="x"/>' * 2 + "</ssv:String>"
-    for name, value, got in (
-        ("gain", picture, "a Binary"),
-        ("gain", wide, "3 values"),
-        ("label", many, "2 values"),
-    ):
+    wrong = (("gain", picture, "a Binary"), ("gain", wide, "3 values"), ("label", many, "2 values"))
+    for name, value, got in wrong:
         told = f"'{name}': expected a scalar number or text, got {got}, not supported$"
         problem(partial(start, (name, value)), told)
     problem(partial(start, ("label", "<ssv:String/>")), "'label': expected a value, got none$")
@@ -245,13 +221,11 @@ def test_a_variant_in_a_package(fmus, zip_ssp):
     problem(lambda: load(zip_ssp(ssd(system([gone], [])), {"i.ssp": inner})), r"Var\.ssd is missing")
 
 
-def test_elements_of_no_ssp_get_a_note(fmus, zip_ssp):
+def test_elements_of_no_ssp_get_a_note(around):
     """With file and line; those inside of annotations do not."""
-    inside = "<ssd:Annotations><ssc:Annotation type='x'><a/></ssc:Annotation></ssd:Annotations><ssd:Elements>"
-    text = ssd(system([gain("a", source="g.fmu")], [])).replace(
-        "<ssd:Connectors>", "<ssd:Banana/><ssd:Connectors>"
-    )
-    (note,) = load(zip_ssp(text.replace("<ssd:Elements>", inside), {"g.fmu": fmus["gain"]})).notes
+    inside = "<ssd:Annotations><ssc:Annotation type='x'><a/></ssc:Annotation></ssd:Annotations>"
+    odd = gain("a", source="g.fmu").replace("<ssd:Connectors>", "<ssd:Banana/><ssd:Connectors>")
+    (note,) = load(around([odd], [], "", inside)).notes
     assert note.endswith("SystemStructure.ssd: line 8: Banana: left out, no element of SSP")
 
 
@@ -259,6 +233,5 @@ def test_a_connection_to_a_parameter_is_noted(fmus):
     """FMI and SSP allow it; a user may have meant an input."""
     parts = {"a": fmus["gain"], "b": fmus["gain"]}
     assert assemble(parts, ["a.y -> b.u"]).notes == ()
-    assert assemble(parts, ["a.y -> b.factor"]).notes == (
-        "a.y -> b.factor: expected an input, got a fixed parameter, which is set like one",
-    )
+    (note,) = assemble(parts, ["a.y -> b.factor"]).notes
+    assert note == "a.y -> b.factor: expected an input, got a fixed parameter, which is set like one"

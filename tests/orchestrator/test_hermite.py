@@ -18,11 +18,9 @@ ONE = Coupling("hermite", guard=0, passes=1)
     ("coupling", "step", "bar"), [(TWO, 1e-2, 3e-5), (TWO, 1e-3, 1e-8), (ONE, 1e-2, 2e-3), (ONE, 1e-3, 3e-6)]
 )
 def test_the_undamped_oscillator_over_ten_seconds(moving, worst, coupling, step, bar):
-    """Within the bars; no other tool tried comes below 1e-4 at 1e-3 s. The passes stand on the card.
-
-    Measured 1.3e-5, 1.6e-9 (of which 4e-10 is the FMUs' own), 3.1e-4 and 3.2e-8.
-    """
+    """Within the bars; no other tool tried comes below 1e-4 at 1e-3 s. The passes stand on the card."""
     result = run(moving, master=coupling, step=step, stop=10.0)
+    # measured 1.3e-5, 1.6e-9 (of which 4e-10 is the FMUs' own), 3.1e-4 and 3.2e-8
     assert worst(result) < bar
     assert result.card.steps == round(10 / step)
     assert result.card.passes == coupling.passes * result.card.steps
@@ -32,9 +30,8 @@ def test_the_undamped_oscillator_over_ten_seconds(moving, worst, coupling, step,
 def test_passes_end_when_the_tolerance_is_met(moving):
     """A stricter tolerance takes more passes, each of which reduces the error; their number is limited."""
     tolerances = (1e-2, 1e-4, 1e-6, 1e-8)
-    results = [
-        run(moving, master=Coupling("hermite", guard=0, tolerance=x), step=2e-2, stop=1.0) for x in tolerances
-    ]
+    masters = [Coupling("hermite", guard=0, tolerance=x) for x in tolerances]
+    results = [run(moving, master=master, step=2e-2, stop=1.0) for master in masters]
     passes = [r.card.passes for r in results]
     assert passes == sorted(set(passes))
     assert passes[0] < 2 * 50 < passes[-1] < 8 * 50
@@ -79,20 +76,15 @@ def test_what_hears_nothing_is_not_repeated(fmus, moving):
 
 @pytest.mark.parametrize("bend", [0.0, 0.5, 0.53125])
 def test_corners_of_free_sources(fmus, bend):
-    """A ramp from a communication point is exact; one from inside a step is smoothed over that step only.
-
-    The integral of the ramp from t = bend on. An FMU tells at a corner the slope of what follows, with which
-    a cubic would rise before the corner: by h^2 / 12 = 3e-4 of the integral too much.
-    """
+    """A ramp from a communication point is exact; one from inside a step is smoothed over that step only."""
     files = {"sum": fmus.make("fails", "ramped", interpolates=True), "ramp": fmus.make("source", also=RAMP)}
     start = {"ramp.amplitude": 0.0, "ramp.ramp": 1.0, "ramp.bend": bend}
     system = assemble(files, ["ramp.y -> sum.u"], start)
     found = run(system, master="hermite", step=0.0625, stop=1.0).trace["sum.y"][-1]
-    if bend % 0.0625 == 0:  # sums of products of short binary fractions
-        assert found == pytest.approx(0.5 * (1 - bend) ** 2, abs=1e-15)
-    else:
-        # the line or the cubic between right ends is between 0 and the ramp there: off by at most h^2 / 2
-        assert found == pytest.approx(0.5 * (1 - bend) ** 2, abs=0.0625**2 / 2)
+    # products of short binary fractions; with the slope that an FMU tells at a corner, that of what follows,
+    # a cubic would rise before it: by h^2 / 12 = 3e-4; inside of a step, what is used is from 0 to the ramp
+    bound = 1e-15 if bend % 0.0625 == 0 else 0.0625**2 / 2
+    assert found == pytest.approx(0.5 * (1 - bend) ** 2, abs=bound)
 
 
 def test_without_rollback_it_is_one_pass(oscillators):

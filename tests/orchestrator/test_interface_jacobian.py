@@ -91,11 +91,7 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator):
     np.testing.assert_array_equal(thrice, once)
 
 
-@pytest.mark.parametrize(
-    "choices",
-    [{}, {"factors": {"b": 3}}, {"adaptive": 1e-5}],
-    ids=str,
-)
+@pytest.mark.parametrize("choices", [{}, {"factors": {"b": 3}}, {"adaptive": 1e-5}], ids=str)
 def test_fmus_called_by_c_and_by_python_give_the_same_numbers(open_oscillator, both, choices):
     """Bit for bit over 1000 steps, and the same steps where they are chosen."""
     stop = 1.0 if "adaptive" not in choices else 10.0

@@ -19,10 +19,6 @@ class Joined(JoinedSystem):
         self.state = self.struct(self.binding)
         library().linear_system_join(byref(self.state.system))
 
-    @property
-    def usable(self):
-        return bool(self.state.system.usable)
-
     def predict(self, h):
         library().prediction_prepare(byref(self.state), c_double(h))
         library().prediction_solve(byref(self.state))
@@ -90,7 +86,7 @@ def test_connections_without_a_solution_are_no_system():
     joined.has_feedthrough = True
     joined.d[0, 1] = joined.d[1, 0] = 1.0
     joined.join()
-    assert not joined.usable
+    assert not joined.state.system.usable
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 18])

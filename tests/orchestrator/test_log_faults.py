@@ -31,31 +31,21 @@ def held(values, rows):
     return values[sent]
 
 
-DEG = SignalDescription("deg")
+DEG, BAR, VOLT = map(SignalDescription, ("deg", "bar", "V"))
 # what is in the log, its description, and what is named
 NAMED = {
     "encoder 0 to 360": (ANGLE * 2 % 360, DEG, "jumps 4 times by about 360; wrap = 360 unwraps an angle"),
     "atan2": (np.angle(np.exp(1j * 4 * np.sin(TIME))), SignalDescription("rad"), "jumps .* by about 6.28319"),
     "turns": (ANGLE / 90 % 1, SignalDescription("rev"), "jumps .* by about 1; wrap = 1 "),
-    "bus of 20 Hz": (held(LEVER, 10), SignalDescription("V"), "each value is held for 10 samples"),
-    "bus of 47 Hz": (held(NOISY, 4.25), SignalDescription("bar"), r"each value is held for 4\.2\d samples"),
-    "bus of 100 Hz": (held(NOISY, 2), SignalDescription("bar"), "each value is held for 2 samples"),
-    "bus in every third row": (
-        np.where(ROW % 3 == 1, held(LEVER, 15), np.nan),
-        SignalDescription("V"),
-        "each value is held for 5 samples",
-    ),
-    "0xFFFF": (
-        np.where(ROW % 700 == 5, 6553.5, NOISY),
-        SignalDescription("bar"),
-        r"3 samples .* \[6553\.5\]",
-    ),
+    "bus of 20 Hz": (held(LEVER, 10), VOLT, "each value is held for 10 samples"),
+    "bus of 47 Hz": (held(NOISY, 4.25), BAR, r"each value is held for 4\.2\d samples"),
+    "bus of 100 Hz": (held(NOISY, 2), BAR, "each value is held for 2 samples"),
+    "every third row": (np.where(ROW % 3 == 1, held(LEVER, 15), np.nan), VOLT, "is held for 5 samples"),
+    "0xFFFF": (np.where(ROW % 700 == 5, 6553.5, NOISY), BAR, r"3 samples .* \[6553\.5\]"),
     "0xFE": (np.where(ROW % 900 < 2, 254, np.round(NOISY)), SignalDescription("1"), r"6 samples .* \[254\]"),
-    "two codes": (
-        np.where(
-            ROW % 500 == 9, -9999, np.where(ROW % 400 == 7, 65535, np.where(ROW % 450 == 7, 65534, NOISY))
-        ),
-        SignalDescription("bar"),
+    "three codes": (
+        np.select([ROW % 500 == 9, ROW % 400 == 7, ROW % 450 == 7], [-9999, 65535, 65534], NOISY),
+        BAR,
         r"13 samples .* invalid = \[-9999, 65534, 65535\]",
     ),
     "code of counts": (
@@ -122,7 +112,7 @@ def test_an_angle_is_unwrapped_over_gaps():
 def test_a_held_sample_is_used_once():
     """Each new one is, also where the source sends equal values; nothing else."""
     still = np.where((ROW > 500) & (ROW < 900), NOISY[500], NOISY)
-    found = corrected(held(still, 4), TIME, SignalDescription("bar", held=True))
+    found = corrected(held(still, 4), TIME, replace(BAR, held=True))
     np.testing.assert_array_equal(found, np.where(ROW % 4 == 0, still, np.nan))
 
 
@@ -137,7 +127,7 @@ def test_a_held_sample_is_used_once():
 )
 def test_a_held_lever_that_seldom_moves_keeps_its_samples(values, used):
     """Its rhythm is that of its usual run; without one, each row counts, so that no gap is too long."""
-    found = corrected(held(values, 10), TIME, SignalDescription("V", held=True))
+    found = corrected(held(values, 10), TIME, replace(VOLT, held=True))
     np.testing.assert_array_equal(found, np.where(used, values, np.nan))
 
 
@@ -145,7 +135,7 @@ def test_held_samples_without_a_rhythm_are_used_once():
     """A source that sends at irregular times: no repeat of a run that is not longer than usual."""
     starts = np.cumsum(RNG.choice([2, 3, 3, 3, 4], 600))
     sent = starts[np.searchsorted(starts, ROW[:1500], side="right") - 1] * (starts[0] <= ROW[:1500])
-    found = corrected(NOISY[sent], TIME[:1500], SignalDescription("bar", held=True))
+    found = corrected(NOISY[sent], TIME[:1500], replace(BAR, held=True))
     used = np.flatnonzero(np.isfinite(found))
     assert set(starts[starts < 1500]) <= set(used) | {0}
     assert len(used) <= np.sum(starts < 1500) + 1
@@ -299,4 +289,4 @@ def test_what_is_held_for_a_second_is_a_step_of_the_experiment(rows, hold, named
     """A bus sends more often; steps of a command last for seconds, also in a slower group of the logger."""
     values = np.full((ROW.size, rows), np.nan)
     values[:, 0] = held(LEVER, 10)
-    assert len([*log_faults(values.ravel(), SignalDescription("V"), hold / 10 / rows)]) == named
+    assert len([*log_faults(values.ravel(), VOLT, hold / 10 / rows)]) == named

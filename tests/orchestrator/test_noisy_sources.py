@@ -15,7 +15,7 @@ ANNOTATION = {  # FMI version -> its elements and their key, and what follows it
 }
 
 
-def annotated(workshop):
+def noisy(workshop):
     """The source whose description says that its output is noisy."""
     group, item, key, place = ANNOTATION[workshop.fmi]
     inside = "<Outputs><NoisyOutput output='y'/></Outputs>"
@@ -29,21 +29,15 @@ def fed(workshop, source, **more):
     return run(system, stop=STEP * STEPS, **more)
 
 
-@pytest.fixture
-def noisy(each):
-    return annotated(each)
+def discrete(workshop):
+    """The source with an output that holds its values."""
+    return workshop.make("source", "discrete", changes={"y": {"steady": "discrete"}})
 
 
-@pytest.fixture
-def discrete(each):
-    return each.make("source", "discrete", changes={"y": {"steady": "discrete"}})
-
-
-@pytest.mark.parametrize("kind", ["noisy", "discrete"])
-def test_no_step_is_divided(each, kind, request):
+@pytest.mark.parametrize("kind", [noisy, discrete])
+def test_no_step_is_divided(each, kind):
     """The run is that without a guard to the last bit; as a plain source, steps end where it is a curve."""
-    source = request.getfixturevalue(kind)
-    found, bare = (fed(each, source, step=STEP, master=m) for m in (GUARDED, Coupling("gauss-seidel")))
+    found, bare = (fed(each, kind(each), step=STEP, master=m) for m in (GUARDED, Coupling("gauss-seidel")))
     assert (found.card.steps, found.card.repeated) == (STEPS, 0)
     assert found.trace == bare.trace
     plain = fed(each, each["source"], step=STEP, master=GUARDED)
@@ -51,22 +45,22 @@ def test_no_step_is_divided(each, kind, request):
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
-def test_adaptive_steps_grow_beside_noise(each, noisy, master):
+def test_adaptive_steps_grow_beside_noise(each, master):
     """From 0.1 ms on each is twice as long as the one before: 0.1 (2^7 - 1) ms reach the end."""
     chosen = {"step": 1e-4, "master": Coupling(master, adaptive=1e-3)}
-    assert fed(each, noisy, **chosen).card.steps <= 7
+    assert fed(each, noisy(each), **chosen).card.steps <= 7
     assert fed(each, each["source"], **chosen).card.steps > 10 * STEPS
 
 
-@pytest.mark.parametrize("kind", ["noisy", "discrete"])
+@pytest.mark.parametrize("kind", [noisy, discrete])
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
-def test_the_values_are_passed_on(each, kind, master, request):
+def test_the_values_are_passed_on(each, kind, master):
     """The input is its source at each point; the integral is that of a line, or of the newest value held."""
-    trace = fed(each, request.getfixturevalue(kind), step=STEP, master=Coupling(master, guard=0.005)).trace
+    trace = fed(each, kind(each), step=STEP, master=Coupling(master, guard=0.005)).trace
     y = trace["s.y"]
     assert np.ptp(y) > 1
     np.testing.assert_array_equal(trace["d.u"], y)
-    used = y[:-1] if master == "jacobi" else y[1:] if kind == "discrete" else (y[:-1] + y[1:]) / 2
-    if (kind, master) != ("noisy", "hermite"):  # whose cubic has slopes from differences of noise
+    used = y[:-1] if master == "jacobi" else y[1:] if kind is discrete else (y[:-1] + y[1:]) / 2
+    if (kind, master) != (noisy, "hermite"):  # whose cubic has slopes from differences of noise
         # the same sums in another order: rounding
         np.testing.assert_allclose(np.diff(trace["d.y"]), STEP * used, atol=1e-15)
