@@ -216,6 +216,14 @@ def test_a_polynomial_within_reach_is_no_error(c, before, h):
     close(s.mismatch(h) * s.magnitude(), 0.0, magnitude)
 
 
+@given(numbers, numbers.filter(lambda x: abs(x) > 1e-3), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_a_held_line_is_off_by_its_way(value, slope, before, h):
+    """The deviation of a held input is the change of the source."""
+    s, _, _ = watched((value, slope, 0.0, 0.0), [before, h])
+    magnitude = abs(value) + 4 * abs(slope)
+    close(abs(s.deviation(h, 0)), abs(slope) * h, magnitude)
+
+
 def test_corners_of_autonomous_sources_and_the_largest_magnitude():
     """From a state it is a cubic; errors near zero are relative to the largest magnitude ever."""
     for free, expected in ((True, (0.0, 1.0, 0.0, 0.0)), (False, (0.0, 1.0, 1.0, -1.0))):

@@ -88,6 +88,14 @@ def test_inputs_that_move_are_judged_as_what_they_were_at_both_ends(bounce):
     assert result.card.bonds[0].turnover == pytest.approx(np.abs(errors).sum(), abs=1e-8)
 
 
+def test_exchanged_energy_is_the_integral_of_power(bounce):
+    """A mass on a spring moves its energy to and fro: |P| integrates to twice the energy per half period."""
+    period = 2 * np.pi / 10
+    result = run(bounce(False), step=period / 20000, stop=period)
+    # 20000 first-order steps per period: the amplitude drifts by h omega^2 T / 2 = 1e-3
+    assert result.card.bonds[0].exchanged == pytest.approx(4 * 5000.0, rel=2e-3)
+
+
 @table(__file__, "bonds", "signals, bonds")
 def test_bonds_are_found_by_units_and_names(signals, bonds):
     """An effort one way and a flow the other; names decide between bonds of equal units."""
