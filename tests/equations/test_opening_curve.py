@@ -35,6 +35,11 @@ def table(points):
     )
 
 
+def numbers_of(edge):
+    """The parameters of a measured edge."""
+    return {f"valve_{edge}_{name}": value for name, value in vars(table(MEASURED)).items()}
+
+
 def curved(**points):
     """The valve with a table of the edges that are given."""
     return replace(VALVE, **{edge: table(of_edge) for edge, of_edge in points.items()})
@@ -99,31 +104,6 @@ def test_the_curve_is_monotone_and_smooth(points):
         before, after = float(slope(np.nextafter(at, 0.0))), float(slope(np.nextafter(at, 20.0)))
         # rounding of the coefficients, which divide by gaps of 2 mV
         assert abs(after - before) <= 1e-9 * largest
-
-
-def test_a_straight_table_is_the_line_away_from_its_start():
-    """Points on the line of the default curve give this line from the third point on, to rounding."""
-    volts = [0.8, *np.linspace(1.5, 10.0, 9)]
-    foot = spool_valve.opening(10.0, 0.6, 10.0, 0.4)  # 1: the line goes through zero at 0.8 V
-    points = [(v, float(spool_valve.opening(v, 0.6, 10.0, 0.4)) if v > 0.8 else 0.0) for v in volts]
-    between = np.linspace(volts[2], 10.0, 100)
-    line = [float(spool_valve.opening(v, 0.6, 10.0, 0.4)) for v in between]
-    assert foot == 1
-    # exact identity: rounding only
-    np.testing.assert_allclose(evaluated(points, between), line, rtol=1e-13)
-
-
-@pytest.mark.parametrize("edge", opening_curve.EDGES)
-def test_each_edge_has_its_own_curve(edge):
-    """A table changes its edge in its direction, and no other."""
-    for command in (5.0, -5.0):
-        usual = spool_valve.edge_openings(VALVE, command)
-        found = spool_valve.edge_openings(curved(**{edge: MEASURED}), command)
-        opens = (command > 0) == (edge in spool_valve.FORWARD)
-        expected = {**usual, edge: 0.19 if opens else 0.0}
-        assert {e: float(x) for e, x in found.items()} == pytest.approx(
-            {e: float(x) for e, x in expected.items()}
-        )
 
 
 @pytest.fixture(scope="module")
@@ -220,11 +200,7 @@ def test_every_entry_is_declared_in_a_list():
 
 def test_an_fmu_takes_a_table(tmp_path, capsys):
     """The edge P-A of the built FMU with a table passes the flow of its opening; a wrong table is refused."""
-    points = {
-        f"valve_pa_{what}_{i}": p[k]
-        for i, p in enumerate(MEASURED, 1)
-        for k, what in enumerate(("command", "opening"))
-    }
+    points = numbers_of("pa")
     fmu, pressures, speed = build(SWING, tmp_path), [], 0.8
     for start in ({}, points):
         with driving(fmu, swing_command=5.0, swing_speed=speed, **start) as driven:

@@ -78,9 +78,7 @@ def test_an_fmu_derives_the_numbers_of_a_hose_at_run_time(fmu_dir):
     for given in ({}, {"length": length}, numbers):
         start = {f"boom_hose_{name}": value for name, value in given.items()}
         with driving(fmu_dir / "boom_stick.fmu", boom_command=4.0, **start) as fmu:
-            for _ in range(20):
-                fmu.step(1e-3)
-            found.append(fmu.get("boom_head_pressure", "boom_head_flow", "boom_rod_pressure"))
+            found.append(fmu.step(1e-3, 20).get("boom_head_pressure", "boom_head_flow", "boom_rod_pressure"))
     usual, longer, measured = map(np.array, found)
     # same numbers but for rounding, which the solver's choice of steps may show up to its tolerance of 1e-6
     np.testing.assert_allclose(longer, measured, rtol=1e-6)

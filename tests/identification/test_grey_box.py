@@ -32,14 +32,11 @@ CRANE = EXAMPLE / "crane.txt"
 
 def printed(folder: Path, *arguments: str) -> str:
     """Output of the example, run in a folder, where it draws."""
-    given, output = sys.argv, io.StringIO()
-    sys.argv = [str(EXAMPLE / "run.py"), *arguments]
-    try:
-        with contextlib.chdir(folder), contextlib.redirect_stdout(output):
-            runpy.run_path(sys.argv[0])
-    finally:
-        sys.argv = given
-        plt.close("all")
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as output:
+        patch.chdir(folder)
+        patch.setattr(sys, "argv", [str(EXAMPLE / "run.py"), *arguments])
+        runpy.run_path(sys.argv[0])
+    plt.close("all")
     return output.getvalue()
 
 

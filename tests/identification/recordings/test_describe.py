@@ -7,6 +7,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from identification.recordings.conftest import edit
 
 from fmus.identification.recordings.describe import SENSORS, describe
 from fmus.identification.recordings.reading import read
@@ -35,15 +36,10 @@ def log(tmp_path):
 
 def filled_in(file, **units):
     """As a user does it: the lines of all signals without a mark, units in place of "?"."""
-    lines = file.read_text(encoding="utf-8").splitlines()
-    lines = [line.removeprefix("# ") if line.startswith('# "') else line for line in lines]
-    lines = [line for line in lines if '"NAME"' not in line]
+    text = re.sub('^# (?=")|.*"NAME".*', "", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
     for column, unit in units.items():
-        lines = [
-            line.replace('unit = "?"', f'unit = "{unit}"') if f'"{column}"' in line else line
-            for line in lines
-        ]
-    file.write_text("\n".join(lines), encoding="utf-8")
+        text = re.sub(rf'("{column}".*unit = )"\?"', rf'\1"{unit}"', text)
+    file.write_text(text, encoding="utf-8")
 
 
 def test_the_file_is_read_after_the_names_are_filled_in(log):
@@ -73,20 +69,14 @@ def test_what_remains_a_comment_is_left_out(log):
     describe(log)
     with pytest.raises(Problem, match=r"a\.toml: expected at least one table \[signals\.NAME\], got none"):
         read_recording(log)
-    text = log.with_suffix(".toml").read_text(encoding="utf-8")
-    log.with_suffix(".toml").write_text(
-        text.replace('# "boom_stick.boom_rod', '"boom_stick.boom_rod'), encoding="utf-8"
-    )
+    edit(log.with_suffix(".toml"), ('# "boom_stick.boom_rod', '"boom_stick.boom_rod'))
     assert [*read_recording(log)] == ["boom_stick.boom_rod_pressure"]
 
 
 def test_a_column_with_the_name_of_a_signal_is_described_at_once(tmp_path):
     """In any letter case, with or without the part, if the unit of the file is one of the signal."""
-    header, rows = (
-        "time,BOOM_COMMAND,swing.supply_pressure\n",
-        "".join(f"{k / 50},{k % 7},{k % 5}\n" for k in K),
-    )
-    (tmp_path / "a.csv").write_text(header + rows, encoding="utf-8")
+    data = {"time": K / 50, "BOOM_COMMAND": K % 7, "swing.supply_pressure": K % 5}
+    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
     describe(tmp_path / "a.csv")  # without units it cannot know
     with pytest.raises(Problem, match="expected at least one table"):
         read_recording(tmp_path / "a.csv")
