@@ -40,11 +40,6 @@ def numbers_of(edge):
     return {f"valve_{edge}_{name}": value for name, value in vars(table(MEASURED)).items()}
 
 
-def curved(**points):
-    """The valve with a table of the edges that are given."""
-    return replace(VALVE, **{edge: table(of_edge) for edge, of_edge in points.items()})
-
-
 def evaluated(points, volts):
     """Openings at commands."""
     curve = opening_curve.pieces(table(points))
@@ -184,7 +179,7 @@ def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, vo
 )
 def test_points_in_disorder_are_refused(points, wrong):
     """Exactly one requirement is violated, that of the list with the mistake."""
-    margins = opening_curve.requirements(curved(pa=points), 10.0)
+    margins = opening_curve.requirements(replace(VALVE, pa=table(points)), 10.0)
     violated = [text for text, margin in margins.items() if not float(ca.DM(margin)) > 0]
     assert len(violated) == bool(wrong)
     assert all(text.startswith(f"valve_pa_{wrong}") for text in violated)
