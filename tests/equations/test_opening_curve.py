@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import VALVE
 from kit.fmu import driving
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from fmus.components import opening_curve, spool_valve
 from fmus.contract import quantities
@@ -64,23 +64,10 @@ def test_the_curve_is_scipys_between_the_points(points):
     if len(points) > 2:
         inside = PchipInterpolator([v[0] - 1.0, *v], [0.0, *a])
     else:  # the end slope that stands in the equations
-        rise = a[1] / (v[1] - v[0])
-        inside = hermite(v, a, (0.0, rise))
+        inside = CubicHermiteSpline(v, a, (0.0, a[1] / (v[1] - v[0])))
     expected = np.where(volts <= v[0], 0.0, np.where(volts >= v[-1], a[-1], inside(volts)))
     # rounding of cubics over an interval of 2 mV in commands of 10 V
     np.testing.assert_allclose(evaluated(points, volts), expected, atol=1e-11)
-
-
-def hermite(v, a, slopes):
-    """Hermite's cubic between two points, by its basis functions."""
-    h = v[1] - v[0]
-
-    def value(x):
-        t = (x - v[0]) / h
-        ends = (1 + 2 * t) * (1 - t) ** 2 * a[0] + t**2 * (3 - 2 * t) * a[1]
-        return ends + h * (t * (1 - t) ** 2 * slopes[0] + t**2 * (t - 1) * slopes[1])
-
-    return value
 
 
 @given(points=tables())

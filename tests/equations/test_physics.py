@@ -71,10 +71,7 @@ class Equations:
         return x, u, p
 
 
-@cache
-def equations(name):
-    """The equations of a usual part."""
-    return Equations(name)
+equations = cache(Equations)  # of a usual part
 
 
 def close(ours, theirs, declared, tolerance=1e-9):
