@@ -287,12 +287,8 @@ def limited(z: float, e: float) -> float:
 def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     """Rates and observables of the load-sensing pump, sections 5.3 and 5.4."""
     p, d, e = Group(**p_), part(p_, "main_pump_"), part(p_, "engine_")
-    tank, w, s, m = (
-        p.reservoir_pressure,
-        x["engine_speed"],
-        x["pump_stroke"],
-        oil(x["oil_temperature"], p.oil_viscosity_40, p.oil_viscosity_100)[0],
-    )
+    tank, w, s = p.reservoir_pressure, x["engine_speed"], x["pump_stroke"]
+    m = oil(x["oil_temperature"], p.oil_viscosity_40, p.oil_viscosity_100)[0]
     returning = x["tank_pressure"]
     out, rail, sensing = x["pump_pressure"], x["supply_pressure"], x["load_sensing_pressure"]
     displaced = s * d.displacement * step(w / 10)

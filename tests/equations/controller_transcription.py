@@ -8,28 +8,16 @@ systems, the command is found by bisection on the valve's curve, places are comp
 from types import SimpleNamespace as Group
 
 import numpy as np
+from equations.circuits_transcription import foot as m
+from equations.circuits_transcription import step as rise
+from equations.transcription import ramp as r
 from scipy.optimize import brentq
 
 AXES = ("swing", "boom", "stick")
 
 
-def r(z, w):
-    """The ramp of docs/equations.md, Symbols."""
-    s = min(max(z / w, 0.0), 1.0)
-    return w * (s**3 - s**4 / 2) + max(z - w, 0.0)
-
-
-def m(z, w):
-    return (z + np.sqrt(z**2 + w**2)) / 2
-
-
 def clip(z, low, high):
     return min(max(z, low), high)
-
-
-def rise(z):
-    z = clip(z, 0, 1)
-    return z**3 * (10 - 15 * z + 6 * z**2)
 
 
 class Arm:
@@ -209,10 +197,8 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     over = (r(h - most, most / 10) - r(-h - most, most / 10)) / p.unwinding_time
     taught = ref.e * p.feedback * (learn / np.sqrt(1 + (learn / 2) ** 2) - over)
     half, limit = getattr(x, f"{name}_half_width"), o.full_command / 2 * p.hysteresis_limit
-    alpha, steady = (
-        ref.arm.arms[i] * (b - late) / p.lead_filter_time,
-        0.05 * getattr(p, f"{name}_speed_limit"),
-    )
+    alpha = ref.arm.arms[i] * (b - late) / p.lead_filter_time
+    steady = 0.05 * getattr(p, f"{name}_speed_limit")
     f = p.hysteresis_gain * (p.hysteresis > 0) * error * speed**2 / (speed**2 + slow**2)
     f *= (o.full_command - o.dead_band) / mean * alpha / np.hypot(alpha, steady)
     beyond = (r(half - limit, limit / 10) - r(-half, limit / 10)) / p.unwinding_time
@@ -241,15 +227,7 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
 
 def learning(o: Group, x: Group, p: Group, active: float) -> tuple[dict[str, float], float]:
     """Section learning: rates of what is known of a valve, and the share of the play's."""
-    names = (
-        "late_command",
-        "oil_shift",
-        "covariance_11",
-        "covariance_12",
-        "covariance_22",
-        "spool",
-        "trailing",
-    )
+    names = ("late_command", "oil_shift", *(f"covariance_{n}" for n in (11, 12, 22)), "spool", "trailing")
     late, shift, p11, p12, p22, spool, trailing = (getattr(x, f"{o.name}_{n}") for n in names)
     sign, end = (1, "up") if o.speed > 0 else (-1, "down")
     c = 1 - (not o.compensated) * sign * o.swinging / (2 * o.spare[0 if sign > 0 else 1])

@@ -58,19 +58,14 @@ def test_swing_speed_with_leakage(fmu_dir, load):
     assert brentq(excess, 0.9 * expected, 1.1 * expected) == pytest.approx(expected, rel=BAR)
 
 
-def frequency(name: str, mass: float, position: float) -> float:
-    """omega [rad/s] of a mass on the locked cylinder: omega^2 = beta (A_h^2/V_h + A_r^2/V_r) / m."""
-    head, rod = piston_areas(BOOM_STICK, name)
-    p, beta = BOOM_STICK, BOOM_STICK["bulk_modulus"]
-    both = p[f"{name}_hose_capacitance"] * beta + p[f"{name}_dead_volume"]
-    v_head, v_rod = both + head * position, both + rod * (p[f"{name}_stroke"] - position)
-    return math.sqrt(beta * (head**2 / v_head + rod**2 / v_rod) / mass)
-
-
 @pytest.mark.parametrize("name", ["boom", "stick"])
 def test_hydraulic_natural_frequency(fmu_dir, name):
-    """The closed form of a mass on the locked cylinder, by FMU Jacobian."""
+    """omega^2 = beta (A_h^2/V_h + A_r^2/V_r) / m of a mass on the locked cylinder, by FMU Jacobian."""
     mass, position = 1e4, 0.3
+    (head, rod), p, beta = piston_areas(BOOM_STICK, name), BOOM_STICK, BOOM_STICK["bulk_modulus"]
+    both = p[f"{name}_hose_capacitance"] * beta + p[f"{name}_dead_volume"]
+    v_head, v_rod = both + head * position, both + rod * (p[f"{name}_stroke"] - position)
+    expected = math.sqrt(beta * (head**2 / v_head + rod**2 / v_rod) / mass)
     oil = [f"{name}_{s}_{k}" for k in ("pressure", "flow") for s in ("head", "rod")]
     with driving(fmu_dir / "boom_stick.fmu", "me", **{f"{name}_position": position}) as fmu:
         rates = [f"der_{n}" for n in oil]
@@ -78,4 +73,4 @@ def test_hydraulic_natural_frequency(fmu_dir, name):
         c_force = fmu.derivative([f"{name}_force"], oil)
     system = np.block([[a_oil, b_velocity], [c_force / mass, np.zeros((1, 1))]])
     slow = [e for e in np.linalg.eigvals(system) if abs(e.imag) > 1.0]
-    assert min(abs(e.imag) for e in slow) == pytest.approx(frequency(name, mass, position), rel=BAR)
+    assert min(abs(e.imag) for e in slow) == pytest.approx(expected, rel=BAR)

@@ -1,7 +1,7 @@
 """Equations of the components against closed forms and physical properties."""
 
 import math
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -53,16 +53,6 @@ def test_positive_parts_differ_by_the_argument(z: float, width: float) -> None:
     assert down >= 0
     # exact identity; rounding of the square root of z^2
     assert up - down == pytest.approx(z, rel=1e-12, abs=1e-9)
-
-
-@given(st.floats(0.0, 12.0), flows)
-def test_reversing_the_command_swaps_the_ports(command: float, flow: float) -> None:
-    """The spool is symmetrical: command -V with exchanged line flows is command V with exchanged ports."""
-    a, b = spool_valve.ports_from_flow(VALVE, command, (flow, -flow), lines(), OIL)
-    d, c = spool_valve.ports_from_flow(VALVE, -command, (-flow, flow), lines(), OIL)
-    # the same operations in the same order
-    assert number(a.pressure) == number(c.pressure)
-    assert number(b.pressure) == number(d.pressure)
 
 
 @given(st.floats(0.5, 1.2) | st.floats(-12.0, 12.0), st.floats(-1e-6, 1e-6) | flows, st.floats(-1.0, 1.0))
@@ -120,31 +110,17 @@ def test_a_cavity_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
     assert float(again) == pytest.approx(10, rel=1e-4)
 
 
-def test_energy_of_a_cavity_counts_from_its_closure() -> None:
-    """Far above the vapour pressure only the oil's C P^2/2 is left."""
-    # the cavity's part is below the smallest double next to it: rounding only
-    assert number(chamber.stored_energy(2e7, 7e-13)) == pytest.approx(7e-13 * 4e14 / 2, rel=1e-12)
-
-
 def test_cavitation_does_not_touch_the_paper_s_capacitance_at_working_pressures() -> None:
     """At tank pressure the cavity adds less than 3 % of a hose, from 0.1 MPa up less than 1e-10."""
     assert number(chamber.cavity_capacitance(0.0)) / 7e-13 < 0.03
     assert number(chamber.cavity_capacitance(1e5)) / 7e-13 < 1e-10
 
 
-@dataclass(frozen=True)
-class Warm:
-    """VG 46 at a temperature [degC]."""
-
-    temperature: float
-
-    @property
-    def density(self) -> float:
-        return 850 * float(oil.density_ratio(self.temperature + 273.15))
-
-    @property
-    def kinematic_viscosity(self) -> float:
-        return float(oil.kinematic_viscosity(self.temperature + 273.15))
+def vg_46(temperature: float) -> SimpleNamespace:
+    """The oil at a temperature [degC]."""
+    kelvin = temperature + 273.15
+    viscosity = float(oil.kinematic_viscosity(kelvin))
+    return SimpleNamespace(density=850 * float(oil.density_ratio(kelvin)), kinematic_viscosity=viscosity)
 
 
 @given(
@@ -160,7 +136,7 @@ def test_a_flow_through_opening_and_hose_has_the_drops_of_both(
     Measured: less than 0.1, 0.4 and 2.1 % with 40, 140 and 260 mm2; without the last step up to 12 and 39 %.
     """
     area, length, tolerance = case
-    warm, flow = Warm(temperature), litres / 60000
+    warm, flow = vg_46(temperature), litres / 60000
     edge = orifice.Edge(discharge_coefficient=0.65, transition_reynolds=10.0)
     size = hose.HoseSize(length=length, bore=0.01905)
     line = hose.Friction.of(size, 3.2e10 * (float(oil.viscosity_ratio(temperature + 273.15))) ** 0.25, warm)
@@ -176,7 +152,7 @@ def test_a_smooth_hose_takes_no_flow_against_the_drop(
     roughness: float, temperature: float, area: float, side: int
 ) -> None:
     """Also with a C_R far below that of Blasius, where the drop of the hose falls around Re 2300."""
-    warm, edge = Warm(temperature), orifice.Edge(discharge_coefficient=0.65, transition_reynolds=10.0)
+    warm, edge = vg_46(temperature), orifice.Edge(discharge_coefficient=0.65, transition_reynolds=10.0)
     size = hose.HoseSize(length=4.0, bore=0.01905)
     line = hose.Friction.of(size, 3.2e10 * roughness, warm)
     for drop in np.logspace(2, 7.5, 60):

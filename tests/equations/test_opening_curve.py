@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import VALVE
 from kit.fmu import driving
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from fmus.components import opening_curve, spool_valve
 from fmus.contract import quantities
@@ -35,9 +35,9 @@ def table(points):
     )
 
 
-def curved(**points):
-    """The valve with a table of the edges that are given."""
-    return replace(VALVE, **{edge: table(of_edge) for edge, of_edge in points.items()})
+def numbers_of(edge):
+    """The parameters of a measured edge."""
+    return {f"valve_{edge}_{name}": value for name, value in vars(table(MEASURED)).items()}
 
 
 def evaluated(points, volts):
@@ -64,23 +64,10 @@ def test_the_curve_is_scipys_between_the_points(points):
     if len(points) > 2:
         inside = PchipInterpolator([v[0] - 1.0, *v], [0.0, *a])
     else:  # the end slope that stands in the equations
-        rise = a[1] / (v[1] - v[0])
-        inside = hermite(v, a, (0.0, rise))
+        inside = CubicHermiteSpline(v, a, (0.0, a[1] / (v[1] - v[0])))
     expected = np.where(volts <= v[0], 0.0, np.where(volts >= v[-1], a[-1], inside(volts)))
     # rounding of cubics over an interval of 2 mV in commands of 10 V
     np.testing.assert_allclose(evaluated(points, volts), expected, atol=1e-11)
-
-
-def hermite(v, a, slopes):
-    """Hermite's cubic between two points, by its basis functions."""
-    h = v[1] - v[0]
-
-    def value(x):
-        t = (x - v[0]) / h
-        ends = (1 + 2 * t) * (1 - t) ** 2 * a[0] + t**2 * (3 - 2 * t) * a[1]
-        return ends + h * (t * (1 - t) ** 2 * slopes[0] + t**2 * (t - 1) * slopes[1])
-
-    return value
 
 
 @given(points=tables())
@@ -99,31 +86,6 @@ def test_the_curve_is_monotone_and_smooth(points):
         before, after = float(slope(np.nextafter(at, 0.0))), float(slope(np.nextafter(at, 20.0)))
         # rounding of the coefficients, which divide by gaps of 2 mV
         assert abs(after - before) <= 1e-9 * largest
-
-
-def test_a_straight_table_is_the_line_away_from_its_start():
-    """Points on the line of the default curve give this line from the third point on, to rounding."""
-    volts = [0.8, *np.linspace(1.5, 10.0, 9)]
-    foot = spool_valve.opening(10.0, 0.6, 10.0, 0.4)  # 1: the line goes through zero at 0.8 V
-    points = [(v, float(spool_valve.opening(v, 0.6, 10.0, 0.4)) if v > 0.8 else 0.0) for v in volts]
-    between = np.linspace(volts[2], 10.0, 100)
-    line = [float(spool_valve.opening(v, 0.6, 10.0, 0.4)) for v in between]
-    assert foot == 1
-    # exact identity: rounding only
-    np.testing.assert_allclose(evaluated(points, between), line, rtol=1e-13)
-
-
-@pytest.mark.parametrize("edge", opening_curve.EDGES)
-def test_each_edge_has_its_own_curve(edge):
-    """A table changes its edge in its direction, and no other."""
-    for command in (5.0, -5.0):
-        usual = spool_valve.edge_openings(VALVE, command)
-        found = spool_valve.edge_openings(curved(**{edge: MEASURED}), command)
-        opens = (command > 0) == (edge in spool_valve.FORWARD)
-        expected = {**usual, edge: 0.19 if opens else 0.0}
-        assert {e: float(x) for e, x in found.items()} == pytest.approx(
-            {e: float(x) for e, x in expected.items()}
-        )
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +166,7 @@ def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, vo
 )
 def test_points_in_disorder_are_refused(points, wrong):
     """Exactly one requirement is violated, that of the list with the mistake."""
-    margins = opening_curve.requirements(curved(pa=points), 10.0)
+    margins = opening_curve.requirements(replace(VALVE, pa=table(points)), 10.0)
     violated = [text for text, margin in margins.items() if not float(ca.DM(margin)) > 0]
     assert len(violated) == bool(wrong)
     assert all(text.startswith(f"valve_pa_{wrong}") for text in violated)
@@ -220,11 +182,7 @@ def test_every_entry_is_declared_in_a_list():
 
 def test_an_fmu_takes_a_table(tmp_path, capsys):
     """The edge P-A of the built FMU with a table passes the flow of its opening; a wrong table is refused."""
-    points = {
-        f"valve_pa_{what}_{i}": p[k]
-        for i, p in enumerate(MEASURED, 1)
-        for k, what in enumerate(("command", "opening"))
-    }
+    points = numbers_of("pa")
     fmu, pressures, speed = build(SWING, tmp_path), [], 0.8
     for start in ({}, points):
         with driving(fmu, swing_command=5.0, swing_speed=speed, **start) as driven:

@@ -8,6 +8,7 @@ import pytest
 from equations import transcription
 from kit import shards
 from kit.equations import EDGES, JOINTS, random_curve
+from kit.work_cycle import REFERENCE as TRACE
 
 from fmus.machine.parts import FERIC
 from fmus.machine.poses import pose_grid
@@ -168,7 +169,6 @@ def agree(model, ours, theirs):
 
 def test_reference_trace_is_this_trajectory(model, scenario, trajectory):
     """The shipped reference trace of the work cycle holds states and outputs of the transcription."""
-    trace = np.genfromtxt(DATA / "reference" / "work_cycle.csv", delimiter=",", names=True, deletechars="")
     machine, constant = transcription.Machine(transcription.numbers()), model.u[3:].tolist()
     states, commands = trajectory[::STRIDE], scenario[1][::STRIDE]
     rows = [
@@ -180,5 +180,5 @@ def test_reference_trace_is_this_trajectory(model, scenario, trajectory):
     for name, expected in ours.items():
         # integrator error 2e-8 of range at the trace's tolerance of 1e-11, and its nine digits, in rates of
         # stiff hoses ten times as much; a void of 1e-20 m3 is none
-        most = (1e-7 if name in transcription.STATES else 1e-6) * np.ptp(trace[name]) + 1e-20
-        assert np.abs(trace[name][: len(expected)] - expected).max() <= most, name
+        most = (1e-7 if name in transcription.STATES else 1e-6) * np.ptp(TRACE[name]) + 1e-20
+        assert np.abs(TRACE[name][: len(expected)] - expected).max() <= most, name

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from equations.transcription import ramp as r
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import Part
@@ -14,12 +15,6 @@ from fmus.valve_actuation import ACTUATION, actuation
 PART = Part(ACTUATION)
 AXES = ("swing", "boom", "stick")
 FULL, LAG = 10.0, PART.p["lag"]
-
-
-def r(z, w):
-    """The ramp of docs/equations.md, Symbols."""
-    s = min(max(z / w, 0.0), 1.0)
-    return w * (s**3 - s**4 / 2) + max(z - w, 0.0)
 
 
 def written(u: float, z: float, t: float, p: dict[str, float]) -> float:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from identification.recordings.conftest import edit
 from kit import shards
 from kit.mistakes import refused, table
 
@@ -70,15 +71,6 @@ def here(tmp_path, monkeypatch):
 def undrawn(monkeypatch):
     """No figures are drawn, where only what is printed counts."""
     monkeypatch.setattr("fmus.identification.command.write_page", lambda page, _: (page, page))
-
-
-def edit(toml: Path, *changes: tuple[str, str]) -> None:
-    """Change the description of a recording, each text once."""
-    text = toml.read_text(encoding="utf-8")
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
-    toml.write_text(text, encoding="utf-8")
 
 
 def found(file: str = "parameters.toml") -> dict[str, dict]:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from kit.mistakes import problem
 
 from benchmarks import openings as bench
 from fmus.components import opening_curve
@@ -99,8 +100,7 @@ def test_a_dead_band_behind_tables_is_not_refined(monkeypatch):
 
     monkeypatch.setattr(pipeline, "refine_together", refine)
     driven = replace(bench.recordings("line^1", 0)[0], procedure="machine", conditions={}, signals={})
-    with pytest.raises(Problem, match="enough"):
-        identify([driven], parameters=known, report=told.append)
+    problem(lambda: identify([driven], parameters=known, report=told.append), "enough")
     assert "valve_area" in asked
     assert "valve_dead_band" not in asked
     assert any(line.startswith("valve_dead_band: not refined") for line in told)

@@ -12,6 +12,7 @@ from kit.mistakes import problem, table
 from fmus.identification import results
 from fmus.identification.procedures import valve
 from fmus.identification.procedures.hoses import HOSE_DYNAMICS, HOSE_RESISTANCE
+from fmus.identification.recordings.reading import take
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
@@ -41,15 +42,9 @@ def result_of(name, change=None):
     return procedure.identify([change(r) if change else r for r in recordings()], bench.KNOWN)
 
 
-def rows(r, kept):
-    """Some rows of a recording."""
-    return replace(with_signals(r, lambda _, x: x[kept]), time=r.time[kept])
-
-
 def gaps(r):
     """One sample in a hundred is missing, independently for each sensor."""
     random = np.random.default_rng(1)
-
     lost = {n: random.random(r.time.size) < 0.01 for n in r.signals if n != "command"}
     return bench.changed(r, {n: np.where(where, np.nan, r[n]) for n, where in lost.items()})
 
@@ -61,11 +56,11 @@ def offset(r, zero=0.5 * bench.BAR):
 
 CHANGES = {
     "gaps": gaps,
-    "lost rows": lambda r: rows(r, np.random.default_rng(2).random(r.time.size) > 0.01),  # one in a hundred
+    "lost rows": lambda r: take(r, np.random.default_rng(2).random(r.time.size) > 0.01),  # one in a hundred
     "undescribed sensors": lambda r: replace(r, sensors={}),
     "undescribed dead zone": lambda r: bench.with_sensors(r, dead_zone=0.0),
     "offset": offset,
-    "50 Hz": lambda r: rows(r, slice(None, None, 4)),
+    "50 Hz": lambda r: take(r, slice(None, None, 4)),
 }
 
 
@@ -143,8 +138,8 @@ IMPOSSIBLE = {
     "one sign": lambda r: with_signals(r, lambda n, x: np.abs(x) if n == "command" else x),
     "clipped": lambda r: with_signals(r, lambda n, x: np.minimum(x, 1e6) if n == "pressure_in" else x),
     "flow in Pa": lambda r: replace(r, units={**r.units, "flow": "Pa"}),
-    "0.5 s": lambda r: rows(r, slice(0, 100)),
-    "0.3 s": lambda r: rows(r, slice(0, 60)),
+    "0.5 s": lambda r: take(r, slice(0, 100)),
+    "0.3 s": lambda r: take(r, slice(0, 60)),
 }
 
 

@@ -6,6 +6,7 @@ from equations import transcription
 from identification.procedures.bench import BAR, recorded
 from identification.procedures.lumped_machine import ENCODER, KNOWN, PRESSURE, V, gravity
 from kit import shards
+from kit.equations import piston_areas
 
 from fmus.identification.machine import nominal
 from fmus.identification.procedures.weighing import SIGNALS, identify
@@ -16,8 +17,9 @@ from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem
 
 STICK = -1.2  # rad
+AREAS = piston_areas(V, "boom")  # m2
+MACHINE = transcription.Machine(transcription.numbers())
 HEAD, ROD = "boom_stick.boom_head_pressure", "boom_stick.boom_rod_pressure"
-AREAS = np.pi / 4 * V["boom_bore"] ** 2, np.pi / 4 * (V["boom_bore"] ** 2 - V["boom_rod"] ** 2)  # m2
 
 
 def cylinder(boom):
@@ -27,11 +29,6 @@ def cylinder(boom):
     return (base.conjugate() * (rod - base)).imag / np.abs(rod - base)
 
 
-def inertia(held):
-    """Moment of inertia of the arm about the boom's pivot [kg.m2], the stick held."""
-    return transcription.arm(transcription.Machine(transcription.numbers()), 0.0, STICK, 0, 0, 0, held)[1]
-
-
 def recording(held, seed, name="loaded", zero=0.0, up_only=False, dry=2500.0, viscous=4e4):
     """The boom moves slowly to and fro: F J = G + I q'' + friction."""
     time = np.arange(6001) / 200
@@ -39,7 +36,9 @@ def recording(held, seed, name="loaded", zero=0.0, up_only=False, dry=2500.0, vi
     boom = 0.2 + (0.002 * time if up_only else 0.08 * np.sin(phase))
     rate = np.gradient(boom, time, edge_order=2)
     arm = cylinder(boom)
-    joint = inertia(held) * np.gradient(rate, time, edge_order=2) + V["boom_joint_damping"] * rate
+    # about the boom's pivot, the stick held
+    inertia = transcription.arm(MACHINE, 0.0, STICK, 0, 0, 0, held)[1]
+    joint = inertia * np.gradient(rate, time, edge_order=2) + V["boom_joint_damping"] * rate
     piston = dry * np.tanh(arm * rate / 1e-4) + viscous * arm * rate
     force = (gravity(boom, STICK, held)[0] + joint) / arm + piston
     rod = 2e6 + 1e5 * np.cos(phase)  # Pa, whatever the meter-out edge makes of it

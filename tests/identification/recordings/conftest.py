@@ -14,6 +14,15 @@ GAUGE = Sensor("gauge", noise=0.1, resolution=400 / 4096, low=0.0, high=400.0)
 META = Path(__file__).with_name("valve.toml").read_text(encoding="utf-8")
 
 
+def edit(file: Path, *changes: tuple[str, str]) -> None:
+    """Change a description, each text once."""
+    text = file.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    file.write_text(text, encoding="utf-8")
+
+
 def rounded(values, resolution):
     """Values of a converter."""
     return np.round(values / resolution) * resolution

@@ -5,12 +5,11 @@ import re
 import h5py
 import numpy as np
 import pandas as pd
-import pytest
 import scipy.io
+from identification.recordings.conftest import edit
 from kit.mistakes import problem, table
 
 from fmus.identification.recordings.reading import read, read_folder
-from orchestrator.base.errors import Problem
 
 
 def refused(path, *parts):
@@ -34,7 +33,7 @@ def test_bad_line_of_a_csv_is_named(csv, line, told):
 @table(__file__, "texts", "old, new, told")
 def test_bad_text_of_a_csv_is_named(csv, old, new, told):
     """Wrong names, a quotation mark without an end."""
-    csv.write_text(csv.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    edit(csv, (old, new))
     refused(csv, "a.csv", told)
 
 
@@ -51,10 +50,7 @@ def test_bad_content_of_a_csv_is_named(csv):
 @table(__file__, "descriptions", "old, new, told")
 def test_bad_description_is_named_with_what_is_known(csv, old, new, told):
     """A misspelt key and a wrong value are refused with the allowed keys or values."""
-    meta = csv.with_suffix(".toml")
-    text = meta.read_text(encoding="utf-8")
-    assert old in text
-    meta.write_text(text.replace(old, new, 1), encoding="utf-8")
+    edit(csv.with_suffix(".toml"), (old, new))
     refused(csv, "a.", told)
 
 
@@ -105,8 +101,7 @@ def test_files_that_are_not_there(csv):
     refused(csv.with_suffix(".toml"), "one data file a.csv, .parquet or .mat, got a.csv, a.mat")
     csv.with_suffix(".toml").unlink()
     assert np.isnan(read(csv)["P1"]).any()  # all columns are signals
-    with pytest.raises(Problem, match=r"\.toml files with a table \[experiment\], got none, only a\.csv"):
-        read_folder(csv.parent)
+    problem(lambda: read_folder(csv.parent), r"\.toml files with a table .experiment., got none, only a.csv")
     for number in range(17):
         csv.with_name(f"b{number:02}.csv").touch()
     problem(lambda: read_folder(csv.parent), "got none, only a.csv, a.mat, b00.csv and 16 more")

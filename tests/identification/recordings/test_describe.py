@@ -7,6 +7,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from identification.recordings.conftest import edit
+from kit.mistakes import problem
 
 from fmus.identification.recordings.describe import SENSORS, describe
 from fmus.identification.recordings.reading import read
@@ -35,15 +37,10 @@ def log(tmp_path):
 
 def filled_in(file, **units):
     """As a user does it: the lines of all signals without a mark, units in place of "?"."""
-    lines = file.read_text(encoding="utf-8").splitlines()
-    lines = [line.removeprefix("# ") if line.startswith('# "') else line for line in lines]
-    lines = [line for line in lines if '"NAME"' not in line]
+    text = re.sub('^# (?=")|.*"NAME".*', "", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
     for column, unit in units.items():
-        lines = [
-            line.replace('unit = "?"', f'unit = "{unit}"') if f'"{column}"' in line else line
-            for line in lines
-        ]
-    file.write_text("\n".join(lines), encoding="utf-8")
+        text = re.sub(rf'("{column}".*unit = )"\?"', rf'\1"{unit}"', text)
+    file.write_text(text, encoding="utf-8")
 
 
 def test_the_file_is_read_after_the_names_are_filled_in(log):
@@ -71,25 +68,17 @@ def test_the_file_is_read_after_the_names_are_filled_in(log):
 def test_what_remains_a_comment_is_left_out(log):
     """Some names are enough; without any, one line says what is missing."""
     describe(log)
-    with pytest.raises(Problem, match=r"a\.toml: expected at least one table \[signals\.NAME\], got none"):
-        read_recording(log)
-    text = log.with_suffix(".toml").read_text(encoding="utf-8")
-    log.with_suffix(".toml").write_text(
-        text.replace('# "boom_stick.boom_rod', '"boom_stick.boom_rod'), encoding="utf-8"
-    )
+    problem(lambda: read_recording(log), r"a\.toml: expected at least one table \[signals\.NAME\], got none")
+    edit(log.with_suffix(".toml"), ('# "boom_stick.boom_rod', '"boom_stick.boom_rod'))
     assert [*read_recording(log)] == ["boom_stick.boom_rod_pressure"]
 
 
 def test_a_column_with_the_name_of_a_signal_is_described_at_once(tmp_path):
     """In any letter case, with or without the part, if the unit of the file is one of the signal."""
-    header, rows = (
-        "time,BOOM_COMMAND,swing.supply_pressure\n",
-        "".join(f"{k / 50},{k % 7},{k % 5}\n" for k in K),
-    )
-    (tmp_path / "a.csv").write_text(header + rows, encoding="utf-8")
+    data = {"time": K / 50, "BOOM_COMMAND": K % 7, "swing.supply_pressure": K % 5}
+    pd.DataFrame(data).to_csv(tmp_path / "a.csv", index=False)
     describe(tmp_path / "a.csv")  # without units it cannot know
-    with pytest.raises(Problem, match="expected at least one table"):
-        read_recording(tmp_path / "a.csv")
+    problem(lambda: read_recording(tmp_path / "a.csv"), "expected at least one table")
     fields = {"time": "s", "BOOM_COMMAND": "V", "swing.supply_pressure": "bar", "boom_angle": "Pa"}
     table = pa.table({name: K / 50 for name in fields})
     units = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in fields.items()]
@@ -209,8 +198,7 @@ def test_a_mistake_is_one_line_and_nothing_is_overwritten(name, log):
     (folder / "b.csv").write_text("x,y\n1,2\n1,3\n0,1\n", encoding="utf-8")
     (data, *rest), message = MISTAKES[name]
     arguments = [folder / rest[0] if rest and rest[0] else None, *rest[1:]]
-    with pytest.raises(Problem, match=message):
-        describe(folder / data, *arguments)
+    problem(lambda: describe(folder / data, *arguments), message)
     assert old.read_text(encoding="utf-8") == "mine = 1\n"
     describe(log, force=True)
     assert old.read_text(encoding="utf-8") != "mine = 1\n"

@@ -41,9 +41,8 @@ def test_the_table_of_experiments_is_that_of_the_code():
         assert all(name in rows[procedure] for name in conditions if name not in same)
         if procedure not in MACHINE_SIGNALS:
             assert all(f"`{name}`" in rows[procedure] for name in PROCEDURES[procedure].signals)
-    before, _, after = TEXT.partition(
-        "### Limits of the work cycle"
-    )  # of the machine's outputs, no experiment
+    # limits are of the machine's outputs, no experiment
+    before, _, after = TEXT.partition("### Limits of the work cycle")
     text = before + after.partition("\n## ")[2]
     mentioned = set(re.findall(r"`((?:swing|boom_stick|manipulator)\.\w+)`", text)) - {
         "manipulator.boom_angel"

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.io
-from kit.mistakes import table
+from identification.recordings.conftest import META, edit
+from kit.mistakes import problem, table
 
 from fmus.identification.recordings import reading
 from orchestrator.base.errors import Problem
@@ -55,7 +56,9 @@ def test_values_are_si_and_the_description_is_complete(csv, columns):
     assert found.numeric_condition("length") == pytest.approx(4 * 0.3048, rel=1e-14, abs=0)
     sensor = found.sensor("pressure_in")
     assert (sensor.noise, sensor.resolution, sensor.low, sensor.high) == pytest.approx((1e4, 2e4, 1e5, 401e5))
+    assert (sensor.zero_error, sensor.delay_error) == pytest.approx((5e4, 0.1))
     assert found.sensor("flow").dead_zone == pytest.approx(10 / 6e4)
+    assert found.sensor("flow").zero_error is None  # exact in the joint refinement
     assert "command" not in found.sensors
 
 
@@ -73,19 +76,15 @@ def test_every_kind_of_file_gives_the_same_recording(csv, columns, kind):
 def test_columns_of_matlab_structs_and_matrices(csv, columns):
     """A column may be a field of a struct or a column of a matrix, in both versions of MATLAB files."""
     expected = reading.read(csv)
-    meta = csv.with_suffix(".toml")
-    text = meta.read_text(encoding="utf-8")
     changes = {'"t"': '"run.clock.t"', '"U"': '"run.U"', '"P1"': '"data(:,2)"', '"Q"': '"data(:,1)"'}
-    for old, new in changes.items():
-        text = text.replace(old, new)
-    meta.write_text(text, encoding="utf-8")
     matrix = np.stack([columns["Q"], columns["P1"]], axis=1)
     old, new = csv.with_name("old.mat"), csv.with_name("new.mat")
     scipy.io.savemat(old, {"run": {"U": columns["U"], "clock": {"t": columns["t"]}}, "data": matrix})
     with h5py.File(new, "w") as file:
         file["run/U"], file["run/clock/t"], file["data"] = columns["U"][None], columns["t"][None], matrix.T
     for path in (old, new):
-        path.with_suffix(".toml").write_text(text, encoding="utf-8")
+        path.with_suffix(".toml").write_text(META, encoding="utf-8")
+        edit(path.with_suffix(".toml"), *changes.items())
         same(reading.read(path), replace(expected, title=path.stem))
 
 
@@ -94,9 +93,8 @@ def test_logger_with_semicolons_and_commas(csv):
     expected = reading.read(csv)
     plain = csv.read_text(encoding="utf-8").replace(",", ";").replace(".", ",")
     csv.write_text(f"\ufeffLogger 7\n\n{plain}\n", encoding="utf-8")
-    meta = csv.with_suffix(".toml")
     how = '[file]\ndelimiter = ";"\ndecimal = ","\nskip_lines = 2\n'
-    meta.write_text(how + meta.read_text(encoding="utf-8"), encoding="utf-8")
+    csv.with_suffix(".toml").write_text(how + META, encoding="utf-8")
     same(reading.read(csv), expected)
 
 
@@ -113,10 +111,8 @@ def test_what_loggers_write_for_no_sample_is_a_gap(csv):
 
 def test_a_condition_is_a_table_or_a_text_with_a_unit(csv):
     """The text "870 kg/m3" is what { value = 870, unit = "kg/m3" } is; a text without a unit stays one."""
-    meta = csv.with_suffix(".toml")
-    text = meta.read_text(encoding="utf-8")
     stated = 'density = "0.87 g/cm3"\nviscosity = { value = 20, unit = "mPa.s" }\nnote = "70 in winter"'
-    meta.write_text(text.replace("[experiment]", f"[experiment]\n{stated}"), encoding="utf-8")
+    edit(csv.with_suffix(".toml"), ("[experiment]", f"[experiment]\n{stated}"))
     read = reading.read(csv)
     assert read.numeric_condition("density") == pytest.approx(870.0, rel=1e-12)
     assert read.numeric_condition("viscosity") == pytest.approx(0.02, rel=1e-12)
@@ -125,18 +121,15 @@ def test_a_condition_is_a_table_or_a_text_with_a_unit(csv):
 
 def test_only_the_part_between_start_and_stop(csv):
     """start and stop of [time] apply to the time after unit and offset."""
-    meta = csv.with_suffix(".toml")
-    text = meta.read_text(encoding="utf-8")
-    meta.write_text(text.replace("[time]", "[time]\nstart = -1.45\nstop = -1.4"), encoding="utf-8")
+    edit(csv.with_suffix(".toml"), ("[time]", "[time]\nstart = -1.45\nstop = -1.4"))
     # 0.05 s at 200 Hz, both ends
     assert len(reading.read(csv).time) == 11
 
 
 def test_folder_has_its_experiments_only(csv):
     """In the order of their names; other data are reported with the reason, and are no experiment."""
-    text = csv.with_suffix(".toml").read_text(encoding="utf-8")
-    plain = text[text.index("[time]") :]
-    for name, meta in {"b": text.replace('"valve"', '"machine"'), "trace": plain}.items():
+    plain = META[META.index("[time]") :]
+    for name, meta in {"b": META.replace('"valve"', '"machine"'), "trace": plain}.items():
         csv.with_name(f"{name}.csv").write_bytes(csv.read_bytes())
         csv.with_name(f"{name}.toml").write_text(meta, encoding="utf-8")
     found = reading.read_folder(csv.parent)
@@ -228,10 +221,7 @@ def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
     """A message of one line for each error of the file or the call."""
     path = tmp_path / "plain.txt"
     path.write_text("1 2\n3 4\n5 x\n", encoding="utf-8")
-    with pytest.raises(Problem) as caught:
-        reading.read_series(path, columns, **options)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert message in problem(lambda: reading.read_series(path, columns, **options))
 
 
 @pytest.mark.parametrize(

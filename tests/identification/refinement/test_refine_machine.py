@@ -10,7 +10,6 @@ from identification.procedures.lumped_machine import ENCODER, PRESSURE
 from kit import shards
 from kit.mistakes import problem as problem_of
 
-from fmus.contract import quantities
 from fmus.identification import machine
 from fmus.identification.machine import FREE, nominal, parameter_names, signal_names
 from fmus.identification.refinement.compiled_model import CompiledModel
@@ -150,12 +149,3 @@ def test_insufficient_recordings_are_refused() -> None:
         (replace(read, signals=less), "expected the signal boom_stick.boom_command"),
     ):
         assert message in problem_of(lambda wrong=wrong: machine.problem([wrong], nominal()))
-
-
-def test_signals_are_those_of_the_parts() -> None:
-    """Each measured output and input of the one block has its name by component."""
-    names = signal_names()
-    assert names["supply_pressure"] == "swing.supply_pressure"
-    assert names["boom_head_pressure"] == "boom_stick.boom_head_pressure"
-    assert names["swing_angle"] == "manipulator.swing_angle"
-    assert set(quantities(HARVESTER.inputs)) <= set(names)

@@ -1,15 +1,14 @@
 """Sensitivities with respect to the points of opening curves, in the variants of a drive that have them."""
 
-import dataclasses
-
 import numpy as np
 import pytest
+from equations.test_opening_curve import numbers_of
+from kit.equations import EDGES
 
 from fmus import swing
 from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.parameters import values
 
-POINTS = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10.0, 1.0))
 OUTPUTS = ("swing_pressure_a", "swing_torque", "supply_flow")
 FREE = (
     *("valve_area", "valve_pa_opening_3", "valve_pa_opening_4", "valve_pa_command_3"),
@@ -17,23 +16,13 @@ FREE = (
 )
 
 
-def with_tables(sub):
-    """The values of a drive with a table in each edge."""
-    v = values(sub)
-    points = {
-        f"valve_{edge}_{what}_{i}": x
-        for edge in ("pa", "at", "pb", "bt")
-        for i, point in enumerate(POINTS, 1)
-        for what, x in zip(("command", "opening"), point, strict=True)
-    }
-    return dataclasses.replace(v, p={**v.p, **points})
-
-
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
 def test_derivatives_by_points_are_those_of_differences(variant):
     """A command that sweeps the first four points of P-A and B-T, at a speed that follows it."""
     sub = swing.VARIANTS[variant]
-    numbers = with_tables(sub)
+    numbers = values(sub)
+    for edge in EDGES:
+        numbers.p.update(numbers_of(edge))
     model = CompiledModel(sub, OUTPUTS, FREE, numbers, tolerance=1e-9)
     time = np.linspace(0.0, 0.4, 41)
     rows = np.tile([numbers.u[name] for name in model.inputs], (time.size, 1))

@@ -15,7 +15,6 @@ from fmus.identification.machine import nominal
 from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.problem import FreeParameter, RecordingMap
 from fmus.identification.refinement.refine import compiled, refine
-from orchestrator.data.recording import Sensor, read_recording
 
 BOOM = "manipulator.boom_angle"
 OFF, DECLARED = np.radians(2.0), np.radians(3.0)
@@ -87,15 +86,3 @@ def test_a_held_out_run_begins_at_the_corrected_position() -> None:
     error = found.held_out[0].error[:, 0]
     # noise of the sensor, and that of the first sample, from which the run begins
     assert np.sqrt(np.nanmean(error**2)) < 2 / found.problem.held_out[0].weight.max()
-
-
-def test_the_description_declares_the_zero_error_in_its_unit(tmp_path) -> None:
-    """`zero_error` becomes SI; a sensor without it is exact in the joint refinement."""
-    (tmp_path / "m.csv").write_text("time,a,b\n0,0,0\n1,1,1\n", encoding="utf-8")
-    (tmp_path / "m.toml").write_text(
-        '[signals.a]\nunit = "deg"\nzero_error = 2\n[signals.b]\nunit = "deg"\nresolution = 0.1\n',
-        encoding="utf-8",
-    )
-    read = read_recording(tmp_path / "m.csv")
-    assert read.sensor("a") == Sensor(zero_error=pytest.approx(np.radians(2)))
-    assert read.sensor("b").zero_error is None

@@ -11,12 +11,7 @@ from scipy.signal import lfilter
 from fmus.identification.recordings.masks import noise
 from fmus.identification.refinement import statistics
 from fmus.identification.refinement.problem import FreeParameter, moves_at_start, smoothed
-from fmus.identification.refinement.refine import (
-    RefinementResult,
-    compiled,
-    cut_into_segments,
-    refine,
-)
+from fmus.identification.refinement.refine import RefinementResult, compiled, cut_into_segments, refine
 from fmus.identification.refinement.shooting import CondensedRun, correlation_time
 from fmus.identification.results import coverage_factor
 
