@@ -1,5 +1,6 @@
 """Unit strings mean what the SI says; other units are converted, or refused by name."""
 
+import math
 import tomllib
 from pathlib import Path
 
@@ -19,6 +20,16 @@ def test_unit_has_the_base_units_of_the_si(unit, base):
     """Each unit of the models is a product of base units with factor one."""
     assert units.parse_unit(unit).base() == base
     assert units.parse_unit(unit).factor == 1.0
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [("bar", 1e5), ("L/min", 1e-3 / 60), ("deg", math.pi / 180), ("kN", 1e3), ("mm2", 1e-6)],
+)
+def test_other_units_have_their_factor(unit, factor):
+    """A unit that is not SI carries its factor to SI."""
+    # the same few multiplications in another order: a few rounding errors
+    assert units.parse_unit(unit).factor == pytest.approx(factor, rel=1e-15)
 
 
 def test_display_units_have_the_dimension_of_their_unit():
