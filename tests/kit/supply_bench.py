@@ -46,6 +46,13 @@ class Bench(Part):
         """The state at the start."""
         return self.model.initial()([0.0] * len(self.states), self.row(), p).full()[:, 0]
 
+    def state(
+        self, pressures: Sequence[float], strokes: Sequence[float] = (0.0, 0.0), **named: float
+    ) -> list[float]:
+        """States in order: the named ones, the others from these pools, as many as there are."""
+        pools = {"pressure": iter(pressures), "stroke": iter(strokes)}
+        return [named[n] if n in named else next(pools[n.rpartition("_")[2]]) for n in self.states]
+
     def rates(self, x: Sequence[float], u: list[float], p: list[float]) -> dict[str, float]:
         """Time derivatives of the states by name."""
         return dict(zip(self.states, self.function(x, u, p)[0].full()[:, 0], strict=True))

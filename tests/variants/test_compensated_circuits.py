@@ -117,27 +117,6 @@ def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_
     assert np.array(drops) / droop == pytest.approx(np.full(2, shared), rel=5e-3)
 
 
-@pytest.mark.parametrize("command", [0.0, 10.0, -10.0])
-def test_without_supply_the_head_sinks_by_the_leakage_of_its_valve(fmus, command):
-    """Supply at the pressure of the tank, lever anywhere: A x' = -G (P_C - P_V), 0.2 um in a second."""
-    time, position = 60.0, 0.3
-    start = {"boom_holding_force": 8e4, "boom_position": position, "supply_pressure": 0.0}
-    with driving(fmus["boom_stick"], **start) as fmu:
-        (load,) = fmu.get("boom_head_pressure")
-        lost, moved, step = 0.0, 0.0, 1e-2
-        for k in range(round(time / step)):
-            pressure, hose, flow = fmu.get("boom_head_pressure", "boom_head_valve_pressure", "boom_head_flow")
-            velocity = (flow + 1e-10 * (pressure - load)) / HEAD  # the load keeps its pressure
-            fmu.set(boom_velocity=velocity, boom_command=command * min(1.0, k * step))
-            fmu.step(step)
-            moved += step * velocity
-            lost += step * P["counterbalance_leakage"] * (pressure - hose)
-    # the bar; what the load lacks of its pressure, G P_C/1e-10, is 5e-4 of the oil that leaks
-    assert moved == pytest.approx(-lost / HEAD, rel=5e-3)
-    if command <= 0.0:  # the hose is drained: the leakage is that at the pressure of the load
-        assert lost == pytest.approx(P["counterbalance_leakage"] * load * time, rel=5e-3)
-
-
 def test_crossover_reliefs_limit_the_torque(fmus):
     """The locked motor turned from outside: P_b - P_a = P_r + w/2 + Q/g with the flow that leaks nowhere."""
     speed = 0.4

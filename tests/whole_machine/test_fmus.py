@@ -1,8 +1,7 @@
-"""What every FMU of the machine must do: CS = ME, equations, derivatives, clear errors."""
+"""What every FMU of the machine must do: equations, derivatives, clear errors."""
 
 import zipfile
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
@@ -19,21 +18,6 @@ from fmus.parameters import values
 from orchestrator import load
 
 NAMES = tuple(FERIC.subsystems)
-STOP = 4.0  # s
-
-
-def staircase(name: str) -> np.ndarray:
-    """Steps of commands, forces and swing speed at 0.2, 1.2, 2.0 and 3.0 s, as FMPy wants them."""
-    start = values(FERIC.subsystems[name]).u
-    levels = np.array([0.0, 1.0, 0.0, -1.0, 0.0])
-    pushed = {"swing_speed": 0.3, "swing_torque": 1e4, "boom_force": 2e3}
-    height = {n: pushed.get(n, 4.0) for n in start if n in pushed or n.endswith("command")}
-    corners = [0.0, *np.repeat([0.2, 1.2, 2.0, 3.0], 2), STOP]
-    table = np.zeros(len(corners), dtype=[("time", float), *((n, float) for n in height)])
-    table["time"] = corners
-    for n, h in height.items():
-        table[n] = start[n] + h * np.repeat(levels, 2)
-    return table
 
 
 def test_only_derivatives_of_states_say_so_in_fmi_2(fmu_dir):
@@ -53,26 +37,6 @@ def test_only_derivatives_of_states_say_so_in_fmi_2(fmu_dir):
         if declared:
             (component,) = load(path).components.values()
             assert component.interface.rate_inputs == declared
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_fmpy_runs_co_simulation_and_model_exchange_alike(fmu_dir, name):
-    """simulate_fmu: CS with the FMU's own solver and ME with CVode agree to 1e-4 of range on every output.
-
-    The inputs are staircases, because FMPy holds inputs between output points, in ME too.
-    """
-    step = 5e-3
-    common = {"filename": str(fmu_dir / f"{name}.fmu"), "stop_time": STOP, "output_interval": step}
-    cs = fmpy.simulate_fmu(fmi_type="CoSimulation", input=staircase(name), **common)
-    cvode = {"fmi_type": "ModelExchange", "solver": "CVode", "relative_tolerance": 1e-8}
-    me = fmpy.simulate_fmu(input=staircase(name), **cvode, **common)
-    last = np.searchsorted(me["time"], cs["time"] + step / 2) - 1  # ME has two rows at a step
-    jump = np.isin(np.round(cs["time"], 9), [0.2, 1.2, 2.0, 3.0])  # CS recorded these before the step
-    for output in cs.dtype.names[1:]:
-        spread = np.ptp(me[output])
-        deviation = np.max(np.abs(cs[output] - me[output][last])[~jump])
-        # the bar of the issue; solvers 1e-6 and 1e-8 per step; a void of 1e-12 m3 is no signal
-        assert deviation <= 1e-4 * spread + 1e-12, f"{output}: {deviation / spread:.2g} of range"
 
 
 def moved(name: str, rng: np.random.Generator) -> dict[str, float]:

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 from kit import shards
-from kit.any_fmu.outcome import OPENERS
 from kit.mistakes import table
 from machine import solve  # of the example, see conftest.py
 
@@ -63,15 +62,6 @@ def test_a_scenario_and_fmi_3_are_as_accurate_as_the_levers(system, fmi3_dir):
     # measured 1.2e-5 of both
     assert worst(driven, "speed") < 2e-5
     assert worst(led, "speed") < 2e-5
-
-
-def test_both_ways_to_call_fmus_give_the_same_bits(system):
-    """300 steps of the moving machine, with a component that takes steps of its own."""
-    coupling = Coupling(MASTER, factors={"swing": 2})
-    options = {"master": coupling, "step": 2e-3, "start": 1.2, "stop": 1.8}
-    fast, slow = (run(system, **options, open=OPENERS[in_c]).trace for in_c in (True, False))
-    for name, values in slow.signals.items():
-        np.testing.assert_array_equal(fast[name], values)
 
 
 def test_the_fastest_component_steps_first(system, monkeypatch):

@@ -38,13 +38,8 @@ from orchestrator.studies.study import Choice, Factor, Output, Study
 # the parameters that pages, examples and studies set most often; boom_stroke is shared by two components
 MOST_USED = (
     *("manipulator.head_mass", "supply.pressure_setting", "swing.motor_displacement", "swing.valve_area"),
-    *(
-        "boom_stick.valve_area",
-        "swing.valve_dead_band",
-        "boom_stick.boom_bore",
-        "boom_stick.boom_hose_length",
-    ),
-    *("boom_stick.bulk_modulus", "boom_stroke"),
+    *(f"boom_stick.{name}" for name in ("valve_area", "boom_bore", "boom_hose_length", "bulk_modulus")),
+    *("swing.valve_dead_band", "boom_stroke"),
 )
 COLUMNS = [
     (name, column)
