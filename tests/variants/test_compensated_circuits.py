@@ -9,23 +9,21 @@ import math
 import numpy as np
 import pytest
 from kit.equations import SUPPLY, piston_areas
+from kit.every import native
 from kit.fmu import driving
 
-from fmus.export.build import build
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
 
-BOOM_STICK, SWING = (FAMILIES[part]["compensated"] for part in ("boom_stick", "swing"))
-P, S = values(BOOM_STICK).p, values(SWING).p
+P, S = (values(FAMILIES[part]["compensated"]).p for part in ("boom_stick", "swing"))
 STEP = 1e-3  # s
 HEAD = piston_areas(P, "boom")[0]
 
 
 @pytest.fixture(scope="module")
-def fmus(tmp_path_factory):
+def fmus(fmu_dir):
     """Both FMUs by part."""
-    folder = tmp_path_factory.mktemp("compensated")
-    return {sub.part: build(sub, folder) for sub in (BOOM_STICK, SWING)}
+    return {part: native(f"{part}_compensated", fmu_dir) for part in ("boom_stick", "swing")}
 
 
 def opening(command):

@@ -16,15 +16,10 @@ from orchestrator.ssp.power_bonds import find_bonds
 STOP = 6.0  # s of the work cycle: lift, swing and stick overlap
 
 
-@pytest.fixture(scope="module")
-def reference():
+@cache
+def reference(variant):
     """Outputs over time of the machine on a supply as one ODE."""
-
-    @cache
-    def of(variant):
-        return played(machine(supply=variant), *work_cycle(STOP), tolerance=1e-8)
-
-    return of
+    return played(machine(supply=variant), *work_cycle(STOP), tolerance=1e-8)
 
 
 def test_both_drives_have_their_bonds(system):
@@ -38,7 +33,7 @@ def test_both_drives_have_their_bonds(system):
 
 # each pair of a master, a cut and a supply once
 @table(__file__, "runs", "variant, cut, master")
-def test_co_simulation_at_1_ms_agrees_with_the_monolith(system, reference, master, cut, variant):
+def test_co_simulation_at_1_ms_agrees_with_the_monolith(system, master, cut, variant):
     """Speeds to 2e-4 or 5e-4 and supply pressure to 1e-3 of range, with that rate port or without."""
     true = reference(variant)
     wires = system.without(*(f"*.{name}" for name in cut)) if cut else system
@@ -53,7 +48,7 @@ def test_co_simulation_at_1_ms_agrees_with_the_monolith(system, reference, maste
         assert np.sqrt(np.mean(error**2)) < limit * np.ptp(true[name]), name
 
 
-def test_work_cycle_makes_the_pressure_sag(reference):
+def test_work_cycle_makes_the_pressure_sag():
     """Functions at once: less sag than the compensators' band, engine above its rated speed, no relief."""
     true = reference("engine_pump")
     pressure = true["supply.supply_pressure"]

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from kit import mistakes
+from kit.equations import Part
 from kit.fmu import driving
 from lxml import etree
 
-from fmus.contract import quantities, symbolic
+from fmus.contract import quantities
 from fmus.machine.build import data
 from fmus.machine.parts import FERIC
 from fmus.machine.reference import work_cycle
 from fmus.machine.tables import variant_names
-from fmus.parameters import values
 from orchestrator import load
 
 NAMES = tuple(FERIC.subsystems)
@@ -39,32 +39,25 @@ def test_only_derivatives_of_states_say_so_in_fmi_2(fmu_dir):
             assert component.interface.rate_inputs == declared
 
 
-def moved(name: str, rng: np.random.Generator) -> dict[str, float]:
-    """Every input but the positions, anywhere within a third of its nominal value."""
-    sub = FERIC.subsystems[name]
-    free = {n: q.nominal for n, q in quantities(sub.inputs).items() if not n.endswith("position")}
-    start = values(sub).u | {"payload_mass": 200.0}
-    return {n: start[n] + 0.3 * size * rng.uniform(-1, 1) for n, size in free.items()}
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_compiled_equations_equal_the_python_equations(fmu_dir, name):
     """Derivatives and outputs through the ME interface are those of dynamics() and observe()."""
-    sub = FERIC.subsystems[name]
-    v, model = values(sub), symbolic(sub).function()
-    states, rng = list(quantities(sub.states)), np.random.default_rng(3)
+    part, rng = Part(FERIC.subsystems[name]), np.random.default_rng(3)
+    # every input but the positions, anywhere within a third of its nominal value
+    free = {n: q.nominal for n, q in quantities(part.sub.inputs).items() if not n.endswith("position")}
+    start = part.u | {n: 200.0 for n in part.u if n == "payload_mass"}
     with driving(fmu_dir / f"{name}.fmu", "me") as fmu:
-        x0 = fmu.get(*states)
+        x0 = fmu.get(*part.states)
         for _ in range(20):
             x = x0 * (1 + 0.05 * rng.standard_normal(x0.size)) + 1e-4 * rng.standard_normal(x0.size)
-            u = v.u | moved(name, rng)
+            u = start | {n: start[n] + 0.3 * size * rng.uniform(-1, 1) for n, size in free.items()}
             fmu.set(**u)
             fmu.set_continuous_states(*x)
-            dx, y = (part.full()[:, 0] for part in model(x, list(u.values()), list(v.p.values())))
-            found = fmu.get(*(f"der_{n}" for n in states)), fmu.get(*quantities(sub.outputs))
+            dx, y = part(x, **u)
             # the same operations in another order; differences of pressures lose up to six digits
-            assert np.allclose(found[0], dx, rtol=1e-9, atol=1e-9 * np.abs(dx).max())
-            assert np.allclose(found[1], y, rtol=1e-9, atol=1e-9)
+            atol = 1e-9 * np.abs(dx).max()
+            assert np.allclose(fmu.get(*(f"der_{n}" for n in part.states)), dx, rtol=1e-9, atol=atol)
+            assert np.allclose(fmu.get(*part.outputs), [*y.values()], rtol=1e-9, atol=1e-9)
 
 
 @mistakes.table(__file__, "impossible", "name, start, message")
