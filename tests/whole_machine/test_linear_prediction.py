@@ -84,12 +84,6 @@ def test_the_fastest_component_steps_first(system, monkeypatch):
 KAPPA0 = 0.4543455896
 
 
-@pytest.fixture
-def benchmark(manipulator_systems):
-    """The example with rate ports."""
-    return manipulator_systems["rates"]
-
-
 @cache
 def manoeuvre(ramp: float) -> tuple[Trace, np.ndarray]:
     """M1 with ramps of this length [s], and the truth every 10 ms."""
@@ -99,9 +93,9 @@ def manoeuvre(ramp: float) -> tuple[Trace, np.ndarray]:
 
 
 @table(__file__, "ramps", "ramp, step, limit")
-def test_benchmark_is_stable_at_large_steps(benchmark, ramp, step, limit):
+def test_benchmark_is_stable_at_large_steps(manipulator_systems, ramp, step, limit):
     """Ramps of 0.2 s: micrometres at 100 ms, where the authors' schemes stop at 40 ms."""
     given, truth = manoeuvre(ramp)
-    trace = run(benchmark, given, master=MASTER, step=step, stop=10.0).trace
+    trace = run(manipulator_systems["rates"], given, master=MASTER, step=step, stop=10.0).trace
     every = round(step / 1e-2)
     assert np.max(np.abs(trace["arm.s1"] - truth[::every])) < limit
