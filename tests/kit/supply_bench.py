@@ -38,13 +38,16 @@ class Bench(Part):
         """The inputs in order; those that are not given are zero."""
         return [inputs.get(name, 0.0) for name in self.inputs]
 
-    def drawing(self, flow: float, load: float = 0.0) -> list[float]:
-        """Inputs: swing takes a flow and gives it back, at a load pressure."""
-        return self.row(supply_flow_swing=flow, return_flow_swing=flow, swing_load_pressure=load)
-
     def rest(self, p: list[float]) -> np.ndarray:
         """The state at the start."""
         return self.model.initial()([0.0] * len(self.states), self.row(), p).full()[:, 0]
+
+    def state(
+        self, pressures: Sequence[float], strokes: Sequence[float] = (0.0, 0.0), **named: float
+    ) -> list[float]:
+        """States in order: the named ones, the others from these pools, as many as there are."""
+        pools = {"pressure": iter(pressures), "stroke": iter(strokes)}
+        return [named[n] if n in named else next(pools[n.rpartition("_")[2]]) for n in self.states]
 
     def rates(self, x: Sequence[float], u: list[float], p: list[float]) -> dict[str, float]:
         """Time derivatives of the states by name."""
@@ -77,12 +80,12 @@ class Bench(Part):
         return ca.Function("j", [m.x, m.u, m.p], [m.dx, m.y, ca.jacobian(m.dx, m.x)])
 
     def taken(self, load: Load, pressure: float) -> list[float]:
-        """Inputs while the load takes oil at a supply pressure."""
+        """Inputs while swing takes oil at a supply pressure, against its load, and gives it back."""
         flow = float(orifice(load.gain, pressure - load.pressure))
-        return self.drawing(flow, load.pressure)
+        return self.row(supply_flow_swing=flow, return_flow_swing=flow, swing_load_pressure=load.pressure)
 
     def through(
-        self, loads: Sequence[Load], p: list[float], hold: float, samples: int = 40, start=None
+        self, loads: Sequence[Load], p: list[float], hold: float, samples: int = 40
     ) -> tuple[np.ndarray, dict]:
         """Time (n,) and outputs (n,) from rest through a row of loads, each of them for `hold` seconds."""
         n, at = len(self.states), self.at("supply_pressure")
@@ -98,7 +101,7 @@ class Bench(Part):
         grid = np.linspace(0, hold, samples + 1)
         options = {"reltol": 1e-10, "abstol": 1e-10, "max_num_steps": 100_000}
         solver = ca.integrator("s", "cvodes", {"x": z, "p": load, "ode": rate}, 0.0, grid[1:], options)
-        x = (self.rest(p) if start is None else start) / self.nominal
+        x = self.rest(p) / self.nominal
         rows, times = [], []
         for k, one in enumerate(loads):
             path = solver(x0=x, p=list(one))["xf"].full()

@@ -32,18 +32,13 @@ PRESSURE = st.floats(0, 4e7)
 COMMAND = st.floats(-10, 10)
 
 
-def compiled(expression, *symbols):
-    """A function and its gradient."""
-    column = ca.vertcat(*symbols)
-    return ca.Function("f", [column], [expression, ca.gradient(expression, column)])
-
-
 @cache
 def supplied():
     """Flow from the supply into port A of a section at (command, port, supply, sensing), and its gradient."""
-    command, port, supply, sensing = (ca.SX.sym(n) for n in ("u", "p", "s", "ls"))
+    given_ = ca.SX.sym("given", 4)
+    command, port, supply, sensing = ca.vertsplit(given_)
     a, _ = compensator.section_ports(SECTION, command, (port, 0.0), lines(supply, 0.0, sensing))
-    return compiled(a.edges.supply, command, port, supply, sensing)
+    return ca.Function("f", [given_], [a.edges.supply, ca.gradient(a.edges.supply, given_)])
 
 
 @given(COMMAND, PRESSURE, PRESSURE, PRESSURE)

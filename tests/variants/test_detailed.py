@@ -1,7 +1,6 @@
 """The detailed drives: rest, and the limit in which they are the lumped ones. Balances: test_balances.py."""
 
 import math
-import re
 from functools import cache
 
 import casadi as ca
@@ -150,11 +149,3 @@ def test_the_floor_falls_with_the_square_of_the_hose_length(part):
     ratios = changes[:-1] / changes[1:]
     # the terms in l^3 are a tenth of those in l^2 at full length
     assert ratios == pytest.approx(4.0, rel=0.15)
-
-
-@pytest.mark.parametrize("part", LUMPED)
-def test_the_python_lines_of_the_readme_run(part):
-    """What the section `detailed` of the README shows: choosing lumps."""
-    readme = LUMPED[part].values.with_name("README.md").read_text(encoding="utf-8")
-    (snippet,) = re.findall(r"```python\n(.*?)```", readme.partition("## detailed")[2], re.DOTALL)
-    exec(compile(snippet, "README.md", "exec"), {})

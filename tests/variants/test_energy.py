@@ -31,28 +31,24 @@ def test_machines_hold_every_variant():
     assert met == {(part, v) for part, variants in FAMILIES.items() for v in variants}
 
 
+LINES = ("supply_pressure", "supply_flow", 1), ("tank_pressure", "return_flow", -1)
+CYLINDERS = [(f"{a}_force", f"{a}_velocity", 1) for a in ("boom", "stick")]
+SWING = "swing_torque", "swing_speed", 1
+# effort, flow and sign of the power into a part over its ports
+PORTS = {
+    "supply": [(effort, f"{flow}_{d}", -sign) for effort, flow, sign in LINES for d in DRIVES],
+    "manipulator": [SWING, *CYLINDERS],
+    "swing": [*LINES, (*SWING[:2], -1)],
+    "boom_stick": [*LINES, *((effort, flow, -1) for effort, flow, _ in CYLINDERS)],
+}
+# what flows in otherwise
+DIRECT = {"supply": "engine_power", "manipulator": "payload_power", "boom_stick": "convected_power"}
+
+
 def powers(part, signal):
-    """What flows into a part over its ports [W], an expression for each; `signal` gives any variable."""
-    if part == "supply":
-        into = [signal("supply.engine_power")] if signal("supply.engine_power") is not None else []
-        taken = (signal(f"supply.supply_flow_{d}") for d in ("swing", "boom_stick"))
-        given = (signal(f"supply.return_flow_{d}") for d in ("swing", "boom_stick"))
-        into += [-signal("supply.supply_pressure") * q for q in taken]
-        return into + [signal("supply.tank_pressure") * q for q in given]
-    if part == "manipulator":
-        into = [signal("manipulator.swing_torque") * signal("manipulator.swing_speed")]
-        into.append(signal("manipulator.payload_power"))
-        for a in ("boom", "stick"):
-            into.append(signal(f"manipulator.{a}_force") * signal(f"manipulator.{a}_velocity"))
-        return into
-    into = [
-        signal(f"{part}.supply_pressure") * signal(f"{part}.supply_flow"),
-        -signal(f"{part}.tank_pressure") * signal(f"{part}.return_flow"),
-    ]
-    if part == "swing":
-        return [*into, -signal("swing.swing_torque") * signal("swing.swing_speed")]
-    into += [-signal(f"{part}.{a}_force") * signal(f"{part}.{a}_velocity") for a in ("boom", "stick")]
-    return [*into, signal("boom_stick.convected_power")]
+    """What flows into a part [W], an expression for each; `signal` gives any variable."""
+    into = [sign * signal(f"{part}.{a}") * signal(f"{part}.{b}") for a, b, sign in PORTS[part]]
+    return into + ([signal(f"{part}.{DIRECT[part]}")] if part in DIRECT else [])
 
 
 def stored(part, signal):

@@ -18,24 +18,21 @@ RPM = np.pi / 30  # rad/s
 IDLE, STALL = 800 * RPM, 600 * RPM
 
 
+# of the engine, besides its speed and fuel
+REST = {"tank_pressure": 4e5, "oil_temperature": 333.15, "reservoir_volume": 0.2}
+
+
 def torques(speed: float, rated: float) -> tuple[float, float]:
     """Torque at the shaft at full fuel that burns, and friction of the engine, as in the pages."""
     net = 1 + 0.25 * (1 - ((speed - 157.0796) / (261.7994 - 157.0796)) ** 2)
     return rated * net, 40 * speed / np.hypot(speed, 1) + 0.17 * speed
 
 
-def state(bench: Bench, speed: float, fuel: float, pressures: tuple, strokes: tuple = ()) -> list[float]:
-    """At 60 degC, with these pressures and strokes of the pumps."""
-    pools = {"pressure": iter(pressures), "stroke": iter(strokes or (0.0, 0.0))}
-    told = {"engine_speed": speed, "engine_fuel_torque": fuel, "tank_pressure": 4e5}
-    told |= {"oil_temperature": 333.15, "reservoir_volume": 0.2}
-    return [told[n] if n in told else next(pools[n.rpartition("_")[2]]) for n in bench.states]
-
-
 def pulled(bench: Bench, speed: float, rated: float) -> float:
     """Net torque at full fuel, from the acceleration without pressure and the drag of the pumps."""
     p = bench.constants(engine_rated_torque=rated)
-    x = state(bench, speed, sum(torques(speed, rated)), (0.0, 0.0, 0.0))
+    fuel = sum(torques(speed, rated))
+    x = bench.state((0.0, 0.0, 0.0), engine_speed=speed, engine_fuel_torque=fuel, **REST)
     y = bench.show(x, bench.row(), p)
     return bench.rates(x, bench.row(), p)["engine_speed"] * bench.p["engine_inertia"] + y["engine_load"]
 
@@ -62,7 +59,7 @@ STROKES = st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2)
 def test_at_stall_speed_and_below_nothing_drives_the_engine(bench, speed, fuel, pressures, strokes):
     """Whatever governor, stroke and pressure behind a check valve: slower until 0, and there no torque."""
     for w, signs in ((speed, (-1, 0)), (0.0, (0,)), (-0.1, (1,))):
-        x = state(bench, w, fuel, tuple(pressures), tuple(strokes))
+        x = bench.state(pressures, strokes, engine_speed=w, engine_fuel_torque=fuel, **REST)
         assert np.sign(bench.rates(x, bench.row(), bench.constants())["engine_speed"]) in signs
         y = bench.show(x, bench.row(), bench.constants())
         assert (y["engine_torque"], y["engine_power"]) == (0, 0)

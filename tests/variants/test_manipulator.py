@@ -10,14 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit import shards
 from kit.equations import JOINTS, Part, machine, played
-from kit.properties import examples
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
 from fmus.components.friction import CREEP, Bristles, lugre, viscous
-from fmus.contract import quantities
 from fmus.machine.poses import pose_grid
-from fmus.manipulator import MANIPULATOR, VARIANTS
+from fmus.manipulator import VARIANTS
 from fmus.manipulator.pendulum import SIDE_LIMIT, STOP_ROUNDING
 from fmus.parameters import values
 
@@ -80,38 +78,6 @@ def test_power_in_is_power_stored_and_heat(name):
         assert sum(powers) - stored - heat == pytest.approx(
             0, abs=1e-12 * sum(map(abs, (*powers, stored, heat)))
         )
-
-
-def test_a_column_rebounds_from_its_stop_as_hunt_and_crossley_say():
-    """From 1 rad/s into the stop: the speed after it follows from u/c - ln(1 + cu)/c2, the rest is heat.
-
-    The energy in the stop is that of a spring, k/2 of the square of the angle beyond its start, less half the
-    rounding of 1 mrad.
-    """
-    v = variant("rigid", swing_stop_angle=1.0, swing_damping=0.0, column_inertia=1e6)
-    c, k = v.p["swing_stop_damping"], v.p["swing_stop_stiffness"]
-    x0 = v.start(swing_angle=0.999, swing_speed=1.0)
-    hold = {f"{a}_force": v(x0)[1][f"{a}_holding_force"] for a in ("boom", "stick")}
-    inertia = 2 * v(x0)[1]["kinetic_energy"]
-    moving = [v.at("swing_angle"), v.at("swing_speed")]
-
-    def rates(_, z):
-        x = x0.copy()
-        x[moving] = z
-        return v(x, **hold)[0][moving]
-
-    found = solve_ivp(rates, (0, 2.5), x0[moving], rtol=1e-8, atol=1e-10, max_step=0.05)
-    deepest = np.argmax(found.y[0])
-    x = x0.copy()
-    x[moving] = found.y[:, deepest]
-    depth = found.y[0, deepest] - 1.0 - 5e-4
-    assert v(x, **hold)[1]["stop_energy"] == pytest.approx(k * depth**2 / 2, rel=2e-3)
-    after = -found.y[1, -1]
-    taken = 1 / c - np.log(1 + c) / c**2
-    # the rounding of 1 mrad of 0.6 rad, and the arm, which is held by its column's inertia of 97 %
-    assert -after / c - np.log(1 - c * after) / c**2 == pytest.approx(taken, rel=1e-2)
-    assert 0.6 < after < 0.9
-    assert inertia > 1e6
 
 
 @variants
@@ -321,7 +287,7 @@ def test_small_motions_are_elastic_and_lose_energy_in_a_loop():
 
 @given(dry=laws, v=speeds, z=deflections, b=st.floats(0.0, 1e5))
 def test_power_into_friction_is_stored_or_heat_for_any_numbers(dry, v, z, b):
-    """F v = d(stored)/dt + heat with heat >= 0 at any state: no cycle gains energy."""
+    """F v = d(stored)/dt + heat, both >= 0, at any state: no program of speeds gets work out of bristles."""
     r = lugre(v, z, dry, b)
     stored_rate = dry.coulomb / dry.deflection * z * r.deflection_rate
     assert r.heat >= 0
@@ -329,26 +295,6 @@ def test_power_into_friction_is_stored_or_heat_for_any_numbers(dry, v, z, b):
     # exact identity; 1e-12 is 1e4 rounding errors of its terms
     size = abs(r.force * v) + abs(stored_rate) + r.heat
     assert r.force * v - stored_rate - r.heat == pytest.approx(0, abs=1e-12 * size + 1e-30)
-
-
-@examples(40)
-@given(
-    moves=st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(1e-4, 0.2)), min_size=2, max_size=8),
-    dry=laws.filter(lambda d: d.damping_time <= 0.03),
-)
-def test_no_program_of_speeds_gets_work_out_of_relaxed_bristles(moves, dry):
-    """Whatever speeds for whatever times: the work into the contact is never negative."""
-    z, work = 0.0, 0.0
-    for v, duration in moves:
-        slip = (v - lugre(v, 1.0, dry, 0.0).deflection_rate) / 1.0
-        end = v / slip + (z - v / slip) * math.exp(-slip * duration)  # exact: linear in z at constant v
-        start_force, end_force = (lugre(v, at, dry, 0.0).force for at in (z, end))
-        settled = lugre(v, v / slip, dry, 0.0).force
-        decay = -math.expm1(-slip * duration) / slip
-        work += v * (settled * duration + (start_force - settled) * decay)  # force decays like z
-        z = end
-        assert math.isfinite(end_force)
-    assert work >= -1e-9 * dry.coulomb * dry.deflection - 1e-15  # rounding of terms that cancel
 
 
 @given(dry=laws, v=speeds, z=deflections, b=st.floats(0.0, 1e5))
@@ -418,12 +364,3 @@ def test_dry_friction_holds_the_arm_against_a_small_push(extra, moves):
     assert ends["rigid"] > 5e-3
     assert (ends["friction"] > 5e-3) == moves
     assert moves or abs(ends["friction"]) < 10 * P["piston_presliding"]
-
-
-def test_family_swaps_without_wires():
-    """All variants have the ports of the usual one, and it is `rigid`."""
-    assert VARIANTS["rigid"] is MANIPULATOR
-    for sub in VARIANTS.values():
-        assert sub.inputs is MANIPULATOR.inputs
-        assert sub.terminals == MANIPULATOR.terminals
-        assert set(quantities(MANIPULATOR.outputs)) <= set(quantities(sub.outputs))

@@ -14,21 +14,13 @@ from fmus.machine.work_cycle import STEMS, WITH_STEMS, payload
 from fmus.manipulator import VARIANTS
 from orchestrator import run
 
-
-def arm_of(name, **changed):
-    """A variant's equations without any force, with changed parameters."""
-    arm = Part(VARIANTS[name], **changed)
-    arm.u = dict.fromkeys(arm.u, 0.0)
-    return arm
-
-
 # ---- momentum
 
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_mass_that_is_dropped_gives_no_impulse(name):
     """While mass leaves every acceleration is that of the mass still held: leaving mass keeps its speed."""
-    arm, rng = arm_of(name), np.random.default_rng(8)
+    arm, rng = Part(VARIANTS[name]), np.random.default_rng(8)
     for _ in range(20):
         x = arm.start({"payload_mass": 250.0})
         x[3:6] = rng.uniform(-1.0, 1.0, 3)
@@ -43,7 +35,7 @@ def test_mass_that_is_dropped_gives_no_impulse(name):
 @pytest.mark.parametrize("name", VARIANTS)
 def test_force_of_the_pick_up_is_flow_times_velocity(name):
     """The force -m' v at the payload, seen as power: the accelerations change by M^-1 of it, P = -m' v^2."""
-    arm, rng = arm_of(name), np.random.default_rng(9)
+    arm, rng = Part(VARIANTS[name]), np.random.default_rng(9)
     x, speeds = arm.model.x, [i for i, n in enumerate(arm.states) if n.endswith("_speed")]
     kinetic = arm.expressions["y"]["kinetic_energy"]
     mass_matrix = arm.of(ca.hessian(kinetic, x)[0][speeds, speeds], ca.jacobian(kinetic, x))

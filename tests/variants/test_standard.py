@@ -68,23 +68,17 @@ def test_a_restored_state_repeats_the_steps_bit_for_bit(case):
     names, begin = outputs(sub), round(WORKING / COMMUNICATION_STEP)
 
     def work_on(fmu: Fmu) -> bytes:
-        found = []
-        for k in range(begin, begin + 5):
-            fmu.set(**row(sub, k))
-            found.append(fmu.step(COMMUNICATION_STEP).get(*names))
-        return np.array(found).tobytes()
+        rows = (fmu.set(**row(sub, begin + k)).step(COMMUNICATION_STEP).get(*names) for k in range(5))
+        return np.array([*rows]).tobytes()
 
     with at_work(path, sub, 0.05) as other:
-        state, time = fmu.fmu.getFMUState(), fmu.time
-        data = fmu.fmu.serializeFMUState(state)
+        state, data, time = fmu.fmu.getFMUState(), fmu.state(), fmu.time
         first = work_on(fmu)
         fmu.fmu.setFMUState(state)
         fmu.time = time
         again = work_on(fmu)
         fmu.fmu.freeFMUState(state)
-        other.fmu.setFMUState(other.fmu.deSerializeFMUstate(data))
-        other.time = time
-        assert first == again == work_on(other)
+        assert first == again == work_on(other.restore(data, time))
 
 
 def declared(fmu: Fmu) -> dict[str, set[str]]:

@@ -208,36 +208,29 @@ def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
 @examples(25)
 @given(st.lists(st.integers(0, 900), min_size=3, max_size=6), st.floats(0.1, 0.6))
 def test_limits_hold_for_any_row_of_loads(flows, hold):
-    """Strokes stay within 0 ... 1, check valves pass nothing back, no stall, no run-away."""
+    """Pressures stay below and above their bounds, no stall, no run-away."""
     _, y = ENGINE_PUMP.through([orifice(q * L_MIN) for q in flows], ENGINE_PUMP.constants(), hold, 20)
     for i in (1, 2):
-        assert y[f"pump_{i}_stroke"].min() >= 0
-        assert y[f"pump_{i}_stroke"].max() <= 1 + 1e-9  # tolerance of the integrator
-        assert y[f"pump_{i}_flow"].min() >= 0
         assert y[f"pump_{i}_pressure"].max() < 1.3 * P["relief_pressure"]
     assert y["engine_speed"].min() > 0.6 * P["engine_rated_speed"]
     assert y["engine_speed"].max() < 1.05 * P["engine_no_load_speed"]
     assert y["supply_pressure"].min() > -1e5
-    assert y["dissipated_power"].min() > 0
 
 
 # ---- at any state
 
 
-def any_state(bench: Bench, pressures: list[float], strokes: list[float], shaft: list[float]) -> list[float]:
-    """The states of a variant from pools of numbers."""
-    pools = {"pressure": iter(pressures), "stroke": iter(strokes)}
-    names = ("engine_speed", "engine_fuel_torque", "reservoir_volume", "tank_pressure", "oil_temperature")
-    named = dict(zip(names, shaft, strict=True))
-    return [named[n] if n in named else next(pools[n.rpartition("_")[2]]) for n in bench.states]
-
-
 STATE = (
     st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3),
     st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2),
-    st.tuples(
-        *(st.floats(0.0, 300.0), st.floats(0.0, 600.0), st.floats(0.1, 0.3)),
-        *(st.floats(-1e5, 3e6), st.floats(253.0, 373.0)),
+    st.fixed_dictionaries(
+        {
+            "engine_speed": st.floats(0.0, 300.0),
+            "engine_fuel_torque": st.floats(0.0, 600.0),
+            "reservoir_volume": st.floats(0.1, 0.3),
+            "tank_pressure": st.floats(-1e5, 3e6),
+            "oil_temperature": st.floats(253.0, 373.0),
+        }
     ),
 )
 PUMPS = {"engine_pump": ("pump_1", "pump_2"), "load_sensing": ("pump",)}
@@ -247,7 +240,7 @@ PUMPS = {"engine_pump": ("pump_1", "pump_2"), "load_sensing": ("pump",)}
 @given(*STATE)
 def test_pumps_never_take_oil_back(bench, pressures, strokes, shaft):
     """Whatever the pressures, the check valves let oil out only, and none at all against the pressure."""
-    y = bench.show(any_state(bench, pressures, strokes, shaft), bench.row(), bench.constants())
+    y = bench.show(bench.state(pressures, strokes, **shaft), bench.row(), bench.constants())
     for pump in PUMPS[bench.sub.variant]:
         assert y[f"{pump}_flow"] >= 0
         if y[f"{pump}_pressure"] <= y["supply_pressure"]:
@@ -258,7 +251,7 @@ def test_pumps_never_take_oil_back(bench, pressures, strokes, shaft):
 @given(STATE[0], STATE[2], st.sampled_from([0.0, 1.0]))
 def test_strokes_turn_back_at_their_ends(bench, pressures, shaft, end):
     """At no stroke the rate is not negative, on full stroke not positive: 0 ... 1 is never left."""
-    x = any_state(bench, pressures, [end, end], shaft)
+    x = bench.state(pressures, [end, end], **shaft)
     dx = bench.rates(x, bench.row(), bench.constants())
     for pump in PUMPS[bench.sub.variant]:
         assert dx[f"{pump}_stroke"] * (1 - 2 * end) >= -1e-12  # rounding of 1
@@ -276,7 +269,7 @@ def test_any_trial_state_gives_finite_rates(bench, x, flows):
 @given(*STATE, FLOWS, LOADS, st.sampled_from([0.0, 2e5]))
 def test_energy_balance_closes_at_any_state(bench, pressures, strokes, shaft, flows, loads, tank):
     """Combustion and return lines give what drives, stored energy and heat take; heat is never negative."""
-    x, u = any_state(bench, pressures, strokes, shaft), inputs_of(bench, flows, loads)
+    x, u = bench.state(pressures, strokes, **shaft), inputs_of(bench, flows, loads)
     into, used, heat = map(float, bench.balance(x, u, bench.constants(reservoir_pressure=tank)))
     # exact identity; rounding of terms up to 1e7 W (a void at 3e-10 s)
     assert into == pytest.approx(used, rel=1e-9, abs=1e-3)
@@ -287,7 +280,7 @@ def test_energy_balance_closes_at_any_state(bench, pressures, strokes, shaft, fl
 @given(*STATE, FLOWS)
 def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
     """What comes back less what is taken fills tank and lines."""
-    x, p = any_state(bench, pressures, strokes, shaft), bench.p
+    x, p = bench.state(pressures, strokes, **shaft), bench.p
     rate = bench.rates(x, inputs_of(bench, flows), bench.constants())
     own = p.get("pump_line_capacitance", p.get("main_pump_line_capacitance"))
     gained = rate["reservoir_volume"]

@@ -1,5 +1,10 @@
-"""Co-Simulation and Model Exchange, FMI 2.0 and FMI 3.0: four ways to the same numbers."""
+"""Co-Simulation and Model Exchange, FMI 2.0 and FMI 3.0: four ways to the same numbers in FMPy.
 
+FMPy's own simulate_fmu holds inputs between output points in Model Exchange. In the first part they move
+inside the steps of CVode.
+"""
+
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from io import StringIO
 from itertools import pairwise, product
@@ -9,8 +14,9 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy import read_model_description
+from fmpy.sundials import CVodeSolver
 from kit import shards
-from whole_machine.exchange import Piece, columns, instance, integrated, stepped
+from kit.fmu import Fmu, driving
 
 from fmus.contract import quantities
 from fmus.machine.parts import FERIC
@@ -22,6 +28,75 @@ from fmus.parameters import values
 # 1e-12 and 8e-10 at 1e-14 with CVode, 5e-9 at 1e-11 and 5e-10 at 1e-12 with the FMU's own solver
 EXCHANGE, STEPPED = 1e-14, 5e-12
 BAR = 1e-8
+# begin and end [s] of a piece of time, and for each input c0, c1, c2 of c0 + c1 t + c2 t^2 from its begin on
+Piece = tuple[float, float, Mapping[str, tuple[float, float, float]]]
+
+
+def at(piece: Piece, time: float) -> dict[str, float]:
+    """The inputs at a time."""
+    t = time - piece[0]
+    return {name: c0 + t * (c1 + t * c2) for name, (c0, c1, c2) in piece[2].items()}
+
+
+def grid(piece: Piece, step: float) -> np.ndarray:
+    """Times from begin to end of a piece, which is a number of steps."""
+    begin, end, _ = piece
+    return begin + step * np.arange(round((end - begin) / step) + 1)
+
+
+def look(fmu: Fmu, time: float) -> list[float]:
+    """The time and all outputs."""
+    return [time, *fmu.get(*(u.variable.name for u in fmu.description.outputs))]
+
+
+def columns(fmu: Fmu, rows: list[list[float]]) -> dict[str, np.ndarray]:
+    """Time and outputs by name."""
+    names = ("time", *(u.variable.name for u in fmu.description.outputs))
+    return dict(zip(names, np.array(rows).T, strict=True))
+
+
+def stepped(path: Path, pieces: Sequence[Piece], tolerance: float, step: float) -> dict[str, np.ndarray]:
+    """Outputs at the end of each step by Co-Simulation, where the rate inputs move the others."""
+    begin, rows = pieces[0][0], []
+    with driving(path, "cs", begin, tolerance=tolerance, **at(pieces[0], begin)) as fmu:
+        for piece in pieces:
+            for t in grid(piece, step)[:-1]:
+                fmu.set(**at(piece, t)).fmu.doStep(t, step)
+                rows.append(look(fmu, t + step))
+    return columns(fmu, rows)
+
+
+def integrated(path: Path, pieces: Sequence[Piece], tolerance: float, step: float) -> dict[str, np.ndarray]:
+    """The same by Model Exchange and CVode (BDF), which starts anew at each piece."""
+    piece, begin, rows = pieces[0], pieces[0][0], []
+    with driving(path, "me", begin, **at(piece, begin)) as fmu:
+        model = fmu.fmu
+
+        def set_time(t: float) -> None:
+            model.setTime(t)
+            fmu.set(**at(piece, t))
+
+        solver = CVodeSolver(
+            nx=fmu.description.numberOfContinuousStates,
+            nz=0,
+            get_x=model.getContinuousStates,
+            set_x=model.setContinuousStates,
+            get_dx=model.getContinuousStateDerivatives if fmu.version == 3 else model.getDerivatives,
+            get_z=None,
+            get_nominals=model.getNominalsOfContinuousStates,
+            set_time=set_time,
+            input=None,
+            startTime=begin,
+            relativeTolerance=tolerance,
+            maxNumSteps=10**6,
+        )
+        for piece in pieces:
+            solver.reset(piece[0])
+            for t, after in pairwise(grid(piece, step)):
+                solver.step(t, after)
+                set_time(after)
+                rows.append(look(fmu, after))
+    return columns(fmu, rows)
 
 
 def compare(path: Path, found: dict[str, np.ndarray], expected: dict[str, np.ndarray], bar: float) -> None:
@@ -110,21 +185,12 @@ def stroke(volts: float) -> tuple[np.ndarray, np.ndarray]:
 
 def held(path: Path, lever: str, volts: float, interval: float) -> dict[str, np.ndarray]:
     """Outputs by Co-Simulation at 1 ms with the command held over each interval, at its begin."""
-    time, volt = stroke(volts)
-    count, steps = round(time[-1] / interval), round(interval / 1e-3)
-    begins = np.arange(count) * interval
-    pieces: list[Piece] = [
-        (t, t + interval, {lever: (float(np.interp(t, time, volt)), 0.0, 0.0)}) for t in begins
-    ]
-    with instance(path, "cs", pieces[0]) as made:
-        rows = []
-        for k, piece in enumerate(pieces):
-            made.begin(piece)
-            made.put(piece[0])
-            rows.append(made.look(piece[0]))
-            for n in range(k * steps, (k + 1) * steps):
-                made.fmu.doStep(n * 1e-3, 1e-3)
-        return columns(made, rows)
+    rows, begins = [], np.arange(round(6.0 / interval)) * interval
+    with driving(path) as fmu:
+        for t, volt in zip(begins, np.interp(begins, *stroke(volts)), strict=True):
+            rows.append(look(fmu.set(**{lever: volt}), t))
+            fmu.step(1e-3, round(interval / 1e-3))
+    return columns(fmu, rows)
 
 
 def exchanged(path: Path, lever: str, volts: float, interval: float) -> dict[str, np.ndarray]:

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from kit.equations import Part
 from kit.mistakes import table
 from machine import SUBSYSTEMS, solve
+from scipy.integrate import cumulative_trapezoid
 
 from fmus.contract import quantities
 from fmus.parameters import values
@@ -274,18 +275,13 @@ def test_stays_at_rest_until_kappa_moves(run_m1):
     assert np.ptp(trace["hydraulics.p_1"][still]) < 1e-3
 
 
-def integral(time, values):
-    """Running integral, trapezoidal, shape (n,)."""
-    return np.concatenate([[0], np.cumsum(np.diff(time) * (values[1:] + values[:-1]) / 2)])
-
-
 def test_oil_is_conserved(run_m1):
     """The oil in each chamber changes by what flows in, at the density it has there."""
     trace, p = run_m1("rates", 1e-3).result.trace, parameters()
     for name, volume in zip(("1", "2"), model.volumes(trace["arm.s1"], p), strict=True):
         density = model.relative_density(trace[f"hydraulics.p_{name}"], p)
         oil = volume * density
-        received = integral(trace.time, density * trace[f"hydraulics.flow_{name}"])
+        received = cumulative_trapezoid(density * trace[f"hydraulics.flow_{name}"], trace.time, initial=0)
         # 1 ms samples of flows that settle in 0.2 ms after each ramp: 0.1 % of the swept volume
         np.testing.assert_allclose(oil - oil[0], received, atol=1e-3 * np.ptp(volume))
 
@@ -295,8 +291,8 @@ def test_energy_is_conserved(run_m1):
     result = run_m1("rates", 1e-3).result
     time, arm = result.trace.time, {n: result.trace[f"arm.{n}"] for n in quantities(ARM.outputs)}
     energy = arm["kinetic_energy"] + arm["potential_energy"]
-    work = integral(time, result.trace["hydraulics.force"] * arm["s1_dot"])
-    heat = integral(time, arm["dissipated_power"])
+    work = cumulative_trapezoid(result.trace["hydraulics.force"] * arm["s1_dot"], time, initial=0)
+    heat = cumulative_trapezoid(arm["dissipated_power"], time, initial=0)
     # trapezoids of 1 ms through the steep starts after the ramps: 0.01 % of the largest work
     np.testing.assert_allclose(work, energy - energy[0] + heat, atol=1e-4 * np.max(np.abs(work)))
     (bond,) = result.card.bonds

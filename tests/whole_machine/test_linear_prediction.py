@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 from kit import shards
-from kit.any_fmu.outcome import OPENERS
 from kit.mistakes import table
 from machine import solve  # of the example, see conftest.py
 
@@ -65,15 +64,6 @@ def test_a_scenario_and_fmi_3_are_as_accurate_as_the_levers(system, fmi3_dir):
     assert worst(led, "speed") < 2e-5
 
 
-def test_both_ways_to_call_fmus_give_the_same_bits(system):
-    """300 steps of the moving machine, with a component that takes steps of its own."""
-    coupling = Coupling(MASTER, factors={"swing": 2})
-    options = {"master": coupling, "step": 2e-3, "start": 1.2, "stop": 1.8}
-    fast, slow = (run(system, **options, open=OPENERS[in_c]).trace for in_c in (True, False))
-    for name, values in slow.signals.items():
-        np.testing.assert_array_equal(fast[name], values)
-
-
 def test_the_fastest_component_steps_first(system, monkeypatch):
     """Operator input and supply lead; hydraulics precede the arm: the other order is 7.7 times worse."""
     begin, names = LinearPrediction.begin, [*system.components]
@@ -94,12 +84,6 @@ def test_the_fastest_component_steps_first(system, monkeypatch):
 KAPPA0 = 0.4543455896
 
 
-@pytest.fixture
-def benchmark(manipulator_systems):
-    """The example with rate ports."""
-    return manipulator_systems["rates"]
-
-
 @cache
 def manoeuvre(ramp: float) -> tuple[Trace, np.ndarray]:
     """M1 with ramps of this length [s], and the truth every 10 ms."""
@@ -109,9 +93,9 @@ def manoeuvre(ramp: float) -> tuple[Trace, np.ndarray]:
 
 
 @table(__file__, "ramps", "ramp, step, limit")
-def test_benchmark_is_stable_at_large_steps(benchmark, ramp, step, limit):
+def test_benchmark_is_stable_at_large_steps(manipulator_systems, ramp, step, limit):
     """Ramps of 0.2 s: micrometres at 100 ms, where the authors' schemes stop at 40 ms."""
     given, truth = manoeuvre(ramp)
-    trace = run(benchmark, given, master=MASTER, step=step, stop=10.0).trace
+    trace = run(manipulator_systems["rates"], given, master=MASTER, step=step, stop=10.0).trace
     every = round(step / 1e-2)
     assert np.max(np.abs(trace["arm.s1"] - truth[::every])) < limit

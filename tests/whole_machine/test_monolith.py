@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.equations import machine
+from kit.work_cycle import REFERENCE
 
 from fmus.machine import reference
-from fmus.machine.build import data
 from fmus.monolith import SAME_TIME, breakpoints, merge_times, simulate
 from orchestrator.base.errors import Problem
 
@@ -59,18 +59,15 @@ def test_monolith_reaches_its_tolerance():
 @pytest.mark.parametrize("stop", [5.0, pytest.param(42.0, marks=shards.machine)])
 def test_reference_trace_is_what_the_monolith_gives(monkeypatch, stop):
     """The stored work cycle equals a new solution to the digits it is written with."""
-    file = data("reference/work_cycle.csv")
-    stored = np.loadtxt(file, delimiter=",", skiprows=1)
-    names = file.read_text(encoding="utf-8").partition("\n")[0].split(",")
-    assert set(names) == {"time", *reference.SIGNALS}
+    assert set(REFERENCE) == {"time", *reference.SIGNALS}
     cycle, commands = reference.work_cycle()
     first = cycle <= stop
     monkeypatch.setattr(reference, "work_cycle", lambda: (cycle[first], commands[first]))
     time, signals = (rows[:: reference.EVERY] for rows in reference.trace())
-    assert np.allclose(stored[: time.size, 0], time, atol=1e-12)
-    assert time[-1] == min(stop, stored[-1, 0])
+    assert np.allclose(REFERENCE["time"][: time.size], time, atol=1e-12)
+    assert time[-1] == min(stop, REFERENCE["time"][-1])
     for k, name in enumerate(reference.SIGNALS):
-        column = stored[:, names.index(name)]
+        column = REFERENCE[name]
         # nine digits of the largest value, and 1e-11 per step of the solver on another machine's libm
         error = np.abs(column[: time.size] - signals[:, k]).max()
         assert error <= 1e-7 * np.ptp(column) + 1e-12, name
