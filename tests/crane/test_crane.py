@@ -249,9 +249,8 @@ def test_loads_and_mode_of_one_boom_are_the_closed_forms():
     (axis,) = found = check(crane)
     loads = capacity(crane, found)
     angle = np.arcsin((loads.height - 1) / 2)
-    length = np.sqrt(
-        0.8**2 + 0.3**2 + 0.5**2 - 2 * np.hypot(0.8, 0.3) * 0.5 * np.cos(angle + np.arctan2(0.8, 0.3))
-    )
+    base, pin = 0.3 - 0.8j, 0.5 * np.exp(1j * angle)
+    length = np.abs(pin - base)
     lever = np.gradient(length, angle)
     head, gravity = np.pi / 4 * 0.08**2, values(MANIPULATOR).p["gravity"]
     expected = (2e7 * head * lever / gravity - 100 * np.cos(angle)) / (2 * np.cos(angle))
@@ -259,9 +258,8 @@ def test_loads_and_mode_of_one_boom_are_the_closed_forms():
     np.testing.assert_allclose(loads.load[inner], expected[inner], rtol=1e-3)
     position = float(np.interp(0.0, angle, length)) - 0.6
     hose, rod = np.pi / 4 * 0.02**2 * 2, head - np.pi / 4 * 0.04**2
-    stiffness = 1.2e9 * (
-        head**2 / (head * position + 3e-4 + hose) + rod**2 / (rod * (0.4 - position) + 3e-4 + hose)
-    )
+    volumes = np.array([head * position, rod * (0.4 - position)]) + 3e-4 + hose
+    stiffness = 1.2e9 * (np.array([head, rod]) ** 2 / volumes).sum()
     own = np.sqrt(stiffness * np.interp(0.0, angle, lever) ** 2 / (30 + 100)) / (2 * np.pi)
     assert axis.mode == pytest.approx(own, rel=1e-3)  # of the differences
     assert lifting_moment(found) == pytest.approx(2e7 * head * lever.max(), rel=1e-3)
