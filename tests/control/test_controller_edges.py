@@ -95,10 +95,8 @@ def moved(**by: tuple[float, float]) -> dict[str, np.ndarray]:
     """The square with columns that become `factor * value + offset` after 3 s."""
     square = read_trace(data("scenarios/square.csv"))
     late = square.time > 3
-    found = {n: square[n].copy() for n in square.signals}
-    for name, (factor, offset) in by.items():
-        found[name] = np.where(late, factor * found[name] + offset, found[name])
-    return {"time": square.time, **found}
+    new = {n: np.where(late, factor * square[n] + offset, square[n]) for n, (factor, offset) in by.items()}
+    return {"time": square.time, **square.signals, **new}
 
 
 JUMPS = {

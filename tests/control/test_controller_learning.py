@@ -65,13 +65,10 @@ def test_the_command_keeps_what_was_learned_in_a_file(machine, tmp_path, capsys)
     assert first > 0.025
     again = ridden(f"--parameters={file}")
     assert max(again) < 1.2 * last  # a third of the first; two paths differ by this
-    values = {
-        n: float(x)
-        for n, x in re.findall(r'name="controller\.(\w+)">\s*<ssv:Real value="(\S+)"', file.read_text())
-    }
-    assert values["hysteresis"] == pytest.approx(0.06, abs=0.005)  # 0.05 V of play, of 10 V
+    values = dict(re.findall(r'name="controller\.(\w+)">\s*<ssv:Real value="(\S+)"', file.read_text()))
+    assert float(values["hysteresis"]) == pytest.approx(0.06, abs=0.005)  # 0.05 V of play, of 10 V
     for name in BANDS:
-        assert values[name.partition(".")[2]] == pytest.approx(0.2, abs=0.05), name  # 40 s in all
+        assert float(values[name.partition(".")[2]]) == pytest.approx(0.2, abs=0.05), name  # 40 s in all
 
 
 def test_only_the_direction_that_is_wrong_changes():
@@ -103,8 +100,7 @@ def test_a_jump_of_the_dead_band_is_learned_within_half_a_minute(machine, monkey
     start = dict.fromkeys(BANDS, 0.2)
     _, trace, begin = worked(machine, monkeypatch, start, before=30.0)
     at_begin = np.searchsorted(trace.time, begin)
-    found = np.array([trace[n][at_begin] for n in BANDS])
-    np.testing.assert_allclose(found, 0.0, atol=0.05)
+    np.testing.assert_allclose([trace[n][at_begin] for n in BANDS], 0.0, atol=0.05)
 
 
 def test_off_the_commands_are_those_of_known_valves():

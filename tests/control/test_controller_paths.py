@@ -14,7 +14,6 @@ from fmus.controller.paths import COLUMNS, PATHS, Route
 from fmus.machine.build import data
 from fmus.machine.poses import controlled_poses, path_pose, pose_set
 from fmus.manipulator import MANIPULATOR
-from orchestrator.base.errors import Problem
 
 ROUTES = st.builds(
     Route,
@@ -87,12 +86,6 @@ def test_the_files_are_those_of_the_paths(name, tmp_path):
     """data/scenarios holds what `python -m fmus.controller.paths` writes."""
     paths.write(tmp_path)
     assert (tmp_path / f"{name}.csv").read_bytes() == data(f"scenarios/{name}.csv").read_bytes()
-
-
-def test_two_equal_waypoints_are_refused():
-    """A segment without a direction."""
-    with pytest.raises(Problem, match=r"two waypoints in a row at .* expected different ones"):
-        paths.sample(Route(((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))))
 
 
 def test_a_short_side_is_passed_more_slowly():

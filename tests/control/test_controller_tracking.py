@@ -7,11 +7,12 @@ from kit.sensors import opener
 from kit.steering import IDEAL
 
 from fmus.machine.build import data
-from fmus.machine.poses import NOMINAL, POSES
+from fmus.machine.parts import MACHINES
+from fmus.machine.poses import POSES
 from orchestrator import Trace, read_trace, run
+from orchestrator.base.signals import rms
 
-DRIVES = {"swing": "detailed", "boom_stick": "detailed"}
-DETAILED = {**DRIVES, "manipulator": "pendulum_friction", "supply": "engine_pump"}
+DETAILED = MACHINES["detailed"]
 TIP = [f"manipulator.tip_{n}" for n in ("x", "y", "height")]
 ANGLE = "manipulator.swing_angle"
 PRESSURE = "supply.supply_pressure"
@@ -31,10 +32,6 @@ def tracked(
     there = radius * np.cos(angle), radius * np.sin(angle), height
     apart = [trace[name] - place for name, place in zip(TIP, there, strict=True)]
     return trace.time, np.linalg.norm(apart, axis=0), trace
-
-
-def rms(error: np.ndarray) -> float:
-    return float(np.sqrt((error**2).mean()))
 
 
 def both(name: str, value: float) -> dict[str, float]:
@@ -130,16 +127,6 @@ def test_every_pose_is_held(machine, pose):
     for name in COMMANDS:
         assert trace[name][0] == 0
         assert np.abs(trace[name]).max() < 0.8 + 0.2  # V: dead band, half of its rounding, of the play
-
-
-def test_levers_go_straight_through(machine):
-    """Not engaged, a lever is the command after the amplifier's lag of 20 ms."""
-    time = np.array([0.0, 1.0, 2.0])
-    lever = Trace(time, {"controller.boom_lever": np.array([0.0, 2.0, 2.0])})
-    trace = run(machine, lever, parameters=[NOMINAL], record=COMMANDS, stop=2.0).trace
-    late = np.interp(trace.time - 0.02, time, [0.0, 2.0, 2.0])  # a ramp behind a lag is late by the lag
-    np.testing.assert_allclose(trace[COMMANDS[1]][trace.time > 0.2], late[trace.time > 0.2], atol=0.02)
-    assert np.ptp(trace[COMMANDS[0]]) == np.ptp(trace[COMMANDS[2]]) == 0
 
 
 def test_a_lost_supply_is_waited_for_and_made_up_for(machine):

@@ -49,14 +49,8 @@ def test_frequencies_are_hydraulic_stiffness_over_inertia(fmu_dir, pose):
 def test_the_gain_from_command_to_speed_is_the_slope_of_the_valve(fmu_dir, pose):
     """-C A^-1 B, angles fixed, is dv/du of v = sqrt((A_h P_s - F)/(C_R (A_h^3 + A_r^3))), written by hand."""
     names = ["manipulator.boom_velocity", "boom_stick.boom_force"]
-    linear = linearize(
-        fmu_dir / "harvester.ssp",
-        parameters=pose,
-        inputs="boom_command",
-        outputs=names,
-        steady=True,
-        speeds={"boom": 0.2},
-    )
+    chosen = {"parameters": pose, "inputs": "boom_command", "outputs": names}
+    linear = linearize(fmu_dir / "harvester.ssp", steady=True, speeds={"boom": 0.2}, **chosen)
     quick = [i for i, s in enumerate(linear.states) if not s.name.endswith("_angle")]
     steady = np.linalg.solve(linear.a[np.ix_(quick, quick)], linear.b[quick])
     speed_gain, force_gain = (linear.d - linear.c[:, quick] @ steady).ravel()

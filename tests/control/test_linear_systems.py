@@ -166,19 +166,14 @@ def test_a_steady_state_balances_what_pulls(fmus):
     assert np.abs(linear.f0).max() < 1e-9  # N/kg, of terms of some N
 
 
-@pytest.mark.parametrize(
-    ("time", "ends"), [(0.5 + 0.4e-6, 0.5), (0.5 + 0.6e-6, 0.0), (4.0 + 0.4e-6, 4.0), (4.0 + 0.6e-6, 0.0)]
-)
-def test_a_time_is_that_of_a_step_to_a_millionth_of_it(fmus, time, ends):
+@pytest.mark.parametrize("time", [0.5, 4.0])
+def test_a_time_is_that_of_a_step_to_a_millionth_of_it(fmus, time):
     """Then the point is the end of the run; else the mistake is told. The step is 0.5 s."""
-    system = masses(fmus, a__pull=6.0, b__pull=6.0)
-    if not ends:
-        told = mistakes.problem(lambda: linearize(system, time=time, step=0.5))
-        assert "expected a multiple of the communication step" in told
-        return
-    linear = linearize(system, time=time, step=0.5)
+    system, told = masses(fmus, a__pull=6.0, b__pull=6.0), "expected a multiple of the communication step"
+    mistakes.problem(lambda: linearize(system, time=time + 0.6e-6, step=0.5), told)
+    linear = linearize(system, time=time + 0.4e-6, step=0.5)
     names = [s.name for s in linear.states]
-    trace = run(system, step=0.5, stop=ends, record=names).trace
+    trace = run(system, step=0.5, stop=time, record=names).trace
     np.testing.assert_array_equal(linear.x0, [trace[n][-1] for n in names])
 
 
@@ -210,9 +205,7 @@ def test_eight_outputs_are_listed(fmus, count):
     parts = {f"m{k}": fmus / "mass.fmu" for k in range(count)}
     told = mistakes.problem(lambda: linearize(assemble(parts), outputs=["zz"]))
     listed = ", ".join(f"m{k}.{n}" for k in range(4) for n in ("position", "speed"))
-    assert told.endswith(
-        f"; there are {listed}" if count == 4 else f"; there are 10 outputs, such as {listed}"
-    )
+    assert told.endswith(f"; there are {'' if count == 4 else '10 outputs, such as '}{listed}")
 
 
 def test_without_directional_derivatives_differences_do_and_a_note_says_so(fmus, tmp_path):

@@ -20,7 +20,8 @@ def test_modes_are_named_by_their_states(fmu_dir):
     assert named["position decay of boom"].main_states == ("boom_angle",)
     assert named["hydraulic oscillation of swing"].main_states[0] == "swing_speed"
     assert "marginally stable: integrator of swing" in linear.text()
-    assert any("at this operating point no state depends on swing_command" in note for note in linear.notes)
+    told = "at this operating point no state depends on swing_command (possible causes: dead band, command "
+    assert any(note.startswith(told) for note in linear.notes)
 
 
 def test_a_steady_state_holds_the_joints_whatever_the_inputs_are(fmu_dir):
@@ -44,15 +45,6 @@ def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
     told = "at this operating point loops are open at valve_actuation.swing_valve_command"
     assert any(told in note for note in rest.notes)
     assert not any("loops are open" in note for note in moves.notes)
-
-
-def test_a_command_beyond_its_range_is_told(fmu_dir):
-    """At 99 V the valve is wide open, so no state depends on the command; the note names both reasons."""
-    linear = linearize(
-        fmu_dir / "harvester.ssp", parameters=["reach"], inputs=["boom_command"], set={"boom_command": 99.0}
-    )
-    told = "at this operating point no state depends on boom_command (possible causes: dead band, command "
-    assert any(note.startswith(told) for note in linear.notes)
 
 
 def test_a_scenario_drives_inputs_that_are_no_inputs_of_the_model(fmu_dir):

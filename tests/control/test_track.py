@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit import mistakes, shards
+from kit import shards
 from kit.equations import Part
-from kit.mistakes import table
+from kit.mistakes import refused, table
 
-from fmus.controller.paths import start_angles
+from fmus.machine.parts import MACHINES
 from fmus.machine.path_following import (
     PathRun,
     differences,
@@ -27,8 +27,7 @@ from fmus.package_files import PACKAGE
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
 
-VARIANTS = ("swing=detailed", "boom_stick=detailed", "manipulator=pendulum_friction", "supply=engine_pump")
-DETAILED = [f"--swap={variant}" for variant in VARIANTS]
+DETAILED = [f"--swap={part}={variant}" for part, variant in MACHINES["detailed"].items()]
 ALONE = ["--no-compare", "--swap=swing=lumped"]
 NAMES = read_machine(PACKAGE / "controller/tracking.toml")
 TIME = np.linspace(0, 4, 5)
@@ -86,14 +85,6 @@ def test_places_are_those_of_the_manipulator():
 def test_table_tells_how_many_times_as_large_without_feedback():
     """The last cell of the row without feedback is its largest error over that of the ride with feedback."""
     assert [row[-1] for row in rows([made(0.01), made(0.07, False)])] == ["", "7.0"]
-
-
-def test_start_puts_the_tip_to_the_path():
-    """With the start angles of a path the manipulator has its tip at the path's first point."""
-    angles = start_angles("path", (4.2, 0.7, 0.3), {})
-    arm = Part(MANIPULATOR, **{n.partition(".")[2]: a for n, a in angles.items()})
-    y = arm(arm.start())[1]
-    assert [y[n] for n in TIP] == pytest.approx((4.2, 0.7, 0.3), abs=1e-12)  # both closed forms
 
 
 # ---- the command
@@ -174,14 +165,6 @@ def test_a_speed_that_is_not_reached_is_told(track, capsys):
     assert f"note: --speed 20: the path is too short for more than {asked:.2g} m/s" in capsys.readouterr().out
 
 
-def test_a_path_beyond_a_stroke_is_told(track, capsys):
-    """Within the links' reach but beyond the stroke: the sentence names it, the numbers tell its use."""
-    status, told = track(*through("3,0,0", "6.1,0,0"), *ALONE)
-    assert status == 0
-    assert "the path leads beyond the end of a stroke, from" in capsys.readouterr().out
-    assert told[0]["largest uses of limits"]["controller.stroke_use"] > 1
-
-
 def test_notes_stand_before_the_table(track, capsys):
     """The command prints the note of a difference once, for both machines, above the head of the table."""
     line = through("4,0,1", "4,0.1,1")
@@ -191,20 +174,20 @@ def test_notes_stand_before_the_table(track, capsys):
     assert told.index("note: ") < told.index("largest [mm]")
 
 
-@mistakes.table(__file__, "mistakes", "arguments, message")
+@table(__file__, "mistakes", "arguments, message")
 def test_mistakes_are_told_in_one_line(fmu_dir, tmp_path, capsys, arguments, message):
     """A mistake on the command line ends with status 2 and one line that names it."""
     command = ["track", fmu_dir / "harvester_control.ssp", *arguments, "--out", tmp_path]
-    assert message in mistakes.refused(capsys, command)
+    assert message in refused(capsys, command)
 
 
 def test_a_scenario_without_a_path_and_a_machine_without_a_controller_are_told(fmu_dir, tmp_path, capsys):
     """A scenario with other columns is named; a machine with levers alone, and one that can be tracked."""
     other = tmp_path / "other.csv"
     other.write_text("time,boom_command\n0,0\n1,1\n")
-    told = mistakes.refused(capsys, ["track", fmu_dir / "harvester_control.ssp", "--path", other])
+    told = refused(capsys, ["track", fmu_dir / "harvester_control.ssp", "--path", other])
     assert "other.csv: expected path_radius, path_height, path_angle" in told
-    told = mistakes.refused(capsys, ["track", fmu_dir / "harvester.ssp", "--out", tmp_path])
+    told = refused(capsys, ["track", fmu_dir / "harvester.ssp", "--out", tmp_path])
     assert "expected a machine with the controller, such as build/harvester_control.ssp, got" in told
 
 
@@ -246,12 +229,10 @@ def test_a_machine_that_differs_from_the_controllers_is_noted(fmu_dir):
     system = load(fmu_dir / "harvester_control.ssp")
     assert differences(system, NAMES) == []
     longer = system.with_start({"manipulator.stick_length": 3.2, "swing.valve_area": 3e-5})
-    assert differences(longer, NAMES) == [
-        f"{other}: the controller assumes another machine"
-        for other in (
-            "controller.stick_length is 2.9 m, manipulator.stick_length is 3.2 m",
-            "controller.swing_valve_area is 4e-05 m2, swing.valve_area is 3e-05 m2",
-        )
+    told, of = differences(longer, NAMES), ": the controller assumes another machine"
+    assert told == [
+        f"controller.stick_length is 2.9 m, manipulator.stick_length is 3.2 m{of}",
+        f"controller.swing_valve_area is 4e-05 m2, swing.valve_area is 3e-05 m2{of}",
     ]
     line = system.with_start({"controller.line_capacitance": 1e-12, "swing.line_capacitance": 0.0})
     (note,) = differences(line, NAMES)
@@ -264,8 +245,8 @@ def test_numbers_in_other_units_are_not_compared(fmu_dir):
     """A stick length without a unit may be in inches: no note."""
     system = load(fmu_dir / "harvester_control.ssp").with_start({"manipulator.stick_length": 3.2})
     part = system.components["manipulator"]
-    bare = {**part.interface.variables}
-    bare["stick_length"] = replace(bare["stick_length"], unit=None)
+    variables = part.interface.variables
+    bare = {**variables, "stick_length": replace(variables["stick_length"], unit=None)}
     other = replace(part, interface=replace(part.interface, variables=bare))
     assert differences(replace(system, components={**system.components, "manipulator": other}), NAMES) == []
 

@@ -1,5 +1,6 @@
 """What a path asks of the machine is told before it runs: reach, strokes, speeds, flow, pressure."""
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -22,6 +23,7 @@ from orchestrator.ssp.swap import with_swaps
 
 PARTS = NAMES.follower, NAMES.controller
 UP = straight((4.0, 0.0, 0.2), (4.0, 0.0, 1.8), 0.5)
+ALONE = ["--no-compare", "--swap=swing=lumped"]
 PUMPS = {"swing": "detailed", "boom_stick": "detailed", "supply": "engine_pump"}
 
 
@@ -102,30 +104,30 @@ def test_the_pressure_is_that_of_the_load_and_a_margin(machine, payload):
     """
     first = tuple(float(UP[n][0]) for n in NAMES.path)
     given = {"manipulator.payload_mass": payload} | start_angles("", first, {})
-    use, supply, force = (
-        "controller.pressure_use",
-        "supply.supply_pressure",
-        "manipulator.boom_holding_force",
-    )
-    trace = run(machine, UP, record=[use, supply, force], record_step=0.05, set=given).trace
+    names = ["controller.pressure_use", "supply.supply_pressure", "manipulator.boom_holding_force"]
+    trace = run(machine, UP, record=names, record_step=0.05, set=given).trace
+    use, supply, force = (trace[n] for n in names)
     (line,) = told(machine, UP, manipulator__payload_mass=payload, supply__pressure_setting=60e5)
     need = float(re.search(r"boom needs (\d+) bar .* the supply gives 60 bar", line)[1])
     area = math.pi / 4 * values(CONTROLLER).p["boom_bore"] ** 2
-    moved = trace[force] / area / 1e5 + 5
+    moved = force / area / 1e5 + 5
     assert need == pytest.approx(moved.max(), abs=0.8)  # no digit behind the point; slow at the very end
     middle = (trace.time > 2) & (trace.time < 4)
-    np.testing.assert_allclose((trace[use] * trace[supply] / 1e5)[middle], moved[middle], rtol=0.06)
+    np.testing.assert_allclose((use * supply / 1e5)[middle], moved[middle], rtol=0.06)
 
 
 def test_a_path_beyond_a_stroke_is_a_warning_and_runs(machine, tmp_path, capsys):
     """The piston, where it would be, and its range, above the table; the run then tells its cause."""
-    line = ["--through=3,0,0", "--through=6.1,0,0", "--no-compare", "--swap=swing=lumped"]
-    assert main(["track", str(machine), *line, f"--out={tmp_path}"]) == 0
+    line = ["--through=3,0,0", "--through=6.1,0,0", *ALONE, f"--out={tmp_path}"]
+    assert main(["track", str(machine), *line]) == 0
     out = capsys.readouterr().out
     place = "route, swing=lumped: at 8.1 s (radius 6.10 m, height 0.00 m)"
     told = f"warning: {place}: the piston of stick is at -0.035 m, expected 0.015 to 0.710 m"
     assert told in out
     assert out.index(told) < out.index("largest [mm]")
+    assert "the path leads beyond the end of a stroke, from" in out
+    (run_,) = json.loads((tmp_path / "tracking.json").read_text())
+    assert run_["largest uses of limits"]["controller.stroke_use"] > 1
 
 
 def test_a_path_that_leaves_the_reach_midway_is_refused(machine, tmp_path, capsys):
@@ -151,15 +153,5 @@ def test_a_path_that_is_not_followed_is_not_judged(machine, tmp_path, capsys):
     """With `follow` at 0 for a while the tip goes elsewhere: nothing is said of the path."""
     table = tmp_path / "levers.csv"
     table.write_text("time,path_radius,path_height,path_angle,follow\n0,4,1,0,0\n2,9,1,0,0\n3,4,1,0,0\n")
-    main(
-        [
-            "track",
-            str(machine),
-            "--path",
-            str(table),
-            "--no-compare",
-            f"--out={tmp_path}",
-            "--swap=swing=lumped",
-        ]
-    )
+    main(["track", str(machine), f"--path={table}", *ALONE, f"--out={tmp_path}"])
     assert "out of reach" not in capsys.readouterr().out

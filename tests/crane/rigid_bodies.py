@@ -8,6 +8,13 @@ def unit(axis):
     return np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
 
 
+def mass_and_weight(pin, tree, data, q):
+    """M and G by Newton-Euler: the composite bodies of Pinocchio need depth-first numbers."""
+    rest = np.zeros(tree.nv)
+    weight = pin.computeGeneralizedGravity(tree, data, q).copy()
+    return np.array([pin.rnea(tree, data, q, rest, one) - weight for one in np.eye(tree.nv)]), weight
+
+
 def bodies(pin, links, gravity, payload=None):
     """The links as a Pinocchio model, with a frame at the payload."""
     tree = pin.Model()

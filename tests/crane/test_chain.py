@@ -8,12 +8,10 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from crane.rigid_bodies import bodies
+from crane.rigid_bodies import bodies, mass_and_weight
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from kit.properties import examples
-from scipy.integrate import solve_ivp
-from scipy.special import ellipk
 
 from fmus.components import chain as module
 from fmus.components.chain import Chain, Link, Payload, gravity_on_slope
@@ -39,18 +37,17 @@ CRANE = (
 SLOPE = Chain(CRANE, gravity_on_slope(9.81, PITCH, ROLL))
 
 
-def symbols_of(count):
-    """Columns q and speed."""
-    return ca.SX.sym("q", count), ca.SX.sym("w", count)
+def terms_of(m):
+    """M, V, G, T, U, and what a kilogram adds to M q', T and U."""
+    terms = m.mass, m.coriolis, m.gravity, m.kinetic, m.potential, *vars(m.per_kilogram).values()
+    return [ca.densify(ca.SX(term)) for term in terms]
 
 
 def of_motion(chain, payload=None, inputs=()):
-    """(q, speed, *inputs) -> M, V, G, T, U, and what a kilogram adds to M q', T and U."""
-    q, w = symbols_of(len(chain.links) - sum(link.follows is not None for link in chain.links))
-    m = chain.equations(q, w, payload)
-    terms = [m.mass, m.coriolis, m.gravity, m.kinetic, m.potential]
-    terms += [m.per_kilogram.momentum, m.per_kilogram.kinetic, m.per_kilogram.potential]
-    return ca.Function("motion", [q, w, *inputs], [ca.densify(ca.SX(term)) for term in terms])
+    """(q, speed, *inputs) -> the terms."""
+    count = sum(link.follows is None for link in chain.links)
+    q, w = ca.SX.sym("q", count), ca.SX.sym("w", count)
+    return ca.Function("motion", [q, w, *inputs], terms_of(chain.equations(q, w, payload)))
 
 
 def numbers(function, *arguments):
@@ -64,21 +61,17 @@ def same(ours, theirs, accuracy):
         np.testing.assert_allclose(own, expected, rtol=0, atol=accuracy * max(np.abs(expected).max(), 1.0))
 
 
-@pytest.fixture(scope="module")
-def pin():
-    """Pinocchio, a rigid-body library with algorithms of its own."""
-    return pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
-
-
 def by_pinocchio(pin, model, q, w):
-    """M, V and G by Newton-Euler, and both energies; its composite bodies need depth-first numbers."""
-    tree, data = model
-    rest = np.zeros(len(q))
-    gravity = pin.computeGeneralizedGravity(tree, data, q).copy()
-    mass = [pin.rnea(tree, data, q, rest, unit) - gravity for unit in np.eye(len(q))]
-    coriolis = pin.rnea(tree, data, q, w, rest) - gravity
-    energies = pin.computeKineticEnergy(tree, data, q, w), pin.computePotentialEnergy(tree, data, q)
-    return [np.array(mass), coriolis, gravity, *energies]
+    """M, V and G by Newton-Euler, and both energies."""
+    mass, gravity = mass_and_weight(pin, *model, q)
+    coriolis = pin.rnea(*model, q, w, np.zeros(len(q))) - gravity
+    return [
+        mass,
+        coriolis,
+        gravity,
+        pin.computeKineticEnergy(*model, q, w),
+        pin.computePotentialEnergy(*model, q),
+    ]
 
 
 def payload_by_pinocchio(pin, model, q, w):
@@ -168,7 +161,7 @@ def test_any_tree_is_pinocchio_s(pin, seed):
     theirs += [turn.T @ jacobian.T @ velocity, velocity @ velocity / 2, -np.array(gravity) @ place]
     # exact identities; 1e-12 of the largest entry is 1e4 rounding errors; its terms are larger than their sum
     same(numbers(of_motion(chain, load), q, w), [np.squeeze(t) for t in theirs], 1e-12)
-    f, (angles, speeds) = rng.uniform(-1e3, 1e3, 3), symbols_of(len(q))
+    f, (angles, speeds) = rng.uniform(-1e3, 1e3, 3), (ca.SX.sym(n, len(q)) for n in "qw")
     terms = [chain.position(angles, load.link, at), chain.velocity(angles, speeds, load.link, at)]
     terms += [chain.generalised_force(angles, ca.DM(f), load.link, at)]
     terms += [entry for frame in chain.frames(angles) for entry in (frame.origin, frame.rotation)]
@@ -186,19 +179,11 @@ def manipulator(variant):
     x, p = symbols(sub.states), symbols(sub.parameters)
     slender = [(0, part.inertia, part.inertia, 0, 0, 0) for part in (p.boom, p.stick)]
     centres = [(part.centre_x, 0, part.centre_z) for part in (p.boom, p.stick)]
-    elbow, total = (p.stick_pivot_x, 0, p.stick_pivot_z), p.head_mass + x.held_mass
+    shoulder, elbow = (p.boom_pivot_x, 0, p.boom_pivot_z), (p.stick_pivot_x, 0, p.stick_pivot_z)
+    total = p.head_mass + x.held_mass
     links = [
         Link("swing", "revolute", "z", inertia=(0, 0, p.column_inertia, 0, 0, 0)),
-        Link(
-            "boom",
-            "revolute",
-            "-y",
-            (p.boom_pivot_x, 0, p.boom_pivot_z),
-            0,
-            p.boom.mass,
-            centres[0],
-            slender[0],
-        ),
+        Link("boom", "revolute", "-y", shoulder, 0, p.boom.mass, centres[0], slender[0]),
         Link("stick", "revolute", "-y", elbow, 1, p.stick.mass, centres[1], slender[1]),
     ]
     tip, turn, angles = (p.stick_length, 0, 0), np.eye(3), ("swing", "boom", "stick")
@@ -207,11 +192,8 @@ def manipulator(variant):
         head = (p.head_inertia, p.head_inertia, 0, 0, 0, 0)
         links += [Link("head", "revolute", "-y", tip, 2)]
         links += [Link("head_side", "revolute", "x", (0, 0, 0), 3, 0, (0, 0, -p.head_length), head)]
-        turn, angles, load = (
-            np.eye(5),
-            (*angles, "head", "head_side"),
-            Payload(4, (0, 0, -p.head_length), total),
-        )
+        turn, load = np.eye(5), Payload(4, (0, 0, -p.head_length), total)
+        angles += "head", "head_side"
         turn[3, 1:3] = -1.0
     q, w = (ca.vertcat(*(getattr(x, f"{a}_{kind}") for a in angles)) for kind in ("angle", "speed"))
     return x, p, q, w, Chain(tuple(links), (0, 0, -p.gravity)), load, ca.DM(turn)
@@ -230,15 +212,7 @@ def test_manipulator_is_a_chain(variant):
         (mass, load.mass),
     )
     by_hand = mechanics(x, p, VARIANTS[variant].dynamics.args[0].head)
-    found, expected = (
-        ca.Function(
-            "terms",
-            [stack(x), stack(p)],
-            [ca.densify(ca.SX(t)) for t in (m.mass, m.coriolis, m.gravity, m.kinetic, m.potential)]
-            + [ca.densify(ca.SX(t)) for t in vars(m.per_kilogram).values()],
-        )
-        for m in (ours, by_hand)
-    )
+    found, expected = (ca.Function("f", [stack(x), stack(p)], terms_of(m)) for m in (ours, by_hand))
     rng = np.random.default_rng(2)
     usual = np.array([*values(VARIANTS[variant]).p.values()])
     for _ in range(500):
@@ -264,7 +238,7 @@ def test_size_of_the_equations_is_that_of_the_docstring():
         terms = ca.substitute([motion.mass, motion.coriolis, motion.gravity], [stack(p)], [chosen])
         folded = replace(motion, **dict(zip(("mass", "coriolis", "gravity"), terms, strict=True)))
         counts.append(instructions(folded, [q, w, x.held_mass]))
-    q, w = symbols_of(7)
+    q, w = ca.SX.sym("q", 7), ca.SX.sym("w", 7)
     crane = Chain(CRANE, tuple(float(g) for g in gravity_on_slope(9.81, 0.1, -0.2)))
     counts.append(instructions(crane.equations(q, w), [q, w]))
     pattern = r"(\d+) instructions of CasADi .* \((\d+) by hand\), (\d+) for a crane with 7"
@@ -273,99 +247,25 @@ def test_size_of_the_equations_is_that_of_the_docstring():
     assert counts == pytest.approx([int(n) for n in stated.groups()], rel=0.02)
 
 
-# ---- balances
-
-
-def test_power_of_forces_and_payload_is_the_rate_of_energy():
-    """Joint forces, a force at a point and mass that comes and goes on a slope: power in = dE/dt + heat."""
-    q, w = symbols_of(7)
-    tau, force, rate = ca.SX.sym("tau", 7), ca.SX.sym("force", 3), ca.SX.sym("rate")
-    load, place = Payload(6, TIP, LOAD), (3, (0.2, 0.1, -0.1))
-    motion = SLOPE.equations(q, w, load)
-    outside = SLOPE.generalised_force(q, force, *place)
-    acceleration = motion.acceleration(tau + outside + motion.per_kilogram.drag(rate))
-    energy = SLOPE.kinetic(q, w, load) + SLOPE.potential(q, load)
-    along = ca.vertcat(w, acceleration, rate)
-    powers = [
-        ca.dot(tau, w),
-        ca.dot(force, SLOPE.velocity(q, w, *place)),
-        motion.per_kilogram.inflow(rate),
-        -motion.per_kilogram.heat(rate),
-        -ca.jtimes(energy, ca.vertcat(q, w, LOAD), along),
-    ]
-    balance = ca.Function("powers", [q, w, tau, force, rate, PITCH, ROLL, LOAD], powers)
-    rng = np.random.default_rng(3)
-    for _ in range(200):
-        state = (
-            rng.uniform(-3, 3, 7),
-            rng.uniform(-2, 2, 7),
-            rng.uniform(-1e5, 1e5, 7),
-            rng.uniform(-1e4, 1e4, 3),
-        )
-        terms = numbers(
-            balance, *state, rng.uniform(-500, 500), *rng.uniform(-0.5, 0.5, 2), rng.uniform(0, 800)
-        )
-        # exact identity; the acceleration has rounding errors times the condition of M, up to 1e4
-        assert abs(sum(terms)) < 1e-10 * max(map(abs, terms))
-
-
 # ---- closed forms
-
-
-@pytest.mark.parametrize("amplitude", [5.0, 60.0])
-def test_bar_on_a_slope_swings_with_the_period_of_a_compound_pendulum(amplitude):
-    """T = 4 sqrt(I/(m g c)) K(sin^2(A/2)) with I = 4/3 m c^2, and of gravity the part across the pin."""
-    roll, half, swing = 0.3, 0.8, math.radians(amplitude)
-    bar = Link("bar", "revolute", "-y", (1, 2, 3), None, 7.0, (0, 0, -half), "bar")
-    motion = of_motion(Chain((bar,), tuple(map(float, gravity_on_slope(9.81, 0, roll)))))
-
-    def rates(_, y):
-        mass, coriolis, gravity, *_ = numbers(motion, y[0], y[1])
-        return [y[1], -(coriolis + gravity) / mass]
-
-    period = 4 * math.sqrt(4 / 3 * half / (9.81 * math.cos(roll))) * ellipk(math.sin(swing / 2) ** 2)
-
-    def crossing(_, y):
-        return y[0]
-
-    run = solve_ivp(rates, (0, 0.3 * period), [swing, 0.0], "DOP853", events=crossing, rtol=1e-11, atol=1e-12)
-    # integrator error: 1e-11 per step over a quarter of a period, 1e2 steps at most
-    assert 4 * run.t_events[0][0] == pytest.approx(period, rel=1e-9)
-
-
-def telescope(ratio=None):
-    """A column with two stages of a telescope; the second one follows the first, or moves on its own."""
-    slew = Link("slew", "revolute", "z", (0, 0, 0), None, 0, (0, 0, 0), (0, 0, 50.0, 0, 0, 0))
-    first = Link("first", "prismatic", "x", (1.5, 0, 0), 0, 80.0, (0.5, 0, 0))
-    second = Link("second", "prismatic", "x", (0, 0, 0), 1, 30.0, (0.8, 0, 0))
-    if ratio is not None:
-        second = replace(second, follows=1, ratio=ratio)
-    return Chain((slew, first, second), tuple(map(float, gravity_on_slope(9.81, 0.2, 0.1))))
 
 
 def test_telescope_slides_down_the_slope_and_outwards_as_it_turns():
     """(m1 + 4 m2) x'' = (m1 + 2 m2) g sin(pitch) + (m1 r1 + 2 m2 r2) w^2, with point masses at radii r."""
     x, w = 0.7, 1.3
-    mass, coriolis, gravity, *_ = numbers(of_motion(telescope(1.0)), [0.0, x], [w, 0.0])
+    links = (
+        Link("slew", "revolute", "z", inertia=(0, 0, 50.0, 0, 0, 0)),
+        Link("first", "prismatic", "x", (1.5, 0, 0), 0, 80.0, (0.5, 0, 0)),
+        Link("second", "prismatic", "x", (0, 0, 0), 1, 30.0, (0.8, 0, 0), follows=1),
+    )
+    motion = of_motion(Chain(links, tuple(map(float, gravity_on_slope(9.81, 0.2, 0.1)))))
+    mass, coriolis, gravity, *_ = numbers(motion, [0.0, x], [w, 0.0])
     radii = 1.5 + x + 0.5, 1.5 + 2 * x + 0.8
     # exact identities, rounding only
     assert mass[1, 1] == pytest.approx(80 + 4 * 30, rel=1e-14)
     assert mass[0, 0] == pytest.approx(50 + 80 * radii[0] ** 2 + 30 * radii[1] ** 2, rel=1e-14)
     assert gravity[1] == pytest.approx(-(80 + 2 * 30) * 9.81 * math.sin(0.2), rel=1e-14)
     assert coriolis[1] == pytest.approx(-(80 * radii[0] + 2 * 30 * radii[1]) * w**2, rel=1e-14)
-
-
-def test_stage_that_follows_moves_as_two_sliders_with_a_constraint():
-    """The acceleration is that of two sliders and a force that keeps their ratio (Lagrange's multiplier)."""
-    ratio, q, w, tau = 1.7, np.array([0.3, 0.6]), np.array([1.1, -0.4]), np.array([500.0, -900.0])
-    mass, coriolis, gravity, *_ = numbers(of_motion(telescope(ratio)), q, w)
-    own = np.linalg.solve(mass, tau - coriolis - gravity)
-    mass, coriolis, gravity, *_ = numbers(of_motion(telescope()), [*q, ratio * q[1]], [*w, ratio * w[1]])
-    rule = np.array([[0.0, ratio, -1.0]])
-    system = np.block([[mass, rule.T], [rule, np.zeros((1, 1))]])
-    both = np.linalg.solve(system, [*(np.array([*tau, 0.0]) - coriolis - gravity), 0.0])
-    # exact identity, rounding only
-    np.testing.assert_allclose(own, both[:2], rtol=1e-12)
 
 
 def test_what_is_not_stated_is_zero():
@@ -418,25 +318,6 @@ def test_passive_joints_of_a_crane_on_a_slope_start_at_rest(passive, within, see
     # rounding of the same torques, over stiffnesses of 1e3 N.m/rad
     assert np.abs(np.linalg.solve(stiffness, slopes)).max() < 1e-12
     assert np.linalg.eigvalsh(stiffness).min() > 0  # it hangs, and does not stand on its head
-
-
-@examples(30)
-@given(
-    pitch=st.floats(-0.5, 0.5), roll=st.floats(-0.5, 0.5), boom=st.floats(-1.2, 1.2), guess=st.floats(-3, 3)
-)
-def test_slender_head_hangs_along_gravity(pitch, roll, boom, guess):
-    """A head that hangs in two axes from a boom has its centre of mass in the direction of gravity."""
-    links = (
-        Link("boom", "revolute", "-y", mass=50.0, centre=(1, 0, 0)),
-        Link("pin", "revolute", "-y", (2, 0, 0), 0),
-        Link("yoke", "revolute", "x", (0, 0, 0), 1, 200.0, (0, 0, -0.7), "bar"),
-    )
-    gravity = [float(g) for g in gravity_on_slope(9.81, pitch, roll)]
-    chain = Chain(links, tuple(gravity))
-    rest = chain.at_rest(ca.DM([boom, guess, guess]), (1, 2))
-    hanging = ca.DM(chain.position(rest, 2, (0, 0, -0.7)) - chain.position(rest, 2)).full()[:, 0]
-    # exact identity, rounding only
-    np.testing.assert_allclose(hanging, 0.7 * np.array(gravity) / 9.81, rtol=0, atol=1e-14)
 
 
 def test_joint_that_gravity_does_not_turn_keeps_its_angle():

@@ -85,11 +85,8 @@ def test_settings_follow_the_pressure_of_the_file(tmp_path):
     with_half = crane_machine(read(path))
     for part, variant in (("drives", "compensated"), ("drives", "detailed"), ("supply", "load_sensing")):
         full, half = of(machine(), variant, part), of(with_half, variant, part)
-        names = [
-            n
-            for n, x in full.items()
-            if x.source == "derived" and x.unit == "Pa" and half[n].value != x.value
-        ]
+        derived = [n for n, x in full.items() if x.source == "derived" and x.unit == "Pa"]
+        names = [n for n in derived if half[n].value != full[n].value]
         assert len(names) == {"compensated": 4, "detailed": 1, "load_sensing": 2}[variant]
         for n in names:
             assert half[n].value == pytest.approx(full[n].value / 2, rel=1e-12)
@@ -128,8 +125,7 @@ def test_each_example_has_all_variants(name):
     for part in dict.fromkeys(j.part for j in crane(name).driven):
         assert list(families[part]) == list(FIDELITIES)
         for sub in families[part].values():
-            assert {n: x.unit for n, x in numbers(sub)["parameters"].items()} == {
-                n: q.unit for n, q in quantities(sub.parameters).items()
-            }
+            given, declared = numbers(sub)["parameters"], quantities(sub.parameters)
+            assert {n: x.unit for n, x in given.items()} == {n: q.unit for n, q in declared.items()}
             names = [n for g in ("states", "parameters", "inputs") for n in quantities(getattr(sub, g))]
             assert len(set(names)) == len(names)  # none is declared twice

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 
-from fmus.components.chain import Chain, Link
 from fmus.components.linkage import Cylinder, Drive, FourBar, Motor, Telescope
 
 # lengths of a forwarder loader (Ganguly and Le Duc 2017), pins made up
@@ -107,25 +105,6 @@ def test_forces_in_the_pins_of_a_linkage_make_its_torque(seed):
     assert torque == pytest.approx(at(drive, q)[1], abs=1e-12)
 
 
-@given(seed=seeds)
-def test_parallelogram_is_a_cylinder_at_the_joint_itself(seed):
-    """With opposite sides equal the rocker turns as the link does: a triangle about the rocker's pin."""
-    rng = np.random.default_rng(seed)
-    pin, pivot, base = (complex(*place) for place in rng.uniform(-1, 1, (3, 2)))
-    q = float(rng.uniform(-3, 3))
-    diagonal, across = pin * cmath.exp(1j * q) - pivot, pin * cmath.exp(1j * q)
-    assume(abs(abs(pin) - abs(pivot)) + 0.1 < abs(diagonal) < abs(pin) + abs(pivot) - 0.1)
-    assume(abs(across + pivot - base) > 0.1)
-    side = "above" if (across * diagonal.conjugate()).imag > 0 else "below"
-
-    def pair(z):
-        return z.real, z.imag
-
-    linkage = FourBar(pair(base), 1.0, pair(pivot), abs(pin), abs(pivot), pair(pin), side)
-    # exact identity, rounding only; dJ/dq divides twice by margins of 0.1 m
-    assert at(linkage, q) == pytest.approx(at(Cylinder(pair(base - pivot), pair(pin), 1.0), q), abs=1e-11)
-
-
 def test_margin_is_zero_where_rocker_and_coupler_are_in_line():
     """The margin is the distance of the pins from the sum and the difference of the lengths; x ends there."""
     drive = FourBar((-2.0, 0.5), 1.0, (-1.0, 0.0), 0.7, 0.6, (0.5, 0.0), "above")
@@ -162,27 +141,3 @@ def test_rates_of_the_actuator_follow_a_motion_of_the_joint(name):
     rate = slope(lambda t: values(moved(t)[0].velocity(moved(t)[1]))[0], 0.0)
     assert values(found.acceleration(w, a)) == pytest.approx([rate], abs=1e-8)
     assert values(found.effort(3e4)) == [3e4 * at(DRIVES[name], q)[1]]
-
-
-@pytest.mark.parametrize("name", ["cylinder", "above", "below"])
-def test_constant_force_of_a_cylinder_adds_its_work_to_the_energy(name):
-    """T + U - F x of a link that a cylinder moves stays as it is."""
-    chain, force = Chain((Link("jib", "revolute", "-y", (0, 0, 0), None, 200.0, (1.2, 0, 0), "bar"),)), 5e3
-    q, w = ca.SX.sym("q"), ca.SX.sym("w")
-    motion, drive = chain.equations(q, w), DRIVES[name].at(q)
-    rates = ca.Function("rates", [q, w], [ca.vertcat(w, motion.acceleration(drive.effort(force)))])
-    kept = ca.Function(
-        "energy", [q, w], [motion.kinetic, motion.kinetic + motion.potential - force * drive.position]
-    )
-
-    def derivative(_, y):
-        return rates(*y).full()[:, 0]
-
-    run = solve_ivp(derivative, (0, 0.3), [0.1, 0.0], "DOP853", rtol=1e-11, atol=1e-11)
-    kinetic, energy = (
-        np.array([float(value) for value in column])
-        for column in zip(*(kept(*y) for y in run.y.T), strict=True)
-    )
-    assert np.ptp(kinetic) > 100  # it does move
-    # integrator error: 1e-11 per step, 1e2 steps at most
-    assert np.ptp(energy) < 1e-9 * np.ptp(kinetic)

@@ -36,17 +36,10 @@ def _functions(**given):
     """Point, speeds for a velocity of the tip, levers and weights: of coordinates and velocity."""
     p, q, v = nested(LOADER.parameters, P | given), ca.SX.sym("q", 4), ca.SX.sym("v", 2)
     each, velocity = ca.vertsplit(q), Cylindrical(v[0], v[1], 0)
-    point = column(*ARM.point(each, p))
-    weights = ARM.choice(ARM.columns(each, p), each, velocity, p).weights
+    point, pistons = column(*ARM.point(each, p)), column(*(x for x, _ in ARM.pistons(each, p)))
+    weights = column(*ARM.choice(ARM.columns(each, p), each, velocity, p).weights)
     speeds = column(*ARM.joint_speeds(each, velocity, p))
-    terms = [
-        point,
-        ca.jacobian(point, q),
-        speeds,
-        column(*weights),
-        column(*(x for x, _ in ARM.pistons(each, p))),
-    ]
-    return ca.Function("f", [q, v], terms)
+    return ca.Function("f", [q, v], [point, ca.jacobian(point, q), speeds, weights, pistons])
 
 
 AS_IT_IS, LEAST_OIL = _functions(), _functions(centring=0.0)
@@ -135,15 +128,13 @@ def test_an_arm_that_the_controller_does_not_know_is_told(tmp_path):
     """What it needs and what it found; the machine has none."""
     crane = read(changed(tmp_path, ('[slew]\naxis = "z"', '[slew]\naxis = "-z"')))
     assert crane_machine(crane).controller is None
-    assert problem(lambda: controlled(crane)).endswith(
-        "in the plane of the arm, got [slew] drive motor, axis -z"
-    )
+    problem(lambda: controlled(crane), r"in the plane of the arm, got \[slew\] drive motor, axis -z$")
 
 
 def test_a_place_out_of_reach_is_told():
     """With the place and the reason; elsewhere the pose has its tip at the place."""
-    told = problem(lambda: start_pose(LOADER, (12.0, 1.0, 0.0), {}))
-    assert re.match("tip at radius 12 m, height 1 m: (out of reach|the stroke of .* ends before)", told)
+    told = "^tip at radius 12 m, height 1 m: (out of reach|the stroke of .* ends before)"
+    problem(lambda: start_pose(LOADER, (12.0, 1.0, 0.0), {}), told)
     found = start_pose(LOADER, (5.0, 1.0, 0.3), {})
     pose = [found[f"manipulator.initial_{a.coordinate[0]}"] for a in ARM.axes]
     assert AS_IT_IS(pose, [0, 0])[0].full()[:, 0] == pytest.approx([5.0, 1.0], abs=1e-8)

@@ -1,10 +1,12 @@
 """Cranes as URDF: another library reads the same mechanics, and a foreign URDF becomes a crane."""
 
-from pathlib import Path
+from operator import attrgetter
 
 import casadi as ca
 import numpy as np
 import pytest
+from crane.rigid_bodies import mass_and_weight
+from kit.cranes import checked, crane
 from kit.mistakes import problem
 
 from fmus.components.chain import Chain
@@ -15,7 +17,6 @@ from fmus.crane.manipulator import manipulator
 from fmus.crane.urdf import export, imported
 from fmus.parameters import values
 
-LOADER = Path(__file__).parents[2] / "examples" / "cranes" / "loader.toml"
 FOREIGN = """<robot name="arm"><link name="world"/>
 <link name="Column 1"><inertial><origin xyz="0.1 0 0.4"/><mass value="200"/>
   <inertia ixx="10" iyy="11" izz="5" ixy="0.3" ixz="0.2" iyz="0.1"/></inertial></link>
@@ -37,46 +38,27 @@ FOREIGN = """<robot name="arm"><link name="world"/>
   <limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
 
-@pytest.fixture(scope="module")
-def pin():
-    """Pinocchio, a rigid-body library with a reader of its own."""
-    return pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
-
-
-def ours(crane, q):
-    """M and G of a crane whose joints are all free."""
+def same(pin, crane, text, q):
+    """M and G of a crane whose joints are all free are those of Pinocchio's reader, within rounding."""
     sub = manipulator(crane)
     own = sub.dynamics.__self__
     chain = own.chain(nested(own.parameters, values(sub).p))
     links = [type(link)(**{**vars(link), "follows": None}) for link in chain.links]
     motion = Chain(tuple(links), (0, 0, -9.81)).equations(ca.SX(q), ca.SX(0 * q))
-    return ca.evalf(motion.mass).full(), ca.evalf(motion.gravity).full()[:, 0]
-
-
-def theirs(pin, text, q):
-    """The same by Pinocchio's reader and its Newton-Euler; a continuous joint has the sine and cosine."""
     model = pin.buildModelFromXML(text)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
-    data, place = model.createData(), pin.neutral(model)
-    place = pin.integrate(model, place, q)
-    gravity = pin.computeGeneralizedGravity(model, data, place).copy()
-    rest = np.zeros(model.nv)
-    mass = [pin.rnea(model, data, place, rest, unit) - gravity for unit in np.eye(model.nv)]
-    return np.array(mass), gravity
-
-
-def same(found, expected):
-    """Within rounding: 1e-12 of the largest entry."""
-    for own, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(own, other, rtol=0, atol=1e-12 * np.abs(other).max())
+    place = pin.integrate(model, pin.neutral(model), q)  # a continuous joint has the sine and cosine
+    expected = mass_and_weight(pin, model, model.createData(), place)
+    for own, other in zip((motion.mass, ca.vec(motion.gravity)), expected, strict=True):
+        found = ca.evalf(own).full().reshape(other.shape)
+        np.testing.assert_allclose(found, other, rtol=0, atol=1e-12 * np.abs(other).max())
 
 
 def test_an_export_has_the_same_mechanics_in_pinocchio(pin):
     """M and G of the loader at random coordinates, its second stage as a joint of its own."""
-    crane = read(LOADER)
-    text = export(crane, check(crane)).replace('<mimic joint="extension_joint" multiplier="1"/>', "")
+    text = export(crane(), checked()).replace('<mimic joint="extension_joint" multiplier="1"/>', "")
     for q in np.random.default_rng(4).uniform(-1, 1, (20, 7)):
-        same(ours(crane, q), theirs(pin, text, q))
+        same(pin, crane(), text, q)
 
 
 def test_a_foreign_urdf_becomes_a_crane_with_the_same_mechanics(pin, tmp_path):
@@ -86,24 +68,21 @@ def test_a_foreign_urdf_becomes_a_crane_with_the_same_mechanics(pin, tmp_path):
     told = imported(source, target)
     assert "3 joints" in told
     assert "column1, arm, slide" in told
-    crane = read(target)
-    loads = capacity(crane, check(crane))  # nothing is driven yet
-    assert loads.load.tolist() == [0.0]
-    assert [j.numbers["damping"].value for j in crane.joints] == [0, 7, 0]
+    found = read(target)
+    assert capacity(found, check(found)).load.tolist() == [0.0]  # nothing is driven yet
+    assert [j["damping"] for j in found.joints] == [0, 7, 0]
     for q in np.random.default_rng(5).uniform(-1, 1, (20, 3)):
-        same(ours(crane, q), theirs(pin, FOREIGN, q))
+        same(pin, found, FOREIGN, q)
 
 
 def test_an_exported_crane_comes_back(tmp_path):
     """All numbers of links and joints, also the coupled stage."""
-    crane = read(LOADER)
-    (tmp_path / "a.urdf").write_text(export(crane, check(crane)), encoding="utf-8")
+    (tmp_path / "a.urdf").write_text(export(crane(), checked()), encoding="utf-8")
     imported(tmp_path / "a.urdf", tmp_path / "a.toml")
     again = read(tmp_path / "a.toml")
-    for one, other in zip(crane.joints, again.joints, strict=True):
-        assert (one.name, one.kind, one.axis, one.parent, one.follows) == (
-            *(other.name, other.kind, other.axis, other.parent, other.follows),
-        )
+    same_of = attrgetter("name", "kind", "axis", "parent", "follows")
+    for one, other in zip(crane().joints, again.joints, strict=True):
+        assert same_of(one) == same_of(other)
         kept = [n for n in other.numbers if n != "stiffness"]
         assert [one[n] for n in kept] == pytest.approx([other[n] for n in kept], abs=1e-11)
 

@@ -1,13 +1,15 @@
 """`harvester diagnose`: what it makes of recordings as they come."""
 
 import numpy as np
+import pandas as pd
 import pytest
+from kit.mistakes import problem
 
 from orchestrator import Problem, read_trace
 from orchestrator.__main__ import main
 from orchestrator.base.files import Location
 from orchestrator.data.trace import trace_of
-from orchestrator.results.diagnosis import diagnose, learned, readings
+from orchestrator.results.diagnosis import _named, diagnose, learned, readings
 
 COMMANDS = ("swing_command", "boom_command", "stick_command")
 
@@ -16,13 +18,8 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 def columns():
     """Two seconds of readings that change, of an arm that rests; the pressures hold it."""
     rng, time = np.random.default_rng(2), np.arange(0, 2.005, 0.01)
-    sizes = {
-        "boom_angle": 0.3,
-        "stick_angle": -1.5,
-        "swing_angle": 0.1,
-        "supply_pressure": 2e7,
-        "tank_pressure": 4e5,
-    }
+    sizes = {"boom_angle": 0.3, "stick_angle": -1.5, "swing_angle": 0.1}
+    sizes |= {"supply_pressure": 2e7, "tank_pressure": 4e5}
     sizes |= {"boom_head_pressure": 8.8e6, "boom_rod_pressure": 1.7e6}
     sizes |= {"stick_head_pressure": 1.1e6, "stick_rod_pressure": 3.4e6}
     sizes |= {"swing_pressure_a": 3e6, "swing_pressure_b": 3e6, "oil_temperature": 330.0}
@@ -33,28 +30,34 @@ def columns():
 
 def written(folder, columns, name="log.csv"):
     """A recording as a file."""
-    table = np.column_stack(list(columns.values()))
-    lines = [",".join(columns), *(",".join("" if np.isnan(v) else f"{v:.9g}" for v in row) for row in table)]
-    file = folder / name
-    file.write_text("\n".join(lines) + "\n")
-    return file
+    pd.DataFrame(columns).to_csv(folder / name, index=False, float_format="%.9g")
+    return folder / name
 
 
-def test_a_recording_without_a_fault_ends_with_status_0(fmu, columns, tmp_path, capsys):
+@pytest.fixture
+def told(fmu, columns, tmp_path, capsys):
+    """told(): status and text of the command."""
+
+    def diagnosed():
+        file = written(tmp_path, columns)
+        return main(["diagnose", str(file), f"--fmu={fmu}", f"--out={tmp_path}"]), capsys.readouterr().out
+
+    return diagnosed
+
+
+def test_a_recording_without_a_fault_ends_with_status_0(told, tmp_path):
     """It is said that nothing was found, what cannot be told, and where the report is."""
-    status = main(["diagnose", str(written(tmp_path, columns)), "--fmu", str(fmu), "--out", str(tmp_path)])
-    told = capsys.readouterr().out
+    status, told = told()
     assert not status
     assert "log.csv: nothing found" in told
     assert "Cannot be told at the end: " in told
     assert "Nothing found." in (tmp_path / "diagnosis.html").read_text()
 
 
-def test_a_sensor_that_is_not_connected_ends_with_status_1(fmu, columns, tmp_path, capsys):
+def test_a_sensor_that_is_not_connected_ends_with_status_1(told, columns, tmp_path):
     """The reading and the sensor are named, in the table and in the report."""
     columns["boom_rod_pressure"][120:] = -1.5e7
-    status = main(["diagnose", str(written(tmp_path, columns)), "--fmu", str(fmu), "--out", str(tmp_path)])
-    told = capsys.readouterr().out
+    status, told = told()
     assert status == 1
     assert "The reading of boom rod pressure is wrong" in told
     assert "boom rod pressure sensor" in told
@@ -74,7 +77,15 @@ def test_findings_of_a_long_recording_are_stored_less_often(fmu, columns, tmp_pa
         assert a.since == pytest.approx(b.since, abs=0.04)
 
 
-@pytest.mark.parametrize("name", ["boom_speed", "stick_head_pressure", "tank_pressure", "oil_temperature"])
+LACKING = {
+    "boom_speed": {},
+    "stick_head_pressure": {"stick_head_burst": -1, "boom_head_burst": 0},
+    "tank_pressure": {"boom_head_burst": -1, "boom_head_pressure_sensor": 0},
+    "oil_temperature": {},
+}
+
+
+@pytest.mark.parametrize("name", LACKING)
 def test_a_column_that_is_missing_is_named_and_the_rest_goes_on(fmu, columns, tmp_path, name):
     """One line; what needs it cannot be told, and what does not still can."""
     del columns[name]
@@ -83,12 +94,7 @@ def test_a_column_that_is_missing_is_named_and_the_rest_goes_on(fmu, columns, tm
     assert f"no column {name}" in line
     assert not found.broken
     state = {f.name: f.state[-1] for f in found.findings}
-    if name == "stick_head_pressure":
-        assert state["stick_head_burst"] == -1
-        assert state["boom_head_burst"] == 0
-    if name == "tank_pressure":
-        assert state["boom_head_burst"] == -1
-        assert state["boom_head_pressure_sensor"] == 0
+    assert {n: state[n] for n in LACKING[name]} == LACKING[name]
 
 
 def test_a_reading_that_is_constant_counts_as_missing(fmu, columns, tmp_path):
@@ -134,51 +140,42 @@ def test_missing_samples_keep_the_one_before(columns, tmp_path, capsys):
 
 def test_pressures_in_bar_are_told(fmu, columns, tmp_path):
     """Without units in the file they count as Pa, which is doubted."""
-    for name in columns:
-        columns[name] = columns[name] / 1e5 if "pressure" in name else columns[name]
-    found = diagnose(fmu, written(tmp_path, columns))
+    bar = {n: v / 1e5 if "pressure" in n else v for n, v in columns.items()}
+    found = diagnose(fmu, written(tmp_path, bar))
     assert any("did you mean" in line and "bar" in line for line in found.remarks)
 
 
 def test_pressures_with_their_unit_are_converted(fmu, columns, tmp_path):
     """`supply_pressure [bar]` is the same reading."""
-    bar = {
-        f"{n} [bar]" if "pressure" in n else n: v / 1e5 if "pressure" in n else v for n, v in columns.items()
-    }
+    bar = dict((f"{n} [bar]", v / 1e5) if "pressure" in n else (n, v) for n, v in columns.items())
     one, other = (diagnose(fmu, written(tmp_path, c, f"{k}.csv")) for k, c in enumerate((columns, bar)))
     for f, g in zip(one.findings, other.findings, strict=True):
         assert g.size == pytest.approx(f.size, rel=1e-4, abs=1e-4 * max(abs(f.size).max(), 1e-12)), f.name
 
 
-def test_a_recording_of_something_else_is_refused(fmu, tmp_path):
-    """One line with the names that are expected."""
-    with pytest.raises(Problem, match=r"no column has the name of an input of diagnosis\.fmu"):
-        diagnose(fmu, written(tmp_path, {"time": np.arange(9.0), "speed": np.arange(9.0)}))
+REFUSED = {
+    "no column has the name of an input of diagnosis\\.fmu": lambda c: {
+        "time": c["time"],
+        "speed": c["time"],
+    },
+    "expected the column boom_command": lambda c: {n: v for n, v in c.items() if n != "boom_command"},
+    "expected one column boom_command, got a\\.boom_command, b\\.boom_command": lambda c: {
+        **{n: v for n, v in c.items() if n != "boom_command"},
+        **dict.fromkeys(("a.boom_command", "b.boom_command"), c["boom_command"]),
+    },
+}
 
 
-def test_commands_are_needed(fmu, columns, tmp_path):
-    """Without a command no function can be judged."""
-    del columns["boom_command"]
-    with pytest.raises(Problem, match="expected the column boom_command"):
-        diagnose(fmu, written(tmp_path, columns))
-
-
-def test_two_columns_of_one_reading_are_refused(fmu, columns, tmp_path):
-    """Which one is meant is not guessed."""
-    columns["a.boom_command"], columns["b.boom_command"] = (
-        columns["boom_command"],
-        columns.pop("boom_command"),
-    )
-    with pytest.raises(
-        Problem, match=r"expected one column boom_command, got a\.boom_command, b\.boom_command"
-    ):
-        diagnose(fmu, written(tmp_path, columns))
+@pytest.mark.parametrize("message", REFUSED)
+def test_a_recording_without_the_inputs_is_refused(fmu, columns, tmp_path, message):
+    """Of something else, with the names that are expected; without a command, or with one of two places."""
+    problem(lambda: diagnose(fmu, written(tmp_path, REFUSED[message](columns))), message)
 
 
 def test_another_fmu_is_refused(fmu_dir, columns, tmp_path):
     """It has no findings."""
-    with pytest.raises(Problem, match=r"no column|expected outputs NAME, NAME_deviation and NAME_state"):
-        diagnose(fmu_dir / "swing.fmu", written(tmp_path, columns))
+    told = "no column|expected outputs NAME, NAME_deviation and NAME_state"
+    problem(lambda: diagnose(fmu_dir / "swing.fmu", written(tmp_path, columns)), told)
 
 
 def test_what_is_learned_is_a_parameter_set(fmu, columns, tmp_path):
@@ -202,6 +199,4 @@ def test_a_result_of_a_run_is_a_recording(tmp_path):
     """Names of a component's readings, rather those behind a sensor."""
     file = tmp_path / "run.csv"
     file.write_text("time,part.a,sensors.a_measured\n0,1,2\n1,1,3\n2,1,4\n")
-    from orchestrator.results.diagnosis import _named
-
     assert _named(read_trace(file), "diagnosis", {"a"}, file)["a"].tolist() == [2, 3, 4]

@@ -1,19 +1,15 @@
 """The diagnosis in other tools, over the readings of a machine with a leak."""
 
-import shutil
-import subprocess
-
 import numpy as np
-import pandas as pd
 import pytest
 from fmpy import simulate_fmu
 from fmpy.validation import validate_fmu
 from kit import shards
+from kit.openmodelica import simulated
 from kit.work_cycle import load
 
 from orchestrator import load as load_system
 from orchestrator import run
-from orchestrator.modelica import write_package
 
 pytestmark = shards.tools
 LEAK = {"stick_head_leak": "0.5mm2@8s"}
@@ -40,13 +36,10 @@ def test_fmpy_runs_it_over_readings(faulty, readings):
     fmu = str(faulty / "diagnosis.fmu")
     assert validate_fmu(fmu) == []
     time, known = readings
-    names = [*known]
-    table = np.zeros(len(time), [("time", float), *((n, float) for n in names)])
-    table["time"] = time
-    for n in names:
-        table[n] = known[n]
+    columns = {"time": time, **known}
+    table = np.rec.fromarrays([*columns.values()], names=[*columns])
     found = simulate_fmu(fmu, input=table, stop_time=STOP, output_interval=0.01, output=list(SHOWN))
-    ours = run(fmu, {"time": time, **{n: known[n] for n in names}}, stop=STOP, step=0.01, record=list(SHOWN))
+    ours = run(fmu, columns, stop=STOP, step=0.01, record=list(SHOWN))
     assert found["stick_head_leak_state"][-1] == 1
     for n in SHOWN:
         there, here = found[n][1:], np.asarray(ours[n])[: len(found) - 1]
@@ -70,17 +63,5 @@ def test_ecos_steps_the_system_with_it(faulty):
 
 def test_openmodelica_integrates_it(faulty, tmp_path):
     """For Model Exchange, with inputs that are zero: its filters are stable, and nothing is told."""
-    omc = shutil.which("omc")
-    if omc is None:
-        pytest.skip("no OpenModelica found: omc is not on the search path")
-    write_package([faulty / "diagnosis.fmu"], tmp_path, "Told")
-    (tmp_path / "run.mos").write_text(
-        'loadModel(Modelica, {"4.0.0"}); loadFile("Told/package.mo"); getErrorString();\n'
-        'simulate(Told.FMUs.Diagnosis, stopTime = 1, tolerance = 1e-4, outputFormat = "csv");\n'
-        "getErrorString();\n"
-    )
-    done = subprocess.run([omc, "run.mos"], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert "The simulation finished successfully" in done.stdout, done.stdout[-2000:]
-    (file,) = tmp_path.glob("*_res.csv")
-    rows = pd.read_csv(file)
+    rows = simulated(faulty / "diagnosis.fmu", tmp_path, "FMUs.Diagnosis", "stopTime = 1, tolerance = 1e-4")
     assert (rows["boom_head_burst_state"].iloc[-1], rows["boom_spool_state"].iloc[-1]) == (0, 0)

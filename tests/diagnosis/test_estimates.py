@@ -50,7 +50,7 @@ def test_one_fault_is_no_sum_of_others():
         a[:, 2] = a[:, 0] + a[:, 1] + 1e-3 * RNG.normal(size=40)
         a[:, 3] = RNG.normal(size=40)
         solution = fit.solved(states(fit, a, 2 * a[:, 2] + RNG.normal(size=40)), prior, 3)
-        (*others, (size, off)), _ = [*solution][:3], None
+        *others, (size, off) = [*solution][:3]
         assert [float(s) for s, _ in others] == [0, 0]
         assert float(size) == pytest.approx(2, abs=4 * float(off))
         assert float(off) < 0.05  # 1/sqrt(40 (6^2 + 2)) = 0.026
@@ -71,10 +71,8 @@ def test_equations_that_differ_more_are_a_change_not_noise():
     """The deviation grows with the residual up to `most`."""
     fit, a = Fit("f", ("a",)), np.ones((20, 1))
     jump = np.repeat([0.0, 10.0], 10)
-    offs = [
-        float(next(iter(fit.solved(states(fit, a, jump), Prior((100,), (0,), 1.0, 1.0, most))))[1])
-        for most in (2, 1e9)
-    ]
+    solutions = [fit.solved(states(fit, a, jump), Prior((100,), (0,), 1.0, 1.0, most)) for most in (2, 1e9)]
+    offs = [float(off) for ((_, off),) in solutions]
     assert offs == pytest.approx([2 / np.sqrt(20), 5 / np.sqrt(20)], rel=0.1)  # doubt counts as 4 samples
 
 
@@ -121,22 +119,19 @@ def test_a_horizontal_force_counts_as_generalised_least_squares_do(cylinders):
     """
     force = 1500.0
     levers, columns = RNG.normal(size=cylinders), RNG.normal(size=(cylinders, 3))
+    zero = dict.fromkeys(("torque", "blocked", "empty_torque", "empty_momentum"), 0.0)
+    known = {"speeds": 1.0, "effort": {"empty": Effort(0.0, 0.0)}, "p": SimpleNamespace(weighing_lag=1.0)}
+    sound = (*[1.0] * cylinders, 0.0)
     axes = [
-        SimpleNamespace(
-            late_arm=h, torque=0.0, sound=c, speeds=1.0, blocked=0.0, effort={"empty": Effort(0.0, 0.0)}
-        )
-        for h, c in zip((*levers, 7.0), (*[1.0] * cylinders, 0.0), strict=True)
+        SimpleNamespace(late_arm=h, sound=c, **zero, **known)
+        for h, c in zip((*levers, 7.0), sound, strict=True)
     ]
-    for a in axes:
-        a.empty_torque = a.empty_momentum = 0.0
-        a.p = SimpleNamespace(weighing_lag=1.0)
     load = Load(axes, SimpleNamespace(horizontal_square=force**2), None)
     rows = [([*c[:2]], c[2]) for c in (*columns, np.zeros(3))]
     calm = np.array([[float(v) for v in (*c, y)] for c, y in load.without_horizontal(rows)])
     covariance = np.eye(cylinders) + (force / NOISE) ** 2 * np.outer(levers, levers)
-    assert calm.T @ calm == pytest.approx(
-        columns.T @ np.linalg.solve(covariance, columns), rel=1e-6, abs=1e-6
-    )
+    expected = columns.T @ np.linalg.solve(covariance, columns)
+    assert calm.T @ calm == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
 def test_a_sum_of_sizes_has_the_deviation_of_their_covariance():
@@ -151,10 +146,8 @@ def test_a_sum_of_sizes_has_the_deviation_of_their_covariance():
 
 def test_states_of_a_finding():
     """1 above the limit by three deviations, 0 below, -1 if the deviation is too large or it is unusable."""
-    told = [
-        float(judged(*case)) for case in ((2, 0.1, 1, 1), (1.2, 0.1, 1, 1), (2, 1.1, 1, 1), (2, 0.1, 1, 0))
-    ]
-    assert told == [1, 0, -1, -1]
+    cases = (2, 0.1, 1, 1), (1.2, 0.1, 1, 1), (2, 1.1, 1, 1), (2, 0.1, 1, 0)
+    assert [float(judged(*case)) for case in cases] == [1, 0, -1, -1]
 
 
 def test_a_volume_gathers_what_is_in_excess_and_is_never_negative():

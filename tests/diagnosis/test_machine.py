@@ -6,6 +6,7 @@ from kit import shards
 
 from fmus.controller.harvester import ARM
 from fmus.diagnosis import findings
+from fmus.machine.parts import MACHINES
 from fmus.machine.ssp import section_flows
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
@@ -13,12 +14,7 @@ from orchestrator import load, run
 from orchestrator.lanes.compiled import NotInLanes, compiled_model
 
 FOUND, BEGIN = findings(ARM, MANIPULATOR), 20.0
-DETAILED = {
-    "swing": "detailed",
-    "boom_stick": "detailed",
-    "manipulator": "pendulum_friction",
-    "supply": "engine_pump",
-}
+DETAILED = MACHINES["detailed"]
 SENSING = {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"}
 
 
@@ -39,12 +35,14 @@ def told(folder, work, fault="", swap=None, parameters="nominal", stop=60.0, **g
         set={"sensors.pressure_delay": 0.01, **given},
         yes=True,
     )
-    time, found = np.asarray(result.time), {}
-    for n in FOUND:
-        on = np.asarray(result[f"diagnosis.{n}_state"]) > 0
-        if on.any():
-            found[n] = float(time[on.argmax()])
-    return found, result
+    found = {n: since(result, f"diagnosis.{n}_state") for n in FOUND}
+    return {n: time for n, time in found.items() if time < np.inf}, result
+
+
+def since(result, state):
+    """When [s] a fault is first told; infinite: never."""
+    on = np.asarray(result[state]) > 0
+    return float(result.time[on.argmax()]) if on.any() else np.inf
 
 
 @shards.machine
@@ -187,10 +185,8 @@ def test_a_payload_is_weighed_beyond_the_tare(faulty, work):
     errors = []
     for known in ({}, learned):
         _, result = told(faulty, load, **given, **known)
-        payload, held = (
-            np.asarray(result[n])[3000::100] for n in ("diagnosis.payload", "manipulator.held_mass")
-        )
-        errors.append(np.median(np.abs(payload - held)))
+        off = np.asarray(result["diagnosis.payload"]) - np.asarray(result["manipulator.held_mass"])
+        errors.append(np.median(np.abs(off[3000::100])))
     assert errors[1] < 12.0 < errors[0]
 
 
@@ -226,9 +222,8 @@ def test_the_step_of_the_system_does_not_matter(fmu):
     """It is sampled every 10 ms: with constant readings, steps of 1, 2.5 and 10 ms give the same."""
     given = {"swing_command": 2.0, "swing_pressure_a": 6e6, "swing_pressure_b": 5e6, "supply_pressure": 2e7}
     columns = {"time": [0.0, 2.0]} | {n: [v, v] for n, v in given.items()}
-    coarse, *others = (
-        run(fmu, columns, stop=1.0, step=h, record="*", record_step=0.1) for h in (0.01, 1e-3, 2.5e-3)
-    )
+    options = {"stop": 1.0, "record": "*", "record_step": 0.1}
+    coarse, *others = (run(fmu, columns, step=h, **options) for h in (0.01, 1e-3, 2.5e-3))
     assert max(np.ptp(np.asarray(coarse[n])) for n in coarse) > 0.9  # a spool that does not follow, for one
     for fine in others:
         for n in coarse:
@@ -256,20 +251,15 @@ def test_a_leak_in_closed_form(fmu):
     lost = leakage * (supply + tank - 2 * b) + displacement * speed
     opening = lost / (jet * np.sqrt(b))
     time = np.arange(0, 30, 0.01)
-    columns = {"time": time, "swing_angle": speed * time, "swing_speed": np.full(len(time), speed)}
-    for n, v in (
-        ("swing_pressure_a", a),
-        ("swing_pressure_b", b),
-        ("supply_pressure", supply),
-        ("tank_pressure", tank),
-    ):
-        columns[n] = np.full(len(time), v)
+    signals = {"swing_pressure_a": a, "swing_pressure_b": b, "supply_pressure": supply}
+    signals |= {"tank_pressure": tank, "swing_speed": speed}
+    columns = {n: np.full(len(time), v) for n, v in signals.items()}
+    columns |= {"time": time, "swing_angle": speed * time}
     given = {"oil_temperature": 333.15, "swing_valve_leakage": value["swing_valve_leakage"]}
     set_ = {f"diagnosis.{n}": v for n, v in given.items()}
     result = run(fmu, columns, stop=29, step=0.01, record="*", set=set_)
-    assert float(result["swing_leak_b"][-1]) == pytest.approx(
-        opening, rel=0.02
-    )  # the prior draws it by 0.1 %
+    found = float(result["swing_leak_b"][-1])
+    assert found == pytest.approx(opening, rel=0.02)  # the prior draws it by 0.1 %
     assert float(result["swing_leak_a"][-1]) == pytest.approx(0, abs=0.02 * opening)
 
 
@@ -281,8 +271,7 @@ def turning(fmu, low, high, speed, command=0.0, supply=2e7, parameters=None):
     columns = {n: np.full(len(time), v) for n, v in signals.items()}
     columns |= {"time": time, "swing_angle": speed * time}
     result = run(fmu, columns, stop=2.0, step=0.01, record="*", set=parameters or {})
-    on = np.asarray(result["swing_spool_state"]) > 0
-    return float(result.time[on.argmax()]) if on.any() else np.inf
+    return since(result, "swing_spool_state")
 
 
 def test_oil_through_a_relief_valve_does_not_pass_the_spool(fmu):

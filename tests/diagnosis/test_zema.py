@@ -1,5 +1,6 @@
 """The benchmark on the recording of a test rig, on a small one with the same format and known wear."""
 
+import io
 import itertools
 import sys
 import zipfile
@@ -53,10 +54,9 @@ def archive(tmp_path_factory):
     profile = [(*one, int(n % 96 == 0)) for n, one in enumerate(levels)]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         for name, table in [("profile", profile), *((n, [r[n] for r in rows]) for n in SENSORS)]:
-            text = "\n".join(
-                "\t".join(f"{x:.4g}" if name[0] == "T" else f"{x:.3f}" for x in r) for r in table
-            )
-            file.writestr(f"{name}.txt", text)
+            digits = "%.4g" if name[0] == "T" else "%.3f"
+            np.savetxt(text := io.StringIO(), table, digits, "\t")
+            file.writestr(f"{name}.txt", text.getvalue())
     return path
 
 

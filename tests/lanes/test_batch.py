@@ -63,10 +63,8 @@ def test_a_limit_of_time_ends_the_machines_that_are_not_done(built, lanes):
     assert result.status.tolist() == ["failed"] * 3
     # in a step, before the first one, or, where FMUs are unpacked slowly, before the run
     assert re.search("not (done|begun) within 0.3 s", result.reasons[0])
-    problem(
-        lambda: batch(built / "harvester.ssp", MASSES, **options, time_limit=0.0),
-        "time_limit: expected a positive number",
-    )
+    never = "time_limit: expected a positive number"
+    problem(lambda: batch(built / "harvester.ssp", MASSES, **options, time_limit=0.0), never)
 
 
 LOST = {"exec": CLOSED, "take": "uses more than 0.5 GB of memory", "sleep": "not done within 4 s"}
@@ -83,17 +81,12 @@ def test_a_machine_whose_process_is_lost_fails_alone(tmp_path, fault):
     assert f"in fmi2DoStep at t = 0.5 s of lag ({fmu})" in result.reasons[1]
 
 
-def single_run(system, scenario, machine, **options):
-    """The run of one machine."""
-    start = {name: float(values[machine]) for name, values in MASSES.items()}
-    return run(system, scenario, set=start, isolate=False, **options).trace
-
-
 def differences(system, result, scenario=None, machines=(0, -1), **options):
     """Largest root mean square difference to single runs over range or nominal value, by signal."""
     found = {}
     for machine in machines:
-        single = single_run(system, scenario, machine, record=[*result.signals], **options)
+        given = {"set": {MASS: float(MASSES[MASS][machine])}, "record": [*result.signals]}
+        single = run(system, scenario, isolate=False, **given, **options).trace
         np.testing.assert_array_equal(single.time, result.time)
         for name, values in result.signals.items():
             size = max(np.ptp(single[name]), abs(system.variable(system.port(name)).nominal or 1.0))
@@ -265,14 +258,14 @@ def test_a_single_fmu_runs_in_lanes(fmu_dir, name, output):
 def test_the_results_of_a_machine_do_not_depend_on_the_others(system):
     """Bit for bit: alone, as the second of eleven, in another place, and on one core."""
     masses = np.linspace(250.0, 900.0, 11)
-    options = {"scenario": STROKES, "stop": 1.0, "record": ["boom_stick.boom_head_pressure"], "lanes": True}
+    name = "boom_stick.boom_head_pressure"
+    options = {"scenario": STROKES, "stop": 1.0, "record": [name], "lanes": True}
     whole = batch(system, {MASS: masses}, **options)
     turned = batch(system, {MASS: masses[::-1]}, workers=1, **options)
     alone = batch(system, {MASS: masses[1:2]}, **options)
-    pressure = whole["boom_stick.boom_head_pressure"]
-    np.testing.assert_array_equal(pressure[::-1], turned["boom_stick.boom_head_pressure"])
-    np.testing.assert_array_equal(pressure[1:2], alone["boom_stick.boom_head_pressure"])
-    assert pressure.shape == (11, len(whole.time))
+    np.testing.assert_array_equal(whole[name][::-1], turned[name])
+    np.testing.assert_array_equal(whole[name][1:2], alone[name])
+    assert whole[name].shape == (11, len(whole.time))
 
 
 @pytest.mark.parametrize("lanes", [True, False])
@@ -426,10 +419,8 @@ def test_the_documented_example_runs(fmu_dir, monkeypatch, capsys):
 def test_code_is_compiled_for_the_best_level_that_the_processor_has(monkeypatch):
     """By the flags of the kernel; no level of x86-64 on another processor."""
     flags = set(re.search(r"flags\s*:(.*)", Path("/proc/cpuinfo").read_text())[1].split())
-    levels = {
-        "x86_64_v4": {f"avx512{x}" for x in ("f", "cd", "vl", "bw", "dq")},
-        "x86_64_v3": {"avx2", "fma"},
-    }
+    wide = {f"avx512{x}" for x in ("f", "cd", "vl", "bw", "dq")}
+    levels = {"x86_64_v4": wide, "x86_64_v3": {"avx2", "fma"}}
     best = next((level for level, needed in levels.items() if needed <= flags), "baseline")
     assert compiled.processor() == best
     monkeypatch.setattr(compiled, "host", lambda: "aarch64-linux")

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
 from fmus.machine.work_cycle import RATE
 from fmus.rig.experiments import EXPERIMENTS, GROUPS, HOLD, MOTOR_HOLD, experiment
@@ -95,9 +96,7 @@ def test_a_locked_motor_obeys_eq_11_and_12(machine, number):
 
 
 @BOTH
-@pytest.mark.parametrize(
-    "name", [name for name in EXPERIMENTS if name.startswith(("valve", "hose", "motor"))]
-)
+@pytest.mark.parametrize("name", [n for n in EXPERIMENTS if n.startswith(("valve", "hose", "motor"))])
 def test_bench_signals_stay_in_range(machine, name):
     """Pressures above the return line's and at most the supply's, flows in the meters' range."""
     e = experiment(name, machine)
@@ -109,11 +108,6 @@ def test_bench_signals_stay_in_range(machine, name):
             assert values.max() < 20.684e6 + 0.1e6
         elif "flow" in signal:
             assert np.abs(values).max() * LITRES < (5 if name.startswith("motor") else 299)
-
-
-def integral(values: np.ndarray) -> np.ndarray:
-    """Trapezoids from the start."""
-    return np.concatenate([[0.0], np.cumsum(values[1:] + values[:-1]) / (2 * RATE)])
 
 
 def from_rest_to_rest(number: int, seed: int) -> tuple[float, float]:
@@ -132,9 +126,11 @@ def from_rest_to_rest(number: int, seed: int) -> tuple[float, float]:
     def change(values: np.ndarray) -> np.ndarray:
         return values[end] - values[begin]
 
+    each = {"dx": 1 / RATE, "initial": 0.0}
     flow, rise = change(q_in), change(p_out)
-    force = change(integral(p_in - p_out - HOSE_RESISTANCE * q_in * np.abs(q_in)))
-    return flow @ force / (flow @ flow), rise @ change(integral(q_in - q_out)) / (rise @ rise)
+    force = change(cumulative_trapezoid(p_in - p_out - HOSE_RESISTANCE * q_in * np.abs(q_in), **each))
+    oil = change(cumulative_trapezoid(q_in - q_out, **each))
+    return flow @ force / (flow @ flow), rise @ oil / (rise @ rise)
 
 
 def test_inertance_and_capacitance_can_be_found():
