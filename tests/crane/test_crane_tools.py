@@ -1,22 +1,19 @@
 """Cranes in other tools: FMPy, OpenModelica and Ecos, against the monolithic solution."""
 
-import shutil
-import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 import pytest
 from fmpy import simulate_fmu
 from fmpy.validation import validate_fmu
 from kit import shards
 from kit.cranes import crane, solved
+from kit.openmodelica import simulated
 from kit.work_cycle import load
 
 from fmus.crane.machine import build_crane
 from orchestrator.__main__ import main
-from orchestrator.modelica import write_package
 
 pytestmark = shards.tools
 
@@ -76,19 +73,9 @@ def test_fmpy_runs_a_crane_as_one_block(built, kind):
 
 def test_openmodelica_integrates_the_system_of_a_crane(built, tmp_path):
     """The FMUs for Model Exchange under DASSL: within 1e-5 of the range."""
-    omc = shutil.which("omc")
-    if omc is None:
-        pytest.skip("no OpenModelica found: omc is not on the search path")
-    write_package([built.folder / f"{built.name}.ssp"], tmp_path, "Crane")
-    (tmp_path / "run.mos").write_text(
-        'loadModel(Modelica, {"4.0.0"}); loadFile("Crane/package.mo"); getErrorString();\n'
-        f"simulate(Crane.Systems.{built.name.capitalize()}, stopTime = {STOP}, numberOfIntervals = 2400, "
-        'tolerance = 1e-8, outputFormat = "csv"); getErrorString();\n'
-    )
-    done = subprocess.run([omc, "run.mos"], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert "The simulation finished successfully" in done.stdout, done.stdout[-2000:]
-    (file,) = tmp_path.glob("*_res.csv")
-    rows = pd.read_csv(file).drop_duplicates("time", keep="last")
+    model, file = f"Systems.{built.name.capitalize()}", built.folder / f"{built.name}.ssp"
+    experiment = f"stopTime = {STOP}, numberOfIntervals = 2400, tolerance = 1e-8"
+    rows = simulated(file, tmp_path, model, experiment)
     agrees(built, rows["time"], {n: rows[f"manipulator.{n}"] for n in built.true}, 1e-5)
 
 
