@@ -79,7 +79,8 @@ def test_check_finds_nothing_but_python(tmp_path, run):
 @pytest.mark.skipif(sys.platform != "linux", reason="the program is written for Linux")
 def test_a_program_without_python_runs_it(tmp_path):
     """A program in C loads the library and runs the FMU twice, or gets a message about what is missing."""
-    program, fmu = compiled("host", [Path(__file__).with_name("host.c")], *WARNINGS, "-ldl"), built(tmp_path)
+    host = Path(__file__).with_name("host.c")
+    program, fmu = compiled("host", [host], "-O1", *WARNINGS, "-ldl"), built(tmp_path)
     shutil.unpack_archive(fmu, tmp_path / "lag", "zip")
     (binary,) = (tmp_path / "lag" / "binaries").rglob("*.so")
     resources, guid = (tmp_path / "lag" / "resources").as_uri(), read_model_description(str(fmu)).guid
