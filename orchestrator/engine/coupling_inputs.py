@@ -90,9 +90,13 @@ class CouplingInputs:
         return [
             c
             for c in (network.system.connections if plan.watches else plan.varying)
-            if variable(c.target).is_continuous and variable(c.source).is_continuous
+            if self._is_continuous(c)
             if variable(c.target).causality == "input" and network.is_influential(c.target)
         ]
+
+    def _is_continuous(self, c: Connection) -> bool:
+        """Are both ends of a connection continuous?"""
+        return all(self._network.system.variable(port).is_continuous for port in (c.source, c.target))
 
     def _find_rate_driven(self, candidates: set[Port]) -> set[Port]:
         """Inputs that an FMU varies from a connected rate input, and rate inputs of candidates."""
@@ -210,11 +214,15 @@ class CouplingInputs:
                 component.slope_reads = [component.slave.output_derivative_reader(list(outputs), slopes)]
 
     def held(self, order: Sequence[int]) -> list[list[Connection]]:
-        """For each component the connections to held inputs from components that step before it."""
+        """For each component the connections to held inputs from components that step before it.
+
+        Without signals that are not continuous: their values at the end of a step have no effect in it.
+        """
         names, varying = list(self._network.slaves), self.varying | self.rate_driven
         held: list[list[Connection]] = [[] for _ in names]
         for i, k in enumerate(order):
             before = {names[j] for j in order[:i]}
             incoming = [c for c in self._network.connections if c.target.component == names[k]]
-            held[k] = [c for c in incoming if c.source.component in before and c.target not in varying]
+            incoming = [c for c in incoming if self._is_continuous(c) and c.target not in varying]
+            held[k] = [c for c in incoming if c.source.component in before]
         return held

@@ -16,10 +16,13 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.engine.plant import Plant
+from orchestrator.fmi.instance import CallFailed
+from orchestrator.fmi.messages import ERROR
 from orchestrator.ssp.system import Port
 
 MAX_EVENTS = 1000  # at one time
@@ -42,6 +45,8 @@ class Integration:
     same        times that are closer are equal [s]
     counts      evaluations, Jacobians, indicators, steps, events
     sampled     external inputs that are not continuous: their changes are events
+    since       the time of the last change of an external input [s]; a jump there has taken place
+    broken      an FMU has failed, which forbids further calls (FMI 2.0.5, 2.1.3)
     """
 
     sampled: Sequence[Port] = ()
@@ -50,6 +55,7 @@ class Integration:
         self.plant, self.tolerance, self.same = plant, tolerance, same
         self.counts = Counter[str]()
         self.problem: BaseException | None = None
+        self.since, self.broken = -np.inf, False
         self._at: tuple[float, bytes] = (np.nan, b"")
 
     # ---- for subclasses
@@ -91,13 +97,16 @@ class Integration:
 
     def guarded(self, count: str, values: Callable[[], Array], t: float, x: Array, into: Array) -> None:
         """NaN instead of an exception: the solver then takes a shorter step, or fails."""
+        into[:] = np.nan
+        if self.broken:
+            return
         try:
             self.counts[count] += 1
             self.settle(t, x)
             into[:] = values()
         except BaseException as problem:
             self.problem = problem
-            into[:] = np.nan
+            self.broken = isinstance(problem, CallFailed) and problem.status >= ERROR
 
     def rates(self, t: float, x: Array, into: Array) -> None:
         """The time derivatives of the states."""
@@ -131,6 +140,8 @@ class Integration:
                 t, x, event = self._advance(t, x, target)
             else:
                 t, event = max(t, target), True
+            if self.equal(t, change):
+                self.since, self._at = t, (np.nan, b"")
             event |= self.equal(t, self.plant.next_event) or bool(self.sampled and self.equal(t, change))
             repeated = 1 if self.before(begin, t) else repeated + 1
             if repeated > MAX_EVENTS:
@@ -153,22 +164,43 @@ class Integration:
             self.stepped(solver, t)
             self._at = (np.nan, b"")
             event = self.plant.completed_step(t, x) or root
+            if event and not root:
+                after = self._step_event(t, x)
+                if after is None:
+                    continue
+                return t, after, False
             if event or self.plant.ended:
                 return t, x, event
         return target, x, False
 
+    def _step_event(self, t: float, x: Array) -> Array | None:
+        """The states after an event that a component asks for after a step; None if it changes nothing."""
+        self.settle(t, x)
+        f, next_event = self.plant.f.copy(), self.plant.next_event
+        after = self.event(t, x)
+        self.settle(t, after)
+        same = np.array_equal(after, x) and np.array_equal(self.plant.f, f)
+        return None if same and self.plant.next_event == next_event and not self.plant.ended else after
+
     def _without_states(self, t: float, x: Array, target: float) -> tuple[float, Array, bool]:
-        """Outputs alone over the recorded points; an event indicator is evaluated only there."""
-        before = self.plant.indicators()
+        """Outputs alone over the recorded points; an event between two of them is located to rounding."""
+        before = self._sides(t, x)
         while self.before(t, target):
-            t = min(self.next_point(), target)
+            begin, t = t, min(self.next_point(), target)
+            event = bool((self._sides(t, x) != before).any())
+            while event and begin < (middle := 0.5 * (begin + t)) < t:
+                begin, t = (begin, middle) if (self._sides(middle, x) != before).any() else (middle, t)
             self.settle(t, x)
-            after = self.plant.indicators()
-            event = self.plant.completed_step(t, x) or bool(((before > 0) != (after > 0)).any())
+            event |= self.plant.completed_step(t, x)
             if event or self.plant.ended:
                 return t, x, event
             self.arrived(t, x)
         return target, x, False
+
+    def _sides(self, t: float, x: Array) -> NDArray[np.bool_]:
+        """The event indicators that are positive."""
+        self.settle(t, x)
+        return self.plant.indicators() > 0.0
 
     def event(self, t: float, x: Array) -> Array:
         """Event mode at a time; the states after it."""

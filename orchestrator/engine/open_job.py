@@ -33,6 +33,7 @@ from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.messages import WARNING
+from orchestrator.ssp.dependencies import late_effects
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
 
@@ -268,7 +269,15 @@ class SimulationLoop:
                 errors.fill(self._binding)
                 self.errors = errors
         of_prediction = prediction.notes if prediction else ()
-        self.notes = (*plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
+        late = late_effects(job.system)
+        late = f"effects of {late} on other FMUs may come up to a step late" if late else ""
+        self.notes = (
+            *filter(None, [late]),
+            *plan.notes,
+            *_rollback_notes(job),
+            *inputs.notes,
+            *of_prediction,
+        )
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
@@ -340,7 +349,7 @@ class SimulationLoop:
         sim = self.state
         sim.start, sim.step, sim.t, sim.total = times.start, times.step, times.start, times.steps
         sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
-        sim.events, sim.event_count = self._binding.at(np.array(times.events, float)), len(times.events)
+        sim.events, sim.event_count = self._binding.at(np.array(times.divided)), len(times.divided)
         if c := self._control:
             sim.step_size = self._binding.pointer(c.struct(self._binding.h, self._inputs.power))
             sim.error_tolerance = c.tolerance

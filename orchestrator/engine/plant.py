@@ -147,6 +147,7 @@ class Plant:
         self._index = {p: i for i, p in enumerate(self.inputs)}
         self._wire()
         self._binding = Binding()
+        self._scenario: Any = None
 
     def _wire(self) -> None:
         """Set L, M and the constant part of v."""
@@ -326,7 +327,12 @@ class Plant:
         """Let a scenario drive its continuous inputs from now on, whenever the plant is settled."""
         columns = {p: c for p, c in scenario.columns.items() if self.system.variable(p).is_continuous}
         driven = DrivenInputs(replace(scenario, columns=columns), self.system, self._index, {}, ())
-        driven.fill(self._binding, ())
+        self._scenario = driven.fill(self._binding, ())
+
+    def before_jumps(self, before: bool) -> None:
+        """Does the scenario have the values before a jump, at its time?"""
+        if self._scenario and self._scenario.before_jumps != before:
+            self._scenario.before_jumps, self._scenario.evaluated_at = before, np.nan
 
     @property
     def u(self) -> Array:

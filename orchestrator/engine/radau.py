@@ -53,6 +53,8 @@ class Radau:
         of.rates(t, x, self._f)
         f, rest = self._f.copy(), self._target - t
         while True:
+            if of.broken:
+                raise of.failed(t, "")
             count = max(ceil(rest / self._h - 1e-9), 1)  # of equal steps, which share a matrix
             h = rest / count
             if h < SHORTEST * ulp(max(abs(t), abs(self._target))) or not np.isfinite(f).all():

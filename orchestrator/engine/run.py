@@ -52,11 +52,11 @@ from orchestrator.engine.time_grid import (
     record_interval,
     step_length,
     time_span,
-    with_events,
 )
 from orchestrator.engine.until import Comparison, Until, condition
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.coupling import Coupling, take_coupling
+from orchestrator.ssp.dependencies import late_effects
 from orchestrator.ssp.load import configured
 from orchestrator.ssp.masters import Master
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
@@ -207,8 +207,8 @@ class Request:
         divides = coupling.adaptive is not None or guarded(system, coupling)
         span, fitted = (self.step, self.start, self.stop), execution.accuracy is not None
         times = grid(system, trace, *span, record.step, fitted)
-        driving = driving and replace(driving, table=driving.table.on(times))
-        times = with_events(times, driving.table.corners() if driving and divides else ())
+        if driving:
+            driving, times = driving.on(times, system, divides)
         if execution.until is not None:
             execution = replace(execution, until=condition(system, execution.until))
             if record.signals is not None and isinstance(execution.until, Comparison):
@@ -357,6 +357,9 @@ def with_error_estimate(job: Job, result: Result) -> Result:
 
     If the run itself has estimated its errors, there are no further runs.
     """
+    if late := late_effects(job.system):
+        reason = f"effects of {late} may come up to a step late, also in a run at half the step"
+        return replace(result, errors=None).noted(f"no error estimate: {reason}", errors=())
     if result.card.errors_of_inputs:
         return result
 

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
 from orchestrator.base.options import seconds
+from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
-from orchestrator.data.trace import Trace
+from orchestrator.data.table import Array
+from orchestrator.data.trace import JUMP, Trace
 from orchestrator.fmi.description import WHOLE, FmuVariable, Value
 from orchestrator.ssp.system import Port, System
 
@@ -30,18 +32,19 @@ NEVER_CORNER = 1e-6  # below this value the sample is not a corner
 CORNER_RATIO = 10.0
 
 
-AT_ONCE = 1e-3  # s, in which a value changes that is given for a time
-
-
 class ScenarioTable:
-    """Columns over time: linear between the samples, held before the first and after the last."""
+    """Columns over time: linear between the samples, held before the first and after the last.
+
+    Where two samples have the same time, columns jump from the first to the second.
+    """
 
     def __init__(self, time: NDArray[np.float64], columns: NDArray[np.float64]) -> None:
-        """time: shape (n,) [s], strictly increasing. columns: shape (n, k).
+        """time: shape (n,) [s], increasing. columns: shape (n, k).
 
         arrays   for C: times [s]; of each interval the values at its anchor, the slopes, and the anchor [s]
         """
-        slopes = np.diff(columns, axis=0) / np.diff(time)[:, None]
+        intervals, changes = np.diff(time)[:, None], np.diff(columns, axis=0)
+        slopes = np.divide(changes, intervals, out=np.zeros_like(changes), where=intervals > 0)
         hold = np.zeros((1, columns.shape[1]))
         self._slopes = np.concatenate([hold, slopes, hold])
         self._base = np.concatenate([columns[:1], columns])
@@ -57,13 +60,42 @@ class ScenarioTable:
         table.arrays = time, self._base, self._slopes, np.concatenate([time[:1], time])
         return table
 
+    @property
+    def jumps(self) -> Array:
+        """Times [s] at which columns jump, shape (n,)."""
+        time: Array = self.arrays[0]
+        jumps: Array = time[1:][time[1:] == time[:-1]]
+        return jumps
+
+    def delayed(self, times: Grid) -> ScenarioTable:
+        """The table whose columns jump at communication points only.
+
+        A column that jumps inside a step holds the value of its beginning, and jumps at its end.
+        """
+        time, columns = self.arrays[0], self._base[1:]
+        jumps = self.jumps
+        for begin in np.unique(times.before(jumps[jumps != times.nearest(jumps)])).tolist():
+            end = float(times.nearest(np.array(begin + times.step)))
+            inside = (time > begin) & (time < end)
+            jumping = inside[1:] & (time[1:] == time[:-1])
+            jumps_here = (np.diff(columns, axis=0)[jumping] != 0.0).any(axis=0)
+            rows = [
+                self.at(begin),
+                np.where(jumps_here, self.at(begin), self.at(end, before=True)),
+                self.at(end),
+            ]
+            place = int(np.argmax(inside))
+            time = np.insert(time[~inside], place, [begin, end, end])
+            columns = np.insert(columns[~inside], place, rows, axis=0)
+        return ScenarioTable(time, columns)
+
     def interval(self, t: float) -> int:
         """Index of the interval that contains t; interval 0 is before the first sample."""
         return int(np.searchsorted(self.arrays[0], t, side="right"))
 
-    def at(self, t: float) -> NDArray[np.float64]:
-        """All columns at time t [s], shape (k,)."""
-        k = self.interval(t)
+    def at(self, t: float, before: bool = False) -> NDArray[np.float64]:
+        """All columns at time t [s], shape (k,); at a jump after it, or before it."""
+        k = int(np.searchsorted(self.arrays[0], t, side="left")) if before else self.interval(t)
         return np.asarray(self._base[k] + (t - self.arrays[3][k]) * self._slopes[k])
 
     def corners(self) -> list[float]:
@@ -74,7 +106,7 @@ class ScenarioTable:
         """
         jumps = np.abs(np.diff(self._slopes, axis=0))  # at each sample
         intervals = np.diff(self.arrays[0])
-        shorter = np.minimum(np.append(intervals, np.inf), np.insert(intervals, 0, np.inf))
+        shorter = np.minimum(np.append(intervals, np.inf), np.insert(intervals, 0, np.inf))  # 0 at a jump
         ranges = np.ptp(self._base, axis=0)
         relative = shorter[:, None] * jumps / np.where(ranges > 0, ranges, np.inf)
         padded = np.pad(relative, ((1, 1), (0, 0)))
@@ -122,6 +154,21 @@ class Scenario:
         kept = tuple(c for c in system.connections if c not in dropped)
         notes, instead = [*system.notes, *notes], (*system.driven_instead, *signal_sources)
         return replace(system, connections=kept, notes=tuple(notes), driven_instead=instead)
+
+    def on(self, times: Grid, system: System, divides: bool) -> tuple[Scenario, Grid]:
+        """The scenario on a grid, and the grid with its jumps.
+
+        divides   steps are divided at its corners, too
+
+        FMUs with a fixed step get a jump at the communication point that follows.
+        """
+        table = self.table.on(times)
+        fixed = [name for name, c in system.components.items() if not c.interface.variable_step]
+        if fixed and (table.jumps != times.nearest(table.jumps)).any():
+            late = f"{first_names(fixed)}: the FMU has a fixed step: jumps inside of a step act at its end"
+            table, times = table.delayed(times), replace(times, notes=(*times.notes, late))
+        jumps, corners = tuple(table.jumps.tolist()), tuple(table.corners() if divides else ())
+        return replace(self, table=table), replace(times, jumps=jumps, corners=corners)
 
     def rates(self, system: System) -> dict[Port, Port]:
         """The inputs that are declared as time derivatives of driven inputs, and these inputs."""
@@ -182,10 +229,28 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
                 linear = from_user_unit(given, unit, f"{label}: column {name!r}").then(linear)
             columns[port] = (k, linear)
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
+    held = {k for port, (k, _) in columns.items() if not system.variable(port).is_continuous}
     for port, (k, _) in columns.items():
         _check_integers(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
     passed = {Port("", name): k for k, name in enumerate(trace.signals) if system.passed(name)}
-    return Scenario(ScenarioTable(trace.time, table), columns, passed)
+    return Scenario(ScenarioTable(*_with_jumps(trace.time, table, [*held])), columns, passed)
+
+
+def _with_jumps(time: Array, columns: Array, held: Sequence[int]) -> tuple[Array, Array]:
+    """Samples with two of the same time at each jump: a ramp of `JUMP` at most, or a change of a held column.
+
+    held   columns that drive inputs which are not continuous
+    """
+    time = time.astype(np.float64)
+    long = np.diff(time) > JUMP + 4.0 * np.spacing(np.abs(time[1:]))
+    alone = np.append(True, long[:-1]) & np.append(long[1:], True)
+    feet = np.flatnonzero(~long & alone)
+    time[feet] = time[feet + 1]
+    changes = (np.diff(columns[:, held], axis=0) != 0.0).any(axis=1)
+    tops = 1 + np.flatnonzero(changes & (np.diff(time) > 0.0))
+    before = columns[tops]
+    before[:, held] = columns[tops - 1][:, held]
+    return np.insert(time, tops, time[tops]), np.insert(columns, tops, before, axis=0)
 
 
 def _check_integers(variable: FmuVariable, values: NDArray[np.float64], context: str) -> None:
@@ -296,8 +361,8 @@ class DrivenInputs:
             "passed_count": len(self.passed),
         }
 
-    def fill(self, binding: Binding, inputs: Sequence[int]) -> None:
-        """Fill the C structure; inputs: index of each continuous input among the coupling inputs."""
+    def fill(self, binding: Binding, inputs: Sequence[int]) -> Any:
+        """Fill the C structure, and return it; inputs: index of each continuous input among all inputs."""
         struct = binding.h.Scenario(
             **self.members(binding.at, inputs),
             **binding.all_at(self, "at_end at_midpoint"),
@@ -306,12 +371,13 @@ class DrivenInputs:
             input_writes=binding.program(self.set_calls),
         )
         binding.simulation.scenario = binding.pointer(struct)
+        return struct
 
 
 def with_changes(
     system: System, trace: Trace | None, changes: Mapping[str, Value | str], span: tuple[float, float]
 ) -> Trace:
-    """A scenario with more inputs: each takes values at times, in `AT_ONCE`.
+    """A scenario with more inputs, which jump from value to value.
 
     changes   name -> "VALUE@TIME", several with commas; without a time from the start of the span [s] on
     """
@@ -349,6 +415,9 @@ def values_over_time(
             raise Problem(f"fault {name}: expected times in order, got {at} after {times[-1]:g} s")
         if not at:
             return np.array([begin]), np.array([value])
-        times += [max(time, np.nextafter(times[-1], inf)), min(time + AT_ONCE, end)]
+        if time <= times[-1]:  # the start, or the last value given for this time
+            values[-1] = value
+            continue
+        times += [max(time - JUMP, np.nextafter(times[-1], inf)), time]
         values += [values[-1], value]
     return np.array(times), np.array(values)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import factorial
 from typing import Any
 
@@ -23,6 +24,7 @@ from orchestrator.engine.integration import Integration, Solver
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.radau import Radau
 from orchestrator.fmi.calls import Buffer, Call
+from orchestrator.fmi.description import Value
 from orchestrator.fmi.interface import CAPABILITIES
 from orchestrator.fmi.model_exchange import ExchangeFmu, check_states
 from orchestrator.ssp.system import Component, System
@@ -146,9 +148,19 @@ class SteppedFmu(ExchangeFmu):
         for order, of, rate in self._rates:
             self._course[order, of] = self._plant.v[rate] / factorial(order)
 
+    def set(self, variable: str, value: Value) -> None:
+        """Set one variable, in event mode if it is not continuous."""
+        write = partial(super().set, variable, value)
+        if self.interface.variables[variable].is_continuous:
+            write()
+        elif self._integration is None or self.get(variable) != value:
+            self._jump(write)
+
     def _jump(self, write: Call) -> None:
-        """Set variables in event mode."""
-        assert self._integration is not None
+        """Set variables in event mode, or in initialisation mode."""
+        if self._integration is None:
+            write()
+            return
         self._plant.read()
         self._plant.event(write)
         self._integration.counts["events"] += 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, ulp
 
@@ -26,10 +25,11 @@ RECORD_STEP = 5e-3  # [s], of the command line: 200 Hz, the sampling rate of the
 class Grid:
     """Point n is start + n * step, n = 0..steps; each `every`-th and the last are recorded. Times in [s].
 
-    An adaptive run hits all points and events; `first` is the step that it tries first.
+    Further communication points are at `divided`. An adaptive run hits all of them, and tries a step `first`.
 
     free            every communication point is recorded, also between points of the grid
-    events          increasing times at which the slope of a scenario jumps
+    jumps           increasing times at which a scenario jumps
+    corners         increasing times at which its slope jumps
     shortest_step   the shortest step that can be represented [s]; 0: unknown
     """
 
@@ -40,7 +40,8 @@ class Grid:
     notes: tuple[str, ...] = ()
     first: float = 0.0
     free: bool = False
-    events: tuple[float, ...] = ()
+    jumps: tuple[float, ...] = ()
+    corners: tuple[float, ...] = ()
     shortest_step: float = 0.0
 
     @property
@@ -52,16 +53,43 @@ class Grid:
         last = self.start + (self.steps - 1) * self.step
         return max(self.stop, last + self.step * (parts - 1) / parts + self.step / parts)
 
+    def nearest(self, times: Array) -> Array:
+        """The communication points next to times [s]."""
+        points: Array = self.start + np.rint((times - self.start) / self.step) * self.step
+        return points
+
+    def before(self, times: Array) -> Array:
+        """The last communication points before times [s]."""
+        points: Array = self.start + np.floor((times - self.start) / self.step) * self.step
+        return points
+
+    @property
+    def divided(self) -> tuple[float, ...]:
+        """Jumps and corners that are no points of the grid; a corner may be next to a jump."""
+        tolerance, times = SAME_EVENT * self.step, list[float]()
+        for t in (*self.jumps, *self.corners):
+            nearest = self.start + round((t - self.start) / self.step) * self.step
+            if self.start < t < self.stop and abs(t - nearest) > tolerance:
+                times.append(t)
+        kept: list[float] = []
+        jumps = set(self.jumps)
+        for t in sorted(times):
+            if not kept or t - kept[-1] > tolerance:
+                kept.append(t)
+            elif t in jumps:
+                kept[-1] = t
+        return tuple(kept)
+
     def aligned(self, times: Array) -> Array:
         """These increasing times [s]; those that equal a communication point up to rounding are that point.
 
-        Of several times that equal one point only the nearest is: the others are the foot of a jump.
+        Of several times that equal one point only the nearest is.
         """
-        points = self.start + np.rint((times - self.start) / self.step) * self.step
+        points = self.nearest(times)
         off, one = np.abs(times - points), points[1:] == points[:-1]
         equal = off <= rounding(points, self.step)
         equal[1:] &= ~(one & (off[1:] > off[:-1]))
-        equal[:-1] &= ~(one & (off[:-1] >= off[1:]))
+        equal[:-1] &= ~(one & (off[:-1] > off[1:]))
         return np.where(equal, points, times)
 
     @property
@@ -71,13 +99,12 @@ class Grid:
 
     def finer(self) -> Grid:
         """The grid with half the step and the same recorded points."""
-        points = replace(self, step=self.step / 2, steps=2 * self.steps, every=2 * self.every)
-        return with_events(points, self.events)
+        return replace(self, step=self.step / 2, steps=2 * self.steps, every=2 * self.every)
 
     def coarser(self) -> Grid:
         """The grid with twice the step; recorded are the same points if it has them, and its last one."""
         every = self.every if self.every % 2 else self.every // 2
-        return with_events(replace(self, step=2 * self.step, steps=self.steps // 2, every=every), self.events)
+        return replace(self, step=2 * self.step, steps=self.steps // 2, every=every)
 
 
 def grid(
@@ -119,28 +146,12 @@ def grid(
     return _noted(replace(points, notes=notes + points.notes), scenario)
 
 
-def with_events(points: Grid, events: Iterable[float]) -> Grid:
-    """The grid with events inside its time span; steps are divided there."""
-    inside = (t for t in events if points.start < t < points.stop)
-    return replace(points, events=tuple(_distinct(inside, points)))
-
-
-def _distinct(events: Iterable[float], points: Grid) -> Iterator[float]:
-    """The events that differ from all points of the grid and from the previous event."""
-    tolerance, last = SAME_EVENT * points.step, points.start
-    for t in events:
-        nearest = points.start + round((t - points.start) / points.step) * points.step
-        if abs(t - nearest) > tolerance and t - last > tolerance:
-            yield t
-            last = t
-
-
 def time_span(
     system: System, scenario: Trace | None, start: float | None, stop: float | None
 ) -> tuple[float, float, tuple[str, ...]]:
     """Start and stop time [s], and a note if nothing suggests a stop time."""
     begin = next((t for t in (start, system.start) if t is not None), 0.0)
-    end = stop
+    end, hint = stop, ""
     if end is None and scenario is not None and len(scenario.time) > 1 and scenario.time[-1] > begin:
         end = float(scenario.time[-1])
     if end is None:
@@ -148,6 +159,7 @@ def time_span(
     if end is None:
         stops = (c.interface.stop for c in system.components.values())
         end = max((t for t in stops if t is not None), default=None)
+        hint = ", which its FMUs suggest: a stop time is needed"
     notes: tuple[str, ...] = ()
     if end is None:
         end, suggests = begin + DEFAULT_DURATION, "neither the system nor its FMUs suggest a stop time"
@@ -156,7 +168,7 @@ def time_span(
         if not isfinite(value):
             raise Problem(f"{name}: expected a finite time, got {value:g} s")
     if not end > begin:
-        raise Problem(f"stop time: expected more than the start time {begin:g} s, got {end:g} s")
+        raise Problem(f"stop time: expected more than the start time {begin:g} s, got {end:g} s{hint}")
     return begin, end, notes
 
 

@@ -37,6 +37,7 @@ CAPABILITIES = {
     "needs_execution_tool": ("needsExecutionTool",),
     "variable_step": ("canHandleVariableCommunicationStepSize",),
     "output_derivatives": ("maxOutputDerivativeOrder",),
+    "event_mode": ("hasEventMode",),
     "directional_derivatives": ("providesDirectionalDerivative", "providesDirectionalDerivatives"),
 }
 
@@ -60,6 +61,7 @@ class FmuInterface:
     needs_execution_tool   the FMU needs the installed tool that exported it
     event_indicators       number of event indicators, in Model Exchange
     completed_step         in Model Exchange, the FMU needs to know when the solver has accepted a step
+    event_mode             the FMU declares events for Co-Simulation, in FMI 3.0
     variable_step          the communication step size may vary
     stateless              the FMU declares, for Model Exchange, that it has no continuous states
     unused_inputs          inputs on which no state and no output depends after the initialisation
@@ -83,6 +85,7 @@ class FmuInterface:
     needs_execution_tool: bool = False
     event_indicators: int = 0
     completed_step: bool = True
+    event_mode: bool = False
     variable_step: bool = True
     stateless: bool = False
     unused_inputs: frozenset[str] = frozenset()
@@ -129,6 +132,12 @@ class FmuInterface:
             return not self.stateless or any(self.dependencies.get(y.name) is None for y in self.of("output"))
         dependencies = [self.dependencies.get(rate) for rate in self.states.values()]
         return any(names is None or variable in names for names in dependencies)
+
+    @property
+    def has_events(self) -> bool:
+        """May the FMU have events inside a step, as far as its description says?"""
+        exchange = self.kind == MODEL_EXCHANGE and (self.event_indicators > 0 or self.completed_step)
+        return exchange or self.event_mode
 
     @property
     def ramp_inputs(self) -> frozenset[str]:

@@ -22,6 +22,7 @@ from orchestrator.fmi.messages import Log, status_label
 from orchestrator.worker.calls import LOADING, UNLOADING, in_progress
 
 SYSTEM = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
+ELF_MACHINES = {3: "x86", 40: "arm", 62: "x86_64", 183: "aarch64"}
 MACHINE = os.uname().machine if hasattr(os, "uname") else os.environ.get("PROCESSOR_ARCHITECTURE", "")
 ARM = MACHINE.lower() in ("arm64", "aarch64")
 BITS = 64 if sys.maxsize > 2**32 else 32
@@ -67,7 +68,16 @@ def load_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:
     try:
         return Library(path, fmi, name)
     except OSError as error:
-        raise Problem(f"{name}: {path.name} cannot be loaded: {error}") from error
+        got = _machine(path)
+        other = f"expected code for {MACHINE}, got {got}" if got and got != MACHINE else error
+        raise Problem(f"{name}: {path.name} cannot be loaded: {other}") from error
+
+
+def _machine(path: Path) -> str:
+    """The processor of an ELF library, as in the platform tuples of FMI 3.0; empty if unknown."""
+    with path.open("rb") as file:
+        head = file.read(20)
+    return ELF_MACHINES.get(int.from_bytes(head[18:20], "little"), "") if head[:4] == b"\x7fELF" else ""
 
 
 _one_at_a_time = Lock()  # because the working directory is that of all threads

@@ -38,8 +38,12 @@ def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
 
 def check_states(name: str, fmu: Location, interface: FmuInterface) -> None:
     """Raise NotExchangeable if the FMU does not list all its continuous states."""
-    if not (interface.states or interface.stateless):
-        raise NotExchangeable(
-            f"{name} ({fmu}): expected a modelDescription.xml that lists all continuous states and their"
-            " derivatives, got none or an incomplete list"
-        )
+    if interface.states or interface.stateless:
+        return
+    states = (interface.model.state_of(v) for v in interface.model.derivatives)
+    if array := next((s.name for s in states if s and s.name in interface.unsupported), ""):
+        raise NotExchangeable(f"{name} ({fmu}): {array} is {interface.unsupported[array]}, not supported")
+    raise NotExchangeable(
+        f"{name} ({fmu}): expected a modelDescription.xml that lists all continuous states and their"
+        " derivatives, got none or an incomplete list"
+    )

@@ -187,7 +187,7 @@ class Lanes:
         sim.order, sim.degree = self.at(np.array(plan.order, np.int32)), plan.degree
         sim.sequential, sim.passes, sim.tolerance = plan.sequential, plan.passes, plan.tolerance
         sim.error_tolerance, sim.saves = self.control.tolerance if self.control else 0.0, self.saves
-        sim.events, sim.event_count = self.at(np.array(times.events, np.float64)), len(times.events)
+        sim.events, sim.event_count = self.at(np.array(times.divided)), len(times.divided)
         sim.start, sim.step, sim.total = times.start, times.step, times.steps
 
     @property

@@ -155,7 +155,7 @@ class CvodeSolver:
 
     def _solved(self, step: Any) -> Any:
         """The step, if it succeeded."""
-        if not step.success:
+        if not step.success or self._of.broken:
             raise self._of.failed(self._t, step.message)
         if isinstance(self._of.problem, KeyboardInterrupt):
             raise self._of.problem
@@ -204,6 +204,7 @@ class _Recorded(Integration):
         change = np.abs(np.diff(slopes, axis=0))
         scale = np.abs(slopes).max(axis=0)
         corners = (change > CORNER * scale).any(axis=1)
+        corners[1:] |= time[1:] == time[:-1]
         columns = [self.scenario.columns[p][0] for p in self.sampled]
         corners |= (np.diff(base, axis=0)[:, columns] != 0.0).any(axis=1)
         return [*map(float, time[corners]), np.inf]
@@ -213,6 +214,12 @@ class _Recorded(Integration):
     def solver(self, t: float, x: Array, target: float) -> Solver:
         """A solver that begins at a time [s] and a state."""
         return CvodeSolver(self, t, x, target)
+
+    def evaluate(self, t: float, x: Array) -> None:
+        """Evaluate the plant at a time [s] and a state; on the way to a jump with the values before it."""
+        if self.scenario:
+            self.plant.before_jumps(t > self.since)
+        super().evaluate(t, x)
 
     def check(self, t: float) -> None:
         """Raise KeyboardInterrupt if the user has interrupted; show the progress."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.table import Array
-from orchestrator.data.trace import SAME_TIME, Trace
+from orchestrator.data.trace import JUMP, SAME_TIME, Trace
 from orchestrator.data.trace_writer import RowLayout, TraceSink
 from orchestrator.engine.job import Execution, Job, Record, with_default_guard
 from orchestrator.engine.open_job import simulation
@@ -289,8 +289,8 @@ class FrameStepper:
         self.unreliable = self._energies.doubt(self.t)
 
     def _faults_at(self, t: float) -> Array:
-        """Values of the faults at t [s]."""
-        return np.array([np.interp(t, *corners) for corners in self._faults.values()], dtype=np.float64)
+        """Values of the faults at t [s]; one for that time acts in the frame that follows."""
+        return np.array([np.interp(t - JUMP, *corners) for corners in self._faults.values()], dtype=np.float64)
 
     def close(self) -> None:
         """Free the FMUs. May be repeated."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.ssp.system import Connection, Port, System
 
 MAX_CONNECTIONS = 6  # in a message
@@ -56,15 +57,22 @@ class OutputOrder:
 
 
 def influential_inputs(system: System) -> frozenset[Port]:
-    """Inputs that influence a state, directly or through outputs that feed such inputs elsewhere."""
+    """Inputs that influence a state, directly or through outputs that feed such inputs elsewhere.
+
+    In an FMU with events each input may, as its dependencies are those between two events.
+    """
     interfaces = {name: component.interface for name, component in system.components.items()}
     candidates = {
         Port(name, v.name)
         for name, interface in interfaces.items()
         for v in interface.of("input")
-        if v.name not in interface.unused_inputs
+        if v.name not in interface.unused_inputs or interface.has_events
     }
-    found = {p for p in candidates if interfaces[p.component].may_affect_states(p.variable)}
+    found = {
+        p
+        for p in candidates
+        if interfaces[p.component].has_events or interfaces[p.component].may_affect_states(p.variable)
+    }
     while True:
         sources = {c.source for c in system.connections if c.target in found}
         through = {
@@ -73,6 +81,21 @@ def influential_inputs(system: System) -> frozenset[Port]:
         if through & candidates <= found:
             return frozenset(found)
         found |= through & candidates
+
+
+def late_effects(system: System) -> str:
+    """The events, and signals that are not continuous, that may take effect up to a step late; or nothing.
+
+    Only those that influence a state of another FMU: an FMU has its own events at their time.
+    """
+    influential = influential_inputs(system)
+    wires = [c for c in system.connections if c.target in influential]
+    held = [c for c in wires if not all(system.variable(p).is_continuous for p in (c.source, c.target))]
+    having = {name for name, component in system.components.items() if component.interface.has_events}
+    events = [
+        f"events of {c.source.component}" for c in wires if c not in held and c.source.component in having
+    ]
+    return first_names([*events, *(str(c.source) for c in held)])
 
 
 def output_order(system: System, driven: Collection[Port] = ()) -> OutputOrder:

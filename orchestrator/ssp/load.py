@@ -106,7 +106,7 @@ def _connected(flat: FlatStructure, system: System) -> System:
     for path, linear in maps:
         if path.target.component in flat.sources:
             fed.setdefault(path.source, []).append((path.target, linear))
-    inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ())) for c in flat.of_kind("", *SINKS)}
+    inputs = {c.variable: _inlet(flat, system, c, fed.get(c, ()), notes) for c in flat.of_kind("", *SINKS)}
     system = replace(system, inputs=inputs)
     start = bound_values(replace(signals, system=system))
     connections, outputs = list[Connection](), dict[str, Outlet]()
@@ -145,11 +145,18 @@ def _inlet(
     system: System,
     connector: Port,
     targets: Sequence[tuple[Port, LinearTransformation]],
+    notes: list[str],
 ) -> Inlet:
     """An input of the outermost system; without a declared unit it has that of the inputs that it feeds."""
     variables, declared = [system.variable(port) for port, _ in targets], flat.declared(connector)
     units = {v.unit for v in variables}
     unit = declared.unit or (units.pop() if len(units) == 1 else None)
+    if unit is None and len(units) > 1:
+        fed = ", ".join(
+            f"{p} {f'in {v.unit}' if v.unit else 'without one'}"
+            for (p, _), v in zip(targets, variables, strict=True)
+        )
+        notes.append(f"input {connector.variable} has no unit: the same number goes to {fed}")
     if unit and any(v.unit and v.unit.relative for v in variables):
         unit = replace(unit, relative=True)
     kind = declared.type or next((v.type for v in variables), "Real")

@@ -169,14 +169,13 @@ HELD = {"u": {"steady": "discrete"}, "u_rate": {"derives": None}}  # an input th
 
 
 @pytest.mark.parametrize("master", MASTERS)
-def test_inputs_that_do_not_move_take_the_newest_value(each, both, master):
-    """Held over a step: at its first value with jacobi, at its last with masters that step in turn."""
+def test_inputs_that_do_not_move_have_the_value_of_the_beginning(each, both, master):
+    """Held over a step by every master at the value of its source at its communication point."""
     fmu = each.make("quirk", "steady", interpolates=each.fmi == 2, changes=HELD)
     system = assemble({"s": each["source"], "q": fmu}, ["s.y -> q.u"])
     trace = both(system, master, step=0.25).result.trace
-    held = trace["s.y"][:-1] if master.master == "jacobi" else trace["s.y"][1:]
     # rounding of inner steps
-    np.testing.assert_allclose(trace["q.y"], [0, *0.25 * np.cumsum(held)], rtol=1e-12)
+    np.testing.assert_allclose(trace["q.y"], [0, *0.25 * np.cumsum(trace["s.y"][:-1])], rtol=1e-12)
     assert "q.u" not in " ".join(both(system, master).result.card.notes)
 
 
@@ -229,14 +228,15 @@ def test_a_held_input_is_driven_in_its_own_unit(fmus, both):
     np.testing.assert_array_equal(trace["K.u"], np.array([20, 45, -5]) + 273.15)
 
 
-def test_the_foot_of_a_steep_ramp_stays_where_it_is(fmus):
-    """Only the nearest of two rows is at a communication point; steps that may be divided end at both."""
-    time = np.array([0.0, 1.0, 1.0 + 2e-9, 2.0 - 1e-7, 2.0, 3.0])
-    rows = Trace(time, {"u": np.array([1.0, 1, 4, 4, 0, 0])})
+def test_a_ramp_of_a_microsecond_is_a_jump_at_its_end(fmus):
+    """Between communication points too, where every master has one; a longer ramp has two corners."""
+    time = np.array([0.0, 1.2, 1.2 + 2e-9, 2.0 - 1e-6, 2.0, 2.2, 2.3, 3.0])
+    rows = Trace(time, {"u": np.array([1.0, 1, 4, 4, 0, 0, 1, 1])})
     trace = run(str(fmus["drift"]), rows, step=1.0, record=["drift.u"]).trace
-    np.testing.assert_array_equal(trace["drift.u"], [1, 1, 0, 0])
+    np.testing.assert_array_equal(trace["drift.u"], [1, 1, 0, 1])
+    assert prepare(str(fmus["drift"]), rows, step=1.0).times.divided == (1.2 + 2e-9,)
     times = prepare(str(fmus["drift"]), rows, master=Coupling("jacobi", adaptive=1e-3), record_step=1.0).times
-    assert times.events == (1.0 + 2e-9, 2.0 - 1e-7)
+    assert times.divided == (1.2 + 2e-9, 2.2, 2.3)
 
 
 def test_inputs_cannot_be_tunable(each):

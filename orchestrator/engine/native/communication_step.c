@@ -144,7 +144,6 @@ static void set_driven_polynomials(Simulation *sim, Real h) {
     scenario_evaluate(d, sim->end);
     for (int32_t i = 0; i < d->count; i++) {
         CouplingInput *s = &sim->inputs[d->inputs[i]];
-        if (d->commands) s->value = d->at_end[i]; /* a command jumps at the beginning of a step */
         input_drive(s, d->at_midpoint[i], d->at_end[i], h);
     }
 }

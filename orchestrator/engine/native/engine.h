@@ -267,6 +267,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
 
 typedef struct Scenario { /* a table of columns over time, linear between the samples, and the inputs that it drives */
     Real evaluated_at;
+    int32_t before_jumps; /* at the time of a jump it has the values before it */
     const Real *commands; /* held in place of the columns; NULL: none */
     int64_t samples, width, interval[WIDTH];
     const double *time, *base, *slopes, *anchor;
@@ -463,6 +464,7 @@ void linear_system_respond(const LinearSystem *, const double *w, double *respon
 
 /* error_propagation.c */
 int error_begin(Simulation *);
+void error_jump(ErrorPropagation *);
 EXPORT int32_t error_propagate(Simulation *, Real h);
 EXPORT void error_advance(ErrorPropagation *, double h);
 
@@ -492,6 +494,7 @@ EXPORT Real polynomial_slope(const Real c[], Real s);
 void scenario_evaluate(Scenario *, Real t);
 void scenario_set_continuous(Scenario *, Real t, Real *values);
 int scenario_set_inputs(Simulation *, Real t);
+Mask scenario_jumps(Scenario *, Real t, Mask);
 
 /* communication_step.c */
 int communication_step(Simulation *, Real h, int *passes);

@@ -224,6 +224,12 @@ static int relinearise(Simulation *sim, ErrorPropagation *p) {
 
 int error_begin(Simulation *sim) { return relinearise(sim, sim->errors); }
 
+/* Inputs have jumped after the last step: no derivative follows from steps on both sides. */
+void error_jump(ErrorPropagation *p) {
+    for (int32_t i = 0; i < p->system.m; i++) p->inputs[i].last.smooth = p->inputs[i].last.has_corner = 0;
+    p->age = p->lag;
+}
+
 /* Advances the errors over the section, which ends at t. */
 static int end_section(Simulation *sim, ErrorPropagation *p, double t) {
     if (!p->taken) return CONTINUE;

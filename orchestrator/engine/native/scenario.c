@@ -17,8 +17,39 @@ static int64_t interval_at(Scenario *d, int i, double t) {
     return d->interval[i] = low;
 }
 
+/* The interval that ends at t, where the scenario jumps at t; else the one that contains t. */
+static int64_t interval_before(Scenario *d, int i, double t) {
+    const int64_t after = interval_at(d, i, t);
+    int64_t k = after;
+    while (k > 0 && d->time[k - 1] == t) k--;
+    return after - k > 1 ? k : after;
+}
+
+static int64_t interval(Scenario *d, int i, double t) {
+    return d->before_jumps ? interval_before(d, i, t) : interval_at(d, i, t);
+}
+
+
 /* Number of machines with different times. */
 static int times_of(Real t) { return all(t == machine(t, 0)) ? 1 : WIDTH; }
+
+/* Those of some machines whose inputs jump at t [s]; commands jump where they are not those of the last step. */
+Mask scenario_jumps(Scenario *d, Real t, Mask machines) {
+    if (!d->commands) {
+        const int count = times_of(t);
+        for (int i = 0; i < count; i++) {
+            const double at = machine(t, i);
+            if (interval_before(d, i, at) != interval_at(d, i, at)) continue;
+            if (count == 1) return NO_MACHINE;
+            remove_machine(&machines, i);
+        }
+        return machines;
+    }
+    Mask jumps = NO_MACHINE;
+    for (int32_t i = 0; i < d->count; i++)
+        jumps = jumps || d->commands[d->columns[i]] * d->factor[i] + d->offset[i] != d->at_end[i];
+    return jumps && machines;
+}
 
 /* Computes the values of the continuous inputs at t [s]. */
 void scenario_evaluate(Scenario *d, Real t) {
@@ -26,7 +57,7 @@ void scenario_evaluate(Scenario *d, Real t) {
     const int count = times_of(t);
     for (int n = 0; n < count && !d->commands; n++) {
         const double at = machine(t, n);
-        const int64_t k = interval_at(d, n, at);
+        const int64_t k = interval(d, n, at);
         const double *base = d->base + k * d->width, *slopes = d->slopes + k * d->width;
         for (int32_t i = 0; i < d->count; i++) {
             const int64_t column = d->columns[i];
@@ -45,7 +76,7 @@ void scenario_set_continuous(Scenario *d, Real t, Real *values) {
     for (int32_t i = 0; i < d->count; i++) values[d->targets[i]] = d->at_end[i];
     const int count = d->rate_count ? times_of(t) : 0;
     for (int n = 0; n < count; n++) {
-        const double *slopes = d->slopes + interval_at(d, n, machine(t, n)) * d->width;
+        const double *slopes = d->slopes + interval(d, n, machine(t, n)) * d->width;
         for (int32_t i = 0; i < d->rate_count; i++) {
             const double slope = d->commands ? 0.0 : slopes[d->rate_columns[i]] * d->rate_factor[i];
             set_machine(&values[d->rates[i]], n, count, slope);
@@ -59,7 +90,7 @@ int scenario_set_inputs(Simulation *sim, Real t) {
     if (!d) return CONTINUE;
     scenario_set_continuous(d, t, sim->reals);
     const double at = machine(t, 0);
-    const int64_t k = interval_at(d, 0, at);
+    const int64_t k = interval(d, 0, at);
     const double *base = d->base + k * d->width, *slopes = d->slopes + k * d->width;
     for (int32_t i = 0; i < d->passed_count; i++) {
         const int64_t column = d->passed_columns[i];

@@ -53,6 +53,12 @@ static int store_used_inputs(Simulation *sim) {
     return verdict;
 }
 
+/* The next step of some machines begins with the present values. */
+static void begin_energy(Simulation *sim, Mask machines) {
+    EnergyMonitor *m = &sim->energy;
+    for (int32_t i = 0; i < m->count; i++) m->start[i] = where(machines, sim->reals[m->indices[i]], m->start[i]);
+}
+
 static Real residual(const Real *truth, const Real *used) { return truth[0] * used[1] - used[0] * truth[1]; }
 
 /* Adds the energies of the step of some machines, by the trapezoidal rule. */
@@ -69,6 +75,53 @@ static void add_energy(Simulation *sim, Real h, Mask machines) {
         m->sums[2 * bonds + i] += where(machines, exchanged, 0.0);
         for (int j = 0; j < 2; j++) start[j] = where(machines, end[j], start[j]);
     }
+}
+
+/* ---- the beginning of inputs */
+
+/* Lists the inputs that each component feeds. */
+static void list_fed_inputs(Simulation *sim) {
+    for (int32_t k = 0; k < sim->component_count; k++) sim->components[k].first_fed = -1;
+    for (int32_t i = sim->input_count - 1; i >= 0; i--) {
+        CouplingInput *s = &sim->inputs[i];
+        if (s->source_component == DRIVEN) continue;
+        int32_t *first = &sim->components[s->source_component].first_fed;
+        s->next_fed = *first, *first = i;
+    }
+}
+
+/* Marks inputs fed from algebraic loops; slopes of their sources depend on each other and are not used. */
+static void mark_loops(Simulation *sim) {
+    for (int32_t k = 0; k < sim->loop_count; k++) {
+        AlgebraicLoop *loop = sim->loops[k];
+        loop->solved_in_passes = loop->declared || loop->flags[CIRCULAR];
+        for (int32_t j = 0; j < loop->output_count && loop->solved_in_passes; j++)
+            for (int32_t i = 0; i < sim->input_count; i++)
+                if (sim->inputs[i].source == loop->output_indices[j])
+                    sim->inputs[i].in_loop = 1, sim->inputs[i].source_slope = NULL;
+    }
+}
+
+static void begin_input(const Simulation *sim, CouplingInput *s, Mask machines) {
+    const CouplingInput before = *s;
+    if (s->source_component == DRIVEN) input_begin(s, sim->reals[s->target], 0.0);
+    else input_begin(s, sim->reals[s->source] * s->factor + s->offset, source_slope(s));
+    if (all(machines)) return;
+    input_replace(s, &before, !machines);
+    s->c[0] = s->value, s->c[1] = s->slope, s->c[2] = s->c[3] = 0.0; /* where the others are */
+}
+
+/* Begins all inputs of some machines. The slope of an output may depend on slopes of inputs, so slopes are read in
+ * several rounds. */
+static int begin_inputs(Simulation *sim, Mask machines) {
+    int verdict = CONTINUE;
+    for (int32_t n = 0; n < sim->initial_rounds && !verdict; n++) {
+        verdict = read_slopes(sim);
+        for (int32_t i = 0; i < sim->input_count; i++) begin_input(sim, &sim->inputs[i], machines);
+        for (int32_t k = 0; k < sim->component_count && !verdict; k++)
+            verdict = component_set_inputs(sim, &sim->components[k], 0.0, 0.0, 0);
+    }
+    return verdict;
 }
 
 /* ---- steps */
@@ -132,22 +185,31 @@ static int accept(Simulation *sim, Real h, Mask machines) {
     return CONTINUE;
 }
 
+/* Does the scenario have the values before its jumps, at the end of a step, or those after them? */
+static void before_jumps(Simulation *sim, int before) {
+    Scenario *d = sim->scenario;
+    if (!d || d->before_jumps == before) return;
+    d->before_jumps = before;
+    d->evaluated_at = NAN;
+}
+
 /* Takes a step of length h. Machines whose error is too large, and those that do not move, go back; `done`: the others. */
 static int try_step(Simulation *sim, Real h, Mask *done) {
     int passes = 0;
     *done = NO_MACHINE;
     int verdict = sim->saves ? save_states(sim) : CONTINUE;
     if (verdict) return verdict;
+    before_jumps(sim, 1);
     verdict = communication_step(sim, h, &passes);
+    if (!verdict) verdict = store_used_inputs(sim);
+    if (!verdict) verdict = exchange_at_end(sim, h);
+    before_jumps(sim, 0);
 #if WIDTH == 1
     if (verdict == DISCARDED) return retry_discarded(sim, h);
 #endif
     if (verdict) return verdict;
     sim->all_passes += passes;
-    verdict = store_used_inputs(sim);
-    if (!verdict) verdict = exchange_at_end(sim, h);
     if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
-    if (verdict) return verdict;
     *done = accepted(sim, h);
     if (any(*done)) verdict = accept(sim, h, *done);
     if (verdict || all(*done)) return verdict;
@@ -177,6 +239,17 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
     return sim->shorter > 0.0 ? smaller(h, sim->shorter) : h;
 }
 
+/* Exchanges the values after a jump of the scenario. All inputs begin anew: the past does not tell their course. */
+static int jump(Simulation *sim, Mask machines) {
+    int verdict = simulation_exchange(sim, sim->t);
+    sim->length = where(machines, 0.0, sim->length);
+    sim->length_before = where(machines, 0.0, sim->length_before);
+    if (!verdict) verdict = begin_inputs(sim, machines);
+    begin_energy(sim, machines);
+    if (sim->errors) error_jump(sim->errors);
+    return verdict;
+}
+
 /* Tries the next step of each machine once. */
 static int next_step(Simulation *sim) {
     const double point = point_at(sim, sim->done + 1);
@@ -185,7 +258,7 @@ static int next_step(Simulation *sim) {
     machines_move(sim, sim->alive && sim->t < point);
     const Real h = next_length(sim, &target, &rest);
     sim->end = where(h == rest, target, sim->t + h);
-    const int verdict = try_step(sim, h, &done);
+    int verdict = try_step(sim, h, &done);
     if (verdict) return verdict;
     if (!any(done)) {
         sim->repeated++;
@@ -198,54 +271,14 @@ static int next_step(Simulation *sim) {
     sim->longest = larger(sim->longest, h);
     const int there = !any(sim->alive && sim->t < point);
     sim->done += there;
+    const Mask jumps = sim->scenario && !sim->scenario->commands ? scenario_jumps(sim->scenario, sim->t, done) : NO_MACHINE;
+    verdict = any(jumps) ? jump(sim, jumps) : CONTINUE;
+    if (verdict) return verdict;
     if (there || sim->free || sim->diverged) record(sim);
     return CONTINUE;
 }
 
 /* ---- the run */
-
-/* Lists the inputs that each component feeds. */
-static void list_fed_inputs(Simulation *sim) {
-    for (int32_t k = 0; k < sim->component_count; k++) sim->components[k].first_fed = -1;
-    for (int32_t i = sim->input_count - 1; i >= 0; i--) {
-        CouplingInput *s = &sim->inputs[i];
-        if (s->source_component == DRIVEN) continue;
-        int32_t *first = &sim->components[s->source_component].first_fed;
-        s->next_fed = *first, *first = i;
-    }
-}
-
-/* Marks inputs fed from algebraic loops; slopes of their sources depend on each other and are not used. */
-static void mark_loops(Simulation *sim) {
-    for (int32_t k = 0; k < sim->loop_count; k++) {
-        AlgebraicLoop *loop = sim->loops[k];
-        loop->solved_in_passes = loop->declared || loop->flags[CIRCULAR];
-        for (int32_t j = 0; j < loop->output_count && loop->solved_in_passes; j++)
-            for (int32_t i = 0; i < sim->input_count; i++)
-                if (sim->inputs[i].source == loop->output_indices[j])
-                    sim->inputs[i].in_loop = 1, sim->inputs[i].source_slope = NULL;
-    }
-}
-
-static void begin_input(const Simulation *sim, CouplingInput *s) {
-    if (s->source_component == DRIVEN) {
-        input_begin(s, sim->reals[s->target], 0.0);
-        return;
-    }
-    input_begin(s, sim->reals[s->source] * s->factor + s->offset, source_slope(s));
-}
-
-/* Begins all inputs. The slope of an output may depend on slopes of inputs, so slopes are read in several rounds. */
-static int begin_inputs(Simulation *sim) {
-    int verdict = CONTINUE;
-    for (int32_t n = 0; n < sim->initial_rounds && !verdict; n++) {
-        verdict = read_slopes(sim);
-        for (int32_t i = 0; i < sim->input_count; i++) begin_input(sim, &sim->inputs[i]);
-        for (int32_t k = 0; k < sim->component_count && !verdict; k++)
-            verdict = component_set_inputs(sim, &sim->components[k], 0.0, 0.0, 0);
-    }
-    return verdict;
-}
 
 /* Exchanges values at the start and records them. */
 int32_t simulation_begin(Simulation *sim) {
@@ -253,10 +286,10 @@ int32_t simulation_begin(Simulation *sim) {
     int verdict = sim->prediction ? CONTINUE : simulation_exchange(sim, sim->t); /* done to begin the prediction */
     list_fed_inputs(sim);
     mark_loops(sim);
-    if (!verdict) verdict = begin_inputs(sim);
+    if (!verdict) verdict = begin_inputs(sim, EVERY_MACHINE);
     if (!verdict) verdict = machines_check(sim);
     if (verdict) return verdict;
-    for (int32_t i = 0; i < sim->energy.count; i++) sim->energy.start[i] = sim->reals[sim->energy.indices[i]];
+    begin_energy(sim, EVERY_MACHINE);
     record(sim);
     return sim->errors ? error_begin(sim) : CONTINUE;
 }

@@ -36,6 +36,7 @@ void environment_restore(Simulation *, int) {}
 int loop_solve(Simulation *, AlgebraicLoop *) { return CONTINUE; }
 int predict_inputs(Simulation *, Real) { return CONTINUE; }
 int error_begin(Simulation *) { return CONTINUE; }
+void error_jump(ErrorPropagation *) {}
 int error_propagate(Simulation *, Real) { return CONTINUE; }
 int pool_step(Pool *, Real) { return CONTINUE; }
 int values_save(Simulation *) { return CONTINUE; }
@@ -225,7 +226,11 @@ EXPORT int32_t group_advance(void *group, int64_t point) {
     Group *g = (Group *)group;
     Simulation *sim = &g->sim;
     const int commanded = sim->scenario && sim->scenario->commands;
-    if (commanded) g->row = g->points;
+    if (commanded) {
+        g->row = g->points;
+        const Mask jumps = scenario_jumps(sim->scenario, sim->t, sim->alive);
+        if (any(jumps)) jump(sim, jumps);
+    }
     while (sim->done < point && any(sim->alive) && !*(volatile int32_t *)&g->stop) next_step(sim);
     if (!any(sim->alive)) sim->done = point, sim->t = point_at(sim, point);
     if (commanded) g->row = 0, write_row(g);
