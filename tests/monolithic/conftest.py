@@ -11,7 +11,7 @@ MODELS = tables(str(SOURCE))
 TIME = V("time", "independent", place=0)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fmu(once):
     """fmu("ball", 3): a model for a version of FMI, compiled once for all test processes."""
 

@@ -1,0 +1,169 @@
+"""Jumps and signals that are not continuous act at their time, or at the communication point that follows.
+
+Two integrators, y1' = u and y2' = y1, and FMUs for Model Exchange, against closed forms.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kit.any_fmu.models import Workshop
+
+from orchestrator import Coupling, Master, System, Trace, assemble, reference, run
+
+STEP, STOP = 0.25, 2.0
+FIXED = {"able": {"canHandleVariableCommunicationStepSize": "false"}}
+
+
+def in_turn(components, time, length):
+    """A master of one's own."""
+    for name in components:
+        components[name].step(time, length)
+        components.send(name)
+
+
+MASTERS = {
+    "jacobi": Coupling("jacobi"),
+    "gauss-seidel": Coupling("gauss-seidel"),
+    "gauss-seidel of order 2": Coupling("gauss-seidel", order=2),
+    "hermite": Coupling("hermite"),
+    "hermite with a guard": Coupling("hermite", guard=1e-3),
+    "interface-jacobian": Coupling("interface-jacobian"),
+    "adaptive": Coupling("gauss-seidel", adaptive=1e-3),
+    "own": Master("own", step=in_turn),
+}
+every_master = pytest.mark.parametrize("master", MASTERS.values(), ids=[*MASTERS])
+# inside of steps, and at communication points
+times = st.one_of(st.floats(0.01, STOP - 0.01), st.integers(1, 7).map(lambda n: n * STEP))
+jumps = st.dictionaries(times, st.floats(-3, 3).map(lambda x: round(x, 3)), min_size=1, max_size=4).filter(
+    lambda jumps: all(b - a > 1e-3 for a, b in zip(sorted(jumps), sorted(jumps)[1:], strict=False))
+)
+
+
+def two_rows(name: str, jumps: dict[float, float]) -> Trace:
+    """A scenario whose values are held, with two rows at each jump, as a file has them."""
+    at, values = sorted(jumps), [0.0, *(jumps[t] for t in sorted(jumps))]
+    time = np.array([0.0, *np.repeat(at, 2), STOP])
+    return Trace(time - 1e-6 * (np.diff(time, append=np.inf) == 0), {name: np.repeat(values, 2)})
+
+
+def integral(t, jumps, power=1):
+    """The value, or its first or second integral, at times t."""
+    changes = np.diff([0.0, *(jumps[s] for s in sorted(jumps))])
+    since = np.maximum(np.subtract.outer(t, sorted(jumps)), 0.0)
+    return (since**power / (1, 1, 2)[power]) @ changes
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def each(request, tmp_path_factory) -> Workshop:
+    """Small FMUs for Co-Simulation of one version of FMI after the other."""
+    return Workshop(tmp_path_factory.mktemp("each"), request.param)
+
+
+@pytest.fixture(scope="module")
+def pair(each) -> System:
+    """Two integrators."""
+    return assemble({"first": each["drift"], "second": each["drift"]}, ["first.y -> second.u"])
+
+
+@every_master
+@given(jumps=jumps)
+def test_an_input_jumps_at_its_time(pair, master, jumps):
+    """The first integral to rounding at every row; the second, where its input follows a line, too."""
+    step = {} if getattr(master, "adaptive", None) else {"step": STEP}
+    result = run(pair, two_rows("first.u", jumps), master=master, record_step=STEP, isolate=False, **step)
+    t = result.trace.time
+    # rounding of sums; the integrators take steps of 0.25 ms
+    np.testing.assert_allclose(result["first.y"], integral(t, jumps), atol=1e-9)
+    before = [s for s in jumps if round(s / STEP) * STEP == s]
+    at_points = np.isin(t, before)
+    np.testing.assert_allclose(result["first.u"][at_points], [jumps[s] for s in t[at_points]], rtol=1e-15)
+    if master in (MASTERS["jacobi"], MASTERS["own"]):
+        points = np.unique([*np.arange(0, STOP + STEP / 2, STEP), *jumps])
+        held = integral(points, jumps)[:-1] if master is MASTERS["jacobi"] else integral(points, jumps)[1:]
+        exact = np.append(0.0, np.cumsum(np.diff(points) * held))[np.isin(points, t)]
+    else:
+        exact = integral(t, jumps, 2)
+    np.testing.assert_allclose(result["second.y"], exact, atol=1e-9)
+
+
+@given(jumps=jumps)
+def test_the_reference_jumps_at_the_same_time(fmu, jumps):
+    """x' = u - x of an FMU for Model Exchange: the sum of the answers to all steps."""
+    for solve, more in ((reference, {}), (run, {"step": STEP, "isolate": False})):
+        result = solve(fmu("lag", 2), two_rows("u", jumps), record_step=STEP, **more)
+        since = np.maximum(np.subtract.outer(result.trace.time, sorted(jumps)), 0.0)
+        changes = np.diff([0.0, *(jumps[s] for s in sorted(jumps))])
+        # the tolerance of the solvers
+        np.testing.assert_allclose(result["lag2.x"], (1 - np.exp(-since)) @ changes, atol=1e-7)
+
+
+@every_master
+def test_fmus_with_a_fixed_step_get_a_jump_at_the_next_point(each, master):
+    """And the card says so."""
+    if getattr(master, "adaptive", None):
+        return
+    fmu = each.make("drift", "even", **FIXED)
+    system = assemble({"first": fmu, "second": fmu}, ["first.y -> second.u"])
+    result = run(system, two_rows("first.u", {0.6: 1.0, 1.0: 3.0}), master=master, step=STEP, isolate=False)
+    np.testing.assert_allclose(result["first.y"][[2, 3, 4, 5]], [0, 0, 0.25, 1.0], atol=1e-12)
+    assert (
+        "first, second: the FMU has a fixed step: jumps inside of a step act at its end" in result.card.notes
+    )
+
+
+# ---- signals that are not continuous
+
+
+@every_master
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("at", [0.3, 0.5, 1.0, 1.77])
+def test_a_boolean_takes_a_value_at_its_time(fmu, version, at, master):
+    """T' = 1 - T from a time on, of a scenario and of a fault."""
+    name = f"room{version}"
+    step = {} if getattr(master, "adaptive", None) else {"step": STEP}
+    column = two_rows(f"{name}.on", {at: 1.0})
+    sampled = Trace(np.array([0.0, at, STOP]), {f"{name}.on": np.array([0.0, 1.0, 1.0])})
+    given = (
+        {"scenario": column},
+        {"scenario": sampled},
+        {"fault": {f"{name}.on": f"true@{at}"}, "stop": STOP},
+    )
+    for drives in given:
+        result = run(fmu("room", version), **drives, **step, record_step=STEP, master=master, isolate=False)
+        exact = 1 - np.exp(-np.maximum(result.trace.time - at, 0.0))
+        np.testing.assert_allclose(result[f"{name}.T"], exact, atol=1e-7)  # the tolerance of the solver
+
+
+@every_master
+@pytest.mark.parametrize("step", [0.25, 0.4])
+def test_a_discrete_signal_acts_from_the_next_point_on(fmu, each, step, master):
+    """A level that changes at each second, in Model Exchange, drives an integrator that holds its input."""
+    if getattr(master, "adaptive", None):
+        return
+    held = {"u": {"steady": "discrete"}, "u_rate": {"derives": None}}
+    fmus = {"s": fmu("counter", 2), "d": each.make("quirk", "holds", changes=held)}
+    result = run(assemble(fmus, ["s.level -> d.u"]), stop=4.0, step=step, master=master, isolate=False)
+    t = result.trace.time
+    acts = step * np.ceil(np.arange(1, 5) / step - 1e-9)
+    late = master is MASTERS["own"]  # sends what a component has at the end before the next one steps
+    exact = np.maximum(np.subtract.outer(t, acts - step * late), 0.0).sum(axis=1)
+    np.testing.assert_allclose(result["d.y"], exact, atol=1e-9)
+    effects = "effects of s.level on other FMUs may come up to a step late"
+    assert effects in result.card.notes
+
+
+@pytest.mark.parametrize("kind", ["events", "wire"])
+def test_no_error_is_estimated_where_effects_may_be_late(fmu, kind):
+    """Two runs may have them late by the same time: the card has the reason in place of a number."""
+    fmus = {"room": fmu("room", 2), "thermo": fmu("thermo", 2)}
+    system = assemble(fmus, ["room.T -> thermo.y", "thermo.on -> room.on"])
+    if kind == "events":
+        system = assemble({"ball": fmu("ball", 2), "lag": fmu("lag", 2)}, ["ball.h -> lag.u"])
+    late = "events of ball" if kind == "events" else "events of room, thermo.on"
+    card = run(system, stop=2.0, step=0.01, error_estimate=True, isolate=False).card
+    assert card.errors == ()
+    assert (
+        f"no error estimate: effects of {late} may come up to a step late, also in a run at half the step"
+        in card.notes
+    )
