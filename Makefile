@@ -26,7 +26,8 @@ demo: $(EVERYTHING)
 	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
 
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+WORKERS := 2
+PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 # fails also if a file takes more than its share (tests/kit/shares.py)
 test: $(TESTING)

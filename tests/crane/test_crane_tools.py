@@ -51,6 +51,7 @@ def agrees(built, time, found, limit):
         assert error < limit, f"{name}: {error:.1e}"
 
 
+@pytest.mark.parametrize("built", ["loader"], indirect=True)  # which has every kind of joint and part
 def test_the_fmus_of_a_crane_are_valid(built, capsys):
     """`harvester check` finds no error and no warning, FMPy's validation no problem."""
     for file in sorted(built.folder.rglob("*.fmu")):
