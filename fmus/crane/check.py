@@ -6,12 +6,7 @@ The range of a joint is followed from its start pose in both directions, until t
 stroke, its lever passes zero, or the linkage no longer closes; the last two are mistakes.
 
 Holding pressures are those of the start pose without payload, with the other side of the piston at 0 bar.
-Speeds are those of a valve at full opening in steady motion without load; the oil passes both edges. The
-velocity of the oil is that in the hose of the larger flow then:
-
-    v = C_d A_v sqrt(2 P_s A_in/(rho (A_h^3 + A_r^3)))        A_in: area of the side that is filled
-
-The mode of an axis is that of its mass on the oil of both
+Speeds are those of `fmus.crane.speeds`. The mode of an axis is that of its mass on the oil of both
 sides, with the hoses, at the start pose; all other joints are locked:
 
     f = sqrt((A_h^2/C_h + A_r^2/C_r) J^2 / M_ii) / (2 pi)           C = V/beta
@@ -26,13 +21,12 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from fmus.boom_stick import BOOM_STICK
 from fmus.components.cylinder import areas, volumes
 from fmus.contract import Subsystem, nested, quantities, symbolic
 from fmus.crane.description import DEFAULT, DRIVES, INERTIAS, CraneDescription, JointDescription
@@ -56,6 +50,10 @@ CELL = 0.2  # m, of the drawing
 SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
 
 
+SUPPLIES = {"lumped": "ideal", "compensated": "load_sensing"}  # of the drives whose speeds are told
+Speeds: TypeAlias = tuple[float, float, float]  # piston out and in [rad/s or m/s], oil in a hose [m/s]
+
+
 @dataclass(frozen=True)
 class AxisCheck:
     """One driven joint.
@@ -64,8 +62,7 @@ class AxisCheck:
     levers            least and largest |J| over it [m], of a motor 1
     push, pull        largest forces of the piston, or torque of the motor to both sides [N or N.m]
     holding           pressure that holds the start pose [Pa], on the side of the piston that carries
-    speeds            of the joint at the start pose, forwards and backwards [rad/s or m/s]
-    oil_velocity      in the hose at that speed [m/s]
+    lever, inertia    dx/dq, of a motor 1, and M_ii at the start pose [m or 1, kg.m2 or kg]
     mode              first mode of the axis [Hz]
     """
 
@@ -76,8 +73,8 @@ class AxisCheck:
     push: float
     pull: float
     holding: float
-    speeds: tuple[float, float]
-    oil_velocity: float
+    lever: float
+    inertia: float
     mode: float
 
 
@@ -226,18 +223,15 @@ def _axis(
     start: Mapping[str, float],
 ) -> AxisCheck:
     pressure = crane.numbers["supply"]["pressure_setting"].value
-    density = crane.numbers["oil"]["density"].value
-    coefficient = values(BOOM_STICK).p["valve_discharge_coefficient"]
-    root = coefficient * joint["valve_area"] * math.sqrt(2 * pressure / density)
     hose, inertia = math.pi / 4 * joint["hose_bore"] ** 2, _inertia(of, joint, v)
     capacitance = hose * joint["hose_length"] / crane.numbers["oil"]["bulk_modulus"].value
     if joint.drive == "motor":
         per_turn = joint["motor_displacement"] * joint["gear_ratio"]
-        torque, speed = pressure * per_turn, root / math.sqrt(2) / per_turn
+        torque = pressure * per_turn
         capacitance += joint["motor_volume"] / crane.numbers["oil"]["bulk_modulus"].value
         mode = math.sqrt(2 * per_turn**2 / capacitance / inertia) / (2 * math.pi)
-        ends = (-math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0, (speed, speed))
-        return AxisCheck(joint, *ends, speed * per_turn / hose, mode)
+        ends = (-math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0)
+        return AxisCheck(joint, *ends, 1.0, inertia, mode)
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
     low, high, levers = _range(of, joint, v)
     force = start[f"{joint.name}_holding_force"]
@@ -247,11 +241,10 @@ def _axis(
             f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "
             f"{pressure / 1e5:.0f} bar: a larger bore, a larger lever, or another start pose"
         )
-    position, lever = (abs(float(x)) for x in _transmission(of, joint, v)(joint.start.value))
+    position, lever = map(float, _transmission(of, joint, v)(joint.start.value))
     sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
     oils = [x / crane.numbers["oil"]["bulk_modulus"].value + capacitance for x in sizes]
     stiffness = head**2 / oils[0] + rod**2 / oils[1]
-    out, inwards = (root * math.sqrt(side / (head**3 + rod**3)) for side in (head, rod))
     return AxisCheck(
         joint,
         low,
@@ -260,8 +253,8 @@ def _axis(
         pressure * head,
         pressure * rod,
         holding,
-        (out / lever, inwards / lever),
-        out * head / hose,
+        lever,
+        inertia,
         math.sqrt(stiffness * lever**2 / inertia) / (2 * math.pi),
     )
 
@@ -383,24 +376,23 @@ def _end(function: ca.Function, inside: float, outside: float, stroke: float) ->
     return inside
 
 
-def table(crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity) -> str:
-    """The axes, loads and the data sheet as text for a terminal."""
-    head = (
-        "joint",
-        "drive",
-        "start",
-        "range",
-        "lever",
-        "push",
-        "pull",
-        "holds with",
-        "speed out/in",
-        "oil",
-        "mode",
-    )
+def table(
+    crane: CraneDescription,
+    found: Sequence[AxisCheck],
+    loads: Capacity,
+    speeds: Mapping[str, Mapping[str, Speeds]],
+) -> str:
+    """The axes, loads and the data sheet as text for a terminal; speeds by joint and fidelity, or none."""
+    moving = ("speed out/in", "compensated", "oil") if speeds else ()
+    head = ("joint", "drive", "start", "range", "lever", "push", "pull", "holds with", *moving, "mode")
     pressure = crane.numbers["supply"]["pressure_setting"].value
     title = f"{crane.title}: {len(crane.joints)} joints, {len(found)} driven, {pressure / 1e5:.0f} bar"
-    lines = [title, *TextTable(head, [*map(_row, found)]).lines(), "", *_loads(found, loads)]
+    lines = [
+        title,
+        *TextTable(head, [_row(a, speeds.get(a.joint.name)) for a in found]).lines(),
+        "",
+        *_loads(found, loads),
+    ]
     if crane.loads or any(crane.datasheet.values()):
         rows = [
             [text, _number(told), *(("no pose", "") if own is None else (_number(own), _off(own, told)))]
@@ -509,7 +501,7 @@ def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
     return np.where(cells < 0, np.nan, cells), (ends[0], ends[1])
 
 
-def _row(a: AxisCheck) -> list[str]:
+def _row(a: AxisCheck, speeds: Mapping[str, Speeds] | None) -> list[str]:
     revolute = a.joint.kind == "revolute"
     unit, scale = ("deg", 180 / math.pi) if revolute else ("m", 1.0)
     force, lever = (
@@ -517,6 +509,12 @@ def _row(a: AxisCheck) -> list[str]:
     )
     low, high = (round(scale * x, 1) + 0.0 for x in (a.low, a.high))  # no -0.0
     ends = f"{low:.1f} to {high:.1f} {unit}" if math.isfinite(low) else "no end"
+    moving = list[str]()
+    if speeds:
+        lumped, compensated = (
+            "/".join(f"{scale * x:.3g}" for x in speeds[v][:2]) + f" {unit}/s" for v in SUPPLIES
+        )
+        moving = [lumped, compensated, f"{speeds['lumped'][2]:.1f} m/s"]
     return [
         a.joint.name,
         a.joint.drive,
@@ -525,7 +523,6 @@ def _row(a: AxisCheck) -> list[str]:
         lever,
         *(f"{x / 1e3:.3g} {force}" for x in (a.push, a.pull)),
         f"{a.holding / 1e5:.0f} bar",
-        "/".join(f"{scale * x:.3g}" for x in a.speeds) + f" {unit}/s",
-        f"{a.oil_velocity:.1f} m/s",
+        *moving,
         f"{a.mode:.1f} Hz",
     ]

@@ -100,7 +100,7 @@ def test_a_radius_without_a_pose_has_no_load():
     assert loads.at(least) == pytest.approx(loads.held(pose)[2], rel=1e-3)
     assert most == pytest.approx(1.5 + 2 + 2.5 * 3, abs=1e-3)  # stretched and level
     assert [loads.at(x) for x in (0.99 * least, 1.01 * most)] == [None, None]
-    told = table(crane, found, loads)
+    told = table(crane, found, loads, {})
     assert re.findall(r"load at (\d+) m \[kg\] +\d+ +no pose", told) == ["1", "12"]
 
 
