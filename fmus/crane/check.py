@@ -5,7 +5,7 @@
 The range of a joint is followed from its start pose in both directions, until the piston is at an end of its
 stroke, its lever passes zero, or the linkage no longer closes; the last two are mistakes.
 
-Holding pressures are those of the start pose without payload, with the other side of the piston at 0 bar.
+Holding pressures are those of the start pose with the payload of the file, the other side at 0 bar.
 Speeds are those of `fmus.crane.speeds`. The mode of an axis is that of its mass on the oil of both
 sides, with the hoses, at the start pose; all other joints are locked:
 
@@ -61,7 +61,7 @@ class AxisCheck:
     low, high         range of its coordinate [rad or m], infinite for a motor
     levers            least and largest |J| over it [m], of a motor 1
     push, pull        largest forces of the piston, or torque of the motor to both sides [N or N.m]
-    holding           pressure that holds the start pose [Pa], on the side of the piston that carries
+    holding           pressure that holds the start pose [Pa], on the side that carries
     lever, inertia    dx/dq, of a motor 1, and M_ii at the start pose [m or 1, kg.m2 or kg]
     mode              first mode of the axis [Hz]
     """
@@ -179,8 +179,9 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     start   `outputs_at_start` of its manipulator, if they are known
     """
     sub = manipulator(crane)
-    of, v = _functions(sub), values(sub)
-    start = outputs_at_start(sub) if start is None else start
+    of, v = functions(sub), values(sub)
+    load = crane.numbers["payload"]["payload_mass"].value
+    start = outputs_at_start(sub, load) if start is None else start
     found, mistakes = list[AxisCheck](), list[str]()
     for joint in crane.driven:
         try:
@@ -192,26 +193,18 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     return found
 
 
-def levers_at_start(crane: CraneDescription) -> dict[str, float]:
-    """dx/dq of each drive in the start pose [m or 1]; positive: extending makes the coordinate grow."""
-    sub = manipulator(crane)
-    of, v = _functions(sub), values(sub)
-    pistons = [j for j in crane.driven if j.drive != "motor"]
-    levers = {j.name: float(_transmission(of, j, v)(j.start.value)[1]) for j in pistons}
-    return {j.name: levers.get(j.name, 1.0) for j in crane.driven}
-
-
-def _functions(sub: Subsystem) -> CraneManipulator:
+def functions(sub: Subsystem) -> CraneManipulator:
+    """Those that a manipulator's subsystem is made of."""
     own: Any = sub.dynamics
-    functions: CraneManipulator = own.__self__
-    return functions
+    found: CraneManipulator = own.__self__
+    return found
 
 
-def outputs_at_start(sub: Subsystem) -> Mapping[str, float]:
-    """Outputs of a manipulator at its start pose."""
+def outputs_at_start(sub: Subsystem, payload: float = 0.0) -> Mapping[str, float]:
+    """Outputs of a manipulator at its start pose with a payload [kg]."""
     model, v = symbolic(sub), values(sub)
-    x = model.initial()(list(v.x.values()), list(v.u.values()), list(v.p.values()))
-    y = model.function()(x, list(v.u.values()), list(v.p.values()))[1].full()[:, 0]
+    u, p = list({**v.u, "payload_mass": payload}.values()), list(v.p.values())
+    y = model.function()(model.initial()(list(v.x.values()), u, p), u, p)[1].full()[:, 0]
     return dict(zip(quantities(sub.outputs), map(float, y), strict=True))
 
 
@@ -222,41 +215,33 @@ def _axis(
     v: Values,
     start: Mapping[str, float],
 ) -> AxisCheck:
-    pressure = crane.numbers["supply"]["pressure_setting"].value
-    hose, inertia = math.pi / 4 * joint["hose_bore"] ** 2, _inertia(of, joint, v)
-    capacitance = hose * joint["hose_length"] / crane.numbers["oil"]["bulk_modulus"].value
+    pressure, modulus = (
+        crane.numbers["supply"]["pressure_setting"].value,
+        crane.numbers["oil"]["bulk_modulus"],
+    )
+    hose = math.pi / 4 * joint["hose_bore"] ** 2 * joint["hose_length"]
     if joint.drive == "motor":
-        per_turn = joint["motor_displacement"] * joint["gear_ratio"]
-        torque = pressure * per_turn
-        capacitance += joint["motor_volume"] / crane.numbers["oil"]["bulk_modulus"].value
-        mode = math.sqrt(2 * per_turn**2 / capacitance / inertia) / (2 * math.pi)
-        ends = (-math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0)
-        return AxisCheck(joint, *ends, 1.0, inertia, mode)
-    head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
-    low, high, levers = _range(of, joint, v)
-    force = start[f"{joint.name}_holding_force"]
-    holding = force / head if force > 0 else -force / rod
+        low, high, levers, lever = -math.inf, math.inf, (1.0, 1.0), 1.0
+        head = rod = joint["motor_displacement"] * joint["gear_ratio"]
+        sizes, effort, larger = (joint["motor_volume"],) * 2, "torque", "a larger motor, more ratio"
+    else:
+        low, high, levers = _range(of, joint, v)
+        position, lever = map(float, _transmission(of, joint, v)(joint.start.value))
+        head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
+        sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
+        effort, larger = "force", "a larger bore, a larger lever"
+    holds = start[f"{joint.name}_holding_{effort}"]
+    holding = holds / head if holds > 0 else -holds / rod
     if holding > pressure:
         raise Problem(
             f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "
-            f"{pressure / 1e5:.0f} bar: a larger bore, a larger lever, or another start pose"
+            f"{pressure / 1e5:.0f} bar: {larger}, or another start pose"
         )
-    position, lever = map(float, _transmission(of, joint, v)(joint.start.value))
-    sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
-    oils = [x / crane.numbers["oil"]["bulk_modulus"].value + capacitance for x in sizes]
-    stiffness = head**2 / oils[0] + rod**2 / oils[1]
-    return AxisCheck(
-        joint,
-        low,
-        high,
-        levers,
-        pressure * head,
-        pressure * rod,
-        holding,
-        lever,
-        inertia,
-        math.sqrt(stiffness * lever**2 / inertia) / (2 * math.pi),
-    )
+    of_head, of_rod = ((x + hose) / modulus.value for x in sizes)
+    inertia = _inertia(of, joint, v)
+    mode = math.sqrt((head**2 / of_head + rod**2 / of_rod) * lever**2 / inertia) / (2 * math.pi)
+    forces = (pressure * head, pressure * rod)
+    return AxisCheck(joint, low, high, levers, *forces, holding, lever, inertia, mode)
 
 
 def _inertia(of: CraneManipulator, joint: JointDescription, v: Values) -> float:
@@ -276,7 +261,7 @@ def _coordinates(of: CraneManipulator, v: Values) -> ca.SX:
 def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     """Loads over the strokes of all pistons; a crane without one holds no load."""
     sub = manipulator(crane)
-    of, v = _functions(sub), values(sub)
+    of, v = functions(sub), values(sub)
     p = nested(of.parameters, v.p)
     free, axes = [j for j in crane.joints if not j.follows], [a for a in found if math.isfinite(a.low)]
     s, q = ca.SX.sym("s", len(axes)), _coordinates(of, v)
@@ -465,7 +450,7 @@ def _compared(
 def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
     """Side view: the working range of the tip, coloured by the load that can be held; the start pose."""
     sub = manipulator(crane)
-    of, v = _functions(sub), values(sub)
+    of, v = functions(sub), values(sub)
     p = nested(of.parameters, v.p)
     chain, load = of.chain(p), of.payload(0, p)
     q = of.at_rest(_coordinates(of, v), 0, p)

@@ -12,9 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from fmus.crane.check import levers_at_start
+from fmus.crane.check import functions
 from fmus.crane.controller import controlled
 from fmus.crane.description import CraneDescription, JointDescription
+from fmus.crane.manipulator import manipulator
 from orchestrator.base.errors import Problem
 
 COLOURS = ("#009e73", "#0072b2", "#d55e00", "#cc79a7", "#e69f00", "#56b4e9", "#7d7d7d")  # Okabe and Ito 2008
@@ -115,7 +116,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
 
     The first four are on the sticks, the others on wheels. If there are others, telescopes go there first.
     """
-    words, full, levers = dict[str, Any](), dict[str, Any](), levers_at_start(crane)
+    words, full, signs = dict[str, Any](), dict[str, Any](), functions(manipulator(crane)).signs
     order, moved = list(crane.driven), list[str]()
     with suppress(Problem):  # of an arm that its controller does not know
         moved = [j.name for j in controlled(crane)]
@@ -125,7 +126,7 @@ def _levers(crane: CraneDescription) -> dict[str, Any]:
         order = [*first, *(j for j in order if j not in first)]
     for k, j in enumerate(order[:MOST]):
         ends = WORDS["motor" if j.drive == "motor" else j.kind]
-        sign = 1.0 if levers[j.name] > 0 else -1.0
+        sign = signs.get(j.name, 1.0)
         if k == 2 or j.kind == "prismatic":  # towards the operator is in, or down
             ends, sign = (ends[1], ends[0]), -sign
         words[j.name] = [f"{j.name} {end}" for end in ends]

@@ -241,7 +241,7 @@ def test_loads_and_mode_of_one_boom_are_the_closed_forms():
     own = np.sqrt(stiffness * np.interp(0.0, angle, lever) ** 2 / (30 + 100)) / (2 * np.pi)
     assert axis.mode == pytest.approx(own, rel=1e-3)  # of the differences
     assert lifting_moment(found) == pytest.approx(2e7 * head * lever.max(), rel=1e-3)
-    text = text_of(crane, found, loads)
+    text = text_of(crane, found, loads, {})
     assert re.search(r"lifting moment, gross \[kN\.m\] +40 +[\d.]+ +[+-]", text)
     assert re.search(r"reach \[m\] +2 +2 +[+-]0\.0 %", text)
     assert re.search(r"load at 2 m \[kg\] +1500 +\d+ +[+-]", text)

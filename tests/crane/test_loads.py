@@ -104,11 +104,17 @@ def test_a_radius_without_a_pose_has_no_load():
     assert re.findall(r"load at (\d+) m \[kg\] +\d+ +no pose", told) == ["1", "12"]
 
 
+SLEWED = """[slew]
+axis = "z"
+inertia = [1, 1, 1]
+drive = "motor"
+motor = { displacement = "6e-5 m3/rad", ratio = 1 }
+"""
+
+
 def test_a_slewing_motor_on_a_slope_limits_the_load():
     """It holds m g r sin(roll) about its axis, beside the weight of the arm: 40 kg at 0.9 m, the stages."""
-    slew = '[slew]\naxis = "z"\ndrive = "motor"\nmotor = { displacement = "6e-5 m3/rad", ratio = 1 }\n'
-    slew += "inertia = [1, 1, 1]\n"
-    text = slew + STEPS + '[base]\nroll = "15 deg"\n[start]\none = 1\n'
+    text = SLEWED + STEPS + '[base]\nroll = "15 deg"\n[start]\none = 1\n'
     crane = read(Path("steps.toml"), text.encode())
     loads = capacity(crane, check(crane))
     torque, slope = 2.4e7 * 6e-5, GRAVITY * np.sin(np.radians(15))
@@ -117,3 +123,18 @@ def test_a_slewing_motor_on_a_slope_limits_the_load():
     level = loads.held(np.array([0.0, 2.0]))
     assert level[0] == pytest.approx(7, rel=1e-12)
     assert level[2] == pytest.approx(expected, rel=1e-4)  # gravity of the file of the paper
+
+
+@pytest.mark.parametrize(
+    ("slope", "slew", "mass"),
+    [('roll = "12 deg"', 0.0, 0), ('roll = "-7 deg"', 2.6, 50), ("pitch = 0.3", 1.1, 0)],
+)
+def test_a_slewing_motor_holds_the_crane_on_a_slope(slope, slew, mass):
+    """Moment of the weights about its axis, by hand: the arm is level, and the base leans to a side."""
+    text = SLEWED.replace("6e-5", "2e-3") + STEPS.replace('on = "two"', f'on = "two"\nmass = {mass}')
+    crane = read(Path("steps.toml"), f"{text}[base]\n{slope}\n[start]\none = 1\nslew = {slew}\n".encode())
+    lean = crane.numbers["base"]["base_roll"].value + crane.numbers["base"]["base_pitch"].value
+    across = np.cos(slew) if "roll" in slope else np.sin(slew)  # of the arm, to the way down
+    moment = GRAVITY * (40 * 0.9 + 30 * (2 + 1) + (20 + mass) * (2 + 2.5 * 1))
+    expected = abs(moment * np.sin(lean) * across) / 2e-3
+    assert check(crane)[0].holding == pytest.approx(expected, rel=1e-4)  # gravity of the file of the paper
