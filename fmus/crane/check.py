@@ -40,6 +40,7 @@ from orchestrator.pages.plotting import new_figure, style_axes
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
 FARTHEST = {"revolute": 2 * math.pi, "prismatic": 50.0}
 HALVINGS = 40  # of STEP, to the end of a range
+DENT = 1e-3  # m: depth of the tip in the ground at the start, of a rounded height
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
 SMALL_LEVER = 0.25  # of the largest one: below it a joint may run over the dead point beyond an end stop
 POSES, MOST_STEPS = 150_000, 200  # of the grid of loads, in all and of one piston
@@ -188,6 +189,10 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
             found.append(_axis(crane, of, joint, v, start))
         except Problem as problem:
             mistakes.append(f"{crane.file}: [{joint.name}] {problem}")
+    ground, tip = crane.numbers["ground"].get("ground_height"), start["tip_height"]
+    if ground and ground.value > tip + DENT:
+        expected = f"at most {tip:.4g} m, where the tip is at the start"
+        mistakes.append(f"{crane.file}: [ground] height: expected {expected}, got {ground.value:g} m")
     if mistakes:
         raise Mistakes(mistakes)
     return found

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast, get_args
 
+import numpy as np
+
 from fmus.boom_stick import BOOM_STICK
 from fmus.components.chain import Axis
 from fmus.parameters import SOURCES, Number
@@ -35,7 +37,8 @@ AXES = get_args(Axis)
 Assembly: TypeAlias = Literal["above", "below"]
 LARGEST_LENGTH = 100.0  # m
 INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
-LARGEST_SHARE = 1 + 1e-6  # of a moment of inertia in the sum of the two others, with rounding
+SYMMETRIC = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  # place of each entry of a matrix in INERTIAS
+LARGEST_SHARE = 1 + 1e-6  # of a principal moment of inertia in the sum of the two others, with rounding
 
 
 @dataclass(frozen=True)
@@ -452,6 +455,13 @@ def _joint(
         reader.wrong(
             f"{name}.cylinder", f"rod: expected thinner than the bore of {bore:g} mm, got {rod:g} mm"
         )
+    if "closed_length" in numbers:
+        closed, least = (
+            1e3 * x for x in (numbers["closed_length"].value, numbers["stroke"].value + numbers["bore"].value)
+        )
+        if closed < least:
+            expected = f"at least {least:g} mm, the stroke and a bore for piston, gland and eyes"
+            reader.wrong(f"{name}.cylinder", f"closed: expected {expected}, got {closed:g} mm")
     return JointDescription(
         name=name,
         kind="revolute" if rotational else "prismatic",
@@ -513,10 +523,11 @@ def _inertia(reader: _Reader, name: str, value: Any, body: Mapping[str, Number])
             return {n: Number(math.nan, unit, "assumed", "") for n in keys}
         found = [reader.quantity(name, "inertia", x, unit) for x in some]
         found += [0.0] * (6 - len(found))
-        moments = found[:3]
-        if max(moments) > LARGEST_SHARE * (sum(moments) - max(moments)):
-            got = f"{max(moments):g} kg.m2 is above the sum of the two others"
-            reader.wrong(name, f"inertia: {got}: no body has such a moment of inertia")
+        if np.isfinite(found).all():
+            low, middle, high = np.linalg.eigvalsh(np.array(found)[np.array(SYMMETRIC)])
+            if high > LARGEST_SHARE * (low + middle):
+                got = f"principal moments {low:.3g}, {middle:.3g}, {high:.3g} kg.m2"
+                reader.wrong(name, f"inertia: {got}: of a body, none is above the sum of the two others")
     return {n: Number(x, unit, reader.source, reader.note) for n, x in zip(keys, found, strict=True)}
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from lxml import etree
 
 from fmus.crane.check import AxisCheck
-from fmus.crane.description import INERTIAS, CraneDescription, JointDescription
+from fmus.crane.description import INERTIAS, SYMMETRIC, CraneDescription, JointDescription
 from orchestrator.base.errors import Mistakes, Problem
 from orchestrator.base.files import write_whole
 from orchestrator.data.table import Array
@@ -27,7 +27,6 @@ from orchestrator.data.table import Array
 BASE = "base"
 ALIGNED = 1e-6  # largest component of an axis across its direction
 ROUNDING = 1e-12  # of numbers that become zero
-SYMMETRIC = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  # place of each entry of a matrix in INERTIAS
 RADIUS = 0.06  # m, of the bars that are shown
 
 

@@ -40,6 +40,15 @@ def test_the_load_at_any_radius_is_that_of_a_fine_grid(seed):
     compare(seed, SHARES)
 
 
+def test_ranges_end_at_the_ends_of_the_strokes():
+    """Of drawn cranes, whose strokes were computed from the ranges: not one step of a search beyond."""
+    for seed in (4, 6, 11):
+        booms = draw(seed)
+        for boom, axis in zip(booms, check(described(booms)), strict=True):
+            # the length changes little with the angle where a lever is small: 1e-12 m is 1e-9 rad there
+            assert (axis.low, axis.high) == pytest.approx(boom.ends, abs=1e-8)
+
+
 STEPS = """[boom]
 axis = "-y"
 at = [0, 0, 1.2]
