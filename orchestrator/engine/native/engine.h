@@ -373,8 +373,8 @@ typedef struct Simulation {
     int32_t saves;     /* states are saved at the beginning of each step, if the FMUs can */
     int32_t rollback;  /* all components can go back, so that a shorter step can be tried */
     int32_t diverged;  /* a step was accepted although its error is not finite */
-    const double *events;
-    int64_t event_count, event[WIDTH];
+    const double *divided; /* communication points between those of equal steps */
+    int64_t divided_count, next_divided[WIDTH];
     double start, step, shorter, patience;
     double spent, counted; /* time in all calls of simulation_advance, in [s] and in ticks */
     double tick;           /* their ratio; 0 before the first call */
