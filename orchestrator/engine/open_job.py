@@ -229,7 +229,7 @@ class StepControl:
     def struct(self, h: Any, power: int) -> Any:
         """`StepSize` of the header `h`; power: of the step to which the error is proportional."""
         first = min(max(self.first, self.smallest), self.largest)
-        limits = {"h": first, "smallest": self.smallest, "largest": self.largest}
+        limits = {"h": first, "first": first, "smallest": self.smallest, "largest": self.largest}
         return h.StepSize(**limits, repeats=self.repeats, power=power)
 
 

@@ -304,7 +304,7 @@ typedef struct Recorder { /* a block of rows; Python collects them between two c
 } Recorder;
 
 typedef struct StepSize { /* see step_size.c */
-    double h, smallest, largest, error_before, unclipped;
+    double h, first, smallest, largest, error_before, unclipped; /* first: the first one */
     int32_t power;   /* power of the step with which the error estimate scales */
     int32_t repeats; /* the components can go back */
 } StepSize;
@@ -518,6 +518,7 @@ EXPORT int32_t plant_indicators(Simulation *, Plant *);
 EXPORT int32_t plant_completed_step(Simulation *, Plant *);
 
 /* step_size.c */
+void step_size_begin(StepSize *);
 EXPORT double step_size_next(StepSize *, double remaining);
 EXPORT int32_t step_size_accepts(StepSize *, double error, double h);
 

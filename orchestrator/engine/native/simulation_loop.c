@@ -246,6 +246,8 @@ static int jump(Simulation *sim, Mask machines) {
     sim->length_before = where(machines, 0.0, sim->length_before);
     if (!verdict) verdict = begin_inputs(sim, machines);
     begin_energy(sim, machines);
+    for (int i = 0; i < WIDTH && sim->step_size; i++)
+        if (chosen(machines, i)) step_size_begin(&sim->step_size[i]);
     if (sim->errors) error_jump(sim->errors);
     return verdict;
 }
