@@ -46,7 +46,7 @@ class Integration:
     counts      evaluations, Jacobians, indicators, steps, events
     sampled     external inputs that are not continuous: their changes are events
     since       the time of the last change of an external input [s]; a jump there has taken place
-    broken      an FMU has failed, which forbids further calls (FMI 2.0.5, 2.1.3)
+    broken      an FMU has failed, which forbids further calls (FMI 2.0.5, 2.1.3), or the user has interrupted
     """
 
     sampled: Sequence[Port] = ()
@@ -106,7 +106,8 @@ class Integration:
             into[:] = values()
         except BaseException as problem:
             self.problem = problem
-            self.broken = isinstance(problem, CallFailed) and problem.status >= ERROR
+            failed = isinstance(problem, CallFailed) and problem.status >= ERROR
+            self.broken = failed or not isinstance(problem, Exception)
 
     def rates(self, t: float, x: Array, into: Array) -> None:
         """The time derivatives of the states."""

@@ -97,13 +97,13 @@ def run_isolated(
     job: Job,
     sink: TraceSink,
     between: Callable[[float], None] = lambda _: None,
-    check: Callable[[], None] = lambda: None,
+    check: Callable[[], bool] = lambda: False,
     cores: int | None = None,
 ) -> RunEnd:
     """Run a job in a child process.
 
     between   called with the simulated time [s] now and then
-    check     called all the time; a KeyboardInterrupt ends the run, as that of the user does
+    check     called all the time; returns True to end the run, or raises KeyboardInterrupt as the user does
     cores     threads of the run, at most; default: one per core
 
     Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
@@ -114,7 +114,7 @@ def run_isolated(
     try:
         with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
             supervision = _Supervision(worker, job, sink, between, cores or os.cpu_count() or 1)
-            outcome = supervision.outcome((interrupts.check, check))
+            outcome = supervision.outcome(interrupts.check, check)
     except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
         if outcome is None:
             raise
@@ -167,9 +167,10 @@ class _Supervision:
         task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, cores)
         worker.put(task)
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
+        self._interrupted = False
 
-    def outcome(self, checks: Sequence[Callable[[], None]]) -> RunEnd:
-        """Wait for the end of the run; `checks` raise KeyboardInterrupt to interrupt it."""
+    def outcome(self, interrupts: Callable[[], None], check: Callable[[], bool]) -> RunEnd:
+        """Wait for the end of the run; both may raise KeyboardInterrupt, `check` returns True to end it."""
         while True:
             try:
                 name, content = self._worker.get(POLL)
@@ -183,19 +184,26 @@ class _Supervision:
             if name:
                 self._receive(name, content)
             try:
-                for check in checks:
-                    check()
+                interrupts()
+                if check():
+                    self._stop()
                 if not self._killed_because:
                     self._worker.check_limits(self._limits, self._command_began)
             except KeyboardInterrupt:
-                if self._kill_at < float("inf"):
+                if self._interrupted:
                     self._kill("interrupted")
-                self._worker.put(STOP)
-                self._kill_at = min(self._kill_at, time.monotonic() + STOP_TIME)
+                self._interrupted = True
+                self._stop()
             except LimitExceeded as limit:
                 self._kill(str(limit))
             if time.monotonic() > self._kill_at:
                 self._kill("interrupted")
+
+    def _stop(self) -> None:
+        """Ask the child, once, to end the run, for which it has STOP_TIME."""
+        if self._kill_at == float("inf"):
+            self._worker.put(STOP)
+            self._kill_at = time.monotonic() + STOP_TIME
 
     def _kill(self, reason: str) -> None:
         self._killed_because = self._killed_because or reason
@@ -242,7 +250,7 @@ class _Supervision:
 
     def _complete(self, outcome: RunEnd) -> RunEnd:
         """The outcome of a run that ended by itself."""
-        if self._kill_at < float("inf"):  # the interrupt must not be lost, also if it came too late
+        if self._interrupted:  # which must not be lost, also if it came too late
             outcome.interrupted = True
         if printed := self._worker.printed:
             more = f" and {len(printed) - 1} more lines" if len(printed) > 1 else ""
@@ -256,7 +264,7 @@ class _Supervision:
         from orchestrator.engine.job import RunEnd
         from orchestrator.fmi.messages import Log
 
-        interrupted = self._killed_because == "interrupted"
+        interrupted = self._interrupted and self._killed_because == "interrupted"
         message = self._cause()
         if self._layout is None:
             raise KeyboardInterrupt(message) if interrupted else Problem(message)
@@ -385,13 +393,12 @@ def _run(channel: Channel, task: RunTask) -> None:
         slave.log.on_message = lambda message: channel.put("message", message)
         return slave
 
-    def between(t: float) -> None:
+    def between(t: float) -> bool:
         nonlocal reported
-        if channel.waiting and channel.get() == STOP:
-            raise KeyboardInterrupt
         if time.monotonic() - reported > PROGRESS_TIME:
             reported = time.monotonic()
             channel.put("time", t)
+        return channel.waiting and channel.get() == STOP
 
     def allocate(name: str, size: int) -> mmap.mmap:
         for earlier in channel.folder.glob(f"{name}-*"):

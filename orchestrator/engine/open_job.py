@@ -44,14 +44,14 @@ FEWEST_STEPS = 2  # between two evaluations of the estimated errors
 def run_job(
     job: Job,
     sink: TraceSink,
-    between: Callable[[float], None] = lambda _: None,
+    between: Callable[[float], bool] = lambda _: False,
     at_end: Callable[[RunEnd], None] = lambda _: None,
     allocate: Allocate = in_process,
 ) -> RunEnd:
     """Open all FMUs, run in this process, and close them in any case.
 
     sink       receives the recorded rows and the estimated errors
-    between    called with the time [s] between blocks of steps; a KeyboardInterrupt ends the run
+    between    called with the time [s] between blocks of steps; returns True to end the run
     at_end     called before the FMUs are closed
     allocate   see `Binding`
     """
@@ -90,11 +90,12 @@ def run_job(
     return end
 
 
-def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float], None]) -> None:
+def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float], bool]) -> None:
     """Step from the start to the stop time."""
     with DeferredInterrupts() as interrupts:
         loop.begin()
-        while loop.state.done < loop.times.steps:
+        state = loop.state
+        while state.done < state.total:
             interrupts.check()
             try:
                 loop.advance()
@@ -103,7 +104,8 @@ def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float
                 raise
             if loop.errors:
                 loop.errors.collect(sink)
-            between(loop.state.t)
+            if between(state.t):
+                state.total = state.done
 
 
 def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:

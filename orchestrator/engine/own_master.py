@@ -9,7 +9,8 @@
     3. the engine exchanges all values at the end of the step, sets inputs of the scenario, records
 
 Between 3 and the next 2 nothing is called. Inputs hold their values until something sets them. An exception
-ends the run, with what it has recorded; so does a component that is not at the end of the step after 2.
+ends the run, with what it has recorded; so does a component that is not at the end of the step after 2. An
+interrupt is raised in the function.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from functools import cache, partial
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.interrupts import of_user
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.network import Network
@@ -63,10 +65,10 @@ class Components(Mapping[str, Slave]):
         assert master.step is not None
         end, where = time + length, f"master {master.name}: the function"
         try:
-            master.step(self, time, length)
-        except Problem:
+            of_user(master.step, self, time, length)
+        except (Problem, KeyboardInterrupt):
             raise
-        except Exception as error:  # of the user's function: the rows are kept
+        except BaseException as error:  # of the user's function, SystemExit too: the rows are kept
             raise Problem(f"{where} failed at t = {time:.9g} s: {error!r}") from error
         late = [n for n, reached in self._reached.items() if abs(reached - end) > SAME_TIME * length]
         if late:

@@ -314,13 +314,13 @@ def simulate(job: Job, sink: TraceSink) -> RunEnd:
         def between(t: float) -> None:
             bar.update(t - times.start)
 
-        def in_this_process(t: float) -> None:
+        def in_this_process(t: float) -> bool:
             between(t)
-            check()
+            return over()
 
-        check = until.check if until else lambda: None
+        over = until.over if until else lambda: False
         if job.execution.isolated:
-            end = run_isolated(job, until or sink, between, check)
+            end = run_isolated(job, until or sink, between, over)
         else:
             from orchestrator.engine.open_job import run_job  # a process that only supervises needs it not
 

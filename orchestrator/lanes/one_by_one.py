@@ -37,9 +37,10 @@ def run_one_by_one(
     ended: dict[int, Ended] = {}
     machines, stopped = iter(range(count)), threading.Event()
 
-    def check() -> None:
+    def check() -> bool:
         if stopped.is_set():
             raise KeyboardInterrupt
+        return False
 
     with temporary_folder("batch-", "the FMUs") as folder:
         (system,), originals = unpacked([job.system], folder)
@@ -62,7 +63,7 @@ def run_one_by_one(
     return ended
 
 
-def _simulate(job: Job, rows: Sequence[Array], points: Array, check: Callable[[], None]) -> Ended | None:
+def _simulate(job: Job, rows: Sequence[Array], points: Array, check: Callable[[], bool]) -> Ended | None:
     """Run a machine, and fill its rows, shape (points,), up to its end; returns why it ended early."""
     sink = TraceInMemory()
     sink.rows = 0  # until the run begins

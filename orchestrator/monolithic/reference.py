@@ -157,8 +157,6 @@ class CvodeSolver:
         """The step, if it succeeded."""
         if not step.success or self._of.broken:
             raise self._of.failed(self._t, step.message)
-        if isinstance(self._of.problem, KeyboardInterrupt):
-            raise self._of.problem
         self._of.problem = None
         return step
 

@@ -1,6 +1,7 @@
 """FMUs for Model Exchange as components of a co-simulation, alone and beside those for Co-Simulation."""
 
 from contextlib import closing
+from itertools import count
 from math import exp
 
 import numpy as np
@@ -103,6 +104,23 @@ def test_a_step_with_an_event_needs_the_state_of_the_fmu(fmu):
         saved = slave.save()
         slave.step(0.0, 0.5)  # the impact is at 0.45 s
         problem(lambda: slave.restore(saved), "expected an FMU that can save its state, to repeat a step")
+
+
+@pytest.mark.parametrize("call", [3, 8, 20])
+def test_an_interrupt_inside_of_the_solver_is_not_taken_for_a_step_that_failed(fmu, monkeypatch, call):
+    """At evaluations of rates and of the Jacobian: after other exceptions a solver takes a shorter step."""
+    with closing(begun(fmu("swing", 2))) as slave:
+        settle, calls = slave._plant.settle_at, count(1)
+
+        def interrupted(time, x):
+            if next(calls) == call:
+                raise KeyboardInterrupt
+            settle(time, x)
+
+        monkeypatch.setattr(slave._plant, "settle_at", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            slave.step(0.0, 0.5)
+        assert next(calls) == call + 1
 
 
 # ---- beside components in Co-Simulation
