@@ -3,6 +3,9 @@
 Two integrators, y1' = u and y2' = y1, and FMUs for Model Exchange, against closed forms.
 """
 
+import re
+import zipfile
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -151,6 +154,25 @@ def test_a_discrete_signal_acts_from_the_next_point_on(fmu, each, step, master):
     np.testing.assert_allclose(result["d.y"], exact, atol=1e-9)
     effects = "effects of s.level on other FMUs may come up to a step late"
     assert effects in result.card.notes
+
+
+def test_an_array_of_event_indicators(fmu, tmp_path):
+    """One variable with two of them in FMI 3.0: the thermostat gives the same number to both."""
+    plain, double = fmu("thermo", 3), tmp_path / "thermo.fmu"
+    scalar = re.compile(rb'(<Float64 name="z"[^>]*>)')
+
+    def run_of(thermostat):
+        system = assemble(
+            {"room": fmu("room", 3), "thermo": thermostat}, ["room.T -> thermo.y", "thermo.on -> room.on"]
+        )
+        return run(system, stop=2.0, step=0.01, isolate=False)["room.T"]
+
+    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(double, "w") as target:
+        for name in source.namelist():
+            text, count = scalar.subn(rb'\1<Dimension start="2"/>', source.read(name))
+            assert count == (name == "modelDescription.xml")
+            target.writestr(name, text)
+    np.testing.assert_array_equal(run_of(double), run_of(plain))
 
 
 @pytest.mark.parametrize("kind", ["events", "wire"])
