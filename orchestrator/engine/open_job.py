@@ -32,7 +32,6 @@ from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
-from orchestrator.fmi.messages import WARNING
 from orchestrator.ssp.dependencies import late_effects
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -130,13 +129,12 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
     with ExitStack() as stack:
         slaves: dict[str, Slave] = {}
         binding = Binding(allocate)
-        binding.call("environment_begin")
-        stack.callback(binding.call, "environment_check")
+        stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
                 slaves[name] = job.execution.open(component)
                 stack.callback(slaves[name].close)
-                _restore_environment(binding, slaves[name])
+                binding.restore_environment(slaves[name])
         network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
         stack.callback(network.free_saved_states)
         loop = SimulationLoop(job, network, sink, selected)
@@ -177,21 +175,6 @@ def bonds_of(job: Job, network: Network) -> list[Bond]:
         influences = network.is_influential
         return [b for b in find_bonds(job.system) if influences(b.effort) and influences(b.flow)]
     return [bond_of(job.system, *pair) for pair in job.record.bonds]
-
-
-def _restore_environment(binding: Binding, slave: Slave) -> None:
-    """Restore the floating-point environment after calls of one FMU."""
-    binding.changed = partial(_warn_of_change, [slave])
-    binding.call("environment_check")
-
-
-def _warn_of_change(slaves: Sequence[Slave], index: int) -> None:
-    """Give a warning to the FMU that changed the floating-point environment; index -1: one of all."""
-    first, *others = slaves if index < 0 else [slaves[index]]
-    who = " or ".join(["the FMU", *(slave.name for slave in others)])
-    text = f"{who} changed the floating-point environment (rounding, flushing to zero or traps), now restored"
-    if all(message.text != text for message in first.log.messages):
-        first.log.add(WARNING, text)
 
 
 def _check_instances(system: System) -> None:
@@ -283,12 +266,12 @@ class SimulationLoop:
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
-        slaves, times, restore = self.network.slaves, self.times, partial(_restore_environment, self._binding)
+        slaves, times, restore = self.network.slaves, self.times, self._binding.restore_environment
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
         tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
         initialise(job.system, slaves, driven, (times.start, stop), tolerances, restore)
-        self._binding.changed = partial(_warn_of_change, [*slaves.values()])
+        self._binding.logs = [slave.log for slave in slaves.values()]
 
     @property
     def inside(self) -> dict[str, float]:
@@ -336,6 +319,7 @@ class SimulationLoop:
         self._fill_times(self.times)
         self._plan_rollback()
         network.fill()
+        self.state.careful = self.state.in_python or not all(c.stepping for c in self._components)
         if driven := network.driven:
             driven.fill(binding, [self._inputs.ports.index(p) for p in driven.continuous])
         if prediction:

@@ -76,6 +76,7 @@ class Components(Mapping[str, Slave]):
 
     def _step(self, name: str, step: Callable[[float, float], None], time: float, length: float) -> None:
         step(time, length)
+        self._network.binding.restore_environment(self[name])
         self._reached[name] = time + length
 
     def _sends(self, name: str) -> list[Call]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.files import Location
 from orchestrator.data.table import Array
+from orchestrator.engine.c_library import Binding
 from orchestrator.engine.integration import Integration, Solver
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.radau import Radau
@@ -58,8 +59,10 @@ class SteppedFmu(ExchangeFmu):
     def __init__(self, component: Component, fmu: Location) -> None:
         face = component.interface
         check_states(component.name, fmu, face)
-        super().__init__(component.name, face, fmu)
-        self._plant = Plant(System(component.name, {component.name: component}), running={self.name: self})
+        binding = Binding()
+        super().__init__(component.name, face, fmu, binding.restore_environment)
+        system = System(component.name, {component.name: component})
+        self._plant = Plant(system, running={self.name: self}, binding=binding)
         self._saves = face.model.interfaces[face.kind].declares(*CAPABILITIES["rollback"])
         self._course = np.zeros((DEGREE + 1, len(self._plant.inputs)))  # coefficients of the inputs
         self._row = {port.variable: i for i, port in enumerate(self._plant.inputs)}

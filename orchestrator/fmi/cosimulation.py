@@ -37,10 +37,17 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 class RunningFmu:
     """An FMU from instantiation to termination, with bound calls for its variables."""
 
-    def __init__(self, name: str, interface: FmuInterface, fmu: Location) -> None:
+    def __init__(
+        self,
+        name: str,
+        interface: FmuInterface,
+        fmu: Location,
+        after: Callable[[FmuInstance], None] | None = None,
+    ) -> None:
+        """`after`: called after each function that Python calls, but a step."""
         names = {v.mark: v.name for v in interface.variables.values()}
         self.name, self.interface, self.log = name, interface, Log(name, names)
-        self._label, self._stepping = f"{name} ({fmu})", False
+        self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -52,7 +59,7 @@ class RunningFmu:
         face = self.interface
         folder = self._cleanup.enter_context(fmu.unpacked(UNUSED))
         library = load_library(folder, face.identifier, face.model.major, self._label)
-        self.fmu = FmuInstance(library, self.log, face.kind == MODEL_EXCHANGE, label=self._label)
+        self.fmu = FmuInstance(library, self.log, face.kind == MODEL_EXCHANGE, None, self._label, self._after)
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.model.major)

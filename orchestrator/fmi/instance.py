@@ -111,6 +111,11 @@ class BoundCall:
         self.slot, self.number = instance.slot, function_number(instance.name(function))
         self.check_status = partial(instance.check_status, description=description)
 
+    @property
+    def log(self) -> Log:
+        """Of the instance."""
+        return self.instance.log
+
     def for_c(self) -> dict[str, Any]:
         """The members that all structures for a call in engine.h have."""
         return {
@@ -125,6 +130,8 @@ class BoundCall:
         self.slot.function = self.number
         status = self._call()
         self.slot.function = 0
+        if self.instance.after:
+            self.instance.after(self.instance)
         if status:
             self.check_status(status)
 
@@ -134,6 +141,7 @@ class FmuInstance:
 
     exchange   True for Model Exchange, False for Co-Simulation
     before     called before each function, with its name and the time [s]
+    after      called after each function that Python calls, but a step
     slot       the call in progress
     handle     NULL before `instantiate` and after `free`
     worst      the worst status of all calls
@@ -149,9 +157,11 @@ class FmuInstance:
         exchange: bool = False,
         before: CallHook | None = None,
         label: str = "",
+        after: Callable[[FmuInstance], None] | None = None,
     ) -> None:
         """`label`: component and file of the FMU, for messages after a crash."""
         self.library, self.log, self.exchange, self.before = library, log, exchange, before
+        self.after = after
         self.fmi, self.types = library.fmi, TYPES[library.fmi]
         self.handle, self.worst = ctypes.c_void_p(), 0
         self._environment: int = register_log(log)
@@ -186,6 +196,8 @@ class FmuInstance:
             raise Crashed(f"{error} in {self.library.prefix}{name}") from None
         finally:
             self.slot.function = 0
+            if self.after:
+                self.after(self)
 
     def status(self, function: str, *arguments: Any) -> int:
         """Call a function and return its status."""

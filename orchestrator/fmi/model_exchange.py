@@ -4,10 +4,13 @@ Linearisation and monolithic solution need Model Exchange, because the states of
 cannot be set. Time derivatives of states are variables, which `RunningFmu.reader` reads.
 """
 
+from collections.abc import Callable
+
 from orchestrator.base.errors import NotExchangeable
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
+from orchestrator.fmi.instance import FmuInstance
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface, read_interface
 
 
@@ -23,8 +26,10 @@ class ExchangeFmu(RunningFmu):
         self.fmu.vector("GetNominalsOfContinuousStates", address(into), len(into))
 
 
-def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
-    """Open the FMU of a component for Model Exchange.
+def open_exchange(
+    name: str, fmu: Location | None, after: Callable[[FmuInstance], None] | None = None
+) -> ExchangeFmu:
+    """Open the FMU of a component for Model Exchange; `after` is called after each function.
 
     Raises NotExchangeable if there is no FMU file, or if the FMU does not support Model Exchange or does not
     list all its continuous states.
@@ -33,7 +38,7 @@ def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
         raise NotExchangeable(f"{name}: expected an FMU file, got none")
     interface = read_interface(fmu, MODEL_EXCHANGE)
     check_states(name, fmu, interface)
-    return ExchangeFmu(name, interface, fmu)
+    return ExchangeFmu(name, interface, fmu, after)
 
 
 def check_states(name: str, fmu: Location, interface: FmuInterface) -> None:

@@ -209,7 +209,7 @@ static int try_step(Simulation *sim, Real h, Mask *done) {
 #endif
     if (verdict) return verdict;
     sim->all_passes += passes;
-    if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
+    if (!rounds_to_nearest()) environment_restore(sim, NULL, ANY_COMPONENT);
     *done = accepted(sim, h);
     if (any(*done)) verdict = accept(sim, h, *done);
     if (verdict || all(*done)) return verdict;
@@ -312,7 +312,7 @@ int32_t simulation_advance(Simulation *sim) {
     }
     sim->spent += seconds() - began, sim->counted += ticks() - first;
     if (sim->counted > 0.0) sim->tick = sim->spent / sim->counted;
-    if (!verdict) environment_restore(sim, ANY_COMPONENT);
+    if (!verdict) environment_restore(sim, NULL, ANY_COMPONENT);
     return verdict;
 }
 
