@@ -22,7 +22,7 @@ from orchestrator.base.errors import Discarded, Problem
 from orchestrator.base.units import LinearTransformation
 from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall, Slave
 from orchestrator.fmi.description import WHOLE
-from orchestrator.fmi.instance import FmuInstance
+from orchestrator.fmi.instance import BoundCall, FmuInstance
 from orchestrator.fmi.messages import WARNING, Log
 
 FOLDER = Path(__file__).parent / "native"
@@ -198,8 +198,9 @@ class Binding:
 
     def _warn_of_change(self, call: int | None, component: int) -> None:
         """Give a warning to the FMU that has changed the environment, or to the first of several."""
-        log = getattr(self._checks.get(call or 0), "log", None)
-        logs = [log] if log else self.logs if component < 0 else [self.logs[component]]
+        logs = self.logs if component < 0 else [self.logs[component]]
+        if isinstance(check := self._checks.get(call or 0), Access | BoundCall):
+            logs = [(check.call if isinstance(check, Access) else check).instance.log]
         who = " or ".join(["the FMU", *(log.component for log in logs[1:])])
         what = "the floating-point environment (rounding, flushing to zero or traps)"
         text = f"{who} changed {what}, now restored"

@@ -96,14 +96,12 @@ def _contents() -> Mapping[str, Any]:
 def run_isolated(
     job: Job,
     sink: TraceSink,
-    between: Callable[[float], None] = lambda _: None,
-    check: Callable[[], bool] = lambda: False,
+    between: Callable[[float], bool] = lambda _: False,
     cores: int | None = None,
 ) -> RunEnd:
     """Run a job in a child process.
 
-    between   called with the simulated time [s] now and then
-    check     called all the time; returns True to end the run, or raises KeyboardInterrupt as the user does
+    between   called with the simulated time [s] all the while; returns True to end the run
     cores     threads of the run, at most; default: one per core
 
     Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
@@ -113,8 +111,8 @@ def run_isolated(
     outcome: RunEnd | None = None
     try:
         with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
-            supervision = _Supervision(worker, job, sink, between, cores or os.cpu_count() or 1)
-            outcome = supervision.outcome(interrupts.check, check)
+            supervision = _Supervision(worker, job, sink, cores or os.cpu_count() or 1)
+            outcome = supervision.outcome(interrupts.check, between)
     except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
         if outcome is None:
             raise
@@ -147,16 +145,9 @@ def _process() -> Iterator[Worker]:
 class _Supervision:
     """One run in a child process, seen from the parent."""
 
-    def __init__(
-        self,
-        worker: Worker,
-        job: Job,
-        sink: TraceSink,
-        between: Callable[[float], None],
-        cores: int,
-    ) -> None:
+    def __init__(self, worker: Worker, job: Job, sink: TraceSink, cores: int) -> None:
         execution = job.execution
-        self._worker, self._times, self._sink, self._between = worker, job.times, sink, between
+        self._worker, self._times, self._sink, self._t = worker, job.times, sink, job.times.start
         self._limits, self._command_began = execution.worker_limits, execution.began
         worker.fmus = job.system.fmus
         self._outputs = {str(port) for port in job.system.ports("output")}
@@ -169,8 +160,8 @@ class _Supervision:
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
         self._interrupted = False
 
-    def outcome(self, interrupts: Callable[[], None], check: Callable[[], bool]) -> RunEnd:
-        """Wait for the end of the run; both may raise KeyboardInterrupt, `check` returns True to end it."""
+    def outcome(self, check: Callable[[], None], between: Callable[[float], bool]) -> RunEnd:
+        """Wait for the end of the run; both functions may raise KeyboardInterrupt to interrupt it."""
         while True:
             try:
                 name, content = self._worker.get(POLL)
@@ -184,8 +175,8 @@ class _Supervision:
             if name:
                 self._receive(name, content)
             try:
-                interrupts()
-                if check():
+                check()
+                if between(self._t):
                     self._stop()
                 if not self._killed_because:
                     self._worker.check_limits(self._limits, self._command_began)
@@ -218,7 +209,7 @@ class _Supervision:
         elif name == "errors" and self._are_errors(*content):
             self._sink.append_errors(*content)
         elif name == "time":
-            self._between(content)
+            self._t = content
         elif name == "begin" and self._layout is None and content.consistent:
             self._layout = content
             self._sink.begin(self._layout, self._times.rows + 1)

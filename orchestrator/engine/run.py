@@ -311,20 +311,16 @@ def simulate(job: Job, sink: TraceSink) -> RunEnd:
     times = job.times
     with ProgressBar(times.stop - times.start, job.execution.progress) as bar, doubts_told(job.system):
 
-        def between(t: float) -> None:
+        def between(t: float) -> bool:
             bar.update(t - times.start)
+            return until is not None and until.over
 
-        def in_this_process(t: float) -> bool:
-            between(t)
-            return over()
-
-        over = until.over if until else lambda: False
         if job.execution.isolated:
-            end = run_isolated(job, until or sink, between, over)
+            end = run_isolated(job, until or sink, between)
         else:
             from orchestrator.engine.open_job import run_job  # a process that only supervises needs it not
 
-            end = run_job(job, until or sink, in_this_process)
+            end = run_job(job, until or sink, between)
         return until.ended(end) if until else end
 
 
@@ -401,7 +397,7 @@ class ProgressBar(AbstractContextManager["ProgressBar"]):
 
     def __init__(self, total: float, enabled: bool) -> None:
         self._total, self._enabled = total, enabled and overwrites(sys.stderr)
-        self._began = time.perf_counter()
+        self._began, self._simulated = time.perf_counter(), -1.0
         self._line: Doing | None = None
 
     def __exit__(self, *_: object) -> None:
@@ -411,8 +407,9 @@ class ProgressBar(AbstractContextManager["ProgressBar"]):
     def update(self, simulated: float) -> None:
         """Show that `simulated` [s] are simulated."""
         passed = time.perf_counter() - self._began
-        if not self._enabled or (self._line is None and passed < self.delay):
+        if not self._enabled or simulated == self._simulated or (self._line is None and passed < self.delay):
             return
+        self._simulated = simulated
         share = simulated / self._total if self._total else 1.0
         bar = f"{'#' * round(30 * share):.<30}"
         left = f", {passed * (1 / share - 1):.0f} s left" if share > FIRST_SHARE else ""

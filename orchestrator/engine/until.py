@@ -84,7 +84,7 @@ class Until(TraceSink):
     def append(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
         """Receive rows, and keep those up to the one that ends the run."""
         super().append(times, values)
-        if not self.over():
+        if not self.over:
             n = self._kept(times, values)
             self._sink.append(times[:n], values[:n])
 
@@ -113,6 +113,7 @@ class Until(TraceSink):
         self.reached = float(times[n])
         return n + 1
 
+    @property
     def over(self) -> bool:
         """Is the run to end?"""
         return self.reached is not None

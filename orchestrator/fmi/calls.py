@@ -151,11 +151,6 @@ class Access:
             after[:] = before
         check_range(before, after, self.names)
 
-    @property
-    def log(self) -> Log:
-        """Of the FMU."""
-        return self.call.log
-
     def check_status(self, status: int) -> None:
         """Raise the exception for the status of a call from C."""
         if status == OUT_OF_RANGE:

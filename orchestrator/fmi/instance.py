@@ -111,11 +111,6 @@ class BoundCall:
         self.slot, self.number = instance.slot, function_number(instance.name(function))
         self.check_status = partial(instance.check_status, description=description)
 
-    @property
-    def log(self) -> Log:
-        """Of the instance."""
-        return self.instance.log
-
     def for_c(self) -> dict[str, Any]:
         """The members that all structures for a call in engine.h have."""
         return {
