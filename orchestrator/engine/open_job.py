@@ -303,6 +303,7 @@ class SimulationLoop:
     def close(self) -> None:
         """End the threads and free saved states."""
         self._binding.call("simulation_close")
+        self.network.closed = True
         self.network.free_saved_states()
 
     def _withdraw_messages(self) -> None:

@@ -10,7 +10,7 @@
 
 Between 3 and the next 2 nothing is called. Inputs hold their values until something sets them. An exception
 ends the run, with what it has recorded; so does a component that is not at the end of the step after 2. An
-interrupt is raised in the function.
+interrupt is raised in the function. Components that are kept refuse calls after the run.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.network import Network
 from orchestrator.fmi.calls import Call, Slave, calls_by_type
+from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.ssp.masters import Master
 from orchestrator.ssp.system import Connection
 
@@ -39,6 +40,8 @@ class Components(Mapping[str, Slave]):
         self._sending = cache(self._sends)
         for name, slave in network.slaves.items():
             slave.step = partial(self._step, name, slave.step)  # type: ignore[method-assign]
+            if isinstance(slave, RunningFmu):
+                slave.close = partial(self._refuse, name)  # type: ignore[method-assign]
 
     def __getitem__(self, name: str) -> Slave:
         if name not in self._network.slaves:
@@ -58,6 +61,8 @@ class Components(Mapping[str, Slave]):
 
     def exchange(self, time: float) -> None:
         """Set all connected inputs in the order of their dependence, as the engine does at a point [s]."""
+        if self._network.closed:
+            raise Problem("exchange: expected components that run, got those of a run that has ended")
         self._network.binding.call("simulation_exchange", c_double(time))
 
     def over(self, master: Master, time: float, length: float) -> None:
@@ -78,6 +83,9 @@ class Components(Mapping[str, Slave]):
         step(time, length)
         self._network.binding.restore_environment(self[name])
         self._reached[name] = time + length
+
+    def _refuse(self, name: str) -> None:
+        raise Problem(f"{name}: close: expected to leave this to the run, which closes it at the end")
 
     def _sends(self, name: str) -> list[Call]:
         """Calls that read the connected outputs of a component, and set the inputs that they feed."""

@@ -291,6 +291,7 @@ class CoSimulationFmu(RunningFmu):
 
         The instance is freed after a failed call, because the call may have left it in an invalid state.
         """
+        self.fmu.check_open()
         if self._spare is None and not self._spare_fails:
             try:
                 self._spare = self._spare_instance()

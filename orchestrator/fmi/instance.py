@@ -122,6 +122,7 @@ class BoundCall:
         }
 
     def __call__(self) -> None:
+        self.instance.check_open()
         self.slot.function = self.number
         status = self._call()
         self.slot.function = 0
@@ -156,7 +157,7 @@ class FmuInstance:
     ) -> None:
         """`label`: component and file of the FMU, for messages after a crash."""
         self.library, self.log, self.exchange, self.before = library, log, exchange, before
-        self.after = after
+        self.after, self._closed = after, False
         self.fmi, self.types = library.fmi, TYPES[library.fmi]
         self.handle, self.worst = ctypes.c_void_p(), 0
         self._environment: int = register_log(log)
@@ -180,7 +181,13 @@ class FmuInstance:
         """Address of a function, for calls from C."""
         return self.library.address(self.name(function))
 
+    def check_open(self) -> None:
+        """Raise Problem after `free`: a call would end the process."""
+        if self._closed:
+            raise Problem(f"{self.log.component}: expected an FMU that runs, got one that is closed")
+
     def _call(self, name: str, *arguments: Any, result: Any = ctypes.c_int) -> Any:
+        self.check_open()
         function = self.library.function(name, result)
         if self.before:
             self.before(self.library.prefix + name, self.log.time)
@@ -207,6 +214,7 @@ class FmuInstance:
 
     def bound(self, function: str, *arguments: Any, variables: Sequence[str] = ()) -> BoundCall:
         """A call with fixed arguments."""
+        self.check_open()
         name, description = self.name(function), self.describe_call(function, variables)
         call = partial(self.library.function(name), as_parameter(self.handle), *map(as_parameter, arguments))
         if self.before:
@@ -290,7 +298,8 @@ class FmuInstance:
         """Free the instance, except after a fatal error. May be repeated."""
         if self.handle and self.worst < FATAL:
             self._call("FreeInstance", self.handle, result=None)
-        self.handle = ctypes.c_void_p()
+        self.handle, self._closed = ctypes.c_void_p(), True
+        self._step = partial(self.status, "DoStep")
         self.slot.fmi = 0
         self.slot = CallSlot.from_buffer_copy(self.slot)  # the other one may become that of another instance
         self.log.clock = self.slot.clock

@@ -125,6 +125,18 @@ def test_an_interrupt_inside_of_the_solver_is_not_taken_for_a_step_that_failed(f
         assert next(calls) == call + 1
 
 
+def test_a_closed_component_refuses_calls(fmu):
+    """In one line; its solver would call functions that are gone."""
+    slave = begun(fmu("ball", 2))
+    read, write, saved = slave.reader(["h"], np.zeros(1)), slave.writer(["e"], np.zeros(1)), slave.save()
+    slave.close()
+    calls = [read, write, slave.save, lambda: slave.restore(saved), lambda: slave.step(0.0, 0.1)]
+    calls += [lambda: slave.get("h"), lambda: slave.set("e", 1.0), lambda: slave.reader(["h"], np.zeros(1))]
+    calls += [lambda: slave.get_nominals(np.zeros(2)), slave.exit]
+    for call in calls:
+        problem(call, "^ball2: expected an FMU that runs, got one that is closed$")
+
+
 # ---- the floating-point environment
 
 

@@ -274,6 +274,34 @@ def test_a_mistake_in_a_function_is_told_with_the_rows(oscillators):
         np.testing.assert_allclose(failed.value.result.trace.time, 1e-2 * np.arange(rows), rtol=1e-12)
 
 
+def test_components_refuse_calls_after_the_run(each):
+    """Whatever a function has kept, in one line: a call into an FMU that is gone would end the process."""
+    kept = {}
+
+    def keeping(components, time, length):
+        a, values = components["a"], np.zeros(1)
+        calls = [a.reader(["x"], values), a.writer(["x2"], values)]
+        kept.update(components=components, calls=calls, state=a.save())
+        components.send("b")
+        stepping(components, time, length)
+        a.free_state(kept["state"])
+        problem(a.close, "^a: close: expected to leave this to the run")
+
+    run(oscillator_of(each["mass_a"], each["mass_b"]), master=Master("m", step=keeping), step=0.1, stop=0.2)
+    components, values = kept["components"], np.zeros(1)
+    a = components["a"]
+    calls = [
+        *kept["calls"],
+        *(lambda: a.get("x"), lambda: a.set("x2", 1.0), lambda: a.step(0.2, 0.1), a.save, a.enter),
+        *(lambda: a.restore(kept["state"]), lambda: a.free_state(kept["state"])),
+        *(lambda: a.reader(["x"], values), lambda: a.output_derivative_reader(["x"], values)),
+        *(lambda: components.send("a"), lambda: components.send("b")),
+    ]
+    for call in calls:
+        problem(call, "^[ab]: expected an FMU that runs, got one that is closed$")
+    problem(lambda: components.exchange(0.2), "^exchange: expected components that run")
+
+
 def test_send_takes_all_types(each):
     """Reals with a transformation, and narrower types to wider ones: the inputs have what the outputs say."""
     sent = []
