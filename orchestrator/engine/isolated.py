@@ -174,27 +174,23 @@ class _Supervision:
                 return self._complete(self._outcome)
             if name:
                 self._receive(name, content)
+            ends = False
             try:
                 check()
-                if between(self._t):
-                    self._stop()
+                ends = between(self._t)
                 if not self._killed_because:
                     self._worker.check_limits(self._limits, self._command_began)
             except KeyboardInterrupt:
                 if self._interrupted:
                     self._kill("interrupted")
-                self._interrupted = True
-                self._stop()
+                ends = self._interrupted = True
             except LimitExceeded as limit:
                 self._kill(str(limit))
+            if ends and self._kill_at == float("inf"):
+                self._worker.put(STOP)
+                self._kill_at = time.monotonic() + STOP_TIME
             if time.monotonic() > self._kill_at:
                 self._kill("interrupted")
-
-    def _stop(self) -> None:
-        """Ask the child, once, to end the run, for which it has STOP_TIME."""
-        if self._kill_at == float("inf"):
-            self._worker.put(STOP)
-            self._kill_at = time.monotonic() + STOP_TIME
 
     def _kill(self, reason: str) -> None:
         self._killed_because = self._killed_because or reason

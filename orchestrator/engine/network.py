@@ -224,10 +224,7 @@ class Network:
     loops            potential algebraic loops
     exchange_calls   all calls of one exchange, in order, except `first_reads`, of the outputs of stage 0, and
                      those that set the driven inputs after them
-    closed           its run has ended
     """
-
-    closed = False
 
     def __init__(
         self,

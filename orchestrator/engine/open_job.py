@@ -255,14 +255,8 @@ class SimulationLoop:
                 self.errors = errors
         of_prediction = prediction.notes if prediction else ()
         late = late_effects(job.system)
-        late = f"effects of {late} on other FMUs may come up to a step late" if late else ""
-        self.notes = (
-            *filter(None, [late]),
-            *plan.notes,
-            *_rollback_notes(job),
-            *inputs.notes,
-            *of_prediction,
-        )
+        of_late = (f"effects of {late} on other FMUs may come up to a step late",) if late else ()
+        self.notes = (*of_late, *plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
@@ -303,7 +297,7 @@ class SimulationLoop:
     def close(self) -> None:
         """End the threads and free saved states."""
         self._binding.call("simulation_close")
-        self.network.closed = True
+        self._binding.components = ()
         self.network.free_saved_states()
 
     def _withdraw_messages(self) -> None:

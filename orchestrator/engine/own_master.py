@@ -15,7 +15,7 @@ interrupt is raised in the function. Components that are kept refuse calls after
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from ctypes import c_double
 from functools import cache, partial
 
@@ -32,10 +32,11 @@ from orchestrator.ssp.masters import Master
 from orchestrator.ssp.system import Connection
 
 
-class Components(Mapping[str, Slave]):
+class Components(dict[str, Slave]):
     """The running components of a system by name, for the function of a master; see `Slave`."""
 
     def __init__(self, network: Network) -> None:
+        super().__init__(network.slaves)
         self._network, self._reached = network, dict.fromkeys(network.slaves, -np.inf)
         self._sending = cache(self._sends)
         for name, slave in network.slaves.items():
@@ -43,16 +44,8 @@ class Components(Mapping[str, Slave]):
             if isinstance(slave, RunningFmu):
                 slave.close = partial(self._refuse, name)  # type: ignore[method-assign]
 
-    def __getitem__(self, name: str) -> Slave:
-        if name not in self._network.slaves:
-            raise KeyError(f"no component {name!r}{suggest(name, self._network.slaves)}")
-        return self._network.slaves[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._network.slaves)
-
-    def __len__(self) -> int:
-        return len(self._network.slaves)
+    def __missing__(self, name: str) -> Slave:
+        raise KeyError(f"no component {name!r}{suggest(name, self)}")
 
     def send(self, name: str) -> None:
         """Set the inputs that the outputs of one component feed."""
@@ -61,7 +54,7 @@ class Components(Mapping[str, Slave]):
 
     def exchange(self, time: float) -> None:
         """Set all connected inputs in the order of their dependence, as the engine does at a point [s]."""
-        if self._network.closed:
+        if not self._network.binding.components:
             raise Problem("exchange: expected components that run, got those of a run that has ended")
         self._network.binding.call("simulation_exchange", c_double(time))
 

@@ -330,14 +330,7 @@ def finished(job: Job, outcome: RunEnd, sink: TraceSink) -> Result:
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(outcome, sink, trace)
     result = Result(
-        job.system,
-        trace,
-        card,
-        tuple(messages),
-        outcome.complete,
-        job.coupling,
-        job.provenance,
-        sink.errors,
+        job.system, trace, card, tuple(messages), outcome.complete, job.coupling, job.provenance, sink.errors
     )
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
