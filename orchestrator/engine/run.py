@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar, Unpack
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once, write_whole
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import checked, declarations, documented, taken
+from orchestrator.base.options import checked, declarations, documented, merged, taken
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.base.signals import matching
@@ -179,9 +179,9 @@ class Request:
     def job(self) -> Job:
         """The job of a run."""
         system, scenario, record, execution = self.coupled, self.scenario, self.record, self.execution
-        if system.coupling and system.coupling.method.own:  # its functions are in this process
-            execution = replace(execution, isolate=False)
-        execution.check()
+        own = system.coupling.method if system.coupling and system.coupling.method.own else None
+        execution.check(own)
+        execution = replace(execution, isolate=execution.isolate and own is None)
         if execution.isolated:
             start_process()
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
@@ -242,8 +242,8 @@ def requested(
     given = checked(RunArguments, options, "run")
     if not isinstance(record, Record):
         record = Record((record,) if isinstance(record, str) else record and tuple(record))
-    record = replace(record, **taken(given, record_step="step", bonds="bonds"))
-    execution = replace(execution or Execution(), **taken(given, *(f.name for f in fields(Execution))))
+    record = merged(record, taken(given, record_step="step", bonds="bonds"), step="record_step")
+    execution = merged(execution or Execution(), taken(given, *(f.name for f in fields(Execution))))
     coupling, of_system = take_coupling(given), taken(given, *declarations(SystemArguments))
     values = {name: v for name, v in of_system.items() if name in ("parameters", "set")}
     system = configured(system, **of_system)
@@ -438,7 +438,7 @@ def run_to_file(
     """
     start_process()
     given = checked(RunArguments, options, "run")
-    request = requested(require_system(system), scenario, None, Execution(progress=True), given)
+    request = requested(require_system(system), scenario, None, None, {"progress": True, **given})
     execution, record = request.execution, request.record
     free = execution.accuracy is None and chooses_freely(request.system, request.step, request.coupling)
     if free and default_accuracy:

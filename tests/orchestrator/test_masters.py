@@ -7,7 +7,7 @@ from kit.any_fmu.outcome import MASTERS
 from kit.mistakes import problem, table
 from scipy.linalg import expm
 
-from orchestrator import Master, Problem, RunFailed, Trace, assemble, run
+from orchestrator import Master, Problem, RunFailed, Trace, assemble, batch, run
 from orchestrator.base.files import Location
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.interface import FmuInterface, read_interface
@@ -335,13 +335,37 @@ def test_send_takes_all_types(each):
         ({"order": 1}, "order: expected a master with a plan, got mine, which takes the steps itself"),
         ({"adaptive": 1e-3}, "adaptive: expected a master with a plan"),
         ({"factors": {"a": 2}}, "factors: expected a master with a plan"),
-        ({"time_limit": 5.0}, "time_limit: expected a run in its own process"),
+        *(
+            ({name: 5.0}, f"{name}: expected a run in .*, got master mine, which needs the calling process")
+            for name in ("time_limit", "memory_limit")
+        ),
     ],
 )
 def test_what_a_function_cannot_do_is_refused(oscillators, options, message):
     """In one line that names the option."""
     with pytest.raises(Problem, match=f"^{message}"):
         run(oscillators(), master=Master("mine", step=stepping), stop=0.1, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "got"),
+    [({"isolate": False}, "isolate=False"), ({"open": lambda _: None}, "a function `open`")],
+)
+def test_a_limit_names_what_keeps_the_run_in_this_process(oscillators, options, got):
+    """In the words of the call."""
+    message = (
+        f"time_limit: expected a run in a process of its own, got {got}, which needs the calling process"
+    )
+    assert problem(lambda: run(oscillators(), time_limit=5.0, **options)) == message
+
+
+def test_a_batch_refuses_a_master_of_ones_own(oscillators):
+    """Its functions cannot be in other processes; it was told as a connection that each machine lost."""
+    message = "batch: expected one of the masters .*, got mine, whose functions are in the calling process"
+    for how in ({"step": stepping}, {"plan": gauss_seidel_plan}):
+        problem(
+            lambda how=how: batch(oscillators(), {"a.mass": [1.0]}, master=Master("mine", **how)), message
+        )
 
 
 def test_a_master_is_a_plan_or_a_function():
