@@ -214,7 +214,7 @@ class StepControl:
     def struct(self, h: Any, power: int) -> Any:
         """`StepSize` of the header `h`; power: of the step to which the error is proportional."""
         first = min(max(self.first, self.smallest), self.largest)
-        limits = {"h": first, "smallest": self.smallest, "largest": self.largest}
+        limits = {"h": first, "first": first, "smallest": self.smallest, "largest": self.largest}
         return h.StepSize(**limits, repeats=self.repeats, power=power)
 
 
@@ -330,7 +330,7 @@ class SimulationLoop:
         sim = self.state
         sim.start, sim.step, sim.t, sim.total = times.start, times.step, times.start, times.steps
         sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
-        sim.events, sim.event_count = self._binding.at(np.array(times.divided)), len(times.divided)
+        sim.divided, sim.divided_count = self._binding.at(np.array(times.divided)), len(times.divided)
         if c := self._control:
             sim.step_size = self._binding.pointer(c.struct(self._binding.h, self._inputs.power))
             sim.error_tolerance = c.tolerance

@@ -115,6 +115,19 @@ def test_fmus_with_a_fixed_step_get_a_jump_at_the_next_point(each, master):
     )
 
 
+def test_an_adaptive_step_that_cannot_be_repeated_is_short_after_a_jump(each):
+    """As the first one of the run: a thousandth of the step that is asked for."""
+    never = {"able": dict.fromkeys(("canGetAndSetFMUstate", "canGetAndSetFMUState"), "false")}
+    fmu = each.make("drift", "onward", **never)
+    system = assemble({"first": fmu, "second": fmu}, ["first.y -> second.u"])
+    adaptive = Coupling("gauss-seidel", adaptive=1e-3)
+    t = run(system, two_rows("first.u", {0.6: 1.0}), master=adaptive, step=0.1, isolate=False).trace.time
+    first, before, after = (np.diff(t)[k] for k in (0, np.searchsorted(t, 0.6) - 1, np.searchsorted(t, 0.6)))
+    assert first == pytest.approx(1e-4, rel=1e-9)
+    assert after == pytest.approx(first, rel=1e-6)  # a difference of rounded times
+    assert before > 10 * after
+
+
 # ---- signals that are not continuous
 
 

@@ -304,7 +304,7 @@ typedef struct Recorder { /* a block of rows; Python collects them between two c
 } Recorder;
 
 typedef struct StepSize { /* see step_size.c */
-    double h, smallest, largest, error_before, unclipped;
+    double h, first, smallest, largest, error_before, unclipped; /* first: the first one */
     int32_t power;   /* power of the step with which the error estimate scales */
     int32_t repeats; /* the components can go back */
 } StepSize;
@@ -375,8 +375,8 @@ typedef struct Simulation {
     int32_t rollback;  /* all components can go back, so that a shorter step can be tried */
     int32_t diverged;  /* a step was accepted although its error is not finite */
     int32_t careful;   /* the floating-point environment is restored after each call, see environment.c */
-    const double *events;
-    int64_t event_count, event[WIDTH];
+    const double *divided; /* communication points between those of equal steps */
+    int64_t divided_count, next_divided[WIDTH];
     double start, step, shorter, patience;
     double spent, counted; /* time in all calls of simulation_advance, in [s] and in ticks */
     double tick;           /* their ratio; 0 before the first call */
@@ -522,6 +522,7 @@ EXPORT int32_t plant_indicators(Simulation *, Plant *);
 EXPORT int32_t plant_completed_step(Simulation *, Plant *);
 
 /* step_size.c */
+void step_size_begin(StepSize *);
 EXPORT double step_size_next(StepSize *, double remaining);
 EXPORT int32_t step_size_accepts(StepSize *, double error, double h);
 

@@ -218,7 +218,7 @@ static int try_step(Simulation *sim, Real h, Mask *done) {
 
 static double point_at(const Simulation *sim, int64_t n) { return sim->start + (double)n * sim->step; }
 
-/* The length of the next step of each machine, up to its next event or the next point at most; `target`: that time,
+/* The length of the next step of each machine, up to the next point or division at most; `target`: that time,
  * `rest`: the time until then. From point to point it is exactly the step, not the difference of two rounded times. */
 static Real next_length(Simulation *sim, Real *target, Real *rest) {
     const int count = sim->step_size ? WIDTH : 1;
@@ -228,9 +228,9 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
     for (int i = 0; i < count; i++) {
         if (sim->step_size && !chosen(sim->moving, i)) continue;
         const double t = machine(sim->t, i);
-        int64_t *event = &sim->event[i];
-        while (*event < sim->event_count && sim->events[*event] <= t) ++*event;
-        const double to = *event < sim->event_count ? smaller(point, sim->events[*event]) : point;
+        int64_t *next = &sim->next_divided[i];
+        while (*next < sim->divided_count && sim->divided[*next] <= t) ++*next;
+        const double to = *next < sim->divided_count ? smaller(point, sim->divided[*next]) : point;
         const double left = t == last && to == point ? sim->step : to - t;
         set_machine(target, i, count, to);
         set_machine(rest, i, count, left);
@@ -246,6 +246,8 @@ static int jump(Simulation *sim, Mask machines) {
     sim->length_before = where(machines, 0.0, sim->length_before);
     if (!verdict) verdict = begin_inputs(sim, machines);
     begin_energy(sim, machines);
+    for (int i = 0; i < WIDTH && sim->step_size; i++)
+        if (chosen(machines, i)) step_size_begin(&sim->step_size[i]);
     if (sim->errors) error_jump(sim->errors);
     return verdict;
 }
