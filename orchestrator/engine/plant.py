@@ -331,10 +331,10 @@ class Plant:
         driven = DrivenInputs(replace(scenario, columns=columns), self.system, self._index, {}, ())
         self._scenario = driven.fill(self._binding, ())
 
-    def before_jumps(self, before: bool) -> None:
-        """Does the scenario have the values before a jump, at its time?"""
-        if self._scenario and self._scenario.before_jumps != before:
-            self._scenario.before_jumps, self._scenario.evaluated_at = before, np.nan
+    def jumped(self, time: float) -> None:
+        """The jumps of its scenario up to a time [s] have taken place."""
+        if self._scenario:
+            self._scenario.since, self._scenario.evaluated_at = time, np.nan
 
     @property
     def u(self) -> Array:

@@ -267,7 +267,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
 
 typedef struct Scenario { /* a table of columns over time, linear between the samples, and the inputs that it drives */
     Real evaluated_at;
-    int32_t before_jumps; /* at the time of a jump it has the values before it */
+    Real since; /* time until which jumps have taken place, the beginning of the step [s]; NaN: all have */
     const Real *commands; /* held in place of the columns; NULL: none */
     int64_t samples, width, interval[WIDTH];
     const double *time, *base, *slopes, *anchor;
