@@ -313,7 +313,7 @@ def simulate(job: Job, sink: TraceSink) -> RunEnd:
 
         def between(t: float) -> bool:
             bar.update(t - times.start)
-            return until is not None and until.over
+            return until is not None and until.reached is not None
 
         if job.execution.isolated:
             end = run_isolated(job, until or sink, between)

@@ -83,10 +83,9 @@ class Grid:
         Of several times that equal one point only the nearest is, both of a jump.
         """
         points = self.nearest(times)
-        off, (of, group) = np.abs(times - points), np.unique(points, return_inverse=True)
-        least = np.full(len(of), np.inf)
-        np.minimum.at(least, group, off)
-        return np.where((off == least[group]) & (off <= rounding(points, self.step)), points, times)
+        off, first = np.abs(times - points), np.flatnonzero(np.append(True, points[1:] != points[:-1]))
+        least = np.repeat(np.fmin.reduceat(off, first), np.diff(np.append(first, len(off))))
+        return np.where((off == least) & (off <= rounding(points, self.step)), points, times)
 
     @property
     def rows(self) -> int:

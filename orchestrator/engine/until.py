@@ -66,7 +66,7 @@ def condition(system: System, until: str | Callable[[float, Row], Any]) -> Compa
 class Until(TraceSink):
     """Passes the rows of a run on to another sink, until the condition holds.
 
-    reached   time of the last row that is kept [s]; None before
+    reached   time of the last row that is kept [s], at which the run is to end; None before
     failure   what a function of the user raised: a Problem, or KeyboardInterrupt
     """
 
@@ -84,7 +84,7 @@ class Until(TraceSink):
     def append(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
         """Receive rows, and keep those up to the one that ends the run."""
         super().append(times, values)
-        if not self.over:
+        if self.reached is None:
             n = self._kept(times, values)
             self._sink.append(times[:n], values[:n])
 
@@ -112,11 +112,6 @@ class Until(TraceSink):
     def _end(self, times: NDArray[np.float64], n: int) -> int:
         self.reached = float(times[n])
         return n + 1
-
-    @property
-    def over(self) -> bool:
-        """Is the run to end?"""
-        return self.reached is not None
 
     def ended(self, end: RunEnd) -> RunEnd:
         """How the run ended: complete where the condition holds, also if an FMU failed later in its block."""

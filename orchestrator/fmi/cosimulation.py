@@ -25,7 +25,7 @@ from orchestrator.fmi.calls import (
     to_ctypes,
 )
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.fmi.instance import FmuInstance, resources_location
+from orchestrator.fmi.instance import AfterCall, FmuInstance, resources_location
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
@@ -37,14 +37,8 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 class RunningFmu:
     """An FMU from instantiation to termination, with bound calls for its variables."""
 
-    def __init__(
-        self,
-        name: str,
-        interface: FmuInterface,
-        fmu: Location,
-        after: Callable[[FmuInstance], None] | None = None,
-    ) -> None:
-        """`after`: called after each function that Python calls, but a step."""
+    def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
+        """`after`: see `FmuInstance`."""
         names = {v.mark: v.name for v in interface.variables.values()}
         self.name, self.interface, self.log = name, interface, Log(name, names)
         self._label, self._stepping, self._after = f"{name} ({fmu})", False, after

@@ -46,6 +46,7 @@ LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 STEP = function_number("DoStep")
 GUARD_BYTES = 64  # after the buffer of a serialised state, to detect a write beyond its end
 CallHook = Callable[[str, float], None]
+AfterCall = Callable[["FmuInstance"], None] | None
 
 
 class CallFailed(Problem):
@@ -153,7 +154,7 @@ class FmuInstance:
         exchange: bool = False,
         before: CallHook | None = None,
         label: str = "",
-        after: Callable[[FmuInstance], None] | None = None,
+        after: AfterCall = None,
     ) -> None:
         """`label`: component and file of the FMU, for messages after a crash."""
         self.library, self.log, self.exchange, self.before = library, log, exchange, before

@@ -4,13 +4,11 @@ Linearisation and monolithic solution need Model Exchange, because the states of
 cannot be set. Time derivatives of states are variables, which `RunningFmu.reader` reads.
 """
 
-from collections.abc import Callable
-
 from orchestrator.base.errors import NotExchangeable
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
-from orchestrator.fmi.instance import FmuInstance
+from orchestrator.fmi.instance import AfterCall
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface, read_interface
 
 
@@ -26,10 +24,8 @@ class ExchangeFmu(RunningFmu):
         self.fmu.vector("GetNominalsOfContinuousStates", address(into), len(into))
 
 
-def open_exchange(
-    name: str, fmu: Location | None, after: Callable[[FmuInstance], None] | None = None
-) -> ExchangeFmu:
-    """Open the FMU of a component for Model Exchange; `after` is called after each function.
+def open_exchange(name: str, fmu: Location | None, after: AfterCall = None) -> ExchangeFmu:
+    """Open the FMU of a component for Model Exchange; `after`: see `FmuInstance`.
 
     Raises NotExchangeable if there is no FMU file, or if the FMU does not support Model Exchange or does not
     list all its continuous states.

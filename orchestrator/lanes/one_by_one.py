@@ -63,14 +63,12 @@ def run_one_by_one(
     return ended
 
 
-def _simulate(
-    job: Job, rows: Sequence[Array], points: Array, between: Callable[[float], bool]
-) -> Ended | None:
+def _simulate(job: Job, rows: Sequence[Array], points: Array, end: Callable[[float], bool]) -> Ended | None:
     """Run a machine, and fill its rows, shape (points,), up to its end; returns why it ended early."""
     sink = TraceInMemory()
     sink.rows = 0  # until the run begins
     try:
-        outcome = run_isolated(job, sink, between, cores=1)
+        outcome = run_isolated(job, sink, end, cores=1)
         result = finished(job, outcome, sink)
     except Problem as problem:
         return Ended(FAILED, " ".join(str(problem).split()), sink.last if sink.rows else job.times.start)
