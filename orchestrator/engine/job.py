@@ -26,6 +26,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.interface import MODEL_EXCHANGE
 from orchestrator.fmi.messages import Log
 from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
+from orchestrator.ssp.masters import Master
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
 from orchestrator.worker.process import WorkerLimits
@@ -121,18 +122,21 @@ class Execution:
         """Is the run in a process of its own?"""
         return self.isolate and self.open is open_slave
 
-    def check(self) -> None:
-        """Refuse options that have no effect, and limits that cannot be enforced."""
+    def check(self, own: Master | None = None) -> None:
+        """Refuse options that have no effect, and limits that cannot be enforced; own: a user's master."""
         if self.accuracy_of and self.accuracy is None:
             raise Problem(f"accuracy_of {self.accuracy_of[0]}: expected an accuracy, got none")
         if self.error_estimate not in (True, False, "fast"):
             raise Problem(f'error_estimate: expected True, False or "fast", got {self.error_estimate!r}')
+        here = [] if self.isolate else ["isolate=False"]
+        here += [] if self.open is open_slave else ["a function `open`"]
+        here += [f"master {own.name}"] if own else []
         for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
             if not limit > 0:
                 raise Problem(f"{name}: expected a positive number, got {limit:g}")
-            if limit < math.inf and not self.isolated:
-                got = "got one in the calling process (isolate=False)"
-                raise Problem(f"{name}: expected a run in its own process, {got}")
+            if limit < math.inf and here:
+                got = f"got {here[0]}, which needs the calling process"
+                raise Problem(f"{name}: expected a run in a process of its own, {got}")
 
 
 @dataclass

@@ -426,7 +426,7 @@ class Group:
         self._sim.next_divided[:] = [0] * LANES
         self.struct.row = self._sim.done = 0
         if self._scenario:
-            self._scenario.evaluated_at[:] = [np.nan] * LANES
+            self._scenario.evaluated_at[:] = self._scenario.since[:] = [np.nan] * LANES
 
     # ---- the run
 

@@ -185,31 +185,21 @@ static int accept(Simulation *sim, Real h, Mask machines) {
     return CONTINUE;
 }
 
-/* Does the scenario have the values before its jumps, at the end of a step, or those after them? */
-static void before_jumps(Simulation *sim, int before) {
-    Scenario *d = sim->scenario;
-    if (!d || d->before_jumps == before) return;
-    d->before_jumps = before;
-    d->evaluated_at = NAN;
-}
-
 /* Takes a step of length h. Machines whose error is too large, and those that do not move, go back; `done`: the others. */
 static int try_step(Simulation *sim, Real h, Mask *done) {
     int passes = 0;
     *done = NO_MACHINE;
     int verdict = sim->saves ? save_states(sim) : CONTINUE;
     if (verdict) return verdict;
-    before_jumps(sim, 1);
     verdict = communication_step(sim, h, &passes);
     if (!verdict) verdict = store_used_inputs(sim);
     if (!verdict) verdict = exchange_at_end(sim, h);
-    before_jumps(sim, 0);
 #if WIDTH == 1
     if (verdict == DISCARDED) return retry_discarded(sim, h);
 #endif
     if (verdict) return verdict;
     sim->all_passes += passes;
-    if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
+    if (!rounds_to_nearest()) environment_restore(sim, NULL, ANY_COMPONENT);
     *done = accepted(sim, h);
     if (any(*done)) verdict = accept(sim, h, *done);
     if (verdict || all(*done)) return verdict;
@@ -241,6 +231,8 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
 
 /* Exchanges the values after a jump of the scenario. All inputs begin anew: the past does not tell their course. */
 static int jump(Simulation *sim, Mask machines) {
+    sim->scenario->since = sim->t;
+    sim->scenario->evaluated_at = NAN;
     int verdict = simulation_exchange(sim, sim->t);
     sim->length = where(machines, 0.0, sim->length);
     sim->length_before = where(machines, 0.0, sim->length_before);
@@ -291,6 +283,7 @@ int32_t simulation_begin(Simulation *sim) {
     if (!verdict) verdict = begin_inputs(sim, EVERY_MACHINE);
     if (!verdict) verdict = machines_check(sim);
     if (verdict) return verdict;
+    if (sim->scenario) sim->scenario->since = sim->t;
     begin_energy(sim, EVERY_MACHINE);
     record(sim);
     return sim->errors ? error_begin(sim) : CONTINUE;
@@ -314,7 +307,7 @@ int32_t simulation_advance(Simulation *sim) {
     }
     sim->spent += seconds() - began, sim->counted += ticks() - first;
     if (sim->counted > 0.0) sim->tick = sim->spent / sim->counted;
-    if (!verdict) environment_restore(sim, ANY_COMPONENT);
+    if (!verdict) environment_restore(sim, NULL, ANY_COMPONENT);
     return verdict;
 }
 
