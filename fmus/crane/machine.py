@@ -157,8 +157,8 @@ def _drives(
         given = own or next((shipped[n] for n in names if n in shipped), None)
         # else of a component that is only there with faults
         found[full] = given or Number(declared.value or 0.0, declared.unit, "derived", "healthy")
-    # of an FMU alone, whose inputs are not connected: the start pose, at rest as long as rate inputs are open,
-    # the pressure of the supply, warm oil
+    # of an FMU alone, whose inputs are not connected: the start pose, at rest while rate inputs are open, the
+    # pressure of the supply, warm oil
     start = {"supply_pressure": crane.numbers["supply"]["pressure_setting"]}
     start["oil_temperature"] = numbers(boom_stick.BOOM_STICK)["start"]["oil_temperature"]
     inputs = quantities(sub.inputs)

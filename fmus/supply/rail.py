@@ -5,16 +5,16 @@
     C_s P' = sum q - Q - Q_r - Q_l         supply line: flow Q into the drives, main relief valve, leakage
     J w'   = b T - T_f(w) - sum T_i        engine and pumps on one shaft
     C_b P_b' = Q_return - Q_b              return line of the drives, preloaded by a check valve
-    Q_b    = (r(P_b - P_t - p_b) - a r(P_t - P_b)) / R_b + Q_f     into the tank; a second one draws from there
+    Q_b    = (r(P_b - P_t - p_b) - a r(P_t - P_b)) / R_b + Q_f       into the tank; a second one draws there
     C th'  = heat - (G + G_c lim((th - th_c)/band)) (th - th_a)        temperature of the oil, with a cooler
 
-with x, b T, T_i from `fmus.components.engine_and_pump`, Q_r and the bypass valve of the filter, Q_f(P_b - P_t -
-p_b), from `fmus.components.orifice`, r the `ramp` of `fmus.smooth`. Cavities in the lines as in
+with x, b T, T_i from `fmus.components.engine_and_pump`, Q_r and the bypass valve of the filter, Q_f at P_b -
+P_t - p_b, from `fmus.components.orifice`, r the `ramp` of `fmus.smooth`. Cavities in the lines as in
 `fmus.components.chamber`. Leakage and drag of the pumps follow from the temperature of the oil
 (`fmus.components.oil`); the resistances of check valves, filter and cooler are constants.
 
-**Suction.** Pumps have the share a = s(2 V/V_s - 1) of their displacement, with the oil V in the tank and s the
-`s_curve` of `smooth`: below V_s they draw air too, at V_s/2 and below only air, so V stays positive.
+**Suction.** Pumps have the share a = s(2 V/V_s - 1) of their displacement, with the oil V in the tank and s
+the `s_curve` of `smooth`: below V_s they draw air too, at V_s/2 and below only air, so V stays positive.
 
 The heat is that of all losses but those of the engine, and the power that the drives take: over a cycle it
 ends in the oil, because the arm comes back to its height. In between, the error is the potential energy of
@@ -121,15 +121,15 @@ class ShaftState(Group):
 
 
 class ShaftOutputs(SupplyOutputs):
-    """Outputs of every variant, viscosity, and three that are zero while engine and tank are in their range."""
+    """Outputs of every variant, viscosity, and three that are zero while engine and tank are in range."""
 
     oil_viscosity: Scalar = Quantity(
         "m2/s",
         "Kinematic viscosity of the oil in the tank",
         1e-5,
         warn_above=1e-3,
-        meaning="pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only; lags of "
-        "valves and load sensing, check valves, filter and friction of pistons are those of warm oil",
+        meaning="pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only; lags "
+        "of valves and load sensing, check valves, filter and friction of pistons are those of warm oil",
     )
     reservoir_volume_below_suction: Scalar = Quantity(
         "m3",

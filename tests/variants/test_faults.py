@@ -69,7 +69,7 @@ def test_every_fault_acts(part, variant):
 
 @pytest.mark.parametrize(("part", "variant"), CASES)
 def test_no_size_of_a_fault_is_refused(part, variant):
-    """At the largest size, or ten usual ones, from the start: requirements hold, states and rates are finite."""
+    """At the largest size, or ten usual ones, from the start: requirements hold, and rates are finite."""
     of = Part(MACHINE.families[part][variant])
     m, declared = of.model, quantities(of.sub.inputs)
     required = ca.Function("required", [m.x, m.u, m.p], [m.require])

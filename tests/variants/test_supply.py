@@ -295,7 +295,7 @@ def test_energy_balance_closes_at_any_state(bench, pressures, strokes, shaft, fl
 @pumps
 @given(st.lists(st.floats(0.0, 3e7), min_size=3, max_size=3), *STATE[1:], st.floats(0.01, 0.2))
 def test_pumps_draw_no_more_oil_than_there_is(bench, pressures, strokes, shaft, suction):
-    """All of their flow down to suction_volume, then the s-curve, from half of it on none: V stays positive."""
+    """All of their flow down to suction_volume, then the s-curve, none from half of it on: V > 0."""
     p, shaft = bench.constants(suction_volume=suction), shaft | {"tank_pressure": 5e5}
 
     def gained(volume: float) -> float:
