@@ -1,7 +1,7 @@
 """Diagnosis of a machine: the checks of its functions, and what the functions have in common.
 
-**Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter; unless the
-oil is cold, as a clogging indicator with a thermal lockout.
+**Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter; unless
+the oil is cold, as a clogging indicator with a thermal lockout.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
 compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of
 all valves**: the mean of those of the functions. **Weighing**: weight.py.
