@@ -291,6 +291,7 @@ def build_crane(
                 name=name,
                 stop=STOP,
                 step=STEP,
+                common=machine.oil,
             )
             sets = {"compensated": _section_flows(machine)} if CONTROLLER in drivers else {}
             paths.append(write_ssp(system, folders[fmi] / f"{name}.ssp", sets, resources=files_of))
