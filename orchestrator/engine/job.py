@@ -14,6 +14,8 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.result import (
+    DIVIDED,
+    SHORTER,
     BondEnergy,
     Card,
     EstimatedError,
@@ -201,7 +203,9 @@ class Job:
             errors_of_inputs=bool(end.errors),
             **{name: getattr(end, name) for name in same},
         )
-        return card.doubted(*unreliable_energies(end.bonds), *unreliable_errors(errors, self.system))
+        held = self.coupling.estimates_error or self.coupling.method.step or not divisible(self.system)
+        energies = unreliable_energies(end.bonds, SHORTER if held else DIVIDED)
+        return card.doubted(*energies, *unreliable_errors(errors, self.system))
 
     def stricter(self) -> Job:
         """The same adaptive run at a tenth of its tolerance."""
@@ -212,22 +216,29 @@ class Job:
 
 
 def guarded(system: System, coupling: Coupling) -> bool:
-    """Are steps with too large an error divided? All components need rollback and steps of any length."""
+    """Are steps with too large an error divided?"""
+    return coupling.guard_tolerance > 0 and divisible(system)
+
+
+def divisible(system: System) -> bool:
+    """Have all components rollback and steps of any length?"""
     interfaces = [component.interface for component in system.components.values()]
-    return coupling.guard_tolerance > 0 and all(i.rollback and i.variable_step for i in interfaces)
+    return all(i.rollback and i.variable_step for i in interfaces)
 
 
 def with_default_guard(system: System, step: float | None) -> System:
     """The system with a guard if an FMU suggests a shorter step than the system does, unless one is chosen.
+
+    It holds for steps of any length: the suggestion is that of the FMU's own parameters.
 
     step   of the run [s], chosen by the user; None: the suggested one
     """
     coupling = system.coupling or Coupling()
     if coupling.guard is not None or coupling.estimates_error or system.step is None:
         return system
-    length, limit = step or system.step, min(system.step, step or math.inf)
+    length, limit = step or system.step, system.step * (1.0 - SAME_TIME)
     steps = {name: c.interface.step or math.inf for name, c in system.components.items()}
-    shorter = {name: s for name, s in steps.items() if s < limit * (1.0 - SAME_TIME)}
+    shorter = {name: s for name, s in steps.items() if s < limit}
     if not shorter:
         return system
     note = f"{first_names(shorter)}: steps of {min(shorter.values()):g} s are suggested"

@@ -317,7 +317,7 @@ SHARED = {"boom_stick": "compensated", "swing": "compensated"}
     ("supply", "accuracy"), [("load_sensing", 1e-2), ("load_sensing", 1e-3), ("engine_pump", 1e-3)]
 )
 def test_a_valve_that_opens_is_no_error(fmu_dir, supply, accuracy):
-    """The flow of an anti-cavitation valve is stiff: an error of 4 bar before it opens is none of 2000 L/min."""
+    """The flow of an anti-cavitation valve is stiff: 4 bar off before it opens are not 2000 L/min off."""
     levers, course = {"boom": 10.0, "stick": -10.0, "swing": 10.0}, np.array([0.0, 0.0, 1.0, 1.0])
     signals = {f"{n}_command": lever * course for n, lever in levers.items()}
     scenario = Trace(np.array([0.0, 0.3, 0.6, 1.4]), signals)
