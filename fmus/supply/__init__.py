@@ -30,8 +30,13 @@ def supply(
     for v in ("engine_pump", "load_sensing"):
         sub, states = made[v], {n: a.states for n, a in additions.items() if a.states}
         if additions:
-            parameters = make_group("Parameters", {}, sub.parameters, **additions)
-            sub = replace(sub, parameters=parameters, states=make_group("States", {}, sub.states, **states))
+            shown = {n: a.outputs for n, a in additions.items() if a.outputs}
+            sub = replace(
+                sub,
+                parameters=make_group("Parameters", {}, sub.parameters, **additions),
+                states=make_group("States", {}, sub.states, **states),
+                outputs=make_group("Outputs", {}, sub.outputs, **shown),
+            )
         made[v] = with_heats(sub)
     return family(name, **made)
 
