@@ -173,16 +173,13 @@ def faulty(sub: Subsystem, axes: Sequence[str] = ()) -> Subsystem:
     def at(function: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
         return lambda x, u, p: function(x, nested(sub.inputs, flat(u)), changed(u, p))
 
-    def require(x: Any, u: Any, p: Any) -> Mapping[str, Scalar]:
-        """Of the healthy part: a fault may change the order of its settings."""
-        return sub.require(x, nested(sub.inputs, flat(u)), p)
-
     return replace(
         sub,
         inputs=inputs,
         dynamics=at(sub.dynamics),
         observe=at(sub.observe),
         initial=at(sub.initial),
-        require=require,
+        # of the healthy part: a fault may change the order of its settings
+        require=lambda x, u, p: sub.require(x, nested(sub.inputs, flat(u)), p),
         circuits=at(sub.circuits),
     )

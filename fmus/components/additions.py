@@ -41,10 +41,9 @@ class Place:
 
 
 class Addition(Group):
-    """Parameters of a component in addition. `states` are pressures of its nodes; `outputs` those of a supply."""
+    """Parameters of a component in addition. `states` are pressures of its nodes, and outputs of a supply."""
 
     states: ClassVar[type[Group] | None] = None
-    outputs: ClassVar[type[Group] | None] = None
 
     def start(self) -> dict[str, Scalar]:
         """Initial values of its states."""
@@ -198,12 +197,6 @@ class AccumulatorState(Group):
     pressure: Scalar = Quantity("Pa", "Pressure of the oil in the {}", 1e7)
 
 
-class AccumulatorOutputs(AccumulatorState):
-    """What an accumulator shows."""
-
-    flow: Scalar = Quantity("m3/s", "Flow from the supply line into the {}", 1e-3)
-
-
 class Accumulator(Addition):
     """Gas accumulator at the supply line behind a laminar throttle; empty below its precharge.
 
@@ -220,7 +213,6 @@ class Accumulator(Addition):
         "m3/(s.Pa)", "Conductance of the throttle at the {}; 0: shut off", 1e-9, minimum=0.0, value=0.0
     )
     states: ClassVar[type[Group] | None] = AccumulatorState
-    outputs: ClassVar[type[Group] | None] = AccumulatorOutputs
 
     def compliance(self, pressure: Scalar) -> Scalar:
         """C/V_0 [1/Pa] at a gauge pressure."""
@@ -247,6 +239,4 @@ class Accumulator(Addition):
         """Behind its throttle at the supply line."""
         node = f"{at.name}_pressure"
         throttle = Branch("supply_pressure", node, Kind.THROTTLE, lambda drop: self.conductance * drop)
-        return Circuit(
-            {node: Node(at.x.pressure, "C_a", 0, self.volume, self)}, {f"{at.name}_flow": throttle}
-        )
+        return Circuit({node: Node(at.x.pressure, "C_a", 0, self.volume, self)}, {at.name: throttle})

@@ -200,11 +200,8 @@ class Machine:
     @cached_property
     def oil(self) -> dict[str, tuple[str, ...]]:
         """Parameters of the oil -> parts of which a variant has them: they have one oil."""
-        of = {n: [quantities(s.parameters) for s in v.values()] for n, v in self.families.items()}
-        return {
-            name: tuple(n for n, declared in of.items() if any(name in d for d in declared))
-            for name in quantities(AeratedOil)
-        }
+        of = {n: {p for s in v.values() for p in quantities(s.parameters)} for n, v in self.families.items()}
+        return {p: tuple(n for n in of if p in of[n]) for p in quantities(AeratedOil)}
 
     @cached_property
     def wires(self) -> Connections:

@@ -30,13 +30,9 @@ def supply(
     for v in ("engine_pump", "load_sensing"):
         sub, states = made[v], {n: a.states for n, a in additions.items() if a.states}
         if additions:
-            shown = {n: a.outputs for n, a in additions.items() if a.outputs}
-            sub = replace(
-                sub,
-                parameters=make_group("Parameters", {}, sub.parameters, **additions),
-                states=make_group("States", {}, sub.states, **states),
-                outputs=make_group("Outputs", {}, sub.outputs, **shown),
-            )
+            parameters = make_group("Parameters", {}, sub.parameters, **additions)
+            own, shown = (make_group(of.__name__, {}, of, **states) for of in (sub.states, sub.outputs))
+            sub = replace(sub, parameters=parameters, states=own, outputs=shown)
         made[v] = with_heats(sub)
     return family(name, **made)
 

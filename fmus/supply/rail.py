@@ -79,12 +79,14 @@ class RailParameters(Group, relief=MainRelief):
 class TankParameters(CommonParameters, return_bypass=(PressureValve, "return filter bypass")):
     """Parameters of return line, tank and cooler."""
 
-    reservoir_volume_start: Scalar = Quantity(
-        "m3", "Initial volume of oil in the tank", 0.1, minimum=0.0, group="Tank"
-    )
     suction_volume: Scalar = Quantity(
-        "m3", "Volume of oil in the tank below which pumps draw air too; at half of it only air", minimum=1e-6
+        "m3",
+        "Volume of oil in the tank below which pumps draw air too; at half of it only air",
+        0.1,
+        minimum=1e-6,
+        group="Tank",
     )
+    reservoir_volume_start: Scalar = Quantity("m3", "Initial volume of oil in the tank", 0.1, minimum=0.0)
     return_preload: Scalar = Quantity(
         "Pa",
         "Pressure above the tank at which the check valve of the return line opens",

@@ -447,16 +447,11 @@ class System:
 
     def check_shared(self) -> None:
         """Raise Problem if a parameter that components share has two values."""
-        for problem in self._different(self.shared):
+        for problem in self.differences(self.shared):
             raise Problem(problem)
 
-    @property
-    def differences(self) -> tuple[str, ...]:
-        """Notes on common parameters that have two values."""
-        return tuple(self._different(self.common))
-
-    def _different(self, names: Iterable[str]) -> Iterator[str]:
-        """One line for each of these parameters that has two values."""
+    def differences(self, names: Iterable[str]) -> Iterator[str]:
+        """One line for each of these shared or common parameters that has two values."""
         for name in names:
             ports = self.sharing(name)
             unit = self.variable(ports[0]).unit if ports else None
