@@ -11,12 +11,8 @@ from fmus.contract import Group, Member, Quantity, Scalar, Terminal
 
 # of a drive without the pressure of the line: its compensators hold their setting whatever is left
 NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
-
-# of a temperature of the oil: 0 K is an open input, or FMPy's connected ones in its first step
-BEYOND_OIL = (
-    "viscosity is known from -20 to 100 degC only (0 K counts as 60), and lags of valves, check valves and "
-    "friction of pistons do not follow it"
-)
+# of a temperature of the oil; 0 K is an open input, or one of FMPy in its first step
+BEYOND = "viscosity holds from -20 to 100 degC (0 K: 60), lags, check valves and friction do not follow it"
 
 
 def rate_input(name: str, unit: str, nominal: float = 1.0) -> Quantity:
@@ -37,7 +33,7 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
 
 def oil_temperature(text: str, held: bool = False, optional: str = "") -> Quantity:
     """Declaration of the temperature of the oil; without bounds, because of 0 K."""
-    known = Quantity("K", text, 300.0, warn_above=373.15, warn_below=253.15, meaning=BEYOND_OIL)
+    known = Quantity("K", text, 300.0, warn_above=373.15, warn_below=253.15, meaning=BEYOND)
     return replace(known, held=held, optional=optional)
 
 

@@ -203,8 +203,9 @@ class Job:
             errors_of_inputs=bool(end.errors),
             **{name: getattr(end, name) for name in same},
         )
-        held = self.coupling.estimates_error or self.coupling.method.step or not divisible(self.system)
-        energies = unreliable_energies(end.bonds, SHORTER if held else DIVIDED)
+        divisible = guarded(self.system, Coupling("hermite"))  # which has a guard by default
+        unguarded = divisible and not self.coupling.estimates_error and not self.coupling.method.step
+        energies = unreliable_energies(end.bonds, DIVIDED if unguarded else SHORTER)
         return card.doubted(*energies, *unreliable_errors(errors, self.system))
 
     def stricter(self) -> Job:
@@ -216,14 +217,9 @@ class Job:
 
 
 def guarded(system: System, coupling: Coupling) -> bool:
-    """Are steps with too large an error divided?"""
-    return coupling.guard_tolerance > 0 and divisible(system)
-
-
-def divisible(system: System) -> bool:
-    """Have all components rollback and steps of any length?"""
+    """Are steps with too large an error divided? All components need rollback and steps of any length."""
     interfaces = [component.interface for component in system.components.values()]
-    return all(i.rollback and i.variable_step for i in interfaces)
+    return coupling.guard_tolerance > 0 and all(i.rollback and i.variable_step for i in interfaces)
 
 
 def with_default_guard(system: System, step: float | None) -> System:

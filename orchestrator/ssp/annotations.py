@@ -133,8 +133,7 @@ def _own_elements(root: XmlElement) -> Iterator[XmlElement]:
         for annotation in root.children(*path, "Annotations", "Annotation"):
             for e in annotation.children() if annotation.get("type") == OWN else ():
                 if e.name not in (COUPLING, SHARED, COMMON):
-                    expected = f"expected {COUPLING}, {SHARED} or {COMMON}"
-                    raise e.problem(f"{expected} in an annotation of type {OWN}")
+                    raise e.problem(f"expected {COUPLING}, {SHARED}, {COMMON} in an annotation of type {OWN}")
                 yield e
 
 
