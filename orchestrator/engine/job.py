@@ -14,6 +14,8 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.result import (
+    DIVIDED,
+    SHORTER,
     BondEnergy,
     Card,
     EstimatedError,
@@ -205,7 +207,10 @@ class Job:
             errors_of_inputs=bool(end.errors),
             **{name: getattr(end, name) for name in same},
         )
-        return card.doubted(*unreliable_energies(end.bonds), *unreliable_errors(errors, self.system))
+        divisible = guarded(self.system, Coupling("hermite"))  # which has a guard by default
+        unguarded = divisible and not self.coupling.estimates_error and not self.coupling.method.step
+        energies = unreliable_energies(end.bonds, DIVIDED if unguarded else SHORTER)
+        return card.doubted(*energies, *unreliable_errors(errors, self.system))
 
     def stricter(self) -> Job:
         """The same adaptive run at a tenth of its tolerance."""
@@ -224,14 +229,16 @@ def guarded(system: System, coupling: Coupling) -> bool:
 def with_default_guard(system: System, step: float | None) -> System:
     """The system with a guard if an FMU suggests a shorter step than the system does, unless one is chosen.
 
+    It holds for steps of any length: the suggestion is that of the FMU's own parameters.
+
     step   of the run [s], chosen by the user; None: the suggested one
     """
     coupling = system.coupling or Coupling()
     if coupling.guard is not None or coupling.estimates_error or system.step is None:
         return system
-    length, limit = step or system.step, min(system.step, step or math.inf)
+    length, limit = step or system.step, system.step * (1.0 - SAME_TIME)
     steps = {name: c.interface.step or math.inf for name, c in system.components.items()}
-    shorter = {name: s for name, s in steps.items() if s < limit * (1.0 - SAME_TIME)}
+    shorter = {name: s for name, s in steps.items() if s < limit}
     if not shorter:
         return system
     note = f"{first_names(shorter)}: steps of {min(shorter.values()):g} s are suggested"

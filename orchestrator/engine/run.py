@@ -185,7 +185,8 @@ class Request:
         if execution.isolated:
             start_process()
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
-        system = replace(system, notes=system.notes + built_notes(system))
+        differences = system.differences(system.common)
+        system = replace(system, notes=(*system.notes, *built_notes(system), *differences))
         (scenario, trace, label), driving = scenario_trace(scenario), None
         if self.fault:
             ends = time_span(system, trace, self.start, self.stop)

@@ -67,6 +67,19 @@ def test_every_fault_acts(part, variant):
     assert (found > 0).all(), dict(zip(names, found, strict=True))
 
 
+@pytest.mark.parametrize(("part", "variant"), CASES)
+def test_no_size_of_a_fault_is_refused(part, variant):
+    """At the largest size, or ten usual ones, from the start: requirements hold, and rates are finite."""
+    of = Part(MACHINE.families[part][variant])
+    m, declared = of.model, quantities(of.sub.inputs)
+    required = ca.Function("required", [m.x, m.u, m.p], [m.require])
+    for name in faults(of.sub):
+        size = {name: declared[name].maximum or 10 * declared[name].nominal}
+        x, u = of.start(size), list((of.u | size).values())
+        assert required(x, u, list(of.p.values())).full().min(initial=1.0) > 0, name
+        assert np.isfinite(of(x, **size)[0]).all(), name
+
+
 @pytest.mark.parametrize("variant", ["lumped", "detailed", "compensated"])
 def test_energy_closes_with_faults_at_work(variant):
     """Power in + convected = d(stored)/dt + heat, with leaks, seals and air."""

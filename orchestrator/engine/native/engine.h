@@ -198,13 +198,15 @@ typedef struct ErrorInput { /* an input of the error propagation, over the last 
 
 /* Errors of n states (e) and of the outputs (y), from the defects of m inputs; see error_propagation.c.
  * defects, shape (m, 2): integral of the defect over the section so far, and its first moment about the start; lengths: of the last three steps [s]; squares, largest: time integral of the square and largest magnitude of each
- * element of y; diagonal: of A + B K C at the linearisation before; middle: deviations of the sources from all inputs in
+ * element of y; output_reads: into `values`, whose extremes so far are `lowest` and `highest`; diagonal: of A + B K C at the linearisation before; middle: deviations of the sources from all inputs in
  * the middle of the step; halves: some are measured */
 typedef struct ErrorPropagation {
     LinearSystem system;
     const ErrorMember *members;
     ErrorInput *inputs;
     double *e, *stages, *factors, *w, *middle, *defects, *y, *squares, *largest, *lengths, *diagonal;
+    double *values, *lowest, *highest;
+    Program output_reads;
     double *starts;       /* of the last two steps [s] */
     double *times, *rows; /* evaluations of y since Python has collected them, shapes (capacity,) and (capacity, outputs) */
     int32_t filled, capacity;
