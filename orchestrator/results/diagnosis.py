@@ -16,6 +16,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.text import DisplayUnit, TextTable, first_names, number
+from orchestrator.data.corrections import rate_faults
 from orchestrator.data.description import description_next_to
 from orchestrator.data.recording import read_recording
 from orchestrator.data.table import READABLE, Array
@@ -204,6 +205,9 @@ def diagnose(
         names = first_names(sorted(inputs), 8)
         raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
     missing, remarks = _without(component, trace, recording)
+    units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
+    rates = rate_faults(trace.time, trace.signals, units)
+    remarks += [f"{recording}: {name}: {fault}" for name, fault in rates]
     values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing} | dict(set or {})
     return _run(system, trace, recording.name, parameters, values, remarks)
 

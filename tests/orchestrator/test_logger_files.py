@@ -12,7 +12,7 @@ from kit.mistakes import problem
 from nptdms import ChannelObject, TdmsWriter
 
 from orchestrator import read_recording, run
-from orchestrator.data.table import column_names, read_columns
+from orchestrator.data.table import read_columns
 from orchestrator.data.trace import read_trace
 
 FAST = np.arange(400) / 200
@@ -68,7 +68,7 @@ def test_groups_of_several_rates_are_one_recording(kind, request):
 
 def test_a_name_of_several_groups_has_that_of_its_group(mf4):
     """A name alone is refused, with the names that there are."""
-    assert column_names(mf4) == ["time", "P1", "Drive.U", "angle", "group 2.U"]
+    assert [*read_columns(mf4, None).values] == ["time", "P1", "Drive.U", "angle", "group 2.U"]
     assert read_columns(mf4, {"Drive.U"}).values["Drive.U"].tolist() == FAST.tolist()
     told = problem(lambda: read_columns(mf4, {"U"}))
     assert told.startswith(f"{mf4}: expected a column 'U', got time, P1, Drive.U, angle, group 2.U")

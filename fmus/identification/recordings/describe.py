@@ -29,11 +29,18 @@ from orchestrator.base.extras import require
 from orchestrator.base.files import write_whole
 from orchestrator.base.signals import bare_name
 from orchestrator.base.text import first_names
-from orchestrator.base.units import COMMON, convert, parse_unit, si_unit
+from orchestrator.base.units import COMMON, convert, is_unit, parse_unit, si_unit
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
-from orchestrator.data.table import Columns, TextFormat, column_names, is_unit, read_columns, time_axis
+from orchestrator.data.table import (
+    Columns,
+    TextFormat,
+    clock,
+    is_in_days,
+    read_columns,
+    time_axis,
+)
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
 SENSORS: Mapping[str, Sequence[str]] = {
@@ -58,7 +65,6 @@ WORDS: Mapping[str, str] = {
     "supply": "pump|versorg", "tank": "return|rück|rueck", "temperature": "temp",
 }  # fmt: skip
 GROUPS = {"rad": "angle", "rad/s": "speed", "m": "position", "Pa": "pressure", "m3/s": "flow"}
-TIME = re.compile(r"t\b|t_|.*(time|zeit|uhr|stamp)", re.IGNORECASE)
 SLOWEST = 2.0  # Hz; a time without a unit is in the largest unit in which a logger is faster
 HEAD = """# Remove "# " in front of the signals that you need, and correct their names and units.
 # What remains a comment is left out. `harvester signals` lists all names, docs/recordings.md all keys.
@@ -93,14 +99,18 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
     if not file.data.keys() <= {"file"} and not force:
         raise Problem(f"{out}: expected no such file, got one; --force overwrites it")
     form = replace(toml.read_dataclass(TextFormat, file.table("file")), csv=data.name)
-    columns, unread = _columns(data, form)
+    unread = list[str]()
+    columns = read_columns(data, None, form, unread=unread)
+    if len(columns.values) < 2 and unread:
+        raise Problem(unread[0].removesuffix("; left out"))
     units = {name: _unit(columns, name) for name in columns.values}
     time, units[time] = _time(columns, units)
     values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
     in_si = {name: si_unit(unit) for name, unit in units.items()}
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
-    del values[time]
+    for name in {time, *columns.moments}:
+        del values[name]
     seconds = time_axis(columns, time, units[time])
     every = float(np.median(np.diff(seconds))) if seconds.size > 1 else 0.0
     logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]), every)] for n in values}
@@ -139,7 +149,7 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         first, *others = map(_text, CHOICES.get(name, ["?"]))
         value = first if name in CHOICES else f"{{ value = ?, unit = {_text(NUMBERS[name])} }}"
         experiment += f"\n# {name} = {value}{'  # or ' * bool(others)}{', '.join(others)}"
-    formats = "\n".join(f"{key} = {_text(v)}" for key, v in vars(form).items() if v or key == "csv")
+    formats = "\n".join(f"{key} = {_text(v)}" for key, v in vars(form).items() if v not in (None, ""))
     limits = ["# [tolerances]  # with which `harvester validate` judges, here of errors over the range"]
     groups = (g for g in GROUPS.values() if f'group = "{g}"' in "".join(lines))
     limits += [f'# {group} = {{ metric = "nrmse", limit = 0.1 }}' for group in groups]
@@ -157,37 +167,22 @@ def _text(text: str | int) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _columns(data: Path, form: TextFormat) -> tuple[Columns, list[str]]:
-    """The columns of numbers, and a sentence for each of the others."""
-    names, unread = column_names(data, form), list[str]()
-    while True:
-        try:
-            columns = read_columns(data, names, form)
-            if len(names) < 2 and unread:
-                raise Problem(unread[0].removesuffix("; left out"))
-            return replace(columns, values={name: columns.values[name] for name in names}), unread
-        except Problem as problem:
-            numbers = [name for name in names if f"column {name!r}: " not in str(problem)]
-            if len(numbers) in (0, len(names)):
-                raise
-            names = numbers
-            unread.append(f"{problem}; left out")
-
-
 def _time(columns: Columns, units: Mapping[str, str]) -> tuple[str, str]:
     """The first column of increasing times, one with such a name before the others; its unit or a guess."""
-    increasing = [name for name, values in columns.values.items() if (np.diff(values) > 0).all()]
-    for clock in () if any(map(TIME.match, increasing)) else columns.moments:
-        late = int((np.diff(columns.values[clock]) <= 0).argmax()) + 1
+    name = clock(columns)
+    for moment in () if name else columns.moments:
+        late = int((np.diff(columns.values[moment]) <= 0).argmax()) + 1
         expected = "expected increasing times, got one that is not later: a clock without milliseconds?"
-        raise Problem(f"{columns.location(late)}: column {clock!r}: {expected}")
-    if not increasing:
+        raise Problem(f"{columns.location(late)}: column {moment!r}: {expected}")
+    increasing = (name for name, values in columns.values.items() if (np.diff(values) > 0).all())
+    if not (name := name or next(increasing, "")):
         names = first_names(columns.values, 8)
         raise Problem(f"{columns.file}: expected a column of increasing times, got none among {names}")
-    name = min(increasing, key=lambda name: not TIME.match(name))
     step = float(np.median(np.diff(columns.values[name])))
     guess = next((u for u in ("s", "ms", "us") if step * parse_unit(u).factor <= 1 / SLOWEST), "ns")
-    return name, "s" if columns.moments.get(name) else units[name] or guess
+    return name, "s" if columns.moments.get(name) else "d" if is_in_days(columns, name) else units[
+        name
+    ] or guess
 
 
 def _unit(columns: Columns, name: str) -> str:
