@@ -538,9 +538,10 @@ def _unwrapped(unit: str) -> str:
 
 def _unit_of(cells: Sequence[str]) -> str:
     """The unit behind the numbers in all cells but gaps, that of Booleans, or ""."""
-    numbers = [NUMBER.fullmatch(cell) for cell in cells if cell.lower() not in GAP_MARKS]
-    if numbers and all(cell.lower() in {*WORDS, *GAP_MARKS} for cell in cells):
+    known = [cell for cell in cells if cell.lower() not in GAP_MARKS]
+    if known and all(cell.lower() in WORDS for cell in known):
         return ONE
+    numbers = (NUMBER.fullmatch(cell) for cell in known if LIKE_NUMBER.match(cell))
     units = {number[2] if number else None for number in numbers}
     unit = units.pop() if len(units) == 1 else None
     return unit if unit and is_unit(unit) else ""
