@@ -252,7 +252,8 @@ def doubt(name: str, value: float, unit: str, usual: Iterable[float]) -> str:
     low, high = min(sizes), max(sizes)
     ratio = max(size / high, low / size) * (1 + 1e-9)  # a factor of 1000 may be rounded
     meant = _meant(size, unit, low, high) if ratio >= LIKELY else ""
-    if ratio < FAR and not meant:
+    turns = unit == "rad" and size > 2 * pi >= 2 * high
+    if ratio < FAR and not meant and not turns:
         return ""
     unit = "" if unit in ("1", "-") else f" {unit}"
     hint = f"did you mean {value:.6g} {meant}?" if meant else "is the unit right?"

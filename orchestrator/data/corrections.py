@@ -26,7 +26,7 @@ STEP = 1.5  # times the smallest step
 FEW = 4  # different error codes
 # a rate over the change of its signal -> what explains that
 RATIOS = {180 / pi: "deg/s read as rad/s", pi / 180: "rad/s read as deg/s"}
-RATIOS |= {1e3: "thousandths read as whole units", 1e-3: "whole units read as thousandths"}
+RATIOS |= {1e3: "thousandths read as whole units, or ms as s", 1e-3: "whole units read as thousandths"}
 SCALE = 0.1  # largest error of a gyro's scale
 ALIKE = 0.9  # least R2 of a signal and the integral of its rate
 
@@ -36,7 +36,8 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
 
     time   of each sample, in the unit of `delay`
     """
-    code = np.logical_or.reduce([np.abs(raw - v) <= SAME * abs(v) for v in spec.invalid], initial=False)
+    codes = [v for v in spec.invalid if not isinstance(v, str)]  # words are gaps anyway
+    code = np.logical_or.reduce([np.abs(raw - v) <= SAME * abs(v) for v in codes], initial=False)
     values = spec.factor * np.where(code, np.nan, raw) + spec.offset
     if spec.wrap:
         known = np.isfinite(values)
@@ -118,7 +119,8 @@ def _wraps(values: Array, unit: str) -> tuple[float, int]:
         turn = parse_unit("rev").factor / parse_unit(unit).factor
     else:
         return 0.0, 0
-    return turn, int((np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1).sum())
+    in_one = values.size and np.ptp(values) < 1.1 * turn  # an angle that was not unwrapped
+    return turn, int(in_one and (np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1).sum())
 
 
 def _codes(values: Array) -> list[float]:

@@ -8,7 +8,7 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from math import isfinite
@@ -337,7 +337,7 @@ def trace_of(
     in_si = _in_si(columns, time, named=description is not None, of_text=not written)
     trace = checked(_sorted(in_si) if sort else in_si, gaps)
     trace = trace.window(*(limit if isfinite(limit) else None for limit in (time.start, time.stop)))
-    return trace if file.members or trace.units else replace(trace, units=_units_of_run(file.path, trace))
+    return trace if file.members or trace.units else replace(trace, units=units_of_run(file.path, trace))
 
 
 def _sorted(columns: Columns) -> Columns:
@@ -387,12 +387,12 @@ def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) 
     return replace(columns, values=values, units=units)
 
 
-def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
-    """Units in the metadata next to the file of a trace, if they are those of this file."""
+def units_of_run(file: Path, signals: Collection[str]) -> Mapping[str, str]:
+    """Units of signals in the metadata next to the file of a trace, if they are those of this file."""
     try:
         metadata = json.loads(file.with_suffix(METADATA_SUFFIX).read_bytes())
         written = Location(file).sha256 == metadata["sha256"]
-        return {n: str(u) for n, u in metadata["units"].items() if n in trace.signals} if written else {}
+        return {n: str(u) for n, u in metadata["units"].items() if n in signals} if written else {}
     except (Problem, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
 

@@ -84,6 +84,7 @@ HEALTHY = {
     "no sample": (np.full(2000, np.nan), "V"),
     "gaps": (np.where(ROW % 4 == 1, NOISY, np.nan), "bar"),
     "turns of a column": (np.cumsum(ANGLE), "deg"),
+    "pressure without a unit": (np.round((1e7 + 5e6 * np.sin(3 * TIME)) / 360) * 360.0, "1"),
 }
 
 
@@ -297,7 +298,7 @@ RATE = 40 * np.cos(TIME) + 15 * np.cos(3 * TIME)  # deg/s
 GYROS = {
     "deg/s read as rad/s": RATE,
     "rad/s read as deg/s": np.radians(np.radians(RATE)),
-    "thousandths read as whole units": -1e3
+    "thousandths read as whole units, or ms as s": -1e3
     * np.radians(0.96 * RATE + 2),  # mounted the other way, with a zero
     "": np.radians(1.2 * RATE + 5),
 }

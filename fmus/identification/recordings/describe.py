@@ -41,6 +41,7 @@ from orchestrator.data.table import (
     read_columns,
     time_axis,
 )
+from orchestrator.data.trace import units_of_run
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
 SENSORS: Mapping[str, Sequence[str]] = {
@@ -97,10 +98,12 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         raise Problem(f"--out {out}: expected a file that ends in .toml, in the folder of {data}")
     file = toml.read_file(out) if out.exists() else toml.Table(str(out), {})
     if not file.data.keys() <= {"file"} and not force:
-        raise Problem(f"{out}: expected no such file, got one; --force overwrites it")
+        raise Problem(f"{out}: expected no such file, got one; --force overwrites it, --out names another")
     form = replace(toml.read_dataclass(TextFormat, file.table("file")), csv=data.name)
     unread = list[str]()
     columns = read_columns(data, None, form, unread=unread)
+    of_run = units_of_run(data, columns.values)
+    columns = replace(columns, units={**columns.units, **of_run})
     if len(columns.values) < 2 and unread:
         raise Problem(unread[0].removesuffix("; left out"))
     units = {name: _unit(columns, name) for name in columns.values}
@@ -125,11 +128,11 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         extent = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "no number"
         faults = [f"{cause} {100 * share:.2g} %" for cause, (share, _) in signal.unused.items() if share]
         found = ", ".join([*faults, *["constant"] * (signal.low == signal.high)])
-        names, may_be = _candidates(column, unit, sensors)
+        names, may_be = ([column], "") if column in of_run else _candidates(column, unit, sensors)
         name = next((n for n in names if n not in proposed), "NAME")
         proposed.add(name)
         keys = f"column = {_text(column)}, unit = {_text(unit or '?')}"
-        if unit and parse_unit(unit).exponents not in dimensions:  # counts, mA, %
+        if unit and column not in of_run and parse_unit(unit).exponents not in dimensions:  # counts, mA, %
             keys = f'column = {_text(column)}, unit = "?", factor = 1.0, offset = 0.0'
         about = "; ".join(filter(None, (f"{column}: {extent} {unit or '?'}", found, may_be or names[0])))
         group = GROUPS.get(si_unit(unit), "")
@@ -140,7 +143,7 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         shown_keys["resolution"] *= signal.step > signal.noise / 10
         instrument = ", ".join(f"{k} = {v / factor:.3g}" for k, v in shown_keys.items() if v > 0)
         lines.append(
-            f"# {about}\n{'# ' * bool(may_be)}{_text(name)} = {{ {keys} }}"
+            f"# {about}\n{'# ' * bool(may_be or name == 'NAME')}{_text(name)} = {{ {keys} }}"
             f"{f'  # as the samples show: {instrument}' if instrument else ''}\n"
         )
     mark = "" if procedure else "# "
@@ -202,7 +205,7 @@ def _sensors(procedure: str) -> Mapping[str, Sequence[str]]:
 
 
 def _candidates(column: str, unit: str, sensors: Mapping[str, Sequence[str]]) -> tuple[Sequence[str], str]:
-    """The signals that a column may be by name and unit, and a text of them; "" if it has their name."""
+    """The signals that a column may be by name and unit, and a text of them; "" if it is the only one."""
     groups = {u: n for u, n in sensors.items() if parse_unit(u).exponents == parse_unit(unit).exponents}
     names = [name for group in (groups or sensors).values() for name in group]
     if groups and (same := [n for n in names if column.lower() in (n.lower(), bare_name(n).lower())]):
@@ -214,5 +217,5 @@ def _candidates(column: str, unit: str, sensors: Mapping[str, Sequence[str]]) ->
     best = max(score.values())
     if best > 0 or groups:
         names = [name for name in names if score[name] == best or best <= 0]
-        return names, first_names(names)
+        return names, "" if groups and best > 0 and len(names) == 1 else first_names(names)
     return [], "anything"
