@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
+from orchestrator.base.files import SIMILAR
 from orchestrator.base.options import seconds
+from orchestrator.base.signals import bare_name
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
 from orchestrator.data.table import Array
@@ -400,6 +403,11 @@ def values_over_time(
     system: System, name: str, text: str, begin: float, end: float = inf
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corners of an input that takes values at times within a span [s]: times [s], and values in its unit."""
+    if not get_close_matches(
+        bare_name(name), map(bare_name, [*system.names(), *system.inputs]), cutoff=SIMILAR
+    ):
+        built = "FMUs have faults as inputs if they were made by: harvester build --faults"
+        raise Problem(f"fault {name}: unknown variable; {built}")
     port, items = system.targets(name)[0][0], text.split(",")
     times, values = [begin], [float(system.components[port.component].value(port.variable))]
     for item in items:
