@@ -6,12 +6,7 @@ The range of a joint is followed from its start pose in both directions, until t
 stroke, its lever passes zero, or the linkage no longer closes; the last two are mistakes.
 
 Holding pressures are those of the start pose without payload, with the other side of the piston at 0 bar.
-Speeds are those of a valve at full opening in steady motion without load; the oil passes both edges. The
-velocity of the oil is that in the hose of the larger flow then:
-
-    v = C_d A_v sqrt(2 P_s A_in/(rho (A_h^3 + A_r^3)))        A_in: area of the side that is filled
-
-The mode of an axis is that of its mass on the oil of both
+Speeds are those of `fmus.crane.speeds`. The mode of an axis is that of its mass on the oil of both
 sides, with the hoses, at the start pose; all other joints are locked:
 
     f = sqrt((A_h^2/C_h + A_r^2/C_r) J^2 / M_ii) / (2 pi)           C = V/beta
@@ -23,15 +18,15 @@ computes it for a grid of poses over the strokes; passive joints hang at rest.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from fmus.boom_stick import BOOM_STICK
 from fmus.components.cylinder import areas, volumes
 from fmus.contract import Subsystem, nested, quantities, symbolic
 from fmus.crane.description import DEFAULT, DRIVES, INERTIAS, CraneDescription, JointDescription
@@ -44,11 +39,19 @@ from orchestrator.pages.plotting import new_figure, style_axes
 
 STEP = {"revolute": math.radians(0.25), "prismatic": 2e-3}  # rad, m: of the search for the ends of a range
 FARTHEST = {"revolute": 2 * math.pi, "prismatic": 50.0}
+HALVINGS = 40  # of STEP, to the end of a range
 LEAST_LEVER = 0.02  # m: a smaller one is near zero
 SMALL_LEVER = 0.25  # of the largest one: below it a joint may run over the dead point beyond an end stop
 POSES, MOST_STEPS = 150_000, 200  # of the grid of loads, in all and of one piston
+# of the search for the best pose with a radius: of the grid's edges, of finer grids, cells between these
+CANDIDATES, STARTS, APART, ROUNDS, CLOSER = 3000, 10, 2, 20, 0.7
+SAME = 1e-6  # of a reach
 CELL = 0.2  # m, of the drawing
 SHARES = (0.4, 0.7, 1.0)  # of the largest reach, for which loads are printed
+
+
+SUPPLIES = {"lumped": "ideal", "compensated": "load_sensing"}  # of the drives whose speeds are told
+Speeds: TypeAlias = tuple[float, float, float]  # piston out and in [rad/s or m/s], oil in a hose [m/s]
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,7 @@ class AxisCheck:
     levers            least and largest |J| over it [m], of a motor 1
     push, pull        largest forces of the piston, or torque of the motor to both sides [N or N.m]
     holding           pressure that holds the start pose [Pa], on the side of the piston that carries
-    speeds            of the joint at the start pose, forwards and backwards [rad/s or m/s]
-    oil_velocity      in the hose at that speed [m/s]
+    lever, inertia    dx/dq, of a motor 1, and M_ii at the start pose [m or 1, kg.m2 or kg]
     mode              first mode of the axis [Hz]
     """
 
@@ -71,23 +73,104 @@ class AxisCheck:
     push: float
     pull: float
     holding: float
-    speeds: tuple[float, float]
-    oil_velocity: float
+    lever: float
+    inertia: float
     mode: float
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """Poses over the strokes: reach and height of the tip [m], payload that can be held [kg]; each (n,)."""
+    """A grid of poses over the strokes of all pistons.
 
-    reach: Array
-    height: Array
-    load: Array
+    poses   coordinates of the pistons, shape (n, ...)
+    held    of poses: reach and height of the tip [m], payload that can be held [kg], shape (3, ...)
+    """
 
-    def at(self, reach: float) -> float:
-        """Largest load [kg] of the poses whose reach is that or up to 3 % of the largest one off."""
-        near = np.abs(self.reach - reach) <= 0.03 * self.reach.max()
-        return float(self.load[near].max()) if near.any() else 0.0
+    poses: Array
+    held: Callable[[Array], Array]
+
+    @cached_property
+    def values(self) -> Array:
+        """What is held in the poses of the grid."""
+        return self.held(self.poses)
+
+    @cached_property
+    def ends(self) -> list[tuple[Array, float]]:
+        """Poses of the least and the largest reach, and their reach [m]."""
+        found = []
+        for sign in (-1, 1):
+            first = _flat(self.poses)[:, np.argmax(sign * self.values[0])]
+            pose, score = self._climb(first, partial(self._reaches, sign))
+            found.append((pose, sign * score))
+        return found
+
+    def _reaches(self, sign: int, box: Array) -> tuple[Array, Array]:
+        return box, sign * self.held(box)[0]
+
+    def at(self, reach: float) -> float | None:
+        """Largest load [kg] of the poses with exactly this reach, None if there are none.
+
+        Poses with it are where an edge of the grid passes it; around the best ones the grid is made finer.
+        """
+        least, most = (x for _, x in self.ends)
+        if not least * (1 - SAME) <= reach <= most * (1 + SAME):
+            return None
+        reach, starts = min(max(reach, least), most), list[Array]()
+        poses, bounds = _passing(self.poses, self.values, reach)
+        poses = poses[:, np.argsort(-bounds)[:CANDIDATES]]
+        for pose in poses[:, np.argsort(-self.held(poses)[2])].T:
+            apart = (np.abs(pose - other) > APART * self._cell for other in starts)
+            if len(starts) < STARTS and all(x.any() for x in apart):
+                starts.append(pose)
+        starts = starts or [min(self.ends, key=lambda x: abs(x[1] - reach))[0]]
+
+        def loads(box: Array) -> tuple[Array, Array]:
+            found = _passing(box, self.held(box), reach)[0]
+            return found, self.held(found)[2]
+
+        return max(self._climb(pose, loads)[1] for pose in starts)
+
+    def _climb(self, pose: Array, of: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, float]:
+        """The best pose near one, and its score; of: a box of 3^n poses -> poses in it, their scores."""
+        score, axes = 0.0, tuple(range(1, self.poses.ndim))
+        low, high = self.poses.min(axis=axes), self.poses.max(axis=axes)
+        for k in range(ROUNDS):
+            steps = CLOSER**k * self._cell
+            lines = np.clip([pose - steps, pose, pose + steps], low, high).T
+            poses, scores = of(_grid(lines))
+            if scores.size:
+                best = np.argmax(scores)
+                pose, score = _flat(poses)[:, best], float(scores.flat[best])
+        return pose, score
+
+    @cached_property
+    def _cell(self) -> Array:
+        """Size of a cell of the grid (n,)."""
+        return np.array([np.ptp(x) / (len(x) - 1) for x in self.poses])
+
+
+def _grid(lines: Sequence[Array]) -> Array:
+    """All combinations of some numbers, shape (n, ...)."""
+    return np.array(np.meshgrid(*lines, indexing="ij"))
+
+
+def _flat(values: Array) -> Array:
+    """Shape (n, ...) as (n, m), of no numbers, too."""
+    return values.reshape(len(values), math.prod(values.shape[1:]))
+
+
+def _passing(poses: Array, values: Array, reach: float) -> tuple[Array, Array]:
+    """Where the edges of a grid pass a reach: poses (n, m), the larger load of the ends (m,)."""
+    found, bounds = [np.empty((len(poses), 0))], [np.empty(0)]
+    for axis in range(1, poses.ndim):
+        begin, low = (_flat(np.delete(x, -1, axis)) for x in (poses, values))
+        end, high = (_flat(np.delete(x, 0, axis)) for x in (poses, values))
+        before, behind = low[0] - reach, high[0] - reach
+        passes = (before * behind <= 0) & (before != behind)
+        share = before[passes] / (before - behind)[passes]
+        found.append(begin[:, passes] + share * (end - begin)[:, passes])
+        bounds.append(np.maximum(low[2], high[2])[passes])
+    return np.hstack(found), np.hstack(bounds)
 
 
 def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> list[AxisCheck]:
@@ -140,18 +223,15 @@ def _axis(
     start: Mapping[str, float],
 ) -> AxisCheck:
     pressure = crane.numbers["supply"]["pressure_setting"].value
-    density = crane.numbers["oil"]["density"].value
-    coefficient = values(BOOM_STICK).p["valve_discharge_coefficient"]
-    root = coefficient * joint["valve_area"] * math.sqrt(2 * pressure / density)
     hose, inertia = math.pi / 4 * joint["hose_bore"] ** 2, _inertia(of, joint, v)
     capacitance = hose * joint["hose_length"] / crane.numbers["oil"]["bulk_modulus"].value
     if joint.drive == "motor":
         per_turn = joint["motor_displacement"] * joint["gear_ratio"]
-        torque, speed = pressure * per_turn, root / math.sqrt(2) / per_turn
+        torque = pressure * per_turn
         capacitance += joint["motor_volume"] / crane.numbers["oil"]["bulk_modulus"].value
         mode = math.sqrt(2 * per_turn**2 / capacitance / inertia) / (2 * math.pi)
-        ends = (-math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0, (speed, speed))
-        return AxisCheck(joint, *ends, speed * per_turn / hose, mode)
+        ends = (-math.inf, math.inf, (1.0, 1.0), torque, torque, 0.0)
+        return AxisCheck(joint, *ends, 1.0, inertia, mode)
     head, rod = (float(x) for x in areas(joint["bore"], joint["rod"]))
     low, high, levers = _range(of, joint, v)
     force = start[f"{joint.name}_holding_force"]
@@ -161,11 +241,10 @@ def _axis(
             f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "
             f"{pressure / 1e5:.0f} bar: a larger bore, a larger lever, or another start pose"
         )
-    position, lever = (abs(float(x)) for x in _transmission(of, joint, v)(joint.start.value))
+    position, lever = map(float, _transmission(of, joint, v)(joint.start.value))
     sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
     oils = [x / crane.numbers["oil"]["bulk_modulus"].value + capacitance for x in sizes]
     stiffness = head**2 / oils[0] + rod**2 / oils[1]
-    out, inwards = (root * math.sqrt(side / (head**3 + rod**3)) for side in (head, rod))
     return AxisCheck(
         joint,
         low,
@@ -174,8 +253,8 @@ def _axis(
         pressure * head,
         pressure * rod,
         holding,
-        (out / lever, inwards / lever),
-        out * head / hose,
+        lever,
+        inertia,
         math.sqrt(stiffness * lever**2 / inertia) / (2 * math.pi),
     )
 
@@ -206,29 +285,34 @@ def capacity(crane: CraneDescription, found: Sequence[AxisCheck]) -> Capacity:
     chain = of.chain(p)
     q = of.at_rest(q, 0, p)
     tip = chain.position(q, of.payload(0, p).link, of.payload(0, p).at)
-    if not axes:
-        reach, height = float(ca.evalf(ca.norm_2(tip[:2]))), float(ca.evalf(tip[2]))
-        return Capacity(np.array([reach]), np.array([height]), np.zeros(1))
+    arms = [of.transmission(a.joint, q[free.index(a.joint)], p).arm if a in axes else 1 for a in found]
     forces = []
     for mass in (0, 1):
         gravity = chain.equations(q, 0 * q, of.payload(mass, p)).gravity
-        forces.append(
-            [gravity[free.index(a.joint)] / of.transmission(a.joint, s[k], p).arm for k, a in enumerate(axes)]
-        )
-    empty, more = (ca.vertcat(*f) for f in forces)
-    held = ca.Function("held", [s], [ca.norm_2(tip[:2]), tip[2], empty, more - empty])
-    count = min(MOST_STEPS, int(POSES ** (1 / len(axes))))
-    grids = np.meshgrid(*(np.linspace(a.low, a.high, count) for a in axes))
-    reach, height, alone, kilogram = (
-        x.full() for x in held.map(grids[0].size)(np.array([g.ravel() for g in grids]))
-    )
-    push, pull = (np.array([[getattr(a, n)] for a in axes]) for n in ("push", "pull"))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        limits = np.where(kilogram > 0, push - alone, -pull - alone) / kilogram
-    limits[kilogram == 0] = np.inf  # a piston that does not carry the payload
-    fits = (alone <= push).all(axis=0) & (alone >= -pull).all(axis=0)
-    load = np.where(fits, limits.min(axis=0), 0.0)
-    return Capacity(reach[0], height[0], np.clip(load, 0.0, None))
+        torques = (gravity[free.index(a.joint)] for a in found)
+        forces.append(ca.vertcat(*(t / arm for t, arm in zip(torques, arms, strict=True))))
+    empty, more = forces
+    results = [ca.norm_2(tip[:2]), tip[2], empty, more - empty]
+    function = ca.Function("held", [s], results, {"cse": True})
+    push, pull = (np.array([[getattr(a, n)] for a in found]) for n in ("push", "pull"))
+
+    def held(poses: Array) -> Array:
+        count = math.prod(poses.shape[1:])
+        if not count:
+            return np.empty((3, 0))
+        found = function.map(count)(_flat(poses))
+        reach, height, alone, kilogram = (x.full() for x in found)
+        if not axes:
+            return np.vstack([reach, height, 0 * reach]).reshape(3)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            limits = np.where(kilogram > 0, push - alone, -pull - alone) / kilogram
+        limits[kilogram == 0] = np.inf  # an axis that does not carry the payload
+        fits = (alone <= push).all(axis=0) & (alone >= -pull).all(axis=0)
+        load = np.where(fits, limits.min(axis=0), 0.0)
+        return np.vstack([reach, height, np.clip(load, 0.0, None)]).reshape(3, *poses.shape[1:])
+
+    steps = min(MOST_STEPS, int(POSES ** (1 / max(1, len(axes)))))
+    return Capacity(_grid([np.linspace(a.low, a.high, steps) for a in axes]), held)
 
 
 def lifting_moment(found: Sequence[AxisCheck]) -> float:
@@ -276,31 +360,42 @@ def _range(
                     f"cylinder cannot move the joint through {scale * q:.4g} {unit}"
                 )
             levers.append(abs(float(arm)))
-        ends.append(float(q))
+        ends.append(_end(function, float(q) - sign * step, float(q), joint["stroke"]))
+        levers.append(abs(float(function(ends[-1])[1])))
     return min(ends), max(ends), (min(levers), max(levers))
 
 
-def table(crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity) -> str:
-    """The axes, loads and the data sheet as text for a terminal."""
-    head = (
-        "joint",
-        "drive",
-        "start",
-        "range",
-        "lever",
-        "push",
-        "pull",
-        "holds with",
-        "speed out/in",
-        "oil",
-        "mode",
-    )
+def _end(function: ca.Function, inside: float, outside: float, stroke: float) -> float:
+    """The coordinate at the end of the stroke, between two of which one is within it."""
+    for _ in range(HALVINGS):
+        between = (inside + outside) / 2
+        if 0 <= function(between)[0] <= stroke:
+            inside = between
+        else:
+            outside = between
+    return inside
+
+
+def table(
+    crane: CraneDescription,
+    found: Sequence[AxisCheck],
+    loads: Capacity,
+    speeds: Mapping[str, Mapping[str, Speeds]],
+) -> str:
+    """The axes, loads and the data sheet as text for a terminal; speeds by joint and fidelity, or none."""
+    moving = ("speed out/in", "compensated", "oil") if speeds else ()
+    head = ("joint", "drive", "start", "range", "lever", "push", "pull", "holds with", *moving, "mode")
     pressure = crane.numbers["supply"]["pressure_setting"].value
     title = f"{crane.title}: {len(crane.joints)} joints, {len(found)} driven, {pressure / 1e5:.0f} bar"
-    lines = [title, *TextTable(head, [*map(_row, found)]).lines(), "", *_loads(found, loads)]
+    lines = [
+        title,
+        *TextTable(head, [_row(a, speeds.get(a.joint.name)) for a in found]).lines(),
+        "",
+        *_loads(found, loads),
+    ]
     if crane.loads or any(crane.datasheet.values()):
         rows = [
-            [text, _number(told), _number(own), f"{100 * (own / told - 1):+.1f} %" if own else "beyond reach"]
+            [text, _number(told), *(("no pose", "") if own is None else (_number(own), _off(own, told)))]
             for text, told, own in _compared(crane, found, loads)
         ]
         lines += ["", *TextTable(("data sheet", "says", "computed", "off by"), rows).lines()]
@@ -342,22 +437,27 @@ def _number(x: float) -> str:
     return f"{x:.4g}"
 
 
+def _off(own: float, told: float) -> str:
+    return f"{100 * (own / told - 1):+.1f} %" if told else ""
+
+
 def _loads(found: Sequence[AxisCheck], loads: Capacity) -> Iterator[str]:
-    farthest = float(loads.reach.max())
-    low, high = loads.height.min(), loads.height.max()
-    yield f"reach {loads.reach.min():.2f} to {farthest:.2f} m, height {low:.2f} to {high:.2f} m"
-    at = ", ".join(f"{loads.at(share * farthest):.0f} kg at {share * farthest:.2f} m" for share in SHARES)
+    nearest, farthest = (reach for _, reach in loads.ends)
+    low, high = loads.values[1].min(), loads.values[1].max()
+    yield f"reach {nearest:.2f} to {farthest:.2f} m, height {low:.2f} to {high:.2f} m"
+    held = {share * farthest: loads.at(share * farthest) for share in SHARES}
+    at = ", ".join(f"{'no pose' if x is None else f'{x:.0f} kg'} at {r:.2f} m" for r, x in held.items())
     yield f"lifting moment {lifting_moment(found) / 1e3:.1f} kN.m gross; load that can be held {at}"
 
 
 def _compared(
     crane: CraneDescription, found: Sequence[AxisCheck], loads: Capacity
-) -> Iterator[tuple[str, float, float]]:
+) -> Iterator[tuple[str, float, float | None]]:
     """What the data sheet says: text, its number, that of the file."""
     if moment := crane.datasheet["lifting_moment"]:
         yield "lifting moment, gross [kN.m]", moment / 1e3, lifting_moment(found) / 1e3
     if reach := crane.datasheet["reach"]:
-        yield "reach [m]", reach, float(loads.reach.max())
+        yield "reach [m]", reach, loads.ends[1][1]
     for reach, load in crane.loads:
         yield f"load at {reach:g} m [kg]", load, loads.at(reach)
 
@@ -393,15 +493,15 @@ def drawing(crane: CraneDescription, loads: Capacity) -> Figure:
 
 def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
     """Largest load in each square of the plane, NaN where no tip is; the edges of the squares [m]."""
-    places = (loads.reach, loads.height)
+    *places, load = loads.values.reshape(3, -1)
     ends = [np.arange(x.min(), x.max() + 2 * CELL, CELL) for x in places]
     x, z = (np.digitize(place, edges) - 1 for place, edges in zip(places, ends, strict=True))
     cells = np.full((ends[0].size - 1, ends[1].size - 1), -1.0)
-    np.maximum.at(cells, (x, z), loads.load)
+    np.maximum.at(cells, (x, z), load)
     return np.where(cells < 0, np.nan, cells), (ends[0], ends[1])
 
 
-def _row(a: AxisCheck) -> list[str]:
+def _row(a: AxisCheck, speeds: Mapping[str, Speeds] | None) -> list[str]:
     revolute = a.joint.kind == "revolute"
     unit, scale = ("deg", 180 / math.pi) if revolute else ("m", 1.0)
     force, lever = (
@@ -409,6 +509,12 @@ def _row(a: AxisCheck) -> list[str]:
     )
     low, high = (round(scale * x, 1) + 0.0 for x in (a.low, a.high))  # no -0.0
     ends = f"{low:.1f} to {high:.1f} {unit}" if math.isfinite(low) else "no end"
+    moving = list[str]()
+    if speeds:
+        lumped, compensated = (
+            "/".join(f"{scale * x:.3g}" for x in speeds[v][:2]) + f" {unit}/s" for v in SUPPLIES
+        )
+        moving = [lumped, compensated, f"{speeds['lumped'][2]:.1f} m/s"]
     return [
         a.joint.name,
         a.joint.drive,
@@ -417,7 +523,6 @@ def _row(a: AxisCheck) -> list[str]:
         lever,
         *(f"{x / 1e3:.3g} {force}" for x in (a.push, a.pull)),
         f"{a.holding / 1e5:.0f} bar",
-        "/".join(f"{scale * x:.3g}" for x in a.speeds) + f" {unit}/s",
-        f"{a.oil_velocity:.1f} m/s",
+        *moving,
         f"{a.mode:.1f} Hz",
     ]

@@ -24,7 +24,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from fmus.boom_stick import BOOM_STICK
 from fmus.components.chamber import BulkModulus, Liquid
+from fmus.components.cylinder import areas
 from fmus.components.hose import ReferenceHose
 from fmus.components.mechanics import Point
 from fmus.components.spool_valve import Valve
@@ -251,8 +253,7 @@ def gains_of(crane: CraneDescription, arm: CraneArm, pose: Mapping[str, float]) 
 
     pose   outputs of the manipulator at its start
     """
-    axes, supply = {a.joint.name: a for a in check(crane, pose)}, crane.numbers["supply"]
-    pressure = supply["pressure_setting"].value
+    axes = {a.joint.name: a for a in check(crane, pose)}
     turn, *pistons = (axes[j.name] for j in arm.joints)
     low, own = (2 * math.pi * f for f in (min(a.mode for a in pistons), turn.mode))
     name, k, of_column = turn.joint.name, low / 4, own / 4
@@ -263,14 +264,26 @@ def gains_of(crane: CraneDescription, arm: CraneArm, pose: Mapping[str, float]) 
         f"{name}_position_gain": (of_column, "1/s"),
         f"{name}_integral_gain": (0.2 * of_column**2, "1/s2"),
         f"{name}_damping_rate": (3 * of_column, "1/s"),
-        f"{name}_speed_limit": (min(turn.speeds) / 2, "rad/s"),
+        f"{name}_speed_limit": (_unloaded(crane, turn.joint) / 2, "rad/s"),
     }
     for a in pistons:
-        flow = a.oil_velocity * math.pi / 4 * a.joint["hose_bore"] ** 2
-        inwards = flow / a.push * pressure * math.sqrt(a.pull / a.push)  # the slower direction
-        found[f"{a.joint.name}_speed_limit"] = (inwards / 2, "m/s")
+        found[f"{a.joint.name}_speed_limit"] = (_unloaded(crane, a.joint) / 2, "m/s")
     note = "of the modes and the speeds of the axes, as those of the harvester"
     return {n: Number(x, unit, "derived", note) for n, (x, unit) in found.items()}
+
+
+def _unloaded(crane: CraneDescription, joint: JointDescription) -> float:
+    """Speed of a motor [rad/s], or of a piston inwards [m/s]: a fully open valve, no load and no friction.
+
+    v = C_d A_v sqrt(2 P_s A_r/(rho (A_h^3 + A_r^3)))
+    """
+    pressure, density = crane.numbers["supply"]["pressure_setting"], crane.numbers["oil"]["density"]
+    root = values(BOOM_STICK).p["valve_discharge_coefficient"] * joint["valve_area"]
+    root *= math.sqrt(2 * pressure.value / density.value)
+    if joint.drive == "motor":
+        return root / math.sqrt(2) / (joint["motor_displacement"] * joint["gear_ratio"])
+    head, rod = map(float, areas(joint["bore"], joint["rod"]))
+    return root * math.sqrt(rod / (head**3 + rod**3))
 
 
 def controller(crane: CraneDescription, machine: Machine) -> Subsystem:

@@ -142,6 +142,7 @@ DEFAULT = "default"  # note of a number that the file does not have
 ONE = Number(1.0, "1", "assumed", DEFAULT)
 MEANT = {"m": ("mm", "cm"), "rad": ("deg",)}  # units of a number that is out of range without one
 TURN = 2 * math.pi
+NEW = Path(__file__).with_name("new.toml")  # a crane to begin with
 EXAMPLES = {
     "m": ', such as "350 mm"',
     "rad": ', such as "20 deg"',
@@ -381,7 +382,7 @@ def new(path: Path) -> str:
         raise Problem(f"{path}: exists already")
     if not path.parent.is_dir():
         raise Problem(f"{path}: expected a file in a folder that exists, got no folder {path.parent}")
-    write_whole(path, (Path(__file__).with_name("new.toml")).read_bytes())
+    write_whole(path, NEW.read_bytes())
     return f"{path}: a crane to begin with. Next: harvester crane check {path}"
 
 

@@ -90,10 +90,10 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     names, pose = list(dict.fromkeys(j.part for j in crane.driven)), outputs_at_start(parts[NAME]["rigid"])
     for name in names:
         joints = [j for j in crane.driven if j.part == name]
-        made = {v: _drives(crane, name, joints, pose, v, faults) for v in FIDELITIES}
+        made = {v: drives(crane, name, joints, pose, v, faults) for v in FIDELITIES}
         of_part, names_of = family(name, **made), [j.name for j in joints]
         parts = {name: {v: faulty(s, names_of) if faults else s for v, s in of_part.items()}, **parts}
-    supplies = {v: _with(sub, crane) for v, sub in supply(names).items()}
+    supplies = {v: with_pressures(sub, crane) for v, sub in supply(names).items()}
     supplies = {v: faulty(sub) if faults else sub for v, sub in supplies.items()}
     machine = Machine(parts=parts, supplies={"supply": supplies}, operator=_operator(crane))
     try:
@@ -112,7 +112,7 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     return replace(machine, sensors=sensors(machine.measured), diagnosis=found)
 
 
-def _with(sub: Subsystem, crane: CraneDescription) -> Subsystem:
+def with_pressures(sub: Subsystem, crane: CraneDescription) -> Subsystem:
     """A supply with the pressures of the crane, as far as it has them."""
     tables = numbers(sub)
     own = {**_settings(crane, tables["parameters"]), **crane.numbers["supply"]}
@@ -120,13 +120,13 @@ def _with(sub: Subsystem, crane: CraneDescription) -> Subsystem:
     return replace(sub, numbers={**tables, "parameters": found})
 
 
-def _drives(
+def drives(
     crane: CraneDescription,
     name: str,
     joints: Sequence[JointDescription],
     pose: Mapping[str, float],
     variant: str,
-    faults: bool,
+    faults: bool = False,
 ) -> Subsystem:
     """The hydraulics of some joints."""
     axes = [

@@ -36,6 +36,7 @@ def crane(
     from fmus.crane.check import capacity, check, table
     from fmus.crane.check import drawing as drawn
     from fmus.crane.description import new, read
+    from fmus.crane.speeds import full_speeds
 
     for name, given, actions in (("drawing", drawing, ("check",)), ("out", out, ("export", "import"))):
         if given is not None and action not in actions:
@@ -59,7 +60,7 @@ def crane(
         print(f"{target}: {len(description.joints)} links")
         return
     loads = capacity(description, found)
-    print(table(description, found, loads))
+    print(table(description, found, loads, full_speeds(description, found)))
     if drawing is not None:
         from orchestrator.base.files import write_whole
         from orchestrator.pages.plotting import png

@@ -191,7 +191,9 @@ def test_a_rate_that_the_input_does_not_follow_is_named_once(open_fmu, position,
     for k in range(150):
         fmu.set(position=position(k), velocity=velocity(k), acceleration=1e-3)
         fmu.fmu.doStep(0.08 * k, 0.08)
-    words = "position did not move in the last 100 steps as its rate input velocity says, which is held over a"
+    words = (
+        "position did not move in the last 100 steps as its rate input velocity says, which is held over a"
+    )
     told = [w.partition(": ")[2] for w in fmu.logged("logStatusWarning")]
     assert told == [f"{words} step: leave that open, or take steps of at most {step} s"] * bool(step)
 

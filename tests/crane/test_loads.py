@@ -1,0 +1,119 @@
+"""Loads by radius: the largest one of all poses with that reach, against other calculations."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kit import shards
+from kit.planar_cranes import GRAVITY, described, draw, largest
+
+from fmus.crane.check import capacity, check, table
+from fmus.crane.description import read
+
+# two joints, three, two and a telescope, four
+QUICK = {11: 0.3, 12: 0.9, 6: 0.999, 4: 0.6}
+SHARES = (0.02, 0.3, 0.6, 0.9, 0.999)  # of the way from the least to the largest reach
+
+
+def compare(seed, shares):
+    """Of one drawn crane; 2 %: of a search by two grids."""
+    booms = draw(seed)
+    crane = described(booms)
+    loads = capacity(crane, check(crane))
+    least, most = (x for _, x in loads.ends)
+    for share in shares:
+        reach = least + share * (most - least)
+        assert loads.at(reach) == pytest.approx(largest(booms, reach), rel=0.02, abs=1.0), (seed, share)
+
+
+@pytest.mark.parametrize(("seed", "share"), QUICK.items())
+def test_the_load_at_a_radius_is_that_of_a_fine_grid(seed, share):
+    """Of a random crane; there the first angle follows from the radius, and the moments are by hand."""
+    compare(seed, [share])
+
+
+@shards.search
+@pytest.mark.parametrize("seed", range(50))
+def test_the_load_at_any_radius_is_that_of_a_fine_grid(seed):
+    """Near both ends of the reach, and between them."""
+    compare(seed, SHARES)
+
+
+STEPS = """[boom]
+axis = "-y"
+at = [0, 0, 1.2]
+mass = 40
+centre = [0.9, 0, 0]
+inertia = [0, 9, 9]
+drive = "cylinder"
+cylinder = { base = [0.4, -1.1], pin = [0.6, 0], closed = 0.95, stroke = 0.45, bore = 0.16, rod = 0.09 }
+[one]
+joint = "prismatic"
+axis = "x"
+at = [2, 0, 0]
+mass = 30
+drive = "cylinder"
+cylinder = { stroke = 3, bore = 0.09, rod = 0.06 }
+[two]
+joint = "prismatic"
+axis = "x"
+mass = 20
+follows = "one"
+ratio = 1.5
+[payload]
+on = "two"
+at = [0, 0, 0]
+[supply]
+pressure = 2.4e7
+"""
+
+
+@pytest.mark.parametrize("reach", [2.2, 5.03, 9.0])
+def test_a_telescope_whose_stages_go_in_step(reach):
+    """Its extension follows from angle and radius; the boom's moment and the force along the slide limit."""
+    crane = read(Path("steps.toml"), STEPS.encode())
+    loads = capacity(crane, check(crane))
+    angle = np.linspace(-1.2, 1.2, 400_001)
+    pin = 0.6 * np.exp(1j * angle) - (0.4 - 1.1j)
+    length, out = np.abs(pin), (reach / np.cos(angle) - 2) / 2.5
+    some = (length >= 0.95) & (length <= 1.4) & (out >= 0) & (out <= 3)
+    lever = (0.6 * np.exp(-1j * angle) * pin).imag / length
+    area, own = 2.4e7 * np.pi / 4, 40 * 0.9 + 30 * (2 + out) + 20 * (2 + 2.5 * out)
+    by_boom = (area * 0.16**2 * lever / GRAVITY - own * np.cos(angle)) / reach
+    sine = np.sin(angle)
+    along = (
+        area * np.where(sine > 0, 0.09**2, 0.09**2 - 0.06**2) / GRAVITY / np.maximum(np.abs(sine), 1e-9) - 80
+    ) / 2.5
+    expected = np.minimum(by_boom, along)[some].max()
+    # 0.2 %: 400 000 angles, and the gravity of the file of the paper
+    assert loads.at(reach) == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_radius_without_a_pose_has_no_load():
+    """Nearer than the tip comes, and beyond the largest reach; the lines say so, not 0 kg."""
+    text = STEPS.replace("at = [0, 0, 1.2]", "at = [1.5, 0, 1.2]")
+    text += '[datasheet]\nreach = 11\nloads = [["1 m", 900], ["12 m", 90], ["5 m", 900]]\n'
+    crane = read(Path("steps.toml"), text.encode())
+    loads = capacity(crane, found := check(crane))
+    (pose, least), (_, most) = loads.ends
+    assert loads.at(least) == pytest.approx(loads.held(pose)[2], rel=1e-3)
+    assert most == pytest.approx(1.5 + 2 + 2.5 * 3, abs=1e-3)  # stretched and level
+    assert [loads.at(x) for x in (0.99 * least, 1.01 * most)] == [None, None]
+    told = table(crane, found, loads, {})
+    assert re.findall(r"load at (\d+) m \[kg\] +\d+ +no pose", told) == ["1", "12"]
+
+
+def test_a_slewing_motor_on_a_slope_limits_the_load():
+    """It holds m g r sin(roll) about its axis, beside the weight of the arm: 40 kg at 0.9 m, the stages."""
+    slew = '[slew]\naxis = "z"\ndrive = "motor"\nmotor = { displacement = "6e-5 m3/rad", ratio = 1 }\n'
+    slew += "inertia = [1, 1, 1]\n"
+    text = slew + STEPS + '[base]\nroll = "15 deg"\n[start]\none = 1\n'
+    crane = read(Path("steps.toml"), text.encode())
+    loads = capacity(crane, check(crane))
+    torque, slope = 2.4e7 * 6e-5, GRAVITY * np.sin(np.radians(15))
+    # level, where the weight of the arm is farthest out for its reach
+    expected = (torque / slope - 40 * 0.9 - 30 * (2 + 2) - 20 * (2 + 2.5 * 2)) / 7
+    level = loads.held(np.array([0.0, 2.0]))
+    assert level[0] == pytest.approx(7, rel=1e-12)
+    assert level[2] == pytest.approx(expected, rel=1e-4)  # gravity of the file of the paper
