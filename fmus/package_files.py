@@ -23,7 +23,7 @@ from pathlib import Path, PurePosixPath
 
 from orchestrator.base.compiler import note_generated, private_cache, process_folder
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import FMI3, VARIANTS, write_whole, zip_bytes
+from orchestrator.base.files import CHECKOUT, FMI3, VARIANTS, write_whole, zip_bytes
 from orchestrator.base.progress import doing
 from orchestrator.base.xml import package_version
 
@@ -182,8 +182,8 @@ def version_text(build: Path) -> str:
 
     build   folder of FMUs that were built, which commands prefer to those in the package
     """
-    if (build / "harvester.ssp").exists():
-        origin = f"built, in {build.resolve()}"
+    if built := [folder for folder in (build, CHECKOUT) if (folder / "harvester.ssp").exists()]:
+        origin = f"built, in {built[0].resolve()}"
     else:
         origin = f"those in the package, {BUILT}" if BUILT.is_file() else "none; harvester build makes them"
     return "\n".join(

@@ -4,12 +4,15 @@ drives: True for the terminal of a hydraulic drive, False for that of the mechan
 of the drive and into the mechanics.
 """
 
+from dataclasses import replace
 from typing import Literal
 
 from fmus.contract import Group, Member, Quantity, Scalar, Terminal
 
 # of a drive without the pressure of the line: its compensators hold their setting whatever is left
 NOT_SHARED = "flow is not shared with the other drives while the supply is saturated"
+# of a temperature of the oil; 0 K is an open input, or one of FMPy in its first step
+BEYOND = "viscosity holds from -20 to 100 degC (0 K: 60), lags, check valves and friction do not follow it"
 
 
 def rate_input(name: str, unit: str, nominal: float = 1.0) -> Quantity:
@@ -29,8 +32,9 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
 
 
 def oil_temperature(text: str, held: bool = False, optional: str = "") -> Quantity:
-    """Declaration of the temperature of the oil, without bounds: FMPy sets connected inputs to 0 at first."""
-    return Quantity("K", text, 300.0, held=held, optional=optional, warn_above=373.15)
+    """Declaration of the temperature of the oil; without bounds, because of 0 K."""
+    known = Quantity("K", text, 300.0, warn_above=373.15, warn_below=253.15, meaning=BEYOND)
+    return replace(known, held=held, optional=optional)
 
 
 class Commands(Group):

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 from kit import properties
@@ -41,8 +42,17 @@ ROOT = Path(__file__).parents[1]
 pytest_plugins = ["kit.shares"]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Each long test is in one shard that exists."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`.ci/run` asks for a part of the long tests."""
+    parser.addoption(
+        "--part", default="0/1", help="K/N: the tests with the number K when they are counted up to N"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Each long test is in one shard that exists; of a part of the tests each has a number by its name."""
+    part, _, parts = config.getoption("part").partition("/")
+    items[:] = [item for item in items if crc32(item.nodeid.encode()) % int(parts) == int(part)]
     for item in items:
         shards = [mark.kwargs.get("shard") for mark in item.iter_markers("long")]
         if shards and (len(shards) > 1 or shards[0] not in SHARDS):

@@ -41,7 +41,7 @@ class Place:
 
 
 class Addition(Group):
-    """Parameters of a component in addition. `states` are pressures of its nodes."""
+    """Parameters of a component in addition. `states` are pressures of its nodes, and outputs of a supply."""
 
     states: ClassVar[type[Group] | None] = None
 

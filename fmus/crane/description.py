@@ -383,6 +383,8 @@ def new(path: Path) -> str:
         raise Problem(f"{path}: expected a file that ends in .toml")
     if path.exists():
         raise Problem(f"{path}: exists already")
+    if not path.parent.is_dir():
+        raise Problem(f"{path}: expected a file in a folder that exists, got no folder {path.parent}")
     write_whole(path, NEW.read_bytes())
     return f"{path}: a crane to begin with. Next: harvester crane check {path}"
 

@@ -157,11 +157,14 @@ def drives(
         given = own or next((shipped[n] for n in names if n in shipped), None)
         # else of a component that is only there with faults
         found[full] = given or Number(declared.value or 0.0, declared.unit, "derived", "healthy")
-    # of an FMU alone, whose inputs are not connected: the start pose, the pressure of the supply, warm oil
+    # of an FMU alone, whose inputs are not connected: the start pose, at rest while rate inputs are open, the
+    # pressure of the supply, warm oil
     start = {"supply_pressure": crane.numbers["supply"]["pressure_setting"]}
     start["oil_temperature"] = numbers(boom_stick.BOOM_STICK)["start"]["oil_temperature"]
-    for n, x in quantities(sub.inputs).items():
-        if pose.get(n):
+    inputs = quantities(sub.inputs)
+    rates = {x.rate for x in inputs.values()} - {n for n, x in inputs.items() if x.rate}
+    for n, x in inputs.items():
+        if pose.get(n) and n not in rates:
             start[n] = Number(pose[n], x.unit, "derived", "of the manipulator at the start")
     sub = replace(sub, numbers={"parameters": found, "start": start})
     if variant == "detailed":
@@ -288,6 +291,7 @@ def build_crane(
                 name=name,
                 stop=STOP,
                 step=STEP,
+                common=machine.oil,
             )
             sets = {"compensated": _section_flows(machine)} if CONTROLLER in drivers else {}
             paths.append(write_ssp(system, folders[fmi] / f"{name}.ssp", sets, resources=files_of))

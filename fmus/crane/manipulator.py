@@ -95,7 +95,7 @@ MINIMA = {
 class MotorInputs(Group):
     """Torque of a motor; the rate input carries its exact time derivative."""
 
-    torque: Scalar = Quantity("N.m", "Hydraulic torque on the {}", 1e4, rate="torque_rate")
+    torque: Scalar = Quantity("N.m", "Torque of the drive on the {}", 1e4, rate="torque_rate")
     torque_rate: Scalar = ports.rate_input("{}_torque", "N.m/s", 1e5)
 
 

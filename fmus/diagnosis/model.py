@@ -1,6 +1,7 @@
 """Diagnosis of a machine: the checks of its functions, and what the functions have in common.
 
-**Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter.
+**Return line**, P_t = P_0 + R Q with the flow Q of all chambers that are emptied, in part the filter; unless
+the oil is cold, as a clogging indicator with a thermal lockout.
 **Pump**, P_s = P_0 - B Q with the flow Q into all chambers that are filled, at `PUMP_FLOW`; not with
 compensated sections, where the pressure follows the load until the pump is at its largest stroke. **Lag of
 all valves**: the mean of those of the functions. **Weighing**: weight.py.
@@ -147,8 +148,9 @@ class Diagnosis:
         late = {"inward": inward, "outward": outward, "supply": u.supply_pressure, "tank": u.tank_pressure}
         rates |= {f"late_{n}": (now - getattr(x, f"late_{n}")) / p.window for n, now in late.items()}
         constant = 1 - either(*(a.compensated for a in axes))  # the pump does not follow the load
+        cold = whether(u.oil_temperature > 0) * whether(u.oil_temperature < p.filter_temperature)  # 0: open
         for fit, flow, pressure, counts, memory in (
-            (RETURN, x.late_outward, x.late_tank, 1, p.slow_memory),
+            (RETURN, x.late_outward, x.late_tank, 1 - cold, p.slow_memory),
             (PUMP, x.late_inward, x.late_supply, constant, p.pump_memory),
         ):
             counts *= sound * whether(flow > WORKING) / p.window

@@ -70,7 +70,7 @@ class Outputs(Group):
 
     force: Scalar = Quantity("N", "Hydraulic force of the {} cylinder", 1e5)
     force_rate: Scalar = ports.rate_output("{}_force", "N/s", 1e6)
-    void_volume: Scalar = chamber.cavity("the {} cylinder")
+    void_volume: Scalar = chamber.cavity("the {} cylinder and its hoses")
     oil_velocity: Scalar = hose.oil_velocity("Velocity of the oil in the hoses of the {}, the higher one")
 
 

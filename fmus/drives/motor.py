@@ -167,12 +167,14 @@ class HeldInputs(Inputs):
 class Outputs(Group):
     """Torque and its rate (to the mechanics), ports and case drain of the motor, cavities."""
 
-    torque: Scalar = Quantity("N.m", "Hydraulic torque on the {} column", 1e4)
+    torque: Scalar = Quantity(
+        "N.m", "Torque of the drive on the {} column, with that of a holding brake", 1e4
+    )
     torque_rate: Scalar = ports.rate_output("{}_torque", "N.m/s", 1e5)
     motor_pressure_a: Scalar = chamber.port_pressure("Pressure P_1 at motor port A")
     motor_pressure_b: Scalar = chamber.port_pressure("Pressure P_2 at motor port B")
     drain_flow: Scalar = Quantity("m3/s", "Case drain flow of the motor: external leakage", 1e-5)
-    void_volume: Scalar = chamber.cavity("the {} lines")
+    void_volume: Scalar = chamber.cavity("the {} motor and its lines")
     oil_velocity: Scalar = hose.oil_velocity("Velocity of the oil in the lines of the {}, the higher one")
 
 

@@ -6,6 +6,7 @@ from functools import cached_property
 from itertools import permutations
 from typing import TypeAlias
 
+from fmus.components.chamber import AeratedOil
 from fmus.contract import Subsystem, quantities
 from fmus.controller.variables import Setpoints
 from orchestrator.base.errors import Problem
@@ -195,6 +196,12 @@ class Machine:
             if name in quantities(sub.outputs)
         )
         return (*self._added(self.controller), *measured)
+
+    @cached_property
+    def oil(self) -> dict[str, tuple[str, ...]]:
+        """Parameters of the oil -> parts of which a variant has them: they have one oil."""
+        of = {n: {p for s in v.values() for p in quantities(s.parameters)} for n, v in self.families.items()}
+        return {p: tuple(n for n in of if p in of[n]) for p in quantities(AeratedOil)}
 
     @cached_property
     def wires(self) -> Connections:

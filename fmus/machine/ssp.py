@@ -94,6 +94,7 @@ def write_systems(
                 stop=stop,
                 step=step,
                 shared=FERIC.shared,
+                common=FERIC.oil,
             ),
             Path(folder) / f"{name}.ssp",
             sets=sets,

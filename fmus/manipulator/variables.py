@@ -148,7 +148,7 @@ class ManipulatorInputs(Group, boom=CylinderInputs, stick=CylinderInputs):
     """Torque and forces of the hydraulics, with their exact time derivatives; the payload."""
 
     swing_torque: Scalar = Quantity(
-        "N.m", "Hydraulic torque on the swing column", 1e4, rate="swing_torque_rate"
+        "N.m", "Torque of the drive on the swing column", 1e4, rate="swing_torque_rate"
     )
     swing_torque_rate: Scalar = ports.rate_input("swing_torque", "N.m/s", 1e5)
     payload_mass: Scalar = Quantity(

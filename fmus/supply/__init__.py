@@ -31,7 +31,8 @@ def supply(
         sub, states = made[v], {n: a.states for n, a in additions.items() if a.states}
         if additions:
             parameters = make_group("Parameters", {}, sub.parameters, **additions)
-            sub = replace(sub, parameters=parameters, states=make_group("States", {}, sub.states, **states))
+            own, shown = (make_group(of.__name__, {}, of, **states) for of in (sub.states, sub.outputs))
+            sub = replace(sub, parameters=parameters, states=own, outputs=shown)
         made[v] = with_heats(sub)
     return family(name, **made)
 

@@ -124,8 +124,8 @@ class EnginePumpOutputs(_Pumps, ShaftOutputs):
 def _supply(x: EnginePumpState, u: Any, p: EnginePumpParameters) -> Supply:
     (first, second), line = p.pumps, (p.check_resistance, p.pump_line_capacitance)
     pumps = (
-        Outlet("pump_1", rail.viscous(first, x, p), *line, x.pump_1_pressure, x.pump_1_stroke),
-        Outlet("pump_2", rail.viscous(second, x, p), *line, x.pump_2_pressure, x.pump_2_stroke),
+        Outlet("pump_1", rail.fed(first, x, p), *line, x.pump_1_pressure, x.pump_1_stroke),
+        Outlet("pump_2", rail.fed(second, x, p), *line, x.pump_2_pressure, x.pump_2_stroke),
     )
     return Supply(pumps, u, x, p)
 

@@ -165,7 +165,7 @@ class LoadSensingOutputs(ShaftOutputs):
 
 def _supply(x: LoadSensingState, u: Any, p: LoadSensingParameters) -> Supply:
     line = (p.main_pump.check_resistance, p.main_pump.line_capacitance)
-    pump = rail.viscous(p.pump(x.load_sensing_pressure), x, p)
+    pump = rail.fed(p.pump(x.load_sensing_pressure), x, p)
     bleed = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature, p)
     leakage = Branch("supply_pressure", RESERVOIR, Kind.LEAKAGE, lambda drop: bleed * drop, "k_l")
     pumps = [Outlet("pump", pump, *line, x.pump_pressure, x.pump_stroke)]

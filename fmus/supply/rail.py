@@ -5,12 +5,16 @@
     C_s P' = sum q - Q - Q_r - Q_l         supply line: flow Q into the drives, main relief valve, leakage
     J w'   = b T - T_f(w) - sum T_i        engine and pumps on one shaft
     C_b P_b' = Q_return - Q_b              return line of the drives, preloaded by a check valve
-    Q_b    = (r(P_b - P_t - p_b) - r(P_t - P_b)) / R_b       into the tank; a second one draws from there
+    Q_b    = (r(P_b - P_t - p_b) - a r(P_t - P_b)) / R_b + Q_f       into the tank; a second one draws there
     C th'  = heat - (G + G_c lim((th - th_c)/band)) (th - th_a)        temperature of the oil, with a cooler
 
-with x, b T, T_i from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r the `ramp` of
-`fmus.smooth`. Cavities in the lines as in `fmus.components.chamber`. Leakage and drag of the pumps
-follow from the temperature of the oil (`fmus.components.oil`).
+with x, b T, T_i from `fmus.components.engine_and_pump`, Q_r and the bypass valve of the filter, Q_f at P_b -
+P_t - p_b, from `fmus.components.orifice`, r the `ramp` of `fmus.smooth`. Cavities in the lines as in
+`fmus.components.chamber`. Leakage and drag of the pumps follow from the temperature of the oil
+(`fmus.components.oil`); the resistances of check valves, filter and cooler are constants.
+
+**Suction.** Pumps have the share a = s(2 V/V_s - 1) of their displacement, with the oil V in the tank and s
+the `s_curve` of `smooth`: below V_s they draw air too, at V_s/2 and below only air, so V stays positive.
 
 The heat is that of all losses but those of the engine, and the power that the drives take: over a cycle it
 ends in the oil, because the arm comes back to its height. In between, the error is the potential energy of
@@ -30,7 +34,7 @@ from fmus.components.circuit import GROUND, HEATS, Branch, Circuit, Kind, Node
 from fmus.components.engine_and_pump import Pump
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar, Subsystem, flat, make_group, nested, quantities, unknown
-from fmus.smooth import unit_limited
+from fmus.smooth import s_curve, unit_limited
 from fmus.supply.variables import CommonParameters, SupplyOutputs, consumers
 
 RESERVOIR = "reservoir_pressure"  # node of the tank
@@ -72,9 +76,16 @@ class RailParameters(Group, relief=MainRelief):
     )
 
 
-class TankParameters(CommonParameters):
+class TankParameters(CommonParameters, return_bypass=(PressureValve, "return filter bypass")):
     """Parameters of return line, tank and cooler."""
 
+    suction_volume: Scalar = Quantity(
+        "m3",
+        "Volume of oil in the tank below which pumps draw air too; at half of it only air",
+        0.1,
+        minimum=1e-6,
+        group="Tank",
+    )
     reservoir_volume_start: Scalar = Quantity("m3", "Initial volume of oil in the tank", 0.1, minimum=0.0)
     return_preload: Scalar = Quantity(
         "Pa",
@@ -112,14 +123,22 @@ class ShaftState(Group):
 
 
 class ShaftOutputs(SupplyOutputs):
-    """Outputs of every variant, viscosity, and two that are zero while the engine is in its range."""
+    """Outputs of every variant, viscosity, and three that are zero while engine and tank are in range."""
 
     oil_viscosity: Scalar = Quantity(
         "m2/s",
         "Kinematic viscosity of the oil in the tank",
         1e-5,
         warn_above=1e-3,
-        meaning="pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only",
+        meaning="pumps of the class start at up to 1.6e-3 m2/s, without load and for a short time only; lags "
+        "of valves and load sensing, check valves, filter and friction of pistons are those of warm oil",
+    )
+    reservoir_volume_below_suction: Scalar = Quantity(
+        "m3",
+        "Oil that the tank lacks to its suction_volume, else zero",
+        0.01,
+        warn_above=0.0,
+        meaning="the pumps draw air and lose their flow",
     )
     engine_speed_below_idle: Scalar = Quantity(
         "rad/s", "Speed that the engine lacks to its idle speed, else zero", 100.0, warn_above=0.0
@@ -168,9 +187,15 @@ class Outlet:
         )
 
 
-def viscous(pump: Pump, x: ShaftState, p: TankParameters) -> Pump:
-    """A pump with the oil at its temperature."""
+def fed(pump: Pump, x: ShaftState, p: TankParameters) -> Pump:
+    """A pump with the oil at its temperature, as far as it is in the tank."""
+    pump = replace(pump, displacement=pump.displacement * oil_share(x, p))
     return engine_and_pump.at_viscosity(pump, oil.viscosity_ratio(x.oil_temperature, p))
+
+
+def oil_share(x: ShaftState, p: TankParameters) -> Scalar:
+    """Share a of oil in what is drawn from the tank."""
+    return s_curve(2 * x.reservoir_volume / p.suction_volume - 1)
 
 
 @dataclass(frozen=True)
@@ -209,8 +234,9 @@ class Supply:
 
     def _into_tank(self, drop: Scalar) -> Scalar:
         """Flow Q_b [m3/s] from the return line into the tank."""
-        valve = partial(engine_and_pump.check_flow, self.p.return_resistance, self.p.check_opening)
-        return valve(drop - self.p.return_preload) - valve(-drop)
+        p, back = self.p, drop - self.p.return_preload
+        valve = partial(engine_and_pump.check_flow, p.return_resistance, p.check_opening)
+        return valve(back) + p.return_bypass.flow(back) - oil_share(self.x, p) * valve(-drop)
 
     def _rise(self, pump: Outlet) -> Scalar:
         return pump.pressure - self.p.reservoir_pressure
@@ -271,6 +297,7 @@ class Supply:
             "supply_pressure_rate": self.circuit.rates["supply_pressure"],
             "tank_pressure_rate": self.circuit.rates["tank_pressure"],
             "hydraulic_power": self.circuit.work(Kind.CONSUMER),
+            "reservoir_volume_below_suction": ca.fmax(p.suction_volume - x.reservoir_volume, 0),
             "engine_speed_below_idle": ca.fmax(p.engine.idle_speed - w, 0),
             "engine_speed_below_stall": ca.fmax(p.engine.stall_speed - w, 0),
             "engine_torque": self.engine_torque,

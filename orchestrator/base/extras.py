@@ -25,7 +25,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 # extra -> what needs it, for the table in README.md
 NEEDED_BY: Mapping[str, str] = {
     "model": "`harvester parameters`, `variants`, `track`, `rig`; the equations in `fmus`",
-    "build": "`harvester build`, `fmus.build`; `batch` and `sweep` run several machines at once on each core",
+    "build": "`harvester build`, `crane`; `fmus.build`; in `batch` and `sweep` several machines on each core",
     "check": "in `harvester check`: validation by FMPy, and results of Model Exchange",
     "view": "`harvester view`",
     "sweep": "`harvester sweep`, `convergence`",

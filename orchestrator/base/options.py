@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from inspect import Parameter, cleandoc, signature
 from math import inf
@@ -229,6 +229,18 @@ def taken(given: dict[str, Any], *names: str, **renamed: str) -> dict[str, Any]:
     """The options with these names, taken out of those of a call; renamed: name -> name in the result."""
     renamed = dict.fromkeys(names, "") | renamed
     return {new or name: given.pop(name) for name, new in renamed.items() if name in given}
+
+
+T = TypeVar("T", bound=Any)
+
+
+def merged(settings: T, options: Mapping[str, Any], **renamed: str) -> T:
+    """Settings with options of a call; raises Problem for one that both have. renamed: field -> option."""
+    for name, value in options.items():
+        if (own := getattr(settings, name)) != getattr(type(settings)(), name):
+            got = f"{value} and {type(settings).__name__}({name}={own})"
+            raise Problem(f"{renamed.get(name, name)}: expected one value, got {got}")
+    return replace(settings, **options)
 
 
 def _checked(name: str, option: Declared, value: Any) -> Any:

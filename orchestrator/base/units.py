@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import isfinite, pi
@@ -63,7 +64,7 @@ _OTHER: Mapping[str, tuple[float, str]] = {
     "L": (1e-3, "m3"), "l": (1e-3, "m3"), "gal": (_GALLON, "m3"),
     "lpm": (1e-3 / 60, "m3/s"), "gpm": (_GALLON / 60, "m3/s"),
     "bar": (1e5, "Pa"), "psi": (_POUND * _GRAVITY / _INCH**2, "Pa"),
-    "min": (60.0, "s"), "h": (3600.0, "s"),
+    "min": (60.0, "s"), "h": (3600.0, "s"), "d": (86400.0, "s"),
     "deg": (pi / 180, "rad"), "rev": (2 * pi, "rad"), "rpm": (pi / 30, "rad/s"),
     "in": (_INCH, "m"), "ft": (12 * _INCH, "m"),
     "lbf": (_POUND * _GRAVITY, "N"), "hp": (550 * 12 * _INCH * _POUND * _GRAVITY, "W"),
@@ -77,7 +78,7 @@ _PREFIXED = frozenset(
     ["g", "m", "s", "A", "N", "Pa", "bar", "J", "W", "V", "C", "Hz", "rad", "L", "l", "Ohm", "mol"]
 )
 _ONLY_SMALL = "mun"  # prefixes of the radian: "Grad" is a degree in German
-_WORDS = {"grad": "deg", "volt": "V", "volts": "V", "sec": "s", "seconds": "s", "liter": "L"}
+_WORDS = {"volt": "V", "volts": "V", "sec": "s", "seconds": "s", "hr": "h", "liter": "L"}
 
 # SI unit -> display unit.
 DISPLAY: Mapping[str, str] = MappingProxyType(
@@ -120,10 +121,17 @@ def parse_unit(text: str, where: str = "unit") -> Unit:
         return _parsed(plain)
     except (_UnknownUnit, OverflowError):  # OverflowError: a power of the factor exceeds the range of floats
         known = {**DISPLAY, **_DERIVED, **_OTHER, **dict.fromkeys(DISPLAY.values())}
-        meant = _WORDS.get(plain.lower())
+        meant = "deg" if plain.lower() == "grad" else ""  # gon in English
         near = f"; did you mean {meant}?" if meant else suggest(plain, known)
         expected = "expected one like bar, psi, L/min, deg/s, kN or mm"
         raise Problem(f"{where}: unit {text!r} is unknown, {expected}{near}") from None
+
+
+def is_unit(text: str) -> bool:
+    """Is this a known unit?"""
+    with suppress(_UnknownUnit, OverflowError):
+        return bool(_parsed(normalised(text)))
+    return False
 
 
 @lru_cache(maxsize=1024)
@@ -154,6 +162,7 @@ def normalised(text: str) -> str:
     """Rewrite a unit of a data logger ("°C", "m³/s", "N·m") in the grammar above; an empty unit is "1"."""
     plain = text.replace("°C", "degC").replace("°F", "degF").replace("°", "deg").replace("**", "")
     plain = re.sub(r"\s*([./()])\s*", r"\1", plain.translate(_SPELLING).strip())
+    plain = _WORDS.get(plain.lower(), plain)
     return re.sub(r"\s+", ".", plain) if plain not in ("", "-") else "1"
 
 
@@ -243,7 +252,8 @@ def doubt(name: str, value: float, unit: str, usual: Iterable[float]) -> str:
     low, high = min(sizes), max(sizes)
     ratio = max(size / high, low / size) * (1 + 1e-9)  # a factor of 1000 may be rounded
     meant = _meant(size, unit, low, high) if ratio >= LIKELY else ""
-    if ratio < FAR and not meant:
+    turns = unit == "rad" and size > 2 * pi >= 2 * high
+    if ratio < FAR and not meant and not turns:
         return ""
     unit = "" if unit in ("1", "-") else f" {unit}"
     hint = f"did you mean {value:.6g} {meant}?" if meant else "is the unit right?"

@@ -10,6 +10,7 @@ from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, File, Folder, command
 
 DEFAULT = BUILD / "faults" / "diagnosis.fmu"
+NOT_KNOWN = 3  # exit status
 
 
 @command
@@ -19,13 +20,14 @@ def diagnose(
     parameters: Annotated[list[Path] | None, Kind("FILE")] = None,
     learn: File | None = None,
     out: Folder = BUILD,
-) -> bool:
+) -> int:
     """Tell what is broken in a machine, from a recording of its pressures, joint angles and commands.
 
-    Writes a report. The exit status is 1 if something is broken.
+    Writes a report. The exit status is 1 if something is broken, and 3 if nothing was found, but less than
+    half of the parts can be judged.
 
-    recording    Columns with the names of the inputs of the FMU, also COMPONENT.NAME or NAME_measured, at
-                 100 Hz or more (.csv, .parquet, .mat, .mf4, .tdms); a .toml of the same name can describe
+    recording    Columns with the names of the inputs of the FMU, also COMPONENT.NAME or NAME_measured, best
+                 at 100 Hz or more (.csv, .parquet, .mat, .mf4, .tdms); a .toml of the same name can describe
                  others.
     fmu          FMU that diagnoses; `harvester build --faults` makes it.
     parameters   Parameter sets (.ssv), such as what was learned of the healthy machine.
@@ -47,7 +49,7 @@ def diagnose(
     if learn is not None:
         write_whole(learn, learned(found))
         print(f"{learn}: {len(learned_values(found))} values of the healthy machine")
-        return True
+        return 0
     print(found.text())
     print(f"Report: {report(found, out / 'diagnosis.html')}")
-    return not found.broken
+    return 1 if found.broken else 0 if found.is_known else NOT_KNOWN

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, File, Folder, Text, command
@@ -74,6 +75,9 @@ def identify(
               cycle excites.
     """
     require("identify", "harvester identify")
+    if not folder.is_dir():  # before the slow imports
+        got = "a file" if folder.is_file() else "no such file or folder"
+        raise Problem(f"{folder}: expected a folder of recordings, got {got}")
     from fmus.identification.command import run as run_identify
     from fmus.identification.machine import FREE
     from orchestrator.base.files import make_folder

@@ -172,10 +172,14 @@ def tell_built(system: Path, swapped: Mapping[str, str | Path]) -> None:
 
 
 def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
-    """The system that the user names, else build/NAME, else the one in the package, with a line about that.
+    """The system that the user names, else build/NAME, here, of the checkout or in the package, with a line.
 
     If there is none, the path, which the caller then reports as missing.
     """
-    from orchestrator.base.files import SYSTEMS, find
+    from orchestrator.base.files import SYSTEMS, find, tell_once
 
-    return find(chosen or BUILD / name, SYSTEMS)
+    found, other = find(chosen or BUILD / name, SYSTEMS), find(chosen or name, SYSTEMS)
+    if found.exists() or not other.exists():
+        return found
+    tell_once(f"{found} does not exist; using {other}")
+    return other

@@ -1,9 +1,13 @@
-"""Recognises and corrects what loggers do to samples: held samples, delays, wraps of angles, error codes."""
+"""Recognises and corrects what loggers do to samples: held samples, delays, wraps of angles, error codes.
+
+Also recognised are rates in another unit than stated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +24,11 @@ LEVELS = 8  # different values, from which a signal has a range
 RARE = 0.05  # largest share of error codes at one end
 STEP = 1.5  # times the smallest step
 FEW = 4  # different error codes
+# a rate over the change of its signal -> what explains that
+RATIOS = {180 / pi: "deg/s read as rad/s", pi / 180: "rad/s read as deg/s"}
+RATIOS |= {1e3: "thousandths read as whole units, or ms as s", 1e-3: "whole units read as thousandths"}
+SCALE = 0.1  # largest error of a gyro's scale
+ALIKE = 0.9  # least R2 of a signal and the integral of its rate
 
 
 def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
@@ -27,7 +36,8 @@ def corrected(raw: Array, time: Array, spec: SignalDescription) -> Array:
 
     time   of each sample, in the unit of `delay`
     """
-    code = np.logical_or.reduce([np.abs(raw - v) <= SAME * abs(v) for v in spec.invalid], initial=False)
+    codes = [v for v in spec.invalid if not isinstance(v, str)]  # words are gaps anyway
+    code = np.logical_or.reduce([np.abs(raw - v) <= SAME * abs(v) for v in codes], initial=False)
     values = spec.factor * np.where(code, np.nan, raw) + spec.offset
     if spec.wrap:
         known = np.isfinite(values)
@@ -65,6 +75,32 @@ def log_faults(raw: Array, spec: SignalDescription, step: float) -> Iterator[str
         yield f"each value is held for {hold:.3g} samples, slower than the log: held = true uses each once"
 
 
+def rate_faults(
+    time: Array, signals: Mapping[str, Array], units: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
+    """Rates [rad/s, m/s] that are a factor of units off the change of the signal that moves like them."""
+
+    def moving(values: Array) -> Array:
+        return np.asarray(values - np.polyval(np.polyfit(time, values, 1), time))  # a gyro's zero is a slope
+
+    for name in (n for n in signals if units.get(n) in ("rad/s", "m/s") and len(time) > 2):
+        rate, found = np.nan_to_num(signals[name]), [(0.0, 0.0, "")]
+        steps = (rate[1:] + rate[:-1]) / 2 * np.diff(time)
+        turned = moving(np.concatenate([[0.0], np.cumsum(steps)]))
+        for other, values in signals.items():
+            known = np.isfinite(values)
+            if f"{units.get(other)}/s" == units[name] and known.any():
+                moved = moving(np.interp(time, time[known], values[known]))
+                both, own, its = (
+                    float(a @ b) for a, b in ((moved, turned), (moved, moved), (turned, turned))
+                )
+                found.append((both**2 / (own * its or np.inf), abs(both) / (own or np.inf), other))
+        alike, ratio, other = max(found)
+        meant = next((text for r, text in RATIOS.items() if abs(ratio / r - 1) < SCALE), "")
+        if meant and alike > ALIKE:
+            yield name, f"{ratio:.3g} times as fast as {other} changes: {meant}?"
+
+
 def unwrapping(raw: Array, spec: SignalDescription, column: str) -> SignalDescription:
     """The description with the key `wrap`, and a line, if the column is an angle that jumps by a turn."""
     values = corrected(raw, raw, replace(spec, delay=0.0, held=False))
@@ -83,7 +119,8 @@ def _wraps(values: Array, unit: str) -> tuple[float, int]:
         turn = parse_unit("rev").factor / parse_unit(unit).factor
     else:
         return 0.0, 0
-    return turn, int((np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1).sum())
+    in_one = values.size and np.ptp(values) < 1.1 * turn  # an angle that was not unwrapped
+    return turn, int(in_one and (np.abs(np.abs(np.diff(values)) / turn - 1) < 0.1).sum())
 
 
 def _codes(values: Array) -> list[float]:

@@ -120,7 +120,7 @@ class SignalDescription:
     column: str = ""
     factor: Annotated[float, Rule("another number than 0", lambda value: value != 0)] = 1.0
     offset: float = 0.0
-    invalid: tuple[float, ...] = ()
+    invalid: tuple[float | str, ...] = ()
     wrap: Annotated[float, POSITIVE] | None = None
     held: bool = False
     delay: float = 0.0

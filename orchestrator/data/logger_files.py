@@ -1,4 +1,6 @@
-"""Reads the files of loggers: MDF 4 (.mf4) by asammdf, TDMS by npTDMS. Other formats are refused by name.
+"""Reads the files of loggers: MDF 4 (.mf4) by asammdf, TDMS by npTDMS, headers of LabVIEW (.lvm).
+
+Other formats are refused by name.
 
 The groups of such a file have clocks of their own. All are read on one clock, the column `time` [s]: that of
 the group with the most samples. A sample of a slower group is at the nearest of these times, between gaps.
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit
 from orchestrator.data.matlab import ERRORS, MAX_BYTES
 
@@ -31,7 +34,10 @@ HEAD = 512  # bytes that show the format of a file
 TIME, SECOND = "time", np.timedelta64(1, "s")
 DENSE = 1.5  # periods of a clock; samples that are closer have no gap in between
 ROUNDING = 1e-6  # of times, in periods
-CLOCK = re.compile(r"t$|.*time|.*zeit", re.IGNORECASE)  # names of channels of times
+CLOCK = re.compile(  # names of columns of times
+    r"t$|(?-i:t)(_[mun]?s)?(\s*[\[(].*)?$|x_value|.*(time|zeit|uhr|stamp|datum|\bdate\b)", re.IGNORECASE
+)
+LABVIEW, END_OF_HEADER = "LabVIEW Measurement", "***End_of_Header***"
 MDF, TDMS = "an MF4", "a TDMS"
 READ = {b"MDF     4": MDF, b"UnFinMF ": MDF, b"TDSm": TDMS}  # beginning of a file -> its format
 DECODE, EXPORT, SHEET = (
@@ -50,6 +56,10 @@ OTHERS = {  # beginning of a file -> its format, and the way out
     rb"PK\x03\x04|\x1f\x8b|BZh\d1AY|7z\xbc\xaf|\xfd7zXZ|\x28\xb5\x2f\xfd": ("an archive", "unpack it"),
     rb"\x89PNG|\xff\xd8\xff|GIF8[79]a|%PDF": ("a picture or a PDF", "export its values as CSV"),
     rb"PAR1[\0-\x1f]": ("Parquet", "name it .parquet"),
+    rb"DIAEXTENDED|(\xef\xbb\xbf)?<\?xml.*<\w*:?tdm\b": (
+        "a header of DIAdem",
+        "export its channels as TDMS or CSV",
+    ),
     rb"\x89HDF|MATLAB 5": ("MATLAB or HDF5", "name it .mat, or export CSV"),
 }
 
@@ -66,6 +76,40 @@ def logger_format(file: Location) -> str:
         if re.match(begin, head, re.DOTALL):
             raise Problem(f"{file}: expected a text (CSV), MF4 or TDMS file, got {name}: {advice}")
     return next((kind for begin, kind in READ.items() if head.startswith(begin)), "")
+
+
+def labview_table(file: Location, text: str) -> str:
+    """The table of a LabVIEW measurement file in its lines, with units in the names; another text as it is.
+
+    Without a column of times they follow from the header. Comments and further columns of the same times are
+    left out.
+    """
+    if not text.startswith(LABVIEW):
+        return text
+    *headers, table = text.split(END_OF_HEADER)
+    if len(headers) != 2:
+        raise Problem(
+            f"{file}: expected one header of channels, got {len(headers) - 1}: write a file for each"
+        )
+    mark = "," if "\nSeparator," in headers[0] else "\t"
+    entries = {key: values for key, *values in (row.split(mark) for row in "".join(headers).splitlines())}
+    try:
+        steps = [step for step in entries["Delta_X"] if step.strip()]
+        start, every = (float(n.replace(",", ".")) for n in (entries["X0"][0], steps[0]))
+        _, names, *rows = (line.split(mark) for line in table.splitlines())
+    except (LookupError, ValueError):
+        raise Problem(
+            f"{file}: expected a LabVIEW measurement, got one without X0, Delta_X or names"
+        ) from None
+    if {*steps} != {steps[0]}:
+        raise Problem(f"{file}: expected one Delta_X, got {first_names(steps)}: write a file for each")
+    units = ["s", *entries.get("Y_Unit_Label", ()), *[""] * len(names)]
+    kept = [k for k, n in enumerate(names) if n not in ("", "Comment") and (n != "X_Value" or not k)]
+    lines = [mark.join(f"{names[k]} [{units[k]}]" if units[k] else names[k] for k in kept)]
+    for k, row in enumerate(rows):
+        time = row[0] or f"{start + k * every:.12g}".replace(".", "," if "," in steps[0] else ".")
+        lines.append(mark.join([time, *(row[i] for i in kept[1:] if i < len(row))]) if any(row) else "")
+    return "\n".join([""] * (sum(header.count("\n") for header in headers) + 1) + lines)
 
 
 @contextmanager

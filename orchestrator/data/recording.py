@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require, tell_once, write_columns
-from orchestrator.base.units import convert, number_and_unit, parse_unit, si_unit
-from orchestrator.data.corrections import corrected, log_faults, unwrapping
+from orchestrator.base.units import convert, is_unit, number_and_unit, parse_unit, si_unit
+from orchestrator.data.corrections import corrected, log_faults, rate_faults, unwrapping
 from orchestrator.data.description import (
     Condition,
     Description,
@@ -31,7 +31,7 @@ from orchestrator.data.description import (
     read_description,
     write_description,
 )
-from orchestrator.data.table import READABLE, Array, Columns, is_unit, read_columns, time_axis
+from orchestrator.data.table import READABLE, Array, Columns, read_columns, time_axis
 from orchestrator.data.trace import TIME, Trace, checked, inside, trace_of
 
 Mask = NDArray[np.bool_]
@@ -145,7 +145,9 @@ class Recording(Trace):
 
     def log_faults(self) -> Iterator[str]:
         """A line for each fault of the logger."""
-        yield from (f"{self.source}: {name}: {fault}" for name in self for fault in self.faults.get(name, ()))
+        found = [(name, fault) for name in self for fault in self.faults.get(name, ())]
+        rates = rate_faults(self.time, self.signals, self.units)
+        yield from (f"{self.source}: {name}: {fault}" for name, fault in (*found, *rates))
 
     def sensor(self, name: str) -> Sensor:
         """The instrument of a signal; without properties if the description contains none."""

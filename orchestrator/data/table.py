@@ -13,13 +13,13 @@ import csv
 import json
 import math
 import re
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from io import BytesIO
-from itertools import islice
+from itertools import islice, pairwise, product, takewhile, zip_longest
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,14 +29,15 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, tell_once
+from orchestrator.base.text import first_names
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
-from orchestrator.base.units import factor_and_offset, parse_unit
-from orchestrator.data.logger_files import channels, logger_format, on_one_clock
+from orchestrator.base.units import factor_and_offset, is_unit
+from orchestrator.data.logger_files import CLOCK, channels, labview_table, logger_format, on_one_clock
 from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
 
 Array = NDArray[np.float64]
 SUFFIXES = (".csv", ".parquet", ".mat")  # of a run
-READABLE = (*SUFFIXES, ".mf4", ".mdf", ".tdms")
+READABLE = (*SUFFIXES, ".mf4", ".mdf", ".tdms", ".lvm")
 PARTIAL = ".partial.csv"  # end of the name of a trace that is being written, see `trace_writer`
 GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # texts that loggers write for a missing sample
 WORDS = {"true": 1.0, "wahr": 1.0, "false": 0.0, "falsch": 0.0}
@@ -46,10 +47,16 @@ MAX_LISTED_COLUMNS = 256  # a matrix with more columns is read by rows
 LINE_BREAK = re.compile(r"\r\n?|\n")
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs", r"\s+": "white space"}
 FIRST_ROWS, FIRST_CELLS = 30, 200  # number of rows, and of their cells, that show how a file is written
+MOST_HEADINGS = 3  # rows of texts below the names: units, channels, comments
 DAY, FIRST_DATE, LAST_DATE = 86400.0, 1e9, 1e11  # [s]; times in between are seconds since 1970
+# days of a spreadsheet in the years 1970 to 2099; steps of a logger are shorter than 9 s = 1e-4 d
+FIRST_DAY, LAST_DAY, LONGEST_STEP = 25569.0, 73050.0, 1e-4
 NUMBER = re.compile(r"([-+]?(?:\d[\d.,']*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_].*|[%°].*)?")  # and its unit
 DATE = re.compile(r"\d\d?\.\d\d?\.\d{4}|\d{4}-\d\d-\d\d")
-GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= )")
+GERMAN_DATE = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?= |$)")
+MATLAB_DATE = re.compile(r"(\d\d)-([A-Z][a-z]{2})-(\d{4})(?= )")
+MONTHS = "JanFebMarAprMayJunJulAugSepOctNovDec"
+LIKE_NUMBER = re.compile(r"[-+]?[.,]?\d")  # beginning of a cell that is no word, such as "Not available"
 NAME_AND_UNIT = re.compile(r"(.*\S)(?: *\[([^][]+)\]| +\(([^()]+)\))", re.DOTALL)
 
 FILE_NAME = Rule("the name of a file in the folder of the description", lambda v: Path(v).name == v)
@@ -62,15 +69,15 @@ class TextFormat:
     csv          name of the data file, of any format; "": the name of the description
     delimiter    one character, or r"\s+" for any white space; None: detected
     decimal      a point or a comma; None: detected
-    skip_lines   number of lines before the column names
-    skip_rows    number of rows between the column names and the numbers that are not read; None: a row of
-                 units is recognised
+    skip_lines   number of lines before the column names; None: detected
+    skip_rows    number of rows between the column names and the numbers that are not read; None: rows of
+                 units and other texts are recognised
     """
 
     csv: Annotated[str, FILE_NAME] = ""
     delimiter: str | None = None
     decimal: str | None = None
-    skip_lines: Annotated[int, NOT_NEGATIVE] = 0
+    skip_lines: Annotated[int | None, NOT_NEGATIVE] = None
     skip_rows: Annotated[int | None, NOT_NEGATIVE] = None
 
 
@@ -82,6 +89,7 @@ class Columns:
     row_word   "line" or "row", for messages
     units      units that the file contains
     moments    columns of times of day or dates, [s] since midnight or 1970 -> the first cell
+    faults     columns that are left out, such as those of texts -> why
     """
 
     file: str
@@ -90,6 +98,7 @@ class Columns:
     row_word: str = "row"
     units: Mapping[str, str] = field(default_factory=dict)
     moments: Mapping[str, str] = field(default_factory=dict)
+    faults: Mapping[str, str] = field(default_factory=dict)
 
     def location(self, sample: int) -> str:
         """File and line or row of a sample, for messages."""
@@ -101,12 +110,14 @@ def read_columns(
     names: Collection[str] | None,
     form: TextFormat | None = None,
     named: bool = True,
+    unread: list[str] | None = None,
 ) -> Columns:
     """Read columns of a file: Parquet (.parquet), MATLAB (.mat), or MF4, TDMS or text (any other suffix).
 
-    names   columns to read; None: all columns of a text or Parquet file, in their order
-    form    format of a text file; None: detected
-    named   True if a text file has a row of names; else its columns are "0", "1", ...
+    names    columns to read; None: all columns of a text or Parquet file, in their order
+    form     format of a text file; None: detected
+    named    True if a text file has a row of names; else its columns are "0", "1", ...
+    unread   gets a sentence for each column that is left out, such as one of texts; None: it is refused
     """
     file = source if isinstance(source, Location) else Location(source)
     suffix = Path(str(file)).suffix.lower()
@@ -119,7 +130,11 @@ def read_columns(
     elif kind := logger_format(file):
         columns = _read_logger(file, kind, names)
     else:
-        columns = _read_text(file, names, form, named)
+        columns = _read_text(file, names, form, named, gaps=names is not None or unread is not None)
+    for fault in columns.faults.values():
+        if unread is None:
+            raise Problem(fault)
+        unread.append(f"{fault}; left out")
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")
     for name, values in columns.values.items():
@@ -130,23 +145,10 @@ def read_columns(
     return columns
 
 
-def column_names(source: Path, form: TextFormat | None = None) -> list[str]:
-    """The names of the columns of a file; texts and empty arrays of a MATLAB file are left out."""
-    file, suffix = Location(source), source.suffix.lower()
-    if suffix == ".mat":
-        columns = dict(_flat_columns("", read_variables(file)))
-        return [name for name, content in columns.items() if isinstance(content, np.ndarray)]
-    if suffix == ".parquet":
-        return list(_read_parquet(file, None).values)
-    if kind := logger_format(file):
-        return list(_read_logger(file, kind, None).values)
-    return _Text(file, form or TextFormat()).names
-
-
 def _read_logger(file: Location, kind: str, names: Collection[str] | None) -> Columns:
     """Columns of an MF4 or TDMS file, with units."""
     with channels(file, kind) as found:
-        chosen = _column_indices(["time", *found], names, str(file))
+        chosen = _column_indices(["time", *found], names, str(file), {})
         values, units = on_one_clock(file, {n: found[n] for n in chosen if n in found}, names is None)
     return Columns(str(file), values, range(1, 1 + len(next(iter(values.values()), ()))), "sample", units)
 
@@ -158,69 +160,92 @@ def split_unit(name: str) -> tuple[str, str]:
     return (match[1], unit) if match and not unit.isdigit() and is_unit(unit) else (name, "")
 
 
-def is_unit(text: str) -> bool:
-    """Is this a known unit?"""
-    with suppress(Problem):
-        return bool(parse_unit(text))
-    return False
+def clock(columns: Columns) -> str:
+    """The first column with the name of a clock, or of dates, whose times increase; "" without one."""
+    clocks = (n for n in columns.values if n in columns.moments or CLOCK.match(n))
+    return next((n for n in clocks if (np.diff(columns.values[n]) > 0).all()), "")
+
+
+def is_in_days(columns: Columns, name: str) -> bool:
+    """Has a column of times without a unit the days of a spreadsheet?"""
+    times, stated = columns.values[name], {*columns.moments, *columns.units}
+    usual = len(times) > 1 and 0 < np.median(np.diff(times)) < LONGEST_STEP
+    return name not in stated and bool(usual and FIRST_DAY <= times[0] < LAST_DAY)
 
 
 def time_axis(columns: Columns, name: str, unit: str = "", offset: float = 0.0) -> Array:
     """The times in a column [s], from `unit`, or else from that of the file; offset: added [s].
 
-    Dates, times of day, and seconds since 1970 begin at 0. The latter may be ms, us or ns without a unit.
+    Dates, times of day, days of a spreadsheet, and seconds since 1970 begin at 0. The latter may be ms, us or
+    ns without a unit.
     """
     values, moment = columns.values[name], columns.moments.get(name, "")
-    unit, where = unit or columns.units.get(name, "s"), f"{columns.file}: column {name!r}"
+    unit = unit or columns.units.get(name) or ("d" if is_in_days(columns, name) else "s")
+    where = f"{columns.file}: column {name!r}"
     factor = 1.0 if moment else factor_and_offset(unit, "s", where)[0]
     begin = factor * values[0] + offset
     if not moment and not begin >= FIRST_DATE:
         return np.asarray(factor * values + offset)
     factor *= next((f for f in (1.0, 1e-3, 1e-6) if f * begin < LAST_DATE), 1e-9)
-    tell_once(f"{where}: {moment or f'{values[0]:.16g} since 1970'} is taken as 0 s")
+    first = f"{values[0]:.16g} {'d' if unit == 'd' else 'since 1970'}"
+    tell_once(f"{where}: {moment or first} is taken as 0 s")
     # seven digits of a second are certain in seconds since 1970
     return np.asarray(np.round(factor * (values - values[0]), 6) + offset)
 
 
 def _read_text(
-    file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool
+    file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool, gaps: bool
 ) -> Columns:
     text = _Text(file, form or TextFormat(), named)
-    indices = _column_indices(text.names, names, str(file), f"line {text.form.skip_lines + 1}: ")
+    faults = dict[str, str]()
+    indices = _column_indices(text.names, names, str(file), faults, f"line {text.above + 1}: ")
     text.check_widths()
     numbers, table = list(text.rows), np.empty((len(indices), len(text.rows)))
     for start in range(0, len(numbers), CHUNK):
         part = {number: text.rows[number] for number in numbers[start : start + CHUNK]}
         table[:, start : start + CHUNK] = text.parse_rows(part, indices).T
     values, first = dict(zip(indices, table, strict=True)), text.cells(text.rows[numbers[0]])
-    moments = {name: first[k].strip() for name, k in indices.items() if ":" in first[k]}
+    for name, fault in text.faults.items():
+        words = text.words[name]
+        if gaps and words.total() < np.isfinite(values[name]).sum() and not CLOCK.match(name):
+            told = first_names(f"{n} {shortened(word)!r}" for word, n in words.most_common())
+            tell_once(f"{file}: column {name!r}: gaps in place of {told}")
+        else:
+            faults[name] = fault
+            del values[name], indices[name]
+    cells = {name: first[k].strip() for name, k in indices.items()}
+    moments = {name: cell for name, cell in cells.items() if ":" in cell or DATE.fullmatch(cell)}
     for name in (n for n, cell in moments.items() if ":" in cell[:3]):  # times of day, over midnight
         values[name] += DAY * np.cumsum(np.diff(values[name], prepend=values[name][0]) < -DAY / 2)
     units = {name: text.units[text.names[k]] for name, k in indices.items() if text.names[k] in text.units}
-    return Columns(str(file), values, numbers, "line", units, moments)
+    return Columns(str(file), values, numbers, "line", units, moments, faults)
 
 
 class _Text:
     """A text file: how it is written follows from its format, or else from its first rows.
 
     names       of the columns; without a row of names "0", "1", ... of the first line
-    units       of columns, in their names, in a row below them or in all cells
+    above       number of lines above the names
+    units       of columns, in their names, in a row next to them or in all cells
     rows        those of numbers that are not blank, by the numbers of their lines, counted from 1
     mark        the delimiter, None for any white space
     decimal     a point or a comma
+    words       column -> texts in place of numbers, such as "Not available", with their counts
+    faults      column -> message about its first cell without a number
     """
 
     def __init__(self, file: Location, form: TextFormat, named: bool = True) -> None:
         self.file, self.form = file, form
+        self.words, self.faults = defaultdict[str, Counter[str]](Counter), dict[str, str]()
         self.check_format()
-        text = self._text()
-        if named and not form.skip_lines and (above := _lines_above(text)):
-            left_out = f"lines 1 to {above} are" if above > 1 else "line 1 is"
-            tell_once(f"{file}: {left_out} left out, the names are in line {above + 1}")
-            self.form = form = replace(form, skip_lines=above)
-        breaks = [match.end() for match in islice(LINE_BREAK.finditer(text), form.skip_lines)]
+        text, detected = self._text(), named and form.skip_lines is None
+        self.above = _lines_above(text) if detected else form.skip_lines or 0
+        if detected and self.above:
+            left_out = f"lines 1 to {self.above} are" if self.above > 1 else "line 1 is"
+            tell_once(f"{file}: {left_out} left out, the names are in line {self.above + 1}")
+        breaks = [match.end() for match in islice(LINE_BREAK.finditer(text), self.above)]
         start = breaks[-1] if breaks else 0
-        if len(breaks) < form.skip_lines or not text[start:].strip():
+        if len(breaks) < self.above or not text[start:].strip():
             raise Problem(f"{file}: expected two or more rows of numbers, got an empty file")
         marks = [form.delimiter] if form.delimiter else [m for m in DELIMITERS if m != form.decimal]
         fits = {mark: _count_values(text, start, mark) for mark in marks}
@@ -232,36 +257,60 @@ class _Text:
         self.names = names[:-1] if names[1:] and not names[-1] else names  # of a delimiter at the end
         if not named and _is_heading(names):
             got = f"got names: select columns by name, such as {names[0]!r}, not by index"
-            raise Problem(f"{file}: line {form.skip_lines + 1}: expected numbers, {got}")
+            raise Problem(f"{file}: line {self.above + 1}: expected numbers, {got}")
+        if detected and all(map(_is_value, names)):
+            got = f"got the numbers {first_names(names)}: add a line of names"
+            raise Problem(f"{file}: line {self.above + 1}: expected the names of the columns, {got}")
         if not named:
             self.names, end = [str(i) for i in range(len(self.names))], start
         lines = text[end:].replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
         if named:  # the rest of the line of names, which is empty
             del lines[0]
         self.rows = self._rows(lines, len(LINE_BREAK.findall(text, 0, end)) + 1 + named)
+        heading = self._take_heading(form.skip_rows if named else 0)
         self._join_date()
         has_comma = self.delimiter != "," and text.find(",", end) >= 0
         self.decimal = form.decimal or (self._decimal() if has_comma else ".")
-        first = [self.cells(row) for row in islice(self.rows.values(), FIRST_ROWS)]
-        has_units = named and form.skip_rows is None and _is_heading(*first[:1])
-        self.units = {name: unit for name in self.names if (unit := split_unit(name)[1])}
-        if has_units:
-            self.units |= {n: _unwrapped(unit) for n, unit in zip(self.names, first[0], strict=False) if unit}
-        skipped = int(has_units) if form.skip_rows is None else form.skip_rows
-        for number in list(islice(self.rows, skipped)):
-            del self.rows[number]
         if not self.rows:
             raise Problem(f"{file}: expected two or more rows of numbers, got none")
+        first = [self.cells(row) for row in islice(self.rows.values(), FIRST_ROWS)]
         for k, name in enumerate(self.names):
-            if unit := _unit_of([row[k].strip() for row in first[skipped:] if k < len(row)]):
+            if unit := _unit_of([row[k].strip() for row in first if k < len(row)]):
                 self.units[name] = unit
         found = {
             f"cells separated by {DELIMITERS.get(self.delimiter)}": self.delimiter != (form.delimiter or ","),
             "decimal commas": self.decimal != (form.decimal or "."),
-            "a row of units": has_units,
+            heading: heading,
         }
         if told := ", ".join(words for words, is_so in found.items() if is_so):
             tell_once(f"{file}: read with {told}")
+
+    def _take_heading(self, skip_rows: int | None) -> str:
+        """Take the rows of units and other texts off the numbers; what was found, for a message.
+
+        Names that are not unique are joined with the other texts of their columns.
+        """
+        few = islice(self.rows.items(), skip_rows or MOST_HEADINGS)
+        rows = [(number, [cell.strip() for cell in self.cells(row)]) for number, row in few][:skip_rows]
+        below = dict(rows if skip_rows is not None else takewhile(lambda row: _is_heading(row[1]), rows))
+        for number in below:
+            del self.rows[number]
+        if numbers := sum(not _is_heading(row) for row in below.values()):
+            tell_once(f"{self.file}: {numbers} rows of numbers are left out, as skip_rows = {skip_rows}")
+        if skip_rows is not None:
+            below = {}
+        units = next(filter(_are_units, below.values()), [])
+        texts = {number: row for number, row in below.items() if not _are_units(row)}
+        found, names = ["a row of units"] if units else [], self.names
+        if texts and len({*names}) < len(names):
+            parts = zip_longest((split_unit(name)[0] for name in names), *texts.values(), fillvalue="")
+            self.names = [" ".join(filter(None, cells)) for cells in parts]
+            found.append("names of several rows")
+        elif texts:
+            found.append(f"line {', '.join(map(str, texts))} left out")
+        stated = zip_longest(self.names, (split_unit(name)[1] for name in names), units, fillvalue="")
+        self.units = {n: unit for n, inside, below in stated if (unit := _unwrapped(below) or inside)}
+        return ", ".join(found)
 
     def place(self, key: str) -> str:
         """Where the user can set a key of the format."""
@@ -305,7 +354,7 @@ class _Text:
             tell_once(f"{self.file}: line {line}: {got}; read as Windows-1252")
         if self.file.path.name.endswith(PARTIAL):  # the last row is cut if the run was killed
             text = text[: text.rfind("\n") + 1]
-        return text
+        return labview_table(self.file, text)
 
     def _rows(self, lines: Sequence[str], first: int) -> dict[int, str | list[str]]:
         """The rows after the number `first` of a line; as cells if any has quotes (RFC 4180).
@@ -351,7 +400,7 @@ class _Text:
             escaped = other.replace("\t", r"\t")
             hint = self.place(f'delimiter = "{escaped}"')
             expected = f"expected cells separated by {self.delimiter!r} ({origin})"
-            raise Problem(f"{self.file}: line {self.form.skip_lines + 1}: {expected}, got {other!r}: {hint}")
+            raise Problem(f"{self.file}: line {self.above + 1}: {expected}, got {other!r}: {hint}")
 
     def check_widths(self) -> None:
         """Refuse a row with fewer or more cells than the row of names, but for an empty one at the end."""
@@ -371,27 +420,29 @@ class _Text:
         """Convert the columns `indices` of rows, by the numbers of their lines; shape (rows, columns)."""
         columns, point = list(indices.values()), self.decimal
         lines = [row.replace(point, ".") for row in rows.values() if isinstance(row, str)]
-        mixed = point == "," and any("." in (r if isinstance(r, str) else "".join(r)) for r in rows.values())
+        mixed = point == "," and any("." in row for row in rows.values() if isinstance(row, str))
         with suppress(ValueError):  # a gap, or a cell that is not a number
-            if not lines and not mixed:
-                cells = [[row[k].replace(point, ".") for k in columns] for row in rows.values()]
-                return np.array(cells, float)
-            if not mixed:
+            if len(lines) == len(rows) and not mixed:
                 table = np.loadtxt(lines, delimiter=self.mark, usecols=columns, comments=None, ndmin=2)
                 if len(table) == len(rows):
                     return table
-        table = np.empty((len(rows), len(indices)))
-        for i, (number, row) in enumerate(rows.items()):
-            cells_of_row = self.cells(row)
-            for j, (name, index) in enumerate(indices.items()):
-                table[i, j] = self.parse_cell(cells_of_row[index].strip(), number, name, index)
+        table, split = np.empty((len(rows), len(indices))), [self.cells(row) for row in rows.values()]
+        for j, (name, index) in enumerate(indices.items()):
+            cells = [row[index].strip() for row in split]
+            try:
+                if point == "," and any("." in cell for cell in cells):
+                    raise ValueError
+                table[:, j] = np.array([cell.replace(point, ".") for cell in cells], float)
+            except ValueError:
+                each = zip(cells, rows, strict=True)
+                table[:, j] = [self.parse_cell(cell, number, name, index) for cell, number in each]
         return table
 
     def parse_cell(self, cell: str, line: int, column: str, index: int) -> float:
-        """The number in a cell, with or without the unit of its column; NaN for a gap."""
+        """The number in a cell, with or without the unit of its column; NaN for a gap or a fault."""
         match, unit, comma = NUMBER.fullmatch(cell), self.units.get(self.names[index]), self.decimal == ","
         number = match[1] if match and match[2] == unit else cell
-        if ":" in number:
+        if ":" in number or DATE.fullmatch(number):
             value = _moment(number)
         elif (comma and "." in number) or (unit != ONE and number.lower() in WORDS):
             value = None
@@ -405,13 +456,18 @@ class _Text:
             elif "/" in number or ":" in number:
                 hint = ": a time is like 2026-03-02T08:15:00.050 or 08:15:00,050"
             where = f"{self.file}: line {line}: column {column!r}"
-            raise Problem(f"{where}: expected a number{expected}, got {shortened(cell)!r}{hint}")
-        return value
+            got = f"got {shortened(cell)!r}{hint}"
+            self.faults.setdefault(column, f"{where}: expected a number{expected}, {got}")
+            # what may be a number makes all of the column unreadable
+            may_be = LIKE_NUMBER.match(cell) or cell.lower() in WORDS
+            self.words[column][cell] += len(self.rows) if may_be else 1
+        return math.nan if value is None else value
 
 
 def _moment(cell: str) -> float | None:
     """A date and time [s] since 1970, or a time of day [s]; None for other texts."""
     text = GERMAN_DATE.sub(lambda day: f"{day[3]}-{day[2]:0>2}-{day[1]:0>2}", cell)
+    text = MATLAB_DATE.sub(lambda day: f"{day[3]}-{MONTHS.find(day[2]) // 3 + 1:02}-{day[1]}", text)
     text = f"1970-01-01 {'0' * (text[1] == ':')}{text}" if ":" in text[1:3] else text
     with suppress(ValueError):
         moment = datetime.fromisoformat(text)
@@ -421,7 +477,7 @@ def _moment(cell: str) -> float | None:
 
 def _is_value(cell: str) -> bool:
     is_time = ":" in cell and _moment(cell) is not None
-    return is_time or bool(NUMBER.fullmatch(cell)) or cell.lower() in WORDS
+    return is_time or bool(NUMBER.fullmatch(cell) or DATE.fullmatch(cell)) or cell.lower() in WORDS
 
 
 def _count_values(text: str, start: int, delimiter: str) -> int:
@@ -436,19 +492,35 @@ def _count_values(text: str, start: int, delimiter: str) -> int:
 
 
 def _lines_above(text: str) -> int:
-    """The number of lines above the names: these are the last heading before the most rows of its width."""
-    starts = [0, *(match.end() for match in islice(LINE_BREAK.finditer(text), FIRST_ROWS))]
-    best, above = 0, 0
-    for number, start in enumerate(starts):
-        line = LINE_BREAK.split(text[start : starts[number + 1] if number + 1 < len(starts) else None], 1)[0]
-        for delimiter in DELIMITERS:
-            names = _cells(line, delimiter if len(delimiter) == 1 else None)[0]
-            if number and (not _is_heading(names) or all(is_unit(_unwrapped(n)) for n in names if n)):
-                continue
-            count = _count_values(text, start, delimiter)
-            if count > best or (above and count == best):
-                best, above = count, number
-    return above
+    """The number of lines above the names, which are in the heading before the most rows of its width.
+
+    Of the rows of a heading they are the one with a clock, else the one above the units, else the last.
+    """
+    starts = [0, *(match.end() for match in islice(LINE_BREAK.finditer(text), FIRST_ROWS)), len(text)]
+    lines = [LINE_BREAK.split(text[a:b], maxsplit=1)[0] for a, b in pairwise(starts)]
+    best, last, end, mark = 0, 0, 0, None
+    for number, delimiter in product(range(len(lines)), DELIMITERS):
+        m = delimiter if len(delimiter) == 1 else None
+        row, past = _cells(text, m, starts[number])
+        if starts[number] < end or (number and not _is_heading(row)):  # in a quoted name, or no heading
+            continue
+        count = _count_values(text, starts[number], delimiter)
+        if count > best or (count == best > 0 and number > last):
+            best, last, end, mark = count, number, past, m
+    rows, first = [_cells(line, mark)[0] for line in lines[: last + 1]], last
+    while first and len(rows[first - 1]) == len(rows[last]) and _is_heading(rows[first - 1]):
+        first -= 1
+    plain = [k for k in range(first, last + 1) if not _are_units(rows[k])] or [first]
+    with_clock = [k for k in plain if any(map(CLOCK.match, rows[k]))]
+    over_units = [k for k in plain if k < last and _are_units(rows[k + 1])]
+    return (with_clock or over_units or plain[-1:])[0]
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    """Are all of these texts units, or half of them if none is the name of a clock?"""
+    cells = [cell for cell in row[:FIRST_CELLS] if cell]
+    share = sum(is_unit(_unwrapped(cell)) for cell in cells) / max(len(cells), 1)
+    return share == 1 or (share >= 0.5 and not any(map(CLOCK.match, cells)))
 
 
 def _is_heading(row: Sequence[str] = ()) -> bool:
@@ -466,33 +538,35 @@ def _unwrapped(unit: str) -> str:
 
 def _unit_of(cells: Sequence[str]) -> str:
     """The unit behind the numbers in all cells but gaps, that of Booleans, or ""."""
-    numbers = [NUMBER.fullmatch(cell) for cell in cells if cell.lower() not in GAP_MARKS]
-    if numbers and all(cell.lower() in {*WORDS, *GAP_MARKS} for cell in cells):
+    known = [cell for cell in cells if cell.lower() not in GAP_MARKS]
+    if known and all(cell.lower() in WORDS for cell in known):
         return ONE
+    numbers = (NUMBER.fullmatch(cell) for cell in known if LIKE_NUMBER.match(cell))
     units = {number[2] if number else None for number in numbers}
     unit = units.pop() if len(units) == 1 else None
     return unit if unit and is_unit(unit) else ""
 
 
 def _column_indices(
-    header: Sequence[str], names: Collection[str] | None, file: str, where: str = ""
+    header: Sequence[str], names: Collection[str] | None, file: str, faults: dict[str, str], where: str = ""
 ) -> dict[str, int]:
-    """Index of each requested column (None: all columns), which must occur exactly once."""
+    """Index of each requested column, which must occur exactly once; None: all, `faults` gets the others."""
     counts, index = Counter(header), {name: i for i, name in enumerate(header)}
     bare = [split_unit(name)[0] for name in header]  # these names do, too
     counts, index = Counter(bare) | counts, {name: i for i, name in enumerate(bare)} | index
-    if names is None and "" in counts:
-        raise Problem(f"{file}: {where}column {list(header).index('') + 1} has no name")
     selected = header if names is None else sorted(names)
-    for name in selected:
-        if counts[name] > 1:
-            raise Problem(
-                f"{file}: expected the column {shortened(name)!r} once, got it {counts[name]} times"
-            )
-        if not counts[name]:
+    for name in dict.fromkeys(selected):
+        if names is None and not name:
+            faults[name] = f"{file}: {where}column {list(header).index('') + 1} has no name"
+        elif counts[name] > 1:
+            got = f"got it {counts[name]} times"
+            faults[name] = f"{file}: expected the column {shortened(name)!r} once, {got}"
+        elif not counts[name]:
             got = f"got {_name_list(header)}{suggest(name, header)}"
-            raise Problem(f"{file}: expected a column {shortened(name)!r}, {got}")
-    return {name: index[name] for name in selected}
+            faults[name] = f"{file}: expected a column {shortened(name)!r}, {got}"
+    for fault in faults.values() if names is not None else ():
+        raise Problem(fault)
+    return {name: index[name] for name in selected if name not in faults}
 
 
 def _cells(text: str, mark: str | None, start: int = 0) -> tuple[list[str], int]:
@@ -534,6 +608,19 @@ def _number(cell: str) -> float | None:
         return math.nan if word in GAP_MARKS else WORDS.get(word)
 
 
+def _numeric(
+    columns: Iterable[str], values: Callable[[str], Array], faults: dict[str, str]
+) -> dict[str, Array]:
+    """The values of columns; `faults` gets the reason of each that has none."""
+    found = dict[str, Array]()
+    for name in columns:
+        try:
+            found[name] = values(name)
+        except Problem as problem:
+            faults[name] = str(problem)
+    return found
+
+
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a Parquet file, or of a folder of them, with units from the fields. A null is a gap."""
     require("files", f"{file}: a Parquet file", "pyarrow")
@@ -542,22 +629,22 @@ def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
 
     try:
         parts = sorted(file.path.glob("*.parquet")) if file.is_folder else [file.path]
-        tables, rows = [], 0
+        tables, rows, faults = [], 0, dict[str, str]()
         for part in parts:
             with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else part) as opened:
                 schema, rows = opened.schema_arrow, rows + opened.metadata.num_rows
-                selected = list(_column_indices(schema.names, names, str(file)))
+                selected = list(_column_indices(schema.names, names, str(file), faults))
                 check_size(file, 8 * len(selected) * rows, "columns")
                 tables.append(opened.read(columns=selected))
         if not tables:
             raise Problem(f"{file}: expected Parquet files in this folder, got none")
         table = pyarrow.concat_tables(tables)
-        values = {name: _arrow_values(table.column(name), f"{file}: row", name) for name in selected}
+        values = _numeric(selected, lambda n: _arrow_values(table.column(n), f"{file}: row", n), faults)
         metadata = {name: schema.field(name).metadata or {} for name in selected}
         units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
     except (pyarrow.ArrowException, OSError, ValueError) as error:  # ValueError: text that is not UTF-8
         raise Problem(f"{file}: expected a Parquet file, got {first_line(error)}") from None
-    return Columns(str(file), values, range(1, table.num_rows + 1), units=units)
+    return Columns(str(file), values, range(1, table.num_rows + 1), units=units, faults=faults)
 
 
 def _arrow_values(column: Any, where: str, name: str) -> Array:
@@ -585,24 +672,30 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a MATLAB file, which must have the same length; with units if it is a trace of a run."""
     variables = read_variables(file)
     units, original = _of_trace(variables) if names is None else ({}, {})
-    candidates, values = dict(_flat_columns("", variables)), {}
+    candidates, faults = dict(_flat_columns("", variables)), dict[str, str]()
     for key, other in [c for c in candidates.items() if isinstance(c[1], NotNumbers)]:
         for name in names or ():
             if name == key or name.startswith((f"{key}.", f"{key}(")):
                 raise Problem(f"{file}: column {shortened(name)!r}: expected numbers, got {other.what}")
         del candidates[key]
-    for name in _column_indices(list(candidates), names, str(file)):
+
+    def numbers(name: str) -> Array:
         column = candidates[name]
         if isinstance(column, str) or column.dtype.kind not in "fiub":
             got = repr(shortened(column)) if isinstance(column, str) else f"{column.dtype}"
             raise Problem(f"{file}: row 1: column {name!r}: expected numbers, got {got}")
-        values[original.get(name, name)] = column.astype(np.float64)
+        return column.astype(np.float64)  # type: ignore[no-any-return]
+
+    found = _numeric(_column_indices(list(candidates), names, str(file), faults), numbers, faults)
+    values = {original.get(name, name): column for name, column in found.items()}
     lengths = {name: len(column) for name, column in values.items()}
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise Problem(f"{file}: expected columns of one length, got {got}")
     values = {n: values[n] for n in dict.fromkeys([*original.values(), *values]) if n in values}  # in order
-    return Columns(str(file), values, range(1, 1 + min(lengths.values(), default=0)), units=units)
+    return Columns(
+        str(file), values, range(1, 1 + min(lengths.values(), default=0)), units=units, faults=faults
+    )
 
 
 def _of_trace(variables: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:

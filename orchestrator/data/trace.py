@@ -8,7 +8,7 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from math import isfinite
@@ -27,8 +27,17 @@ from orchestrator.base.signals import completions, found, matching
 from orchestrator.base.text import first_names
 from orchestrator.base.units import parse_unit, si_unit
 from orchestrator.data.description import Description, TimeDescription, description_next_to
-from orchestrator.data.logger_files import logger_format
-from orchestrator.data.table import READABLE, SUFFIXES, Array, Columns, read_columns, split_unit, time_axis
+from orchestrator.data.logger_files import CLOCK, logger_format
+from orchestrator.data.table import (
+    READABLE,
+    SUFFIXES,
+    Array,
+    Columns,
+    clock,
+    read_columns,
+    split_unit,
+    time_axis,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TIME = "time"
-TIMES = (TIME, "t", "zeit", "timestamp")  # names of the first column of a file, in any case
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 JUMP = 1e-6  # s, in which signals go from one row to the next one with the same time
 SAME_ROW = 4  # units in the last place of a time: rows of one event, whose time was computed twice
@@ -320,13 +328,16 @@ def trace_of(
     gaps   NaN is allowed
     sort   rows may be out of order: they are sorted, and of those at one time the last counts
     """
-    columns = read_columns(file, None, description.file if description else None)
+    unread: list[str] | None = [] if gaps else None
+    columns = read_columns(file, None, description.file if description else None, unread=unread)
+    for sentence in unread or ():
+        tell_once(sentence)
     time = description.time if description else TimeDescription()
     written = not file.members and file.path.with_suffix(METADATA_SUFFIX).is_file()  # by a run
     in_si = _in_si(columns, time, named=description is not None, of_text=not written)
     trace = checked(_sorted(in_si) if sort else in_si, gaps)
     trace = trace.window(*(limit if isfinite(limit) else None for limit in (time.start, time.stop)))
-    return trace if file.members or trace.units else replace(trace, units=_units_of_run(file.path, trace))
+    return trace if file.members or trace.units else replace(trace, units=units_of_run(file.path, trace))
 
 
 def _sorted(columns: Columns) -> Columns:
@@ -353,16 +364,20 @@ def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) 
     is_text = columns.row_word != "row"  # or a file of a logger
     bare = {c: split_unit(c)[0] if is_text and of_text else c for c in columns.values}
     first, *_ = bare
+    if first != TIME and (steady := clock(columns)) and is_text:
+        first = steady
     if named or columns.file.lower().endswith(".mat"):  # its variables have no order
         first = next((c for c in bare if time.column in (c, bare[c])), first)
-    if time.column not in (first, bare[first]) and bare[first].lower() not in TIMES:
+    hint = f"; column of [time] in {Path(columns.file).with_suffix('.toml').name} can name another"
+    if first != next(iter(bare)) and time.column not in (first, bare[first]):
+        tell_once(f"{columns.file}: the time is {first!r}{hint}")
+    if time.column not in (first, bare[first]) and not CLOCK.match(first):
         where = "line 1: " if columns.row_word == "line" else ""
-        hint = f"; column of [time] in {Path(columns.file).with_suffix('.toml').name} can name another"
         expected = f"{where}expected the first column to be named {time.column!r}, got {first!r}"
         raise Problem(f"{columns.file}: {expected}{hint}")
     values = {TIME: time_axis(columns, first, time.unit, time.offset)}
     units = {} if is_text else dict(columns.units)
-    for column, name in ((c, n) for c, n in bare.items() if c != first):
+    for column, name in ((c, n) for c, n in bare.items() if c != first and c not in columns.moments):
         if name in values:
             raise Problem(f"{columns.file}: expected the column {name!r} once, got it with two units")
         values[name] = columns.values[column]
@@ -372,12 +387,12 @@ def _in_si(columns: Columns, time: TimeDescription, named: bool, of_text: bool) 
     return replace(columns, values=values, units=units)
 
 
-def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
-    """Units in the metadata next to the file of a trace, if they are those of this file."""
+def units_of_run(file: Path, signals: Collection[str]) -> Mapping[str, str]:
+    """Units of signals in the metadata next to the file of a trace, if they are those of this file."""
     try:
         metadata = json.loads(file.with_suffix(METADATA_SUFFIX).read_bytes())
         written = Location(file).sha256 == metadata["sha256"]
-        return {n: str(u) for n, u in metadata["units"].items() if n in trace.signals} if written else {}
+        return {n: str(u) for n, u in metadata["units"].items() if n in signals} if written else {}
     except (Problem, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
 

@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
 from orchestrator.base.errors import Discarded, Problem
 from orchestrator.base.units import LinearTransformation
-from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall
+from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall, Slave
 from orchestrator.fmi.description import WHOLE
+from orchestrator.fmi.instance import BoundCall, FmuInstance
+from orchestrator.fmi.messages import WARNING, Log
 
 FOLDER = Path(__file__).parent / "native"
 FLAGS = (
@@ -157,10 +159,11 @@ class Binding:
     components   the `RunningComponent` of each index, for callbacks about a component
     withdraw     called before a step is repeated
     master       called with start and length of a step [s] that Python takes
-    changed      called with the index of the component, or -1, that changed the floating-point environment
+    logs         of the FMUs that may change the floating-point environment, in the order of `components`
     problem      the exception that ended the last call; None if there was none
 
-    All Python objects whose addresses C has are kept alive.
+    All Python objects whose addresses C has are kept alive. The floating-point environment is that in which
+    the binding is made.
     """
 
     def __init__(self, allocate: Allocate = in_process) -> None:
@@ -171,7 +174,7 @@ class Binding:
         self.components: Sequence[Any] = ()
         self.withdraw: Callable[[], None] = lambda: None
         self.master: Callable[[float, float], None] = lambda _t, _h: None
-        self.changed: Callable[[int], None] = lambda _: None
+        self.logs: Sequence[Log] = ()
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
         self.problem: BaseException | None = None
@@ -179,12 +182,30 @@ class Binding:
         self._alive: list[Any] = [*callbacks]
         for name, callback in zip(("check_status", "call_python"), callbacks, strict=True):
             setattr(self.simulation, name, ctypes.cast(callback, ctypes.c_void_p).value)
+        self.call("environment_begin")
 
     def call(self, function: str, *arguments: Any) -> None:
         """Call a function of the engine on this simulation; raises the exception that ended the run."""
         verdict = getattr(library(), function)(ctypes.byref(self.simulation), *arguments)
         if verdict:
             raise self.problem or Problem("the run stopped")
+
+    def restore_environment(self, *called: Slave | FmuInstance) -> None:
+        """Restore the floating-point environment after calls of one of some FMUs, which gets a warning."""
+        logs, self.logs = self.logs, [fmu.log for fmu in called]
+        self.call("environment_check")
+        self.logs = logs
+
+    def _warn_of_change(self, call: int | None, component: int) -> None:
+        """Give a warning to the FMU that has changed the environment, or to the first of several."""
+        logs = self.logs if component < 0 else [self.logs[component]]
+        if isinstance(check := self._checks.get(call or 0), Access | BoundCall):
+            logs = [(check.call if isinstance(check, Access) else check).instance.log]
+        who = " or ".join(["the FMU", *(log.component for log in logs[1:])])
+        what = "the floating-point environment (rounding, flushing to zero or traps)"
+        text = f"{who} changed {what}, now restored"
+        if logs and all(message.text != text for message in logs[0].messages):
+            logs[0].add(WARNING, text)
 
     # ---- addresses
 
@@ -293,7 +314,7 @@ class Binding:
             if status == self.h.WITHDRAWN:
                 self.withdraw()
             elif status == self.h.CHANGED:
-                self.changed(component)
+                self._warn_of_change(call, component)
             elif call in self._checks:
                 self._checks[call].check_status(status)
             else:

@@ -45,8 +45,7 @@ class Integration:
     same        times that are closer are equal [s]
     counts      evaluations, Jacobians, indicators, steps, events
     sampled     external inputs that are not continuous: their changes are events
-    since       the time of the last change of an external input [s]; a jump there has taken place
-    broken      an FMU has failed, which forbids further calls (FMI 2.0.5, 2.1.3)
+    broken      an FMU has failed, which forbids further calls (FMI 2.0.5, 2.1.3), or the user has interrupted
     """
 
     sampled: Sequence[Port] = ()
@@ -55,7 +54,7 @@ class Integration:
         self.plant, self.tolerance, self.same = plant, tolerance, same
         self.counts = Counter[str]()
         self.problem: BaseException | None = None
-        self.since, self.broken = -np.inf, False
+        self.broken = False
         self._at: tuple[float, bytes] = (np.nan, b"")
 
     # ---- for subclasses
@@ -73,6 +72,9 @@ class Integration:
 
     def stepped(self, solver: Solver, t: float) -> None:
         """The solver has stepped to t [s]."""
+
+    def changed(self, t: float) -> None:
+        """An external input has changed, or has jumped, at a time [s]."""
 
     def arrived(self, t: float, x: Array) -> None:
         """At a time that ended an integration; after its event, if there is one."""
@@ -106,7 +108,8 @@ class Integration:
             into[:] = values()
         except BaseException as problem:
             self.problem = problem
-            self.broken = isinstance(problem, CallFailed) and problem.status >= ERROR
+            failed = isinstance(problem, CallFailed) and problem.status >= ERROR
+            self.broken = failed or not isinstance(problem, Exception)
 
     def rates(self, t: float, x: Array, into: Array) -> None:
         """The time derivatives of the states."""
@@ -141,7 +144,8 @@ class Integration:
             else:
                 t, event = max(t, target), True
             if self.equal(t, change):
-                self.since, self._at = t, (np.nan, b"")
+                self._at = (np.nan, b"")
+                self.changed(t)
             event |= self.equal(t, self.plant.next_event) or bool(self.sampled and self.equal(t, change))
             repeated = 1 if self.before(begin, t) else repeated + 1
             if repeated > MAX_EVENTS:

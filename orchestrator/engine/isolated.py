@@ -96,14 +96,12 @@ def _contents() -> Mapping[str, Any]:
 def run_isolated(
     job: Job,
     sink: TraceSink,
-    between: Callable[[float], None] = lambda _: None,
-    check: Callable[[], None] = lambda: None,
+    between: Callable[[float], bool] = lambda _: False,
     cores: int | None = None,
 ) -> RunEnd:
     """Run a job in a child process.
 
-    between   called with the simulated time [s] now and then
-    check     called all the time; a KeyboardInterrupt ends the run, as that of the user does
+    between   called with the simulated time [s] all the while; returns True to end the run
     cores     threads of the run, at most; default: one per core
 
     Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
@@ -113,8 +111,8 @@ def run_isolated(
     outcome: RunEnd | None = None
     try:
         with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
-            supervision = _Supervision(worker, job, sink, between, cores or os.cpu_count() or 1)
-            outcome = supervision.outcome((interrupts.check, check))
+            supervision = _Supervision(worker, job, sink, cores or os.cpu_count() or 1)
+            outcome = supervision.outcome(interrupts.check, between)
     except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
         if outcome is None:
             raise
@@ -147,16 +145,9 @@ def _process() -> Iterator[Worker]:
 class _Supervision:
     """One run in a child process, seen from the parent."""
 
-    def __init__(
-        self,
-        worker: Worker,
-        job: Job,
-        sink: TraceSink,
-        between: Callable[[float], None],
-        cores: int,
-    ) -> None:
+    def __init__(self, worker: Worker, job: Job, sink: TraceSink, cores: int) -> None:
         execution = job.execution
-        self._worker, self._times, self._sink, self._between = worker, job.times, sink, between
+        self._worker, self._times, self._sink, self._t = worker, job.times, sink, job.times.start
         self._limits, self._command_began = execution.worker_limits, execution.began
         worker.fmus = job.system.fmus
         self._outputs = {str(port) for port in job.system.ports("output")}
@@ -167,9 +158,10 @@ class _Supervision:
         task = RunTask(job, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, cores)
         worker.put(task)
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
+        self._interrupted = False
 
-    def outcome(self, checks: Sequence[Callable[[], None]]) -> RunEnd:
-        """Wait for the end of the run; `checks` raise KeyboardInterrupt to interrupt it."""
+    def outcome(self, check: Callable[[], None], between: Callable[[float], bool]) -> RunEnd:
+        """Wait for the end of the run; both functions may raise KeyboardInterrupt to interrupt it."""
         while True:
             try:
                 name, content = self._worker.get(POLL)
@@ -182,18 +174,21 @@ class _Supervision:
                 return self._complete(self._outcome)
             if name:
                 self._receive(name, content)
+            ends = False
             try:
-                for check in checks:
-                    check()
+                check()
+                ends = between(self._t)
                 if not self._killed_because:
                     self._worker.check_limits(self._limits, self._command_began)
             except KeyboardInterrupt:
-                if self._kill_at < float("inf"):
+                if self._interrupted:
                     self._kill("interrupted")
-                self._worker.put(STOP)
-                self._kill_at = min(self._kill_at, time.monotonic() + STOP_TIME)
+                ends = self._interrupted = True
             except LimitExceeded as limit:
                 self._kill(str(limit))
+            if ends and self._kill_at == float("inf"):
+                self._worker.put(STOP)
+                self._kill_at = time.monotonic() + STOP_TIME
             if time.monotonic() > self._kill_at:
                 self._kill("interrupted")
 
@@ -210,7 +205,7 @@ class _Supervision:
         elif name == "errors" and self._are_errors(*content):
             self._sink.append_errors(*content)
         elif name == "time":
-            self._between(content)
+            self._t = content
         elif name == "begin" and self._layout is None and content.consistent:
             self._layout = content
             self._sink.begin(self._layout, self._times.rows + 1)
@@ -242,7 +237,7 @@ class _Supervision:
 
     def _complete(self, outcome: RunEnd) -> RunEnd:
         """The outcome of a run that ended by itself."""
-        if self._kill_at < float("inf"):  # the interrupt must not be lost, also if it came too late
+        if self._interrupted:  # which must not be lost, also if it came too late
             outcome.interrupted = True
         if printed := self._worker.printed:
             more = f" and {len(printed) - 1} more lines" if len(printed) > 1 else ""
@@ -256,7 +251,7 @@ class _Supervision:
         from orchestrator.engine.job import RunEnd
         from orchestrator.fmi.messages import Log
 
-        interrupted = self._killed_because == "interrupted"
+        interrupted = self._interrupted and self._killed_because == "interrupted"
         message = self._cause()
         if self._layout is None:
             raise KeyboardInterrupt(message) if interrupted else Problem(message)
@@ -385,13 +380,12 @@ def _run(channel: Channel, task: RunTask) -> None:
         slave.log.on_message = lambda message: channel.put("message", message)
         return slave
 
-    def between(t: float) -> None:
+    def between(t: float) -> bool:
         nonlocal reported
-        if channel.waiting and channel.get() == STOP:
-            raise KeyboardInterrupt
         if time.monotonic() - reported > PROGRESS_TIME:
             reported = time.monotonic()
             channel.put("time", t)
+        return channel.waiting and channel.get() == STOP
 
     def allocate(name: str, size: int) -> mmap.mmap:
         for earlier in channel.folder.glob(f"{name}-*"):

@@ -14,6 +14,8 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace import SAME_TIME, Trace
 from orchestrator.data.trace_writer import TraceSink
 from orchestrator.engine.result import (
+    DIVIDED,
+    SHORTER,
     BondEnergy,
     Card,
     EstimatedError,
@@ -26,6 +28,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.interface import MODEL_EXCHANGE
 from orchestrator.fmi.messages import Log
 from orchestrator.ssp.coupling import SHORTER_STEP_GUARD, Coupling
+from orchestrator.ssp.masters import Master
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
 from orchestrator.worker.process import WorkerLimits
@@ -121,18 +124,21 @@ class Execution:
         """Is the run in a process of its own?"""
         return self.isolate and self.open is open_slave
 
-    def check(self) -> None:
-        """Refuse options that have no effect, and limits that cannot be enforced."""
+    def check(self, own: Master | None = None) -> None:
+        """Refuse options that have no effect, and limits that cannot be enforced; own: a user's master."""
         if self.accuracy_of and self.accuracy is None:
             raise Problem(f"accuracy_of {self.accuracy_of[0]}: expected an accuracy, got none")
         if self.error_estimate not in (True, False, "fast"):
             raise Problem(f'error_estimate: expected True, False or "fast", got {self.error_estimate!r}')
+        here = [] if self.isolate else ["isolate=False"]
+        here += [] if self.open is open_slave else ["a function `open`"]
+        here += [f"master {own.name}"] if own else []
         for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
             if not limit > 0:
                 raise Problem(f"{name}: expected a positive number, got {limit:g}")
-            if limit < math.inf and not self.isolated:
-                got = "got one in the calling process (isolate=False)"
-                raise Problem(f"{name}: expected a run in its own process, {got}")
+            if limit < math.inf and here:
+                got = f"got {here[0]}, which needs the calling process"
+                raise Problem(f"{name}: expected a run in a process of its own, {got}")
 
 
 @dataclass
@@ -201,7 +207,10 @@ class Job:
             errors_of_inputs=bool(end.errors),
             **{name: getattr(end, name) for name in same},
         )
-        return card.doubted(*unreliable_energies(end.bonds), *unreliable_errors(errors, self.system))
+        divisible = guarded(self.system, Coupling("hermite"))  # which has a guard by default
+        unguarded = divisible and not self.coupling.estimates_error and not self.coupling.method.step
+        energies = unreliable_energies(end.bonds, DIVIDED if unguarded else SHORTER)
+        return card.doubted(*energies, *unreliable_errors(errors, self.system))
 
     def stricter(self) -> Job:
         """The same adaptive run at a tenth of its tolerance."""
@@ -220,14 +229,16 @@ def guarded(system: System, coupling: Coupling) -> bool:
 def with_default_guard(system: System, step: float | None) -> System:
     """The system with a guard if an FMU suggests a shorter step than the system does, unless one is chosen.
 
+    It holds for steps of any length: the suggestion is that of the FMU's own parameters.
+
     step   of the run [s], chosen by the user; None: the suggested one
     """
     coupling = system.coupling or Coupling()
     if coupling.guard is not None or coupling.estimates_error or system.step is None:
         return system
-    length, limit = step or system.step, min(system.step, step or math.inf)
+    length, limit = step or system.step, system.step * (1.0 - SAME_TIME)
     steps = {name: c.interface.step or math.inf for name, c in system.components.items()}
-    shorter = {name: s for name, s in steps.items() if s < limit * (1.0 - SAME_TIME)}
+    shorter = {name: s for name, s in steps.items() if s < limit}
     if not shorter:
         return system
     note = f"{first_names(shorter)}: steps of {min(shorter.values()):g} s are suggested"

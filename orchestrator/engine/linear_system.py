@@ -356,7 +356,8 @@ class ErrorPropagation:
             for v in slave.interface.of("output")
             if v.is_continuous
         ]
-        self.y, self.squares, self.largest = (np.zeros(len(self._outputs)) for _ in range(3))
+        self.y, self.squares, self.largest, self.values = np.zeros((4, len(self._outputs)))
+        self.lowest, self.highest = self.values + np.inf, self.values - np.inf
         self.times, self.rows = np.zeros(BLOCK), np.zeros((BLOCK, len(self._outputs)))
         if not self.missing:
             self._connect()
@@ -413,7 +414,8 @@ class ErrorPropagation:
                 binding.array(h.ErrorInput, [self._input_struct(h, u) for u in self._inputs])
             ),
             **binding.all_at(self, "e stages factors w middle defects y squares largest lengths diagonal"),
-            **binding.all_at(self, "starts times rows"),
+            **binding.all_at(self, "starts times rows values lowest highest"),
+            output_reads=binding.program(self._reads),
             member_count=len(self._members),
             output_count=len(self._outputs),
             lag=1,
@@ -436,13 +438,16 @@ class ErrorPropagation:
         index, member = {p: i for i, p in enumerate(self._outputs)}, binding.h.ErrorMember
         first_state = first_input = first_output = 0
         structs = binding.array(member, [member()] * len(self._members))
+        self._reads = list[Call]()
         for i, k in enumerate(self._members):
             slave = self._slaves[k]
             states, inputs = list(slave.interface.states), self._inputs_of(slave.name)
             others = self._other_connections(slave.name, set(inputs), index)
             outputs = [p.variable for p in self._outputs if p.component == slave.name]
             knowns = [*states, *inputs, *(c.target.variable for c in others)]
-            seed, result = np.zeros(len(knowns)), self.y[first_output : first_output + len(outputs)]
+            own = slice(first_output, first_output + len(outputs))
+            seed, result = np.zeros(len(knowns)), self.y[own]
+            self._reads += calls_by_type(slave, outputs, self.values[own], slave.reader)
             structs[i] = member(
                 first_state=first_state,
                 state_count=len(states),

@@ -32,7 +32,6 @@ from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
-from orchestrator.fmi.messages import WARNING
 from orchestrator.ssp.dependencies import late_effects
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -44,14 +43,14 @@ FEWEST_STEPS = 2  # between two evaluations of the estimated errors
 def run_job(
     job: Job,
     sink: TraceSink,
-    between: Callable[[float], None] = lambda _: None,
+    between: Callable[[float], bool] = lambda _: False,
     at_end: Callable[[RunEnd], None] = lambda _: None,
     allocate: Allocate = in_process,
 ) -> RunEnd:
     """Open all FMUs, run in this process, and close them in any case.
 
     sink       receives the recorded rows and the estimated errors
-    between    called with the time [s] between blocks of steps; a KeyboardInterrupt ends the run
+    between    called with the time [s] between blocks of steps; returns True to end the run
     at_end     called before the FMUs are closed
     allocate   see `Binding`
     """
@@ -90,11 +89,12 @@ def run_job(
     return end
 
 
-def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float], None]) -> None:
+def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float], bool]) -> None:
     """Step from the start to the stop time."""
     with DeferredInterrupts() as interrupts:
         loop.begin()
-        while loop.state.done < loop.times.steps:
+        state = loop.state
+        while state.done < state.total:
             interrupts.check()
             try:
                 loop.advance()
@@ -103,7 +103,8 @@ def _step_to_end(loop: SimulationLoop, sink: TraceSink, between: Callable[[float
                 raise
             if loop.errors:
                 loop.errors.collect(sink)
-            between(loop.state.t)
+            if between(state.t):
+                state.total = state.done
 
 
 def _record_end(job: Job, loop: SimulationLoop, t: float) -> None:
@@ -128,13 +129,12 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
     with ExitStack() as stack:
         slaves: dict[str, Slave] = {}
         binding = Binding(allocate)
-        binding.call("environment_begin")
-        stack.callback(binding.call, "environment_check")
+        stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
                 slaves[name] = job.execution.open(component)
                 stack.callback(slaves[name].close)
-                _restore_environment(binding, slaves[name])
+                binding.restore_environment(slaves[name])
         network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
         stack.callback(network.free_saved_states)
         loop = SimulationLoop(job, network, sink, selected)
@@ -177,21 +177,6 @@ def bonds_of(job: Job, network: Network) -> list[Bond]:
     return [bond_of(job.system, *pair) for pair in job.record.bonds]
 
 
-def _restore_environment(binding: Binding, slave: Slave) -> None:
-    """Restore the floating-point environment after calls of one FMU."""
-    binding.changed = partial(_warn_of_change, [slave])
-    binding.call("environment_check")
-
-
-def _warn_of_change(slaves: Sequence[Slave], index: int) -> None:
-    """Give a warning to the FMU that changed the floating-point environment; index -1: one of all."""
-    first, *others = slaves if index < 0 else [slaves[index]]
-    who = " or ".join(["the FMU", *(slave.name for slave in others)])
-    text = f"{who} changed the floating-point environment (rounding, flushing to zero or traps), now restored"
-    if all(message.text != text for message in first.log.messages):
-        first.log.add(WARNING, text)
-
-
 def _check_instances(system: System) -> None:
     """Refuse two instances of an FMU that can be instantiated only once per process."""
     single: dict[tuple[str, str], str] = {}
@@ -229,7 +214,7 @@ class StepControl:
     def struct(self, h: Any, power: int) -> Any:
         """`StepSize` of the header `h`; power: of the step to which the error is proportional."""
         first = min(max(self.first, self.smallest), self.largest)
-        limits = {"h": first, "smallest": self.smallest, "largest": self.largest}
+        limits = {"h": first, "first": first, "smallest": self.smallest, "largest": self.largest}
         return h.StepSize(**limits, repeats=self.repeats, power=power)
 
 
@@ -270,23 +255,17 @@ class SimulationLoop:
                 self.errors = errors
         of_prediction = prediction.notes if prediction else ()
         late = late_effects(job.system)
-        late = f"effects of {late} on other FMUs may come up to a step late" if late else ""
-        self.notes = (
-            *filter(None, [late]),
-            *plan.notes,
-            *_rollback_notes(job),
-            *inputs.notes,
-            *of_prediction,
-        )
+        of_late = (f"effects of {late} on other FMUs may come up to a step late",) if late else ()
+        self.notes = (*of_late, *plan.notes, *_rollback_notes(job), *inputs.notes, *of_prediction)
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
-        slaves, times, restore = self.network.slaves, self.times, partial(_restore_environment, self._binding)
+        slaves, times, restore = self.network.slaves, self.times, self._binding.restore_environment
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
         tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
         initialise(job.system, slaves, driven, (times.start, stop), tolerances, restore)
-        self._binding.changed = partial(_warn_of_change, [*slaves.values()])
+        self._binding.logs = [slave.log for slave in slaves.values()]
 
     @property
     def inside(self) -> dict[str, float]:
@@ -318,6 +297,7 @@ class SimulationLoop:
     def close(self) -> None:
         """End the threads and free saved states."""
         self._binding.call("simulation_close")
+        self._binding.components = ()
         self.network.free_saved_states()
 
     def _withdraw_messages(self) -> None:
@@ -334,6 +314,7 @@ class SimulationLoop:
         self._fill_times(self.times)
         self._plan_rollback()
         network.fill()
+        self.state.careful = self.state.in_python or not all(c.stepping for c in self._components)
         if driven := network.driven:
             driven.fill(binding, [self._inputs.ports.index(p) for p in driven.continuous])
         if prediction:
@@ -349,7 +330,7 @@ class SimulationLoop:
         sim = self.state
         sim.start, sim.step, sim.t, sim.total = times.start, times.step, times.start, times.steps
         sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
-        sim.events, sim.event_count = self._binding.at(np.array(times.divided)), len(times.divided)
+        sim.divided, sim.divided_count = self._binding.at(np.array(times.divided)), len(times.divided)
         if c := self._control:
             sim.step_size = self._binding.pointer(c.struct(self._binding.h, self._inputs.power))
             sim.error_tolerance = c.tolerance

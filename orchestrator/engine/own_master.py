@@ -9,45 +9,43 @@
     3. the engine exchanges all values at the end of the step, sets inputs of the scenario, records
 
 Between 3 and the next 2 nothing is called. Inputs hold their values until something sets them. An exception
-ends the run, with what it has recorded; so does a component that is not at the end of the step after 2.
+ends the run, with what it has recorded; so does a component that is not at the end of the step after 2. An
+interrupt is raised in the function. Components that are kept refuse calls after the run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from ctypes import c_double
 from functools import cache, partial
 
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.interrupts import of_user
 from orchestrator.data.table import Array
 from orchestrator.data.trace import SAME_TIME
 from orchestrator.engine.network import Network
 from orchestrator.fmi.calls import Call, Slave, calls_by_type
+from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.ssp.masters import Master
 from orchestrator.ssp.system import Connection
 
 
-class Components(Mapping[str, Slave]):
+class Components(dict[str, Slave]):
     """The running components of a system by name, for the function of a master; see `Slave`."""
 
     def __init__(self, network: Network) -> None:
+        super().__init__(network.slaves)
         self._network, self._reached = network, dict.fromkeys(network.slaves, -np.inf)
         self._sending = cache(self._sends)
         for name, slave in network.slaves.items():
             slave.step = partial(self._step, name, slave.step)  # type: ignore[method-assign]
+            if isinstance(slave, RunningFmu):
+                slave.close = partial(self._refuse, name)  # type: ignore[method-assign]
 
-    def __getitem__(self, name: str) -> Slave:
-        if name not in self._network.slaves:
-            raise KeyError(f"no component {name!r}{suggest(name, self._network.slaves)}")
-        return self._network.slaves[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._network.slaves)
-
-    def __len__(self) -> int:
-        return len(self._network.slaves)
+    def __missing__(self, name: str) -> Slave:
+        raise KeyError(f"no component {name!r}{suggest(name, self)}")
 
     def send(self, name: str) -> None:
         """Set the inputs that the outputs of one component feed."""
@@ -56,6 +54,8 @@ class Components(Mapping[str, Slave]):
 
     def exchange(self, time: float) -> None:
         """Set all connected inputs in the order of their dependence, as the engine does at a point [s]."""
+        if not self._network.binding.components:
+            raise Problem("exchange: expected components that run, got those of a run that has ended")
         self._network.binding.call("simulation_exchange", c_double(time))
 
     def over(self, master: Master, time: float, length: float) -> None:
@@ -63,10 +63,10 @@ class Components(Mapping[str, Slave]):
         assert master.step is not None
         end, where = time + length, f"master {master.name}: the function"
         try:
-            master.step(self, time, length)
-        except Problem:
+            of_user(master.step, self, time, length)
+        except (Problem, KeyboardInterrupt):
             raise
-        except Exception as error:  # of the user's function: the rows are kept
+        except BaseException as error:  # of the user's function, SystemExit too: the rows are kept
             raise Problem(f"{where} failed at t = {time:.9g} s: {error!r}") from error
         late = [n for n, reached in self._reached.items() if abs(reached - end) > SAME_TIME * length]
         if late:
@@ -74,7 +74,11 @@ class Components(Mapping[str, Slave]):
 
     def _step(self, name: str, step: Callable[[float, float], None], time: float, length: float) -> None:
         step(time, length)
+        self._network.binding.restore_environment(self[name])
         self._reached[name] = time + length
+
+    def _refuse(self, name: str) -> None:
+        raise Problem(f"{name}: close: expected to leave this to the run, which closes it at the end")
 
     def _sends(self, name: str) -> list[Call]:
         """Calls that read the connected outputs of a component, and set the inputs that they feed."""

@@ -121,17 +121,23 @@ class Plant:
     """
 
     def __init__(
-        self, system: System, inlets: Sequence[Inlet] = (), running: Mapping[str, ExchangeFmu] | None = None
+        self,
+        system: System,
+        inlets: Sequence[Inlet] = (),
+        running: Mapping[str, ExchangeFmu] | None = None,
+        binding: Binding | None = None,
     ) -> None:
-        """running: its components, if they are instantiated."""
-        self.system, self.inlets = system, inlets
+        """running: its components, if they are instantiated; binding: one that was made before them."""
+        self.system, self.inlets, self._binding = system, inlets, binding or Binding()
+        self._binding.simulation.careful = True
         self.next_event, self.ended = np.inf, ""
         self.slaves = dict(running or {})
         self.members: list[PlantComponent] = []
         try:
             for name, component in self.system.components.items():
                 if name not in self.slaves:
-                    self.slaves[name] = open_exchange(name, component.source)
+                    restore = self._binding.restore_environment
+                    self.slaves[name] = open_exchange(name, component.source, restore)
         except BaseException:
             self.close()
             raise
@@ -146,7 +152,6 @@ class Plant:
         self.indicator_count = sum(slave.interface.event_indicators for slave in self.slaves.values())
         self._index = {p: i for i, p in enumerate(self.inputs)}
         self._wire()
-        self._binding = Binding()
         self._scenario: Any = None
 
     def _wire(self) -> None:
@@ -211,6 +216,7 @@ class Plant:
         self._struct = h.Plant(
             members=binding.pointer(binding.array(h.PlantMember, [*map(self._member, self.members)])),
             states=binding.program([*self._state_calls()]),
+            starts=binding.program([call for member in self.members for call in member.starts]),
             indicators=binding.program([*self._indicator_calls()]),
             completed=binding.program([*self._completion_calls()]),
             rows=at(rows.astype(np.int32)),
@@ -307,9 +313,7 @@ class Plant:
     def begin(self, time: float) -> None:
         """Begin at a time [s] with components that are initialised."""
         self._bind()
-        for member in self.members:
-            for call in member.starts:
-                call()
+        self._call("plant_start")
         self._time[:] = time
         self.constant[~self.connected] = self.v[~self.connected]
         self.nominal = np.array([self.system.variable(p).nominal or 1.0 for p in self.states])
@@ -318,9 +322,7 @@ class Plant:
 
     def read(self) -> None:
         """Read states and inputs of components without connections, which keep these inputs."""
-        for member in self.members:
-            for call in member.starts:
-                call()
+        self._call("plant_start")
         self.external[:] = self.v
 
     def drive(self, scenario: Scenario) -> None:
@@ -329,10 +331,10 @@ class Plant:
         driven = DrivenInputs(replace(scenario, columns=columns), self.system, self._index, {}, ())
         self._scenario = driven.fill(self._binding, ())
 
-    def before_jumps(self, before: bool) -> None:
-        """Does the scenario have the values before a jump, at its time?"""
-        if self._scenario and self._scenario.before_jumps != before:
-            self._scenario.before_jumps, self._scenario.evaluated_at = before, np.nan
+    def jumped(self, time: float) -> None:
+        """The jumps of its scenario up to a time [s] have taken place."""
+        if self._scenario:
+            self._scenario.since, self._scenario.evaluated_at = time, np.nan
 
     @property
     def u(self) -> Array:
@@ -463,8 +465,7 @@ class Plant:
             updated = not again
         for member in self.members:
             member.slave.fmu.call("EnterContinuousTimeMode")
-            for call in member.starts:
-                call()
+        self._call("plant_start")
         self._struct.inverse_state = self._binding.h.MISSING
 
     def _copied_discrete(self) -> bool:

@@ -201,6 +201,7 @@ SMALL_EXCHANGE = 1e-2  # of the largest exchange of a bond: below it a relative 
 # A result is not reliable if the energy error of a bond, over the exchanged energy, or the estimated RMS
 # error of a signal of a bond, over its range or LEAST_RANGE of its nominal value, is above UNRELIABLE.
 UNRELIABLE, LEAST_RANGE = 0.05, 1e-3
+SHORTER, DIVIDED = "take shorter steps", "let steps be divided, --guard 0.005, or take shorter ones"  # advice
 CAUSE = 0.1  # relative residual above which the coupling is the likely cause of a failure
 
 
@@ -394,11 +395,11 @@ def energies_above(residual: Array, exchanged: Array, limit: float = UNRELIABLE)
     return np.asarray(relevant & (np.abs(residual) > limit * exchanged))
 
 
-def unreliable_energies(bonds: Sequence[BondEnergy]) -> list[str]:
+def unreliable_energies(bonds: Sequence[BondEnergy], advice: str = SHORTER) -> list[str]:
     """A line for each bond whose energy error is too large for a reliable result."""
     return [
         f"energy error of the coupling: {b.relative:+.1%} of what {b.name} exchanged; the result is not"
-        " reliable, take shorter steps"
+        f" reliable, {advice}"
         for b in bonds_above(bonds, UNRELIABLE)
     ]
 

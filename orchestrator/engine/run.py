@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar, Unpack
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once, write_whole
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import checked, declarations, documented, taken
+from orchestrator.base.options import checked, declarations, documented, merged, taken
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.base.signals import matching
@@ -179,13 +179,14 @@ class Request:
     def job(self) -> Job:
         """The job of a run."""
         system, scenario, record, execution = self.coupled, self.scenario, self.record, self.execution
-        if system.coupling and system.coupling.method.own:  # its functions are in this process
-            execution = replace(execution, isolate=False)
-        execution.check()
+        own = system.coupling.method if system.coupling and system.coupling.method.own else None
+        execution.check(own)
+        execution = replace(execution, isolate=execution.isolate and own is None)
         if execution.isolated:
             start_process()
         system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
-        system = replace(system, notes=system.notes + built_notes(system))
+        differences = system.differences(system.common)
+        system = replace(system, notes=(*system.notes, *built_notes(system), *differences))
         (scenario, trace, label), driving = scenario_trace(scenario), None
         if self.fault:
             ends = time_span(system, trace, self.start, self.stop)
@@ -242,8 +243,8 @@ def requested(
     given = checked(RunArguments, options, "run")
     if not isinstance(record, Record):
         record = Record((record,) if isinstance(record, str) else record and tuple(record))
-    record = replace(record, **taken(given, record_step="step", bonds="bonds"))
-    execution = replace(execution or Execution(), **taken(given, *(f.name for f in fields(Execution))))
+    record = merged(record, taken(given, record_step="step", bonds="bonds"), step="record_step")
+    execution = merged(execution or Execution(), taken(given, *(f.name for f in fields(Execution))))
     coupling, of_system = take_coupling(given), taken(given, *declarations(SystemArguments))
     values = {name: v for name, v in of_system.items() if name in ("parameters", "set")}
     system = configured(system, **of_system)
@@ -311,20 +312,16 @@ def simulate(job: Job, sink: TraceSink) -> RunEnd:
     times = job.times
     with ProgressBar(times.stop - times.start, job.execution.progress) as bar, doubts_told(job.system):
 
-        def between(t: float) -> None:
+        def between(t: float) -> bool:
             bar.update(t - times.start)
+            return until is not None and until.reached is not None
 
-        def in_this_process(t: float) -> None:
-            between(t)
-            check()
-
-        check = until.check if until else lambda: None
         if job.execution.isolated:
-            end = run_isolated(job, until or sink, between, check)
+            end = run_isolated(job, until or sink, between)
         else:
             from orchestrator.engine.open_job import run_job  # a process that only supervises needs it not
 
-            end = run_job(job, until or sink, in_this_process)
+            end = run_job(job, until or sink, between)
         return until.ended(end) if until else end
 
 
@@ -334,14 +331,7 @@ def finished(job: Job, outcome: RunEnd, sink: TraceSink) -> Result:
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(outcome, sink, trace)
     result = Result(
-        job.system,
-        trace,
-        card,
-        tuple(messages),
-        outcome.complete,
-        job.coupling,
-        job.provenance,
-        sink.errors,
+        job.system, trace, card, tuple(messages), outcome.complete, job.coupling, job.provenance, sink.errors
     )
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
@@ -401,7 +391,7 @@ class ProgressBar(AbstractContextManager["ProgressBar"]):
 
     def __init__(self, total: float, enabled: bool) -> None:
         self._total, self._enabled = total, enabled and overwrites(sys.stderr)
-        self._began = time.perf_counter()
+        self._began, self._simulated = time.perf_counter(), -1.0
         self._line: Doing | None = None
 
     def __exit__(self, *_: object) -> None:
@@ -411,8 +401,9 @@ class ProgressBar(AbstractContextManager["ProgressBar"]):
     def update(self, simulated: float) -> None:
         """Show that `simulated` [s] are simulated."""
         passed = time.perf_counter() - self._began
-        if not self._enabled or (self._line is None and passed < self.delay):
+        if not self._enabled or simulated == self._simulated or (self._line is None and passed < self.delay):
             return
+        self._simulated = simulated
         share = simulated / self._total if self._total else 1.0
         bar = f"{'#' * round(30 * share):.<30}"
         left = f", {passed * (1 / share - 1):.0f} s left" if share > FIRST_SHARE else ""
@@ -448,7 +439,7 @@ def run_to_file(
     """
     start_process()
     given = checked(RunArguments, options, "run")
-    request = requested(require_system(system), scenario, None, Execution(progress=True), given)
+    request = requested(require_system(system), scenario, None, None, {"progress": True, **given})
     execution, record = request.execution, request.record
     free = execution.accuracy is None and chooses_freely(request.system, request.step, request.coupling)
     if free and default_accuracy:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, Unsupported, suggest
+from orchestrator.base.files import SIMILAR
 from orchestrator.base.options import seconds
+from orchestrator.base.signals import bare_name
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, LinearTransformation, from_user_unit
 from orchestrator.data.table import Array
@@ -70,24 +73,24 @@ class ScenarioTable:
     def delayed(self, times: Grid) -> ScenarioTable:
         """The table whose columns jump at communication points only.
 
-        A column that jumps inside a step holds the value of its beginning, and jumps at its end.
+        A column that jumps inside a step holds the value of its beginning, and jumps at its end. Others have
+        a straight line; at a jump of another column they may have moved a little.
         """
-        time, columns = self.arrays[0], self._base[1:]
-        jumps = self.jumps
-        for begin in np.unique(times.before(jumps[jumps != times.nearest(jumps)])).tolist():
-            end = float(times.nearest(np.array(begin + times.step)))
-            inside = (time > begin) & (time < end)
-            jumping = inside[1:] & (time[1:] == time[:-1])
-            jumps_here = (np.diff(columns, axis=0)[jumping] != 0.0).any(axis=0)
-            rows = [
-                self.at(begin),
-                np.where(jumps_here, self.at(begin), self.at(end, before=True)),
-                self.at(end),
-            ]
-            place = int(np.argmax(inside))
-            time = np.insert(time[~inside], place, [begin, end, end])
-            columns = np.insert(columns[~inside], place, rows, axis=0)
-        return ScenarioTable(time, columns)
+        time, columns, slopes = self.arrays[0], self._base[1:], np.abs(self._slopes)
+        moves = 2.0 * JUMP * np.maximum(slopes[:-2], slopes[2:])
+        at, sizes, jumps = time[1:], np.abs(np.diff(columns, axis=0)), self.jumps
+        jumping = (at == time[:-1])[:, None] & (sizes > moves)
+        begins = np.unique(times.before(jumps[jumps != times.nearest(jumps)]))
+        ends, rows = times.nearest(begins + times.step), list[Array]()
+        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+            first, last = np.searchsorted(at, begin, side="right"), np.searchsorted(at, end)
+            held = jumping[first:last].any(axis=0)
+            rows += [self.at(begin), np.where(held, self.at(begin), self.at(end, before=True)), self.at(end)]
+        step = np.searchsorted(begins, time) - 1
+        kept = (step < 0) | (time >= ends[step])
+        places = np.repeat(np.searchsorted(time[kept], begins, side="right"), 3)
+        time = np.insert(time[kept], places, np.column_stack([begins, ends, ends]).ravel())
+        return ScenarioTable(time, np.insert(columns[kept], places, rows, axis=0))
 
     def interval(self, t: float) -> int:
         """Index of the interval that contains t; interval 0 is before the first sample."""
@@ -164,11 +167,12 @@ class Scenario:
         """
         table = self.table.on(times)
         fixed = [name for name, c in system.components.items() if not c.interface.variable_step]
-        if fixed and (table.jumps != times.nearest(table.jumps)).any():
+        jumps = table.jumps[(table.jumps > times.start) & (table.jumps < times.stop)]
+        if fixed and (jumps != times.nearest(jumps)).any():
             late = f"{first_names(fixed)}: the FMU has a fixed step: jumps inside of a step act at its end"
             table, times = table.delayed(times), replace(times, notes=(*times.notes, late))
-        jumps, corners = tuple(table.jumps.tolist()), tuple(table.corners() if divides else ())
-        return replace(self, table=table), replace(times, jumps=jumps, corners=corners)
+        corners = tuple(table.corners() if divides else ())
+        return replace(self, table=table), replace(times, jumps=tuple(table.jumps.tolist()), corners=corners)
 
     def rates(self, system: System) -> dict[Port, Port]:
         """The inputs that are declared as time derivatives of driven inputs, and these inputs."""
@@ -229,7 +233,8 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
                 linear = from_user_unit(given, unit, f"{label}: column {name!r}").then(linear)
             columns[port] = (k, linear)
     table = np.stack([np.asarray(v, dtype=np.float64) for v in trace.signals.values()], axis=1)
-    held = {k for port, (k, _) in columns.items() if not system.variable(port).is_continuous}
+    moving = {k for port, (k, _) in columns.items() if system.variable(port).is_continuous}
+    held = {k for k, _ in columns.values()} - moving
     for port, (k, _) in columns.items():
         _check_integers(system.variable(port), table[:, k], f"{label}: column {list(trace.signals)[k]!r}")
     passed = {Port("", name): k for k, name in enumerate(trace.signals) if system.passed(name)}
@@ -367,6 +372,7 @@ class DrivenInputs:
             **self.members(binding.at, inputs),
             **binding.all_at(self, "at_end at_midpoint"),
             evaluated_at=np.nan,
+            since=np.nan,
             table=binding.value_table(self.mapped),
             input_writes=binding.program(self.set_calls),
         )
@@ -397,6 +403,11 @@ def values_over_time(
     system: System, name: str, text: str, begin: float, end: float = inf
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corners of an input that takes values at times within a span [s]: times [s], and values in its unit."""
+    if not get_close_matches(
+        bare_name(name), map(bare_name, [*system.names(), *system.inputs]), cutoff=SIMILAR
+    ):
+        built = "FMUs have faults as inputs if they were made by: harvester build --faults"
+        raise Problem(f"fault {name}: unknown variable; {built}")
     port, items = system.targets(name)[0][0], text.split(",")
     times, values = [begin], [float(system.components[port.component].value(port.variable))]
     for item in items:

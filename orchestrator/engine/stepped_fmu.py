@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.files import Location
 from orchestrator.data.table import Array
+from orchestrator.engine.c_library import Binding
 from orchestrator.engine.integration import Integration, Solver
 from orchestrator.engine.plant import Plant
 from orchestrator.engine.radau import Radau
@@ -58,8 +59,10 @@ class SteppedFmu(ExchangeFmu):
     def __init__(self, component: Component, fmu: Location) -> None:
         face = component.interface
         check_states(component.name, fmu, face)
-        super().__init__(component.name, face, fmu)
-        self._plant = Plant(System(component.name, {component.name: component}), running={self.name: self})
+        binding = Binding()
+        super().__init__(component.name, face, fmu, binding.restore_environment)
+        system = System(component.name, {component.name: component})
+        self._plant = Plant(system, running={self.name: self}, binding=binding)
         self._saves = face.model.interfaces[face.kind].declares(*CAPABILITIES["rollback"])
         self._course = np.zeros((DEGREE + 1, len(self._plant.inputs)))  # coefficients of the inputs
         self._row = {port.variable: i for i, port in enumerate(self._plant.inputs)}
@@ -135,11 +138,18 @@ class SteppedFmu(ExchangeFmu):
 
     def step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s]; raises Ended with the time at which the FMU ends the simulation."""
-        assert self._integration is not None
+        integration = self._running
         self._begin_course()
         # an event may have taken place a rounding error after the end of the last step
-        self._time = self._integration.over(max(t, self._time), t, h)
+        self._time = integration.over(max(t, self._time), t, h)
         self._raise_ended()
+
+    @property
+    def _running(self) -> _Stepped:
+        """The integration; raises Problem if the FMU is closed, whose functions C must not call."""
+        self.fmu.check_open()
+        assert self._integration is not None
+        return self._integration
 
     def _begin_course(self) -> None:
         """Read the inputs, which masters set in the FMU."""
@@ -177,27 +187,27 @@ class SteppedFmu(ExchangeFmu):
 
     def save(self, state: SavedState | None = None) -> SavedState:
         """Save the state, over an earlier one if there is one; free it with `free_state`."""
-        assert self._integration is not None
+        integration = self._running
         plant, before = self._plant, state.fmu if state else None
         plant.read()
         return SavedState(
             self.fmu.save(before) if self._saves else None,
             *(self._time, plant.x.copy(), plant.v.copy()),
-            *(plant.next_event, self._integration.counts["events"], self._integration.sides),
+            *(plant.next_event, integration.counts["events"], integration.sides),
         )
 
     def restore(self, state: SavedState) -> None:
         """Restore a saved state."""
-        assert self._integration is not None
+        integration = self._running
         if self._saves:
             self.fmu.restore(state.fmu)
-        elif self._integration.counts["events"] != state.events:
+        elif integration.counts["events"] != state.events:
             expected = "expected an FMU that can save its state, to repeat a step with an event"
             raise Problem(self.log.error_message("going back", expected))
         self._time, self._plant.next_event = state.time, state.next_event
-        self._integration.sides = state.sides
+        integration.sides = state.sides
         self._course[0], self._course[1:] = state.v, 0.0
-        self._integration.evaluate(state.time, state.x)
+        integration.evaluate(state.time, state.x)
 
     def free_state(self, state: Any) -> None:
         """Free a saved state."""

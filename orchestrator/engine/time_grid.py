@@ -65,32 +65,27 @@ class Grid:
 
     @property
     def divided(self) -> tuple[float, ...]:
-        """Jumps and corners that are no points of the grid; a corner may be next to a jump."""
-        tolerance, times = SAME_EVENT * self.step, list[float]()
-        for t in (*self.jumps, *self.corners):
+        """Jumps and corners that are no points of the grid; none of the corners that are next to others."""
+        tolerance, jumps, kept = SAME_EVENT * self.step, set(self.jumps), list[float]()
+        for t in sorted(jumps.union(self.corners)):
             nearest = self.start + round((t - self.start) / self.step) * self.step
-            if self.start < t < self.stop and abs(t - nearest) > tolerance:
-                times.append(t)
-        kept: list[float] = []
-        jumps = set(self.jumps)
-        for t in sorted(times):
-            if not kept or t - kept[-1] > tolerance:
+            if not self.start < t < self.stop or abs(t - nearest) <= tolerance * (t not in jumps):
+                continue
+            if kept and t in jumps and kept[-1] not in jumps and t - kept[-1] <= tolerance:
+                kept.pop()
+            if not kept or t in jumps or t - kept[-1] > tolerance:
                 kept.append(t)
-            elif t in jumps:
-                kept[-1] = t
         return tuple(kept)
 
     def aligned(self, times: Array) -> Array:
         """These increasing times [s]; those that equal a communication point up to rounding are that point.
 
-        Of several times that equal one point only the nearest is.
+        Of several times that equal one point only the nearest is, both of a jump.
         """
         points = self.nearest(times)
-        off, one = np.abs(times - points), points[1:] == points[:-1]
-        equal = off <= rounding(points, self.step)
-        equal[1:] &= ~(one & (off[1:] > off[:-1]))
-        equal[:-1] &= ~(one & (off[:-1] > off[1:]))
-        return np.where(equal, points, times)
+        off, first = np.abs(times - points), np.flatnonzero(np.append(True, points[1:] != points[:-1]))
+        least = np.repeat(np.fmin.reduceat(off, first), np.diff(np.append(first, len(off))))
+        return np.where((off == least) & (off <= rounding(points, self.step)), points, times)
 
     @property
     def rows(self) -> int:

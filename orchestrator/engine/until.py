@@ -2,7 +2,7 @@
 
 The condition is a text, "arm.height < -1.5 m", or a function of the time [s] and of the row, a
 mapping from signal to value. A function that returns None only hears of each row. Rows come in blocks, some
-of them after the row that ends the run: these are not kept.
+of them after the row that ends the run: these are not kept. An exception of the function ends the run, too.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.interrupts import of_user
 from orchestrator.base.signals import matching
 from orchestrator.base.text import first_names
 from orchestrator.base.units import from_user_unit, number_and_unit
@@ -65,16 +66,15 @@ def condition(system: System, until: str | Callable[[float, Row], Any]) -> Compa
 class Until(TraceSink):
     """Passes the rows of a run on to another sink, until the condition holds.
 
-    reached   time of the row at which it does [s]; None before
-    failure   what a function of the user raised
+    reached   time of the last row that is kept [s], at which the run is to end; None before
+    failure   what a function of the user raised: a Problem, or KeyboardInterrupt
     """
 
     def __init__(self, when: Comparison | Callable[..., Any], sink: TraceSink) -> None:
         self._when, self._sink = when, sink
         self.keeps_errors = sink.keeps_errors
         self.reached: float | None = None
-        self.failure: Problem | None = None
-        self._told = False
+        self.failure: Problem | KeyboardInterrupt | None = None
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Receive the signals."""
@@ -84,7 +84,7 @@ class Until(TraceSink):
     def append(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
         """Receive rows, and keep those up to the one that ends the run."""
         super().append(times, values)
-        if self.reached is None and self.failure is None:
+        if self.reached is None:
             n = self._kept(times, values)
             self._sink.append(times[:n], values[:n])
 
@@ -99,29 +99,29 @@ class Until(TraceSink):
             return self._end(times, int(holds[0])) if len(holds) else len(times)
         for n, (time, row) in enumerate(zip(times.tolist(), values.tolist(), strict=True)):
             try:
-                if self._when(time, dict(zip(self.layout.names, row, strict=True))):
+                if of_user(self._when, time, dict(zip(self.layout.names, row, strict=True))):
                     return self._end(times, n)
-            except Exception as error:  # of the user's function: the rows are kept
+            except KeyboardInterrupt as interrupt:
+                self.failure = interrupt
+            except BaseException as error:  # of the user's function, SystemExit too: the rows are kept
                 self.failure = Problem(f"until: the function failed at t = {time:.6g} s: {error!r}")
-                return n + 1
+            if self.failure:
+                return self._end(times, n)
         return len(times)
 
     def _end(self, times: NDArray[np.float64], n: int) -> int:
         self.reached = float(times[n])
         return n + 1
 
-    def check(self) -> None:
-        """Raise KeyboardInterrupt, once, if the run is to end: a second one would kill its process."""
-        if not self._told and (self.reached is not None or self.failure):
-            self._told = True
-            raise KeyboardInterrupt
-
     def ended(self, end: RunEnd) -> RunEnd:
         """How the run ended: complete where the condition holds, also if an FMU failed later in its block."""
-        if self.failure:
-            return replace(end, problem=self.failure, interrupted=False)
         if self.reached is None:
+            return end
+        interrupted = end.interrupted or isinstance(self.failure, KeyboardInterrupt)
+        problem = self.failure if isinstance(self.failure, Problem) else None
+        end = replace(end, t=self.reached, problem=problem, interrupted=interrupted, died=False)
+        if self.failure:
             return end
         text = self._when.text if isinstance(self._when, Comparison) else "the function says so"
         notes = (*end.notes, f"the run ends at t = {self.reached:.6g} s: {text}")
-        return replace(end, t=self.reached, notes=notes, problem=None, interrupted=False, died=False)
+        return replace(end, notes=notes)

@@ -25,7 +25,7 @@ from orchestrator.fmi.calls import (
     to_ctypes,
 )
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.fmi.instance import FmuInstance, resources_location
+from orchestrator.fmi.instance import AfterCall, FmuInstance, resources_location
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
@@ -37,10 +37,11 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 class RunningFmu:
     """An FMU from instantiation to termination, with bound calls for its variables."""
 
-    def __init__(self, name: str, interface: FmuInterface, fmu: Location) -> None:
+    def __init__(self, name: str, interface: FmuInterface, fmu: Location, after: AfterCall = None) -> None:
+        """`after`: see `FmuInstance`."""
         names = {v.mark: v.name for v in interface.variables.values()}
         self.name, self.interface, self.log = name, interface, Log(name, names)
-        self._label, self._stepping = f"{name} ({fmu})", False
+        self._label, self._stepping, self._after = f"{name} ({fmu})", False, after
         self._cleanup = ExitStack()
         try:
             self._open(fmu)
@@ -52,7 +53,7 @@ class RunningFmu:
         face = self.interface
         folder = self._cleanup.enter_context(fmu.unpacked(UNUSED))
         library = load_library(folder, face.identifier, face.model.major, self._label)
-        self.fmu = FmuInstance(library, self.log, face.kind == MODEL_EXCHANGE, label=self._label)
+        self.fmu = FmuInstance(library, self.log, face.kind == MODEL_EXCHANGE, None, self._label, self._after)
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.model.major)
@@ -284,6 +285,7 @@ class CoSimulationFmu(RunningFmu):
 
         The instance is freed after a failed call, because the call may have left it in an invalid state.
         """
+        self.fmu.check_open()
         if self._spare is None and not self._spare_fails:
             try:
                 self._spare = self._spare_instance()

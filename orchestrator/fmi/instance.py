@@ -46,6 +46,7 @@ LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 STEP = function_number("DoStep")
 GUARD_BYTES = 64  # after the buffer of a serialised state, to detect a write beyond its end
 CallHook = Callable[[str, float], None]
+AfterCall = Callable[["FmuInstance"], None] | None
 
 
 class CallFailed(Problem):
@@ -122,9 +123,12 @@ class BoundCall:
         }
 
     def __call__(self) -> None:
+        self.instance.check_open()
         self.slot.function = self.number
         status = self._call()
         self.slot.function = 0
+        if self.instance.after:
+            self.instance.after(self.instance)
         if status:
             self.check_status(status)
 
@@ -134,6 +138,7 @@ class FmuInstance:
 
     exchange   True for Model Exchange, False for Co-Simulation
     before     called before each function, with its name and the time [s]
+    after      called after each function that Python calls, but a step
     slot       the call in progress
     handle     NULL before `instantiate` and after `free`
     worst      the worst status of all calls
@@ -149,9 +154,11 @@ class FmuInstance:
         exchange: bool = False,
         before: CallHook | None = None,
         label: str = "",
+        after: AfterCall = None,
     ) -> None:
         """`label`: component and file of the FMU, for messages after a crash."""
         self.library, self.log, self.exchange, self.before = library, log, exchange, before
+        self.after, self._closed = after, False
         self.fmi, self.types = library.fmi, TYPES[library.fmi]
         self.handle, self.worst = ctypes.c_void_p(), 0
         self._environment: int = register_log(log)
@@ -175,7 +182,13 @@ class FmuInstance:
         """Address of a function, for calls from C."""
         return self.library.address(self.name(function))
 
+    def check_open(self) -> None:
+        """Raise Problem after `free`: a call would end the process."""
+        if self._closed:
+            raise Problem(f"{self.log.component}: expected an FMU that runs, got one that is closed")
+
     def _call(self, name: str, *arguments: Any, result: Any = ctypes.c_int) -> Any:
+        self.check_open()
         function = self.library.function(name, result)
         if self.before:
             self.before(self.library.prefix + name, self.log.time)
@@ -186,6 +199,8 @@ class FmuInstance:
             raise Crashed(f"{error} in {self.library.prefix}{name}") from None
         finally:
             self.slot.function = 0
+            if self.after:
+                self.after(self)
 
     def status(self, function: str, *arguments: Any) -> int:
         """Call a function and return its status."""
@@ -200,6 +215,7 @@ class FmuInstance:
 
     def bound(self, function: str, *arguments: Any, variables: Sequence[str] = ()) -> BoundCall:
         """A call with fixed arguments."""
+        self.check_open()
         name, description = self.name(function), self.describe_call(function, variables)
         call = partial(self.library.function(name), as_parameter(self.handle), *map(as_parameter, arguments))
         if self.before:
@@ -283,7 +299,8 @@ class FmuInstance:
         """Free the instance, except after a fatal error. May be repeated."""
         if self.handle and self.worst < FATAL:
             self._call("FreeInstance", self.handle, result=None)
-        self.handle = ctypes.c_void_p()
+        self.handle, self._closed = ctypes.c_void_p(), True
+        self._step = partial(self.status, "DoStep")
         self.slot.fmi = 0
         self.slot = CallSlot.from_buffer_copy(self.slot)  # the other one may become that of another instance
         self.log.clock = self.slot.clock

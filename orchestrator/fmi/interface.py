@@ -250,7 +250,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         unsupported=unsupported,
         can_interpolate_inputs=capabilities.declares("canInterpolateInputs") and fmi == 2,
         rate_inputs=_rate_inputs(declared, description, variables),
-        event_indicators=indicators if fmi == 2 else len(description.structure["indicators"]),
+        event_indicators=indicators if fmi == 2 else _indicator_count(description),
         completed_step=capabilities.declares("needsCompletedIntegratorStep")
         if fmi == 3
         else not capabilities.declares("completedIntegratorStepNotNeeded"),
@@ -343,6 +343,14 @@ def _dependencies(
             names = frozenset(name for v in variables if v for name in v.names)
         result |= dict.fromkeys(u.variable.names, names)
     return result
+
+
+def _indicator_count(description: ModelDescription) -> int:
+    """The number of event indicators of an FMI 3.0 FMU, of which one variable may hold several."""
+    try:
+        return sum(u.variable.size if u.variable else 1 for u in description.structure["indicators"])
+    except ValueError as error:
+        raise Problem(f"event indicator {error}") from None
 
 
 def _states(description: ModelDescription, variables: Mapping[str, FmuVariable]) -> dict[str, str]:

@@ -8,6 +8,7 @@ from orchestrator.base.errors import NotExchangeable
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
+from orchestrator.fmi.instance import AfterCall
 from orchestrator.fmi.interface import MODEL_EXCHANGE, FmuInterface, read_interface
 
 
@@ -23,8 +24,8 @@ class ExchangeFmu(RunningFmu):
         self.fmu.vector("GetNominalsOfContinuousStates", address(into), len(into))
 
 
-def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
-    """Open the FMU of a component for Model Exchange.
+def open_exchange(name: str, fmu: Location | None, after: AfterCall = None) -> ExchangeFmu:
+    """Open the FMU of a component for Model Exchange; `after`: see `FmuInstance`.
 
     Raises NotExchangeable if there is no FMU file, or if the FMU does not support Model Exchange or does not
     list all its continuous states.
@@ -33,7 +34,7 @@ def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
         raise NotExchangeable(f"{name}: expected an FMU file, got none")
     interface = read_interface(fmu, MODEL_EXCHANGE)
     check_states(name, fmu, interface)
-    return ExchangeFmu(name, interface, fmu)
+    return ExchangeFmu(name, interface, fmu, after)
 
 
 def check_states(name: str, fmu: Location, interface: FmuInterface) -> None:

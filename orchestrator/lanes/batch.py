@@ -31,6 +31,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import LANES, NotInLanes
 from orchestrator.lanes.group import FAILED, NOT_RELIABLE, OK, Ended, Group, Lanes
 from orchestrator.lanes.one_by_one import run_one_by_one
+from orchestrator.ssp.masters import MASTERS
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 
@@ -123,6 +124,9 @@ def batch(
     execution.check()
     job = prepare(system, scenario, record, Execution(isolate=False), **given)
     job = replace(job, execution=replace(execution, isolate=False, tolerance=job.execution.tolerance))
+    if job.coupling.method.own:
+        got = f"got {job.coupling.method.name}, whose functions are in the calling process"
+        raise Problem(f"batch: expected one of the masters {', '.join(MASTERS)}, {got}")
     times = job.times
     if times.free:
         raise Problem(

@@ -187,7 +187,7 @@ class Lanes:
         sim.order, sim.degree = self.at(np.array(plan.order, np.int32)), plan.degree
         sim.sequential, sim.passes, sim.tolerance = plan.sequential, plan.passes, plan.tolerance
         sim.error_tolerance, sim.saves = self.control.tolerance if self.control else 0.0, self.saves
-        sim.events, sim.event_count = self.at(np.array(times.divided)), len(times.divided)
+        sim.divided, sim.divided_count = self.at(np.array(times.divided)), len(times.divided)
         sim.start, sim.step, sim.total = times.start, times.step, times.steps
 
     @property
@@ -423,10 +423,10 @@ class Group:
         ctypes.memset(self._failures, 0, ctypes.sizeof(self._failures))
         self._step_sizes = self.lanes.step_sizes()
         self._sim.step_size = ctypes.addressof(self._step_sizes) if self._step_sizes else None
-        self._sim.event[:] = [0] * LANES
+        self._sim.next_divided[:] = [0] * LANES
         self.struct.row = self._sim.done = 0
         if self._scenario:
-            self._scenario.evaluated_at[:] = [np.nan] * LANES
+            self._scenario.evaluated_at[:] = self._scenario.since[:] = [np.nan] * LANES
 
     # ---- the run
 

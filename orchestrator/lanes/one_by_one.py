@@ -37,9 +37,10 @@ def run_one_by_one(
     ended: dict[int, Ended] = {}
     machines, stopped = iter(range(count)), threading.Event()
 
-    def check() -> None:
+    def between(_: float) -> bool:
         if stopped.is_set():
             raise KeyboardInterrupt
+        return False
 
     with temporary_folder("batch-", "the FMUs") as folder:
         (system,), originals = unpacked([job.system], folder)
@@ -55,19 +56,19 @@ def run_one_by_one(
                     continue
                 own = _with_values(system, {port: float(array[machine]) for port, array in values.items()})
                 own_job, own_rows = replace(job, system=own, record=record), [row[machine] for row in rows]
-                if end := _simulate(own_job, own_rows, points, check):
+                if end := _simulate(own_job, own_rows, points, between):
                     ended[machine] = replace(end, reason=with_originals(end.reason, originals))
 
         in_threads([work] * max(1, min(workers, count)), stopped.set)
     return ended
 
 
-def _simulate(job: Job, rows: Sequence[Array], points: Array, check: Callable[[], None]) -> Ended | None:
+def _simulate(job: Job, rows: Sequence[Array], points: Array, end: Callable[[float], bool]) -> Ended | None:
     """Run a machine, and fill its rows, shape (points,), up to its end; returns why it ended early."""
     sink = TraceInMemory()
     sink.rows = 0  # until the run begins
     try:
-        outcome = run_isolated(job, sink, check=check, cores=1)
+        outcome = run_isolated(job, sink, end, cores=1)
         result = finished(job, outcome, sink)
     except Problem as problem:
         return Ended(FAILED, " ".join(str(problem).split()), sink.last if sink.rows else job.times.start)

@@ -157,8 +157,6 @@ class CvodeSolver:
         """The step, if it succeeded."""
         if not step.success or self._of.broken:
             raise self._of.failed(self._t, step.message)
-        if isinstance(self._of.problem, KeyboardInterrupt):
-            raise self._of.problem
         self._of.problem = None
         return step
 
@@ -186,6 +184,7 @@ class _Recorded(Integration):
             plant.start((times.start, times.stop), driven)
         if self.scenario:
             plant.drive(self.scenario)
+            plant.jumped(times.start)
         check_room(times.rows, len([*plant.outputs, *plant.inputs, *plant.states, *self._discrete]))
         self._points: list[float] = [*(times.start + times.step * np.arange(times.rows)).tolist(), np.inf]
         self._rows = list[Array]()
@@ -215,11 +214,9 @@ class _Recorded(Integration):
         """A solver that begins at a time [s] and a state."""
         return CvodeSolver(self, t, x, target)
 
-    def evaluate(self, t: float, x: Array) -> None:
-        """Evaluate the plant at a time [s] and a state; on the way to a jump with the values before it."""
-        if self.scenario:
-            self.plant.before_jumps(t > self.since)
-        super().evaluate(t, x)
+    def changed(self, t: float) -> None:
+        """The scenario has the values after its jumps up to a time [s]."""
+        self.plant.jumped(t)
 
     def check(self, t: float) -> None:
         """Raise KeyboardInterrupt if the user has interrupted; show the progress."""

@@ -290,7 +290,9 @@ class FrameStepper:
 
     def _faults_at(self, t: float) -> Array:
         """Values of the faults at t [s]; one for that time acts in the frame that follows."""
-        return np.array([np.interp(t - JUMP, *corners) for corners in self._faults.values()], dtype=np.float64)
+        return np.array(
+            [np.interp(t - JUMP, *corners) for corners in self._faults.values()], dtype=np.float64
+        )
 
     def close(self) -> None:
         """Free the FMUs. May be repeated."""

@@ -16,6 +16,7 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, require, tell_once
 from orchestrator.base.text import DisplayUnit, TextTable, first_names, number
+from orchestrator.data.corrections import rate_faults
 from orchestrator.data.description import description_next_to
 from orchestrator.data.recording import read_recording
 from orchestrator.data.table import READABLE, Array
@@ -32,6 +33,9 @@ from orchestrator.ssp.write import parameter_set
 STEP = 0.01  # s
 ROWS = 100_000  # of the findings at most, 0.3 s apart over a day of 8 h: a hundred outputs fit into memory
 INTERVAL = 1.96  # deviations of a 95 % interval
+SLOW, SLOWEST = 1.2, 10.5  # steps of a log from which faults are told later; from which none is certain
+# settings for readings of each step
+COUNTED = ("still_time", "still_motion", "response_time", "burst_volume", "delay_limit")
 KNOWN = 100.0  # a deviation of the prior over one from which a size can be learned that is never told
 FITTED, REFERENCE = "_fitted", "_reference"
 LITRE = 1 / 6e4  # L/min in m3/s
@@ -48,7 +52,10 @@ TEMPLATE = Path(__file__).with_name("templates") / "diagnosis.html.j2"
 
 @dataclass(frozen=True)
 class Finding:
-    """What an FMU tells of one thing that may be broken; size, deviation and state over the time [s]."""
+    """What an FMU tells of one thing that may be broken; size, deviation and state over the time [s].
+
+    healthy   size of the healthy machine
+    """
 
     name: str
     text: str
@@ -58,6 +65,7 @@ class Finding:
     size: Array
     deviation: Array
     state: Array
+    healthy: float = 0.0
 
     @property
     def broken(self) -> bool:
@@ -79,6 +87,11 @@ class Finding:
         """Size over deviation where it was told last; infinite of what has no deviation."""
         size, deviation = abs(self.size[self.last]), self.deviation[self.last]
         return float(size / deviation) if deviation > 0 else math.inf
+
+    @property
+    def may_be_healthy(self) -> bool:
+        """Whether its own 95 % interval holds the healthy size: it is told together with others only."""
+        return bool(abs(self.size[self.last] - self.healthy) < INTERVAL * self.deviation[self.last])
 
     @property
     def shown(self) -> tuple[float, str]:
@@ -132,6 +145,23 @@ class Diagnosis:
             found.setdefault(f.repair, []).append(f)
         return found
 
+    @property
+    def is_known(self) -> bool:
+        """Whether a fault was told, or at least half of the parts can be judged at the end."""
+        return bool(self.broken) or len(self.sound) >= len(self.blind)
+
+    @property
+    def verdict(self) -> str:
+        """What was found, in words."""
+        if self.broken:
+            unsure = [f.text for f in self.broken if f.may_be_healthy]
+            together = f"; each of these may be healthy alone, but not all: {'; '.join(unsure)}" * bool(
+                unsure
+            )
+            return f"{len(self.broken)} found, the most certain first{together}"
+        count = f"{len(self.sound)} of {len(self.sound) + len(self.blind)} parts can be judged"
+        return "nothing found" if self.is_known else f"not known whether it is healthy: only {count}"
+
     def table(self) -> TextTable:
         """The faults."""
         rows = [[f.text, f.extent(), f"{f.since:.2f}", f.repair] for f in self.broken]
@@ -140,7 +170,8 @@ class Diagnosis:
     def text(self) -> str:
         """For a terminal."""
         lines = list(self.remarks)
-        lines += self.table().lines() if self.broken else [f"{self.source}: nothing found"]
+        lines += self.table().lines() if self.broken else []
+        lines.append(f"{self.source}: {self.verdict}")
         if self.blind:
             lines.append(f"Cannot be told at the end: {', '.join(self.blind)}")
         return "\n".join(lines)
@@ -204,7 +235,18 @@ def diagnose(
         names = first_names(sorted(inputs), 8)
         raise Problem(f"{recording}: no column has the name of an input of {fmu.name}: {names}")
     missing, remarks = _without(component, trace, recording)
-    values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing} | dict(set or {})
+    units = {n: trace.units.get(n) or component.interface.variables[n].unit_name or "" for n in trace}
+    rates = rate_faults(trace.time, trace.signals, units)
+    remarks += [f"{recording}: {name}: {fault}" for name, fault in rates]
+    values = {f"{component.name}.{n}{FITTED}": 0.0 for n in missing}
+    if (slow := float(np.median(np.diff(trace.time))) / STEP) > SLOW:
+        rate = f"{recording}: {1 / STEP / slow:.3g} Hz, expected {1 / STEP:g} Hz or more"
+        if slow > SLOWEST:
+            raise Problem(f"{rate}, at least {1 / STEP / SLOWEST:.2g} Hz")
+        remarks.insert(0, f"{rate}: sensors, spools and bursts are judged over {slow:.3g} times as long")
+        settings = [n for n in COUNTED if n in component.interface.variables]
+        values |= {f"{component.name}.{n}": slow * float(component.value(n)) for n in settings}
+    values |= set or {}
     return _run(system, trace, recording.name, parameters, values, remarks)
 
 
@@ -237,11 +279,12 @@ def _run(
         parameters=parameters,
         set=set,
     )
-    time = np.asarray(result.time)
-    findings = [
-        Finding(*one, time, *(np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state")))
-        for one in found
-    ]
+    time, (component,), findings = np.asarray(result.time), result.system.components.values(), []
+    for one in found:
+        size, off, state = (np.asarray(result[f"{one[0]}{end}"]) for end in ("", "_deviation", "_state"))
+        reference = f"{one[0]}{REFERENCE}"
+        healthy = float(component.value(reference)) if reference in variables else 0.0
+        findings.append(Finding(*one, time, size, off, state, healthy))
     doubts = [w for w in result.system.warnings if "did you mean" in w]
     return Diagnosis(source, findings, result, [*remarks, *doubts])
 

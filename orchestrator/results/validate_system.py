@@ -20,7 +20,7 @@ from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.options import declarations
 from orchestrator.base.progress import doing
 from orchestrator.base.signals import matching, moves, rms
-from orchestrator.base.units import convert
+from orchestrator.base.units import convert, factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, fill_gaps, read_recording
 from orchestrator.data.table import Array
@@ -122,6 +122,7 @@ def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Tr
             continue
         unit = system.unit(system.port(port))
         target = unit.name if unit else reference.file_units.get(name, reference.units[name])
+        factor_and_offset(reference.file_units.get(name, target), target, reference.place(name))
         columns[port] = convert(
             fill_gaps(reference, name), reference.units[name], target, reference.place(name)
         )
@@ -362,7 +363,7 @@ def validate_system(
     notes.append(another_model(result.system, against))
     if missing := _lost(result.system, against, result.trace):
         names = ", ".join(sorted(missing))
-        notes.append(f"not compared, because the swapped FMU has no such signal: {names}")
+        notes.append(f"not compared, because they are not in the run: {names}")
     # in memory, also if the run is long
     against, recorded = comparable(result.system, result.trace.select(result.trace.signals), against, page)
     notes.append(start_note(recorded, against) if commands else "")
@@ -415,8 +416,10 @@ def comparable(system: System, trace: Trace, reference: Recording, page: Layout)
 
 
 def _lost(system: System, reference: Recording, trace: Trace) -> set[str]:
-    """Signals of the reference that are lost in a swap."""
-    return missing_after_swap(system).keys() & reference.signals.keys() - trace.signals.keys()
+    """Signals of the reference that are lost in a swap, or of an operator that its commands replace."""
+    sources = (c for c in system.components.values() if not c.interface.of("input"))
+    replaced = {f"{c.name}.{v.name}" for c in sources for v in c.interface.of("output")}
+    return (missing_after_swap(system).keys() | replaced) & reference.signals.keys() - trace.signals.keys()
 
 
 def _times_ahead(times: Grid, reference: Recording) -> Array:

@@ -21,7 +21,10 @@ parameters that are one physical quantity in several components:
             <hc:Component name="cylinder"/>
           </hc:SharedParameter>
 
-Both may also be annotations of the outermost System, or of the whole file. In other places, such as a nested
+A `CommonParameter` is likewise one quantity, such as the density of the oil, but its components may have
+different values: a note tells them.
+
+All may also be annotations of the outermost System, or of the whole file. In other places, such as a nested
 file, they are ignored with a note.
 
 If a Coupling is missing, those of other tools are used. They are followed, or a run is refused until the
@@ -45,7 +48,7 @@ from orchestrator.base.options import declarations
 from orchestrator.base.xml import XmlElement, boolean, finite, integer, local_name
 from orchestrator.ssp.coupling import Coupling, Suggestion
 
-OWN, COUPLING, SHARED = "harvester-cosim", "Coupling", "SharedParameter"
+OWN, COUPLING, SHARED, COMMON = "harvester-cosim", "Coupling", "SharedParameter", "CommonParameter"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root
 
 
@@ -72,11 +75,11 @@ def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> S
     return Suggestion(coupling, step, location=f"{element.location}: Coupling")
 
 
-def read_shared(root: XmlElement, components: Collection[str]) -> dict[str, tuple[str, ...]]:
-    """Parameter -> components that share it; root: the outermost file."""
+def read_shared(root: XmlElement, components: Collection[str], kind: str) -> dict[str, tuple[str, ...]]:
+    """Parameter -> components that share it; root: the outermost file; kind: `SHARED` or `COMMON`."""
     shared = dict[str, tuple[str, ...]]()
     for element in _own_elements(root):
-        if element.name == SHARED:
+        if element.name == kind:
             names = tuple(e.required("name") for e in element.children("Component"))
             if not names:
                 raise element.problem("expected at least one Component, got none")
@@ -129,8 +132,8 @@ def _own_elements(root: XmlElement) -> Iterator[XmlElement]:
     for path in PATHS:
         for annotation in root.children(*path, "Annotations", "Annotation"):
             for e in annotation.children() if annotation.get("type") == OWN else ():
-                if e.name not in (COUPLING, SHARED):
-                    raise e.problem(f"expected {COUPLING} or {SHARED} in an annotation of type {OWN}")
+                if e.name not in (COUPLING, SHARED, COMMON):
+                    raise e.problem(f"expected {COUPLING}, {SHARED}, {COMMON} in an annotation of type {OWN}")
                 yield e
 
 

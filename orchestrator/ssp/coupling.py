@@ -11,7 +11,17 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, TypedDict
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole, declarations, taken
+from orchestrator.base.options import (
+    GROUPS,
+    Kind,
+    Number,
+    Seconds,
+    Substeps,
+    Whole,
+    declarations,
+    merged,
+    taken,
+)
 from orchestrator.ssp.masters import MASTERS, Master
 
 MAX_PASSES = 8  # default of hermite
@@ -203,10 +213,15 @@ GROUPS.append(CouplingArguments)
 
 
 def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
-    """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run."""
+    """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run.
+
+    Raises Problem for one that is also in a `Coupling` as the master.
+    """
     choices = taken(given, **{name: FIELDS.get(name, name) for name in declarations(CouplingArguments)})
-    whole = choices.get("master")
-    return {**vars(whole), **choices, "master": whole.master} if isinstance(whole, Coupling) else choices
+    if not isinstance(whole := choices.get("master"), Coupling):
+        return choices
+    del choices["master"]
+    return {**vars(merged(whole, choices, **{field: option for option, field in FIELDS.items()}))}
 
 
 def merge_choices(choices: Mapping[str, Any], defaults: Coupling | None = None) -> Coupling:

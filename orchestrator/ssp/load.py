@@ -15,7 +15,7 @@ from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.units import IDENTITY, LinearTransformation, conversion, differences
 from orchestrator.fmi.description import Value
-from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
+from orchestrator.ssp.annotations import COMMON, SHARED, ignored_annotations, read_shared, read_suggestion
 from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import bound_values, with_sets
 from orchestrator.ssp.swap import with_swaps
@@ -83,12 +83,12 @@ def _single_fmu(fmu: Location) -> System:
 def _load_ssd(ssd: Location) -> System:
     flat = read_structure(ssd)
     suggestion = read_suggestion(flat.roots, flat.sources)
-    shared = read_shared(flat.roots[0], flat.sources)
+    shared, common = (read_shared(flat.roots[0], flat.sources, kind) for kind in (SHARED, COMMON))
     flat.notes += ignored_annotations(flat.roots)
     components = {name: open_component(name, fmu, flat.kinds[name]) for name, fmu in flat.sources.items()}
     try:
         system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
-        system = _connected(flat, system)
+        system = _connected(flat, replace(system, common=common))
         system.check_sharing()
     except Problem as problem:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
@@ -176,6 +176,7 @@ def assemble(
     stop: Seconds = None,
     step: Seconds = None,
     shared: Mapping[str, Sequence[str]] | None = None,
+    common: Mapping[str, Sequence[str]] | None = None,
 ) -> System:
     """A system from FMU files and connections.
 
@@ -188,6 +189,7 @@ def assemble(
     stop          default stop time of a run [s], or with a unit, such as "2 s"
     step          default communication step of a run [s], or with a unit, with Gauss-Seidel
     shared        parameter -> components in which a parameter of this name is the same physical quantity
+    common        the same, if different values get a note and are not refused
     """
     components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
     system = System(name, components)
@@ -212,6 +214,7 @@ def assemble(
         suggestion=suggestion,
         notes=(*notes, *_driven_parameters(system, checked)),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
+        common={parameter: tuple(names) for parameter, names in (common or {}).items()},
     ).with_start(start or {}, origin="")
     system.check_sharing()
     return system

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any, NamedTuple
 
 from orchestrator.base.errors import Problem, suggest
@@ -156,6 +157,7 @@ class System:
     warnings     the same, where the result may be wrong for its purpose
     suggestion   suggested master and step, from the file of the system
     shared       parameter -> components in which a parameter of this name is the same physical quantity
+    common       the same, if different values get a note and are not refused
     driven_instead   components without inputs that a scenario replaces
     """
 
@@ -171,6 +173,7 @@ class System:
     warnings: tuple[str, ...] = ()
     suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     driven_instead: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -243,7 +246,8 @@ class System:
         if len(units) > 1:
             with_units = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in inputs)
             raise Problem(f"{name}: expected inputs with one unit, got {with_units}")
-        others = dict.fromkeys([*self.inputs, *self.shared, *(p.variable for p in self.ports("input"))])
+        common = filter(self.sharing, (*self.shared, *self.common))
+        others = dict.fromkeys([*self.inputs, *common, *(p.variable for p in self.ports("input"))])
         return tuple((port, self._conversion(port)) for port in inputs or [self.port(name, others)])
 
     def _inputs(self, name: str) -> list[Port]:
@@ -255,7 +259,8 @@ class System:
 
         A swapped FMU can lack it, or can have something else under its name.
         """
-        components = [self.components[c] for c in self.shared.get(name, ()) if c in self.components]
+        sharing = self.shared.get(name, self.common.get(name, ()))
+        components = [self.components[c] for c in sharing if c in self.components]
         before = [(c.replaced or c.interface).variables.get(name) for c in components]
         dimension = next((v.unit.dimension for v in before if v and v.unit), None)
         ports = [Port(c.name, name) for c in components if name in c.interface.variables]
@@ -442,7 +447,12 @@ class System:
 
     def check_shared(self) -> None:
         """Raise Problem if a parameter that components share has two values."""
-        for name in self.shared:
+        for problem in self.differences(self.shared):
+            raise Problem(problem)
+
+    def differences(self, names: Iterable[str]) -> Iterator[str]:
+        """One line for each of these shared or common parameters that has two values."""
+        for name in names:
             ports = self.sharing(name)
             unit = self.variable(ports[0]).unit if ports else None
             values = [
@@ -451,12 +461,12 @@ class System:
                 )
                 for port in ports
             ]
-            for port, value in zip(ports, values, strict=True):
-                if not math.isclose(value, values[0], rel_tol=WRITTEN):
-                    in_unit = f" {unit.name}" if unit else ""
-                    got = f"{ports[0]} is {values[0]:.9g} and {port} is {value:.9g}{in_unit}"
-                    hint = f"set {'both' if len(ports) == 2 else 'all'} at once by the name {name}"
-                    raise Problem(f"{got}: expected one value of one physical quantity; {hint}")
+            others = (k for k, v in enumerate(values) if not math.isclose(v, values[0], rel_tol=WRITTEN))
+            for k in islice(others, 1):
+                in_unit = f" {unit.name}" if unit else ""
+                got = f"{ports[0]} is {values[0]:.9g} and {ports[k]} is {values[k]:.9g}{in_unit}"
+                hint = f"set {'both' if len(ports) == 2 else 'all'} at once by the name {name}"
+                yield f"{got}: expected one value of one physical quantity; {hint}"
 
     def in_kind(self, kind: str, *names: str) -> System:
         """The system with components, default: all, in another kind, "CoSimulation" or "ModelExchange"."""

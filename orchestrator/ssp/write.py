@@ -13,7 +13,7 @@ from orchestrator.base.files import write_zip
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import generation_tool, rendered_xml
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.ssp.annotations import coupling_attributes
+from orchestrator.ssp.annotations import COMMON, SHARED, coupling_attributes
 from orchestrator.ssp.common_elements import NAMESPACES, TYPES, defined_units
 from orchestrator.ssp.diagram import Diagram, Point
 from orchestrator.ssp.system import RESOURCES, Component, Inlet, Port, System
@@ -108,7 +108,8 @@ def _structure(s: System, version: str, bound: Sequence[str], columns: Sequence[
     units = [v.unit for of_component in variables.values() for v in of_component.values()]
     units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
     starts = {name: start for name, inlet in s.inputs.items() if (start := _start(s, inlet))}
-    shared = {name: [port.component for port in s.sharing(name)] for name in s.shared}
+    shared = [(SHARED, name, [port.component for port in s.sharing(name)]) for name in s.shared]
+    shared += [(COMMON, name, [c for c in names if c in s.components]) for name, names in s.common.items()]
     step = s.suggestion.step
     return _file(
         DEFINITION,
@@ -131,7 +132,7 @@ def _structure(s: System, version: str, bound: Sequence[str], columns: Sequence[
         decimal=None if step is None else f"{step:.12f}".rstrip("0"),  # OMSimulator allows no exponent
         coupling=coupling_attributes(s.suggestion),
         factors=s.coupling.factors if s.coupling else {},
-        shared={name: names for name, names in shared.items() if names},
+        shared=[row for row in shared if row[-1]],
     )
 
 

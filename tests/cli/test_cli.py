@@ -13,6 +13,7 @@ from fmus.machine.parts import FAMILIES, FERIC
 from fmus.machine.poses import POSES
 from orchestrator import read_trace
 from orchestrator.__main__ import main
+from orchestrator.base import files
 from orchestrator.base.files import require
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -153,8 +154,9 @@ def test_only_a_similar_file_is_proposed():
 
 
 @pytest.mark.parametrize("command", ["run", "validate"])
-def test_a_machine_that_is_not_built_yet(capsys, command):
+def test_a_machine_that_is_not_built_yet(capsys, command, monkeypatch):
     """The command that makes it is told."""
+    monkeypatch.setattr(files, "CHECKOUT", Path("none"))
     missing = Path("build/harvester.ssp")
     missing.unlink()
     assert main([command]) == 2

@@ -73,6 +73,8 @@ def test_a_new_file_is_a_crane(tmp_path):
     assert str(path) in new(path)
     assert [a.joint.name for a in check(read(path))] == ["slew", "boom", "stick"]
     assert "exists already" in problem(lambda: new(path))
+    assert "got no folder" in problem(lambda: new(tmp_path / "no" / "mine.toml"))
+    assert not (tmp_path / "no").exists()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -4,15 +4,17 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import casadi as ca
 import numpy as np
 import pytest
 from kit.cranes import EXAMPLES, changed, crane, machine
 from kit.equations import Part, corners, piston_areas, played
 
-from fmus.contract import quantities
+from fmus.contract import column, flat, quantities, symbols
 from fmus.crane.description import read
 from fmus.crane.machine import FIDELITIES, crane_machine
 from fmus.machine.machine import wiring
+from fmus.machine.parts import FERIC
 from fmus.monolith import join
 from fmus.parameters import numbers, values
 
@@ -129,3 +131,18 @@ def test_each_example_has_all_variants(name):
             assert {n: x.unit for n, x in given.items()} == {n: q.unit for n, q in declared.items()}
             names = [n for g in ("states", "parameters", "inputs") for n in quantities(getattr(sub, g))]
             assert len(set(names)) == len(names)  # none is declared twice
+
+
+@pytest.mark.parametrize("built", [machine, lambda: crane_machine(crane("patu")), lambda: FERIC])
+def test_open_rate_inputs_hold_the_start(built):
+    """What is only the rate of other inputs starts at 0, exactly; no start value of a system follows it."""
+    found = dict[str, float]()
+    for sub in (s for variants in built().families.values() for s in variants.values()):
+        declared, start = quantities(sub.inputs), values(sub).u
+        rates = {q.rate for q in declared.values()} - {n for n, q in declared.items() if q.rate} - {None}
+        found |= {f"{sub.name}.{n}": start[n] for n in rates}
+        x, u, p = (symbols(group) for group in (sub.states, sub.inputs, sub.parameters))
+        initial = column(*sub.initial(x, u, p).values())
+        assert not any(ca.depends_on(ca.SX(initial), flat(u)[n]) for n in rates)
+    assert len(found) > 10
+    assert not any(found.values())

@@ -9,7 +9,7 @@ from orchestrator import Problem, read_trace
 from orchestrator.__main__ import main
 from orchestrator.base.files import Location
 from orchestrator.data.trace import trace_of
-from orchestrator.results.diagnosis import _named, diagnose, learned, readings
+from orchestrator.results.diagnosis import Diagnosis, Finding, _named, diagnose, learned, readings
 
 COMMANDS = ("swing_command", "boom_command", "stick_command")
 
@@ -75,6 +75,69 @@ def test_findings_of_a_long_recording_are_stored_less_often(fmu, columns, tmp_pa
     assert [f.name for f in coarse.broken] == [f.name for f in fine.broken] != []
     for a, b in zip(coarse.broken, fine.broken, strict=True):
         assert a.since == pytest.approx(b.since, abs=0.04)
+
+
+def test_what_can_hardly_be_judged_does_not_read_as_healthy(told, columns, tmp_path):
+    """Two arms of three without pressures: status 3, in words and in the report."""
+    for name in [n for n in columns if n.startswith(("swing_pressure", "stick_", "supply", "tank"))]:
+        if not name.endswith("command"):
+            del columns[name]
+    status, text = told()
+    assert status == 3
+    assert "log.csv: not known whether it is healthy: only " in text
+    assert "Not known whether it is healthy: only " in (tmp_path / "diagnosis.html").read_text()
+
+
+@pytest.mark.parametrize(("every", "is_told"), [(1, True), (2, False), (10, False)])
+def test_a_slow_log_is_told_and_a_few_equal_readings_are_no_fault(fmu, columns, tmp_path, every, is_told):
+    """A pressure that stands still for 0.25 s: 25 readings of 100 Hz, but three of 10 Hz."""
+    columns["stick_rod_pressure"] = 3.4e6 + 1e6 * np.sin(3 * columns["time"])
+    columns["stick_head_pressure"] = 3e6 + 2e6 * np.cos(3 * columns["time"])
+    columns["stick_head_pressure"][100:125] = columns["stick_head_pressure"][100]
+    found = diagnose(fmu, written(tmp_path, {n: c[::every] for n, c in columns.items()}))
+    assert ("stick_head_pressure_sensor" in [f.name for f in found.broken]) == is_told
+    remarks = [line for line in found.remarks if " Hz, expected 100 Hz or more: " in line]
+    assert len(remarks) == (every > 1)
+    assert all(
+        f"log.csv: {100 / every:.3g} Hz" in line and f"over {every} times as long" in line for line in remarks
+    )
+
+
+def test_a_log_below_10_hz_is_refused(fmu, columns, tmp_path):
+    """Nothing is certain at 8 Hz, nor at one sample a second."""
+    for every in (12, 100):
+        file = written(tmp_path, {n: c[::every] for n, c in columns.items()})
+        problem(lambda file=file: diagnose(fmu, file), r"Hz, expected 100 Hz or more, at least 9\.5 Hz")
+
+
+def test_findings_that_are_judged_together_are_told_so():
+    """Each of them may be healthy alone; a size far from that of the healthy machine is certain."""
+
+    def finding(name, size, deviation, healthy):
+        one = (np.array([v]) for v in (0.0, size, deviation, 1.0))
+        return Finding(name, f"Size of {name}", "1", "valve", *one, healthy)
+
+    gain, band = finding("gain", 0.6, 0.3, 1.0), finding("band", 0.2, 0.6, 0.0)
+    leak = finding("leak", 0.6, 0.1, 0.0)
+    for found, told in (
+        (
+            [gain, band],
+            "2 found, the most certain first; each of these may be healthy alone, but not all: Size of gain; "
+            "Size of band",
+        ),
+        ([gain, leak], "each of these may be healthy alone, but not all: Size of gain"),
+        ([leak], "1 found, the most certain first"),
+    ):
+        assert Diagnosis("log", found, None, ()).verdict.endswith(told)
+
+
+@pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180, 1e3])
+def test_a_gyro_in_another_unit_is_named(fmu, columns, tmp_path, factor):
+    """Beside its angle, without units in the file: those are the FMU's."""
+    columns["boom_angle"] = 0.3 + 0.2 * np.sin(3 * columns["time"])
+    columns["boom_speed"] = factor * 0.6 * np.cos(3 * columns["time"])
+    (line,) = diagnose(fmu, written(tmp_path, columns)).remarks
+    assert f"log.csv: boom_speed: {factor:.3g} times as fast as boom_angle changes: " in line
 
 
 LACKING = {

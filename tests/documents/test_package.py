@@ -64,7 +64,7 @@ VERSIONS = {"tested": ["-c", "constraints.txt"], "newest": ["--prerelease", "if-
 
 
 def _shard(where: str, python: str, versions: str) -> Any:
-    """Each platform tested with the oldest and the newest Python, and newest with one; no time for the others."""
+    """Each platform tested with the oldest and the newest Python, and newest with one; else no time."""
     ends = python in (PYTHONS[0], PYTHONS[-1])
     one = (PYTHONS.index(python) - list(PLATFORMS).index(where)) % len(PYTHONS) == 0
     return shards.platforms if (ends if versions == "tested" else one) else shards.targets

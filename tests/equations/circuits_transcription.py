@@ -291,7 +291,8 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     m = oil(x["oil_temperature"], p.oil_viscosity_40, p.oil_viscosity_100)[0]
     returning = x["tank_pressure"]
     out, rail, sensing = x["pump_pressure"], x["supply_pressure"], x["load_sensing_pressure"]
-    displaced = s * d.displacement * step(w / 10)
+    oil_drawn = step(2 * x["reservoir_volume"] / p.suction_volume - 1)
+    displaced = s * d.displacement * oil_drawn * step(w / 10)
     rise, drawn = out - tank, displaced * w
     q = ramp(out - rail, p.check_opening) / d.check_resistance
     blown = p.relief_gain * ramp(rail - tank - p.relief_pressure, p.relief_rounding)
@@ -299,7 +300,7 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
     back = u["return_flow_swing"] + u["return_flow_boom_stick"]
     sign = w / sqrt(w**2 + 1)
-    friction = d.pressure_friction * d.displacement * foot(rise, 1e4) * sign
+    friction = d.pressure_friction * d.displacement * oil_drawn * foot(rise, 1e4) * sign
     friction += d.viscous_friction * (0.18 * m + 0.82) * w
     torque = displaced * rise + friction
     net, dry = engine_torque(e, w)
@@ -314,7 +315,9 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     time = d.stroke_time if lag > 0 else d.destroke_time
     highest, _ = higher((u["swing_load_pressure"], 0.0), (u["boom_stick_load_pressure"], 0.0))
     loaded = ramp(returning - tank - p.return_preload, p.check_opening)
-    into_tank = (loaded - ramp(tank - returning, p.check_opening)) / p.return_resistance
+    into_tank = (loaded - oil_drawn * ramp(tank - returning, p.check_opening)) / p.return_resistance
+    past_filter = returning - tank - p.return_preload - p.return_bypass_pressure
+    into_tank += p.return_bypass_gain * ramp(past_filter, p.return_bypass_rounding)
     # heat, and with it what warms the oil: what the drives take, and the losses without those of the engine
     warming = taken * rail - back * returning + leaking * rise + friction * w + q * (out - rail)
     warming += (blown + bled) * (rail - tank) + into_tank * (returning - tank)
@@ -344,6 +347,7 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         "engine_load": torque,
         "engine_torque": burning,
         "engine_power": burning * w,
+        "reservoir_volume_below_suction": max(p.suction_volume - x["reservoir_volume"], 0),
         "engine_speed_below_idle": max(e.idle_speed - w, 0),
         "engine_speed_below_stall": max(e.stall_speed - w, 0),
     }

@@ -103,6 +103,16 @@ def test_ramp_dither_and_dead_band():
     assert z[-1] == pytest.approx(0.5 + 0.6 * 0.95 * 0.5 / np.hypot(0.5, 0.05), abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("volts", "hertz", "moved"), [(0.25, 1.0, 0.0546), (0.25, 100.0, 0.0067), (0.6, 100.0, 0.0985)]
+)
+def test_the_lag_damps_a_fast_dither(volts, hertz, moved):
+    """The spool moves by what the page says, integrated by hand by 2000 Euler steps in a period."""
+    z = followed([0, 3], [0, 0], dither_amplitude=volts, dither_frequency=hertz)[2][-1001:]
+    # ten samples in a period miss its peak by 5 % at most
+    assert np.ptp(z) / 2 == pytest.approx(moved, rel=0.06)
+
+
 def test_the_fmu_holds_what_the_play_holds(fmu_dir):
     """2 V and back by 0.3 V: the spool stays; back by 0.5 V: it follows by 0.1 V. The rate port drives it."""
     with driving(fmu_dir / "valve_actuation.fmu") as fmu:

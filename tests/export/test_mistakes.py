@@ -176,6 +176,28 @@ def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, positions, 
         assert "position moved in each of the last 4 steps while its rate input velocity stayed 0" in told
 
 
+@pytest.mark.parametrize(
+    ("position", "velocity", "step"),
+    [
+        (lambda k: 0.1 * (-1) ** k, lambda k: -10.0 * (-1) ** k, "0.01"),  # 0.2 m over 20 m/s
+        (lambda _: 0.0, lambda _: -4.0, "0.02"),  # a quarter of the step
+        (lambda k: 0.08 * k, lambda _: 1.0, ""),
+        (lambda k: math.sin(0.1 * k), lambda k: math.cos(0.1 * k) / 0.8, ""),
+    ],
+)
+def test_a_rate_that_the_input_does_not_follow_is_named_once(open_fmu, position, velocity, step):
+    """After 100 steps of 80 ms, with the step that resolves it; of true rates nothing is said."""
+    fmu = open_fmu("path").start()
+    for k in range(150):
+        fmu.set(position=position(k), velocity=velocity(k), acceleration=1e-3)
+        fmu.fmu.doStep(0.08 * k, 0.08)
+    words = (
+        "position did not move in the last 100 steps as its rate input velocity says, which is held over a"
+    )
+    told = [w.partition(": ")[2] for w in fmu.logged("logStatusWarning")]
+    assert told == [f"{words} step: leave that open, or take steps of at most {step} s"] * bool(step)
+
+
 def test_log_categories_are_filtered(open_fmu):
     """Only the requested categories are logged; an unknown category is refused."""
     fmu = open_fmu("decay", loggingOn=True)

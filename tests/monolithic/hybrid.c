@@ -9,7 +9,11 @@
  *   gain      y = a u + b u^3                                                             loops
  *   swing     x' = v, v' = mu (1 - x^2) v - x                                             none: not linear
  *   lag       x' = a u - x, y = x + b u; x := 0 after a step to x > limit, or the end if `last`  step events
+ *
+ * At the end of the function that the environment variable HYBRID_WHERE names (all: of each) it changes the floating-point
+ * environment as HYBRID_HOW says: round, flush, or trap.
  */
+#include <fenv.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -24,8 +28,19 @@ typedef struct {
 
 static const char *const names[MODELS] = {"ball", "counter", "thermo", "room", "gain", "swing", "lag"};
 
+static void change(const char *function) {
+    const char *where = getenv("HYBRID_WHERE"), *how = getenv("HYBRID_HOW");
+    if (!where || !how || (strcmp(where, "all") && strcmp(where, function))) return;
+    if (!strcmp(how, "round")) fesetround(FE_UPWARD);
+#ifdef __x86_64__
+    if (!strcmp(how, "flush")) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() | 0x8040);
+    if (!strcmp(how, "trap")) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() & ~0x1F80u);
+#endif
+}
+
 static Instance *make(const char *token) {
     Instance *m = calloc(1, sizeof *m);
+    change("instantiate");
     for (int k = 0; m && k < MODELS; k++)
         if (!strcmp(token, names[k])) m->model = (Model)k;
     if (!m) return m;
@@ -62,6 +77,7 @@ static void calculate(Instance *m) {
     if (m->model == GAIN) r[2] = r[3] * r[1] + r[4] * r[1] * r[1] * r[1];
     if (m->model == LAG) r[2] = r[5] * r[3] - r[1], r[4] = r[1] + r[6] * r[3];
     if (m->model == SWING) r[3] = r[2], r[4] = r[5] * (1.0 - r[1] * r[1]) * r[2] - r[1];
+    change("calculate");
 }
 
 /* One event iteration; the time of the next time event, or infinity. */
@@ -77,6 +93,7 @@ static double update(Instance *m, int *ends) {
     }
     if (m->model == LAG && m->r[1] > m->r[7]) m->r[1] = 0.0;
     if (m->model == THERMO) m->i[4] = m->i[4] ? m->r[1] < m->r[3] - 1e-9 : m->r[1] < m->r[2] + 1e-9;
+    change("update");
     return INFINITY;
 }
 
@@ -84,6 +101,7 @@ static double update(Instance *m, int *ends) {
 static void completed(const Instance *m, int *event, int *end) {
     const int beyond = m->model == LAG && m->r[1] > m->r[7];
     *event = beyond && m->r[8] == 0.0, *end = beyond && m->r[8] != 0.0;
+    change("completed");
 }
 
 #if FMI == 2
@@ -104,8 +122,8 @@ S fmi2SetupExperiment(C c, fmi2Boolean a, fmi2Real b, fmi2Real t, fmi2Boolean d,
     return (void)a, (void)b, (void)d, (void)e, ((Instance *)c)->time = t, OK;
 }
 S fmi2EnterInitializationMode(C c) { return (void)c, OK; }
-S fmi2ExitInitializationMode(C c) { return ((Instance *)c)->events = 1, OK; }
-S fmi2Terminate(C c) { return (void)c, OK; }
+S fmi2ExitInitializationMode(C c) { return ((Instance *)c)->events = 1, change("initialise"), OK; }
+S fmi2Terminate(C c) { return (void)c, change("terminate"), OK; }
 S fmi2Reset(C c) { return (void)c, OK; }
 S fmi2GetReal(C c, REF r[], size_t n, fmi2Real y[]) {
     calculate(c);
@@ -114,6 +132,7 @@ S fmi2GetReal(C c, REF r[], size_t n, fmi2Real y[]) {
 }
 S fmi2SetReal(C c, REF r[], size_t n, const fmi2Real y[]) {
     for (size_t k = 0; k < n; k++) ((Instance *)c)->r[r[k]] = y[k];
+    change("set");
     return OK;
 }
 S fmi2GetInteger(C c, REF r[], size_t n, fmi2Integer y[]) {
@@ -128,7 +147,7 @@ S fmi2GetBoolean(C c, REF r[], size_t n, fmi2Boolean y[]) { return fmi2GetIntege
 S fmi2SetBoolean(C c, REF r[], size_t n, const fmi2Boolean y[]) {
     return ((Instance *)c)->events || ((Instance *)c)->time == 0.0 ? fmi2SetInteger(c, r, n, y) : fmi2Error;
 }
-S fmi2EnterEventMode(C c) { return ((Instance *)c)->events = 1, OK; }
+S fmi2EnterEventMode(C c) { return ((Instance *)c)->events = 1, change("events"), OK; }
 S fmi2NewDiscreteStates(C c, fmi2EventInfo *e) {
     int ends = 0;
     double next = update(c, &ends);
@@ -140,7 +159,7 @@ S fmi2NewDiscreteStates(C c, fmi2EventInfo *e) {
 }
 S fmi2EnterContinuousTimeMode(C c) { return ((Instance *)c)->events = 0, OK; }
 S fmi2CompletedIntegratorStep(C c, fmi2Boolean p, fmi2Boolean *e, fmi2Boolean *t) { return (void)p, completed(c, e, t), OK; }
-S fmi2SetTime(C c, fmi2Real t) { return ((Instance *)c)->time = ((Instance *)c)->r[0] = t, OK; }
+S fmi2SetTime(C c, fmi2Real t) { return ((Instance *)c)->time = ((Instance *)c)->r[0] = t, change("time"), OK; }
 S fmi2SetContinuousStates(C c, const fmi2Real x[], size_t n) {
     memcpy(((Instance *)c)->r + 1, x, n * sizeof *x);
     return ((Instance *)c)->events || !n ? fmi2Error : OK; /* strict: not without states */
@@ -148,7 +167,7 @@ S fmi2SetContinuousStates(C c, const fmi2Real x[], size_t n) {
 S fmi2GetContinuousStates(C c, fmi2Real x[], size_t n) { return memcpy(x, ((Instance *)c)->r + 1, n * sizeof *x), OK; }
 S fmi2GetNominalsOfContinuousStates(C c, fmi2Real x[], size_t n) {
     for (size_t k = 0; k < n; k++) x[k] = 1.0;
-    return (void)c, OK;
+    return (void)c, change("nominals"), OK;
 }
 S fmi2GetDerivatives(C c, fmi2Real x[], size_t n) {
     calculate(c);

@@ -3,6 +3,9 @@
 Two integrators, y1' = u and y2' = y1, and FMUs for Model Exchange, against closed forms.
 """
 
+import re
+import zipfile
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -88,6 +91,43 @@ def test_an_input_jumps_at_its_time(pair, master, jumps):
 
 
 @given(jumps=jumps)
+def test_a_master_that_exchanges_at_the_beginning_of_a_step_sees_the_jump_there(each, jumps):
+    """The values after it, as the engine has them; so do halves with an exchange in the middle."""
+
+    def exchanging(components, time, length):
+        for begin in (time, time + length / 2):
+            components.exchange(begin)
+            components["drift"].step(begin, length / 2)
+
+    master = Master("exchanging", step=exchanging)
+    result = run(each["drift"], two_rows("u", jumps), master=master, step=STEP)
+    # rounding of sums
+    np.testing.assert_allclose(result["drift.y"], integral(result.trace.time, jumps), atol=1e-9)
+
+
+@pytest.mark.parametrize("after", [5e-5, 2e-3, 0.3])
+def test_a_jump_next_to_a_point_stays_where_it_is(each, after):
+    """Just behind the start and before the stop of a long adaptive run, where a sample is nearer to them."""
+    stop = 1000.0
+    jumps = {after: 2.0, stop - after: -1.0}
+    time = np.array([0.0, *np.repeat([*jumps], 2), stop]) - [0, 1e-6, 0, 1e-6, 0, 0]
+    scenario = Trace(time, {"u": np.array([0, 0, 2, 2, -1, -1.0])})
+    result = run(each["drift"], scenario, master=MASTERS["adaptive"], largest=100.0, isolate=False)
+    # rounding: the FMU adds up 4e6 steps; a shift by 5e-5 s would be 1e-4
+    assert result["drift.y"][-1] == pytest.approx(2 * (stop - 2 * after) - after, abs=1e-6)
+
+
+def test_a_column_drives_inputs_that_follow_it_and_inputs_that_hold_it(each):
+    """What is not continuous takes no line from what is."""
+    held = {"u": {"steady": "discrete", "unit": "m"}, "u_rate": {"derives": None}}
+    fmus = {"follows": each["drift"], "holds": each.make("quirk", "holds_m", changes=held)}
+    ramp = Trace(np.array([0.0, 1.0, 2.0]), {"u": np.array([0.0, 1.0, 3.0])})
+    result = run(assemble(fmus, []), ramp, step=STEP, isolate=False)
+    assert result["follows.y"][-1] == pytest.approx(0.5 + 2.0, abs=1e-9)
+    assert result["holds.y"][-1] == pytest.approx(1.0, abs=1e-9)
+
+
+@given(jumps=jumps)
 def test_the_reference_jumps_at_the_same_time(fmu, jumps):
     """x' = u - x of an FMU for Model Exchange: the sum of the answers to all steps."""
     for solve, more in ((reference, {}), (run, {"step": STEP, "isolate": False})):
@@ -96,6 +136,13 @@ def test_the_reference_jumps_at_the_same_time(fmu, jumps):
         changes = np.diff([0.0, *(jumps[s] for s in sorted(jumps))])
         # the tolerance of the solvers
         np.testing.assert_allclose(result["lag2.x"], (1 - np.exp(-since)) @ changes, atol=1e-7)
+
+
+def test_a_run_that_begins_at_a_jump_has_the_value_after_it(fmu):
+    """In its first row, too."""
+    for solve, more in ((reference, {}), (run, {"step": STEP, "isolate": False})):
+        result = solve(fmu("lag", 2), two_rows("u", {0.5: 2.0}), start=0.5, record_step=STEP, **more)
+        assert result["lag2.u"].tolist() == [2.0] * len(result.trace.time)
 
 
 @every_master
@@ -107,9 +154,31 @@ def test_fmus_with_a_fixed_step_get_a_jump_at_the_next_point(each, master):
     system = assemble({"first": fmu, "second": fmu}, ["first.y -> second.u"])
     result = run(system, two_rows("first.u", {0.6: 1.0, 1.0: 3.0}), master=master, step=STEP, isolate=False)
     np.testing.assert_allclose(result["first.y"][[2, 3, 4, 5]], [0, 0, 0.25, 1.0], atol=1e-12)
-    assert (
-        "first, second: the FMU has a fixed step: jumps inside of a step act at its end" in result.card.notes
-    )
+    late = "first, second: the FMU has a fixed step: jumps inside of a step act at its end"
+    assert late in result.card.notes
+    # a ramp, which the other column has also in the microsecond of the jump, stays one
+    jump = two_rows("first.u", {0.6: 1.0, 1.7: 0.0})
+    both = Trace(jump.time, {**jump.signals, "second.u": jump.time})
+    alone = assemble({"first": fmu, "second": fmu}, [])
+    for stop, noted in ((STOP, True), (0.5, False)):
+        found = run(alone, both, master=master, step=STEP, stop=stop, isolate=False)
+        if master is not MASTERS["own"]:  # which holds its inputs
+            # a foot of the jump is 1e-6 s long
+            np.testing.assert_allclose(found["second.y"], found.trace.time**2 / 2, atol=1e-6)
+        assert (late in found.card.notes) == noted
+
+
+def test_an_adaptive_step_that_cannot_be_repeated_is_short_after_a_jump(each):
+    """As the first one of the run: a thousandth of the step that is asked for."""
+    never = {"able": dict.fromkeys(("canGetAndSetFMUstate", "canGetAndSetFMUState"), "false")}
+    fmu = each.make("drift", "onward", **never)
+    system = assemble({"first": fmu, "second": fmu}, ["first.y -> second.u"])
+    adaptive = Coupling("gauss-seidel", adaptive=1e-3)
+    t = run(system, two_rows("first.u", {0.6: 1.0}), master=adaptive, step=0.1, isolate=False).trace.time
+    first, before, after = (np.diff(t)[k] for k in (0, np.searchsorted(t, 0.6) - 1, np.searchsorted(t, 0.6)))
+    assert first == pytest.approx(1e-4, rel=1e-9)
+    assert after == pytest.approx(first, rel=1e-6)  # a difference of rounded times
+    assert before > 10 * after
 
 
 # ---- signals that are not continuous
@@ -151,6 +220,25 @@ def test_a_discrete_signal_acts_from_the_next_point_on(fmu, each, step, master):
     np.testing.assert_allclose(result["d.y"], exact, atol=1e-9)
     effects = "effects of s.level on other FMUs may come up to a step late"
     assert effects in result.card.notes
+
+
+def test_an_array_of_event_indicators(fmu, tmp_path):
+    """One variable with two of them in FMI 3.0: the thermostat gives the same number to both."""
+    plain, double = fmu("thermo", 3), tmp_path / "thermo.fmu"
+    scalar = re.compile(rb'(<Float64 name="z"[^>]*>)')
+
+    def run_of(thermostat):
+        system = assemble(
+            {"room": fmu("room", 3), "thermo": thermostat}, ["room.T -> thermo.y", "thermo.on -> room.on"]
+        )
+        return run(system, stop=2.0, step=0.01, isolate=False)["room.T"]
+
+    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(double, "w") as target:
+        for name in source.namelist():
+            text, count = scalar.subn(rb'\1<Dimension start="2"/>', source.read(name))
+            assert count == (name == "modelDescription.xml")
+            target.writestr(name, text)
+    np.testing.assert_array_equal(run_of(double), run_of(plain))
 
 
 @pytest.mark.parametrize("kind", ["events", "wire"])

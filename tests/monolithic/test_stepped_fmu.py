@@ -1,6 +1,9 @@
 """FMUs for Model Exchange as components of a co-simulation, alone and beside those for Co-Simulation."""
 
+import platform
+import sys
 from contextlib import closing
+from itertools import count
 from math import exp
 
 import numpy as np
@@ -8,7 +11,7 @@ import pytest
 from kit import shards
 from kit.mistakes import problem
 
-from orchestrator import assemble, load, reference, run
+from orchestrator import Master, assemble, load, reference, run
 from orchestrator.engine.job import open_slave
 
 VERSIONS = (2, 3)
@@ -103,6 +106,73 @@ def test_a_step_with_an_event_needs_the_state_of_the_fmu(fmu):
         saved = slave.save()
         slave.step(0.0, 0.5)  # the impact is at 0.45 s
         problem(lambda: slave.restore(saved), "expected an FMU that can save its state, to repeat a step")
+
+
+@pytest.mark.parametrize("call", [3, 8, 20])
+def test_an_interrupt_inside_of_the_solver_is_not_taken_for_a_step_that_failed(fmu, monkeypatch, call):
+    """At evaluations of rates and of the Jacobian: after other exceptions a solver takes a shorter step."""
+    with closing(begun(fmu("swing", 2))) as slave:
+        settle, calls = slave._plant.settle_at, count(1)
+
+        def interrupted(time, x):
+            if next(calls) == call:
+                raise KeyboardInterrupt
+            settle(time, x)
+
+        monkeypatch.setattr(slave._plant, "settle_at", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            slave.step(0.0, 0.5)
+        assert next(calls) == call + 1
+
+
+def test_a_closed_component_refuses_calls(fmu):
+    """In one line; its solver would call functions that are gone."""
+    slave = begun(fmu("ball", 2))
+    read, write, saved = slave.reader(["h"], np.zeros(1)), slave.writer(["e"], np.zeros(1)), slave.save()
+    slave.close()
+    calls = [read, write, slave.save, lambda: slave.restore(saved), lambda: slave.step(0.0, 0.1)]
+    calls += [lambda: slave.get("h"), lambda: slave.set("e", 1.0), lambda: slave.reader(["h"], np.zeros(1))]
+    calls += [lambda: slave.get_nominals(np.zeros(2)), slave.exit]
+    for call in calls:
+        problem(call, "^ball2: expected an FMU that runs, got one that is closed$")
+
+
+# ---- the floating-point environment
+
+
+WARNING = ": the FMU changed the floating-point environment"
+FUNCTIONS = ["instantiate", "initialise", "time", "calculate", "set", "events", "update", "completed"]
+FUNCTIONS += ["nominals", "terminate"]
+HOWS = ["round", "flush", "trap"] if platform.machine() in ("x86_64", "AMD64") else ["round"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the FMU sees no environment variables of a test there")
+@pytest.mark.parametrize("how", HOWS)
+def test_an_fmu_changes_rounding_and_traps_for_itself_only(fmu, monkeypatch, how):
+    """In any function: the bits of a run without it, a warning that names it, and no trap outside of it."""
+    system = assemble({"lag": fmu("lag", 2), "ball": fmu("ball", 2)}, ["ball.h -> lag.u"])
+    mine = Master("mine", step=lambda them, t, h: [one.step(t, h) for one in them.values()])
+    options = {"stop": 0.6, "step": 0.1, "set": {"lag.limit": 0.3}, "isolate": False}
+    usual = [run(system, master=master, **options) for master in ("jacobi", mine)]
+    truth = reference(system, stop=0.6)
+    monkeypatch.setenv("HYBRID_HOW", how)
+    # in a process of its own first, in which a trap ends this test only
+    cases = [("all", "jacobi", {"isolate": True}), ("all", mine, {})]
+    cases += [(function, ("jacobi", mine)[k % 2], {}) for k, function in enumerate(FUNCTIONS)]
+    for where, master, more in cases:
+        monkeypatch.setenv("HYBRID_WHERE", where)
+        found = run(system, master=master, **options | more)
+        assert found.trace == usual[master is mine].trace, where
+        warned = {line.split()[0].strip(":") for line in found.card.warnings if WARNING in line}
+        expected = {"all": {"lag", "ball"}, "terminate": set()}  # no row is after that
+        assert warned == expected.get(where, warned & {"lag", "ball"})
+        assert warned or where == "terminate"
+        assert 1.0 + 2.0**-60 == 1.0
+        assert np.float64(5e-324) * 1.0 != 0.0
+        with np.errstate(all="ignore"):
+            assert np.float64(1.0) / 0.0 == np.inf
+    monkeypatch.setenv("HYBRID_WHERE", "all")
+    assert reference(system, stop=0.6).trace == truth.trace
 
 
 # ---- beside components in Co-Simulation

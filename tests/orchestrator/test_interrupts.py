@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.interrupts import DeferredInterrupts, of_user
 
 
 def test_a_signal_waits_for_the_next_check():
@@ -34,6 +34,36 @@ def test_a_second_signal_waits_where_raising_is_of_no_use():
     with pytest.raises(KeyboardInterrupt), DeferredInterrupts(second_at_once=False):
         raised.extend(signal.raise_signal(signal.SIGINT) for _ in range(2))
     assert len(raised) == 2
+
+
+def test_a_signal_is_handled_at_once_in_a_function_of_the_user():
+    """Also one that came just before; but not in a function that C calls there, such as an FMU its logger."""
+    handled, module = [], {"__name__": "orchestrator.fmi.library", "signal": signal}
+    exec("def logger(): signal.raise_signal(signal.SIGINT)", module)
+
+    def deferred(second_at_once, function, *arguments):
+        with DeferredInterrupts(second_at_once):
+            function(*arguments)
+            handled.append("after it")
+
+    def raises():
+        signal.raise_signal(signal.SIGINT)
+        handled.append("too late")
+
+    def nested():
+        with DeferredInterrupts():
+            signal.raise_signal(signal.SIGINT)
+            handled.append("nested")
+
+    def before():
+        signal.raise_signal(signal.SIGINT)
+        of_user(handled.append, "too late")
+
+    for second_at_once in (True, False):
+        for calls in ([of_user, raises], [of_user, nested], [before], [of_user, module["logger"]]):
+            with pytest.raises(KeyboardInterrupt):
+                deferred(second_at_once, *calls)
+    assert handled == 2 * ["nested", "after it"]
 
 
 def test_an_error_inside_passes():

@@ -9,7 +9,7 @@ import pytest
 
 from fmus.identification.recordings.reading import doubtful
 from orchestrator.base.errors import Problem
-from orchestrator.data.corrections import corrected, log_faults
+from orchestrator.data.corrections import corrected, log_faults, rate_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.logger_files import at_times
 from orchestrator.data.recording import Recording, Sensor, fill_gaps, read_recording
@@ -84,6 +84,7 @@ HEALTHY = {
     "no sample": (np.full(2000, np.nan), "V"),
     "gaps": (np.where(ROW % 4 == 1, NOISY, np.nan), "bar"),
     "turns of a column": (np.cumsum(ANGLE), "deg"),
+    "pressure without a unit": (np.round((1e7 + 5e6 * np.sin(3 * TIME)) / 360) * 360.0, "1"),
 }
 
 
@@ -290,3 +291,38 @@ def test_what_is_held_for_a_second_is_a_step_of_the_experiment(rows, hold, named
     values = np.full((ROW.size, rows), np.nan)
     values[:, 0] = held(LEVER, 10)
     assert len([*log_faults(values.ravel(), VOLT, hold / 10 / rows)]) == named
+
+
+SWAY = 40 * np.sin(TIME) + 5 * np.sin(3 * TIME)  # deg
+RATE = 40 * np.cos(TIME) + 15 * np.cos(3 * TIME)  # deg/s
+GYROS = {
+    "deg/s read as rad/s": RATE,
+    "rad/s read as deg/s": np.radians(np.radians(RATE)),
+    "thousandths read as whole units, or ms as s": -1e3
+    * np.radians(0.96 * RATE + 2),  # mounted the other way, with a zero
+    "": np.radians(1.2 * RATE + 5),
+}
+
+
+@pytest.mark.parametrize("told", GYROS)
+def test_a_rate_in_another_unit_is_named(told):
+    """Beside the angle that it belongs to, with its noise, zero, gaps and errors of its scale."""
+    angle = np.radians(SWAY) + RNG.normal(0, 1e-3, ROW.size)
+    rate = np.where(ROW % 50 == 3, np.nan, GYROS[told] * (1 + RNG.normal(0, 0.05, ROW.size)))
+    signals = {"other": np.radians(30 * np.sin(2 * TIME)), "angle": angle, "rate": rate}
+    recording = Recording(TIME, signals, {"other": "rad", "angle": "rad", "rate": "rad/s"}, Path("a.csv"))
+    lines = [*recording.log_faults()]
+    assert len(lines) == bool(told)
+    assert all(
+        line.startswith("a.csv: rate: ") and line.endswith(f" as fast as angle changes: {told}?")
+        for line in lines
+    )
+
+
+def test_a_rate_that_belongs_to_no_signal_is_not_judged():
+    """Noise, another motion, standstill, too few samples, or a speed in m/s beside an angle."""
+    rates = {"noise": RNG.normal(0, 60, ROW.size), "other": 9e3 * np.cos(2.3 * TIME), "still": 0 * TIME}
+    units = dict.fromkeys(rates, "rad/s") | {"angle": "rad", "speed": "m/s"}
+    signals = {**rates, "angle": np.radians(SWAY), "speed": RATE}
+    assert [*rate_faults(TIME, signals, units)] == []
+    assert [*rate_faults(TIME[:2], {n: v[:2] for n, v in signals.items()}, units)] == []

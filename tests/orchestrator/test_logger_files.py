@@ -12,7 +12,7 @@ from kit.mistakes import problem
 from nptdms import ChannelObject, TdmsWriter
 
 from orchestrator import read_recording, run
-from orchestrator.data.table import column_names, read_columns
+from orchestrator.data.table import read_columns
 from orchestrator.data.trace import read_trace
 
 FAST = np.arange(400) / 200
@@ -68,7 +68,7 @@ def test_groups_of_several_rates_are_one_recording(kind, request):
 
 def test_a_name_of_several_groups_has_that_of_its_group(mf4):
     """A name alone is refused, with the names that there are."""
-    assert column_names(mf4) == ["time", "P1", "Drive.U", "angle", "group 2.U"]
+    assert [*read_columns(mf4, None).values] == ["time", "P1", "Drive.U", "angle", "group 2.U"]
     assert read_columns(mf4, {"Drive.U"}).values["Drive.U"].tolist() == FAST.tolist()
     told = problem(lambda: read_columns(mf4, {"U"}))
     assert told.startswith(f"{mf4}: expected a column 'U', got time, P1, Drive.U, angle, group 2.U")
@@ -145,6 +145,14 @@ FOREIGN = {
     "log.xlsx": (zipped("[Content_Types].xml"), "Excel: save the sheet as CSV"),
     "log.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(90), "Excel: save the sheet as CSV"),
     "plot.csv": (b"\x89PNG\r\n\x1a\n" + bytes(90), "a picture or a PDF: export its values as CSV"),
+    "log.tdm": (
+        b'<?xml version="1.0"?>\n<usi:tdm xmlns:usi="x" version="1.0">',
+        "a header of DIAdem: export its channels",
+    ),
+    "dia.dat": (
+        b"DIAEXTENDED  {@:ENGLISH\n\n#BEGINGLOBALHEADER\n",
+        "a header of DIAdem: export its channels",
+    ),
     "log.zip": (zipped("log.csv"), "an archive: unpack it"),
     "log.csv.gz": (gzip.compress(b"time,x\n0,1\n1,2\n"), "an archive: unpack it"),
     "log.csv": (b"PAR1\x15\x04" + bytes(90), "Parquet: name it .parquet"),

@@ -7,7 +7,7 @@ from kit.any_fmu.outcome import MASTERS
 from kit.mistakes import problem, table
 from scipy.linalg import expm
 
-from orchestrator import Master, Problem, RunFailed, Trace, assemble, run
+from orchestrator import Master, Problem, RunFailed, Trace, assemble, batch, run
 from orchestrator.base.files import Location
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.fmi.interface import FmuInterface, read_interface
@@ -274,6 +274,34 @@ def test_a_mistake_in_a_function_is_told_with_the_rows(oscillators):
         np.testing.assert_allclose(failed.value.result.trace.time, 1e-2 * np.arange(rows), rtol=1e-12)
 
 
+def test_components_refuse_calls_after_the_run(each):
+    """Whatever a function has kept, in one line: a call into an FMU that is gone would end the process."""
+    kept = {}
+
+    def keeping(components, time, length):
+        a, values = components["a"], np.zeros(1)
+        calls = [a.reader(["x"], values), a.writer(["x2"], values)]
+        kept.update(components=components, calls=calls, state=a.save())
+        components.send("b")
+        stepping(components, time, length)
+        a.free_state(kept["state"])
+        problem(a.close, "^a: close: expected to leave this to the run")
+
+    run(oscillator_of(each["mass_a"], each["mass_b"]), master=Master("m", step=keeping), step=0.1, stop=0.2)
+    components, values = kept["components"], np.zeros(1)
+    a = components["a"]
+    calls = [
+        *kept["calls"],
+        *(lambda: a.get("x"), lambda: a.set("x2", 1.0), lambda: a.step(0.2, 0.1), a.save, a.enter),
+        *(lambda: a.restore(kept["state"]), lambda: a.free_state(kept["state"])),
+        *(lambda: a.reader(["x"], values), lambda: a.output_derivative_reader(["x"], values)),
+        *(lambda: components.send("a"), lambda: components.send("b")),
+    ]
+    for call in calls:
+        problem(call, "^[ab]: expected an FMU that runs, got one that is closed$")
+    problem(lambda: components.exchange(0.2), "^exchange: expected components that run")
+
+
 def test_send_takes_all_types(each):
     """Reals with a transformation, and narrower types to wider ones: the inputs have what the outputs say."""
     sent = []
@@ -307,13 +335,37 @@ def test_send_takes_all_types(each):
         ({"order": 1}, "order: expected a master with a plan, got mine, which takes the steps itself"),
         ({"adaptive": 1e-3}, "adaptive: expected a master with a plan"),
         ({"factors": {"a": 2}}, "factors: expected a master with a plan"),
-        ({"time_limit": 5.0}, "time_limit: expected a run in its own process"),
+        *(
+            ({name: 5.0}, f"{name}: expected a run in .*, got master mine, which needs the calling process")
+            for name in ("time_limit", "memory_limit")
+        ),
     ],
 )
 def test_what_a_function_cannot_do_is_refused(oscillators, options, message):
     """In one line that names the option."""
     with pytest.raises(Problem, match=f"^{message}"):
         run(oscillators(), master=Master("mine", step=stepping), stop=0.1, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "got"),
+    [({"isolate": False}, "isolate=False"), ({"open": lambda _: None}, "a function `open`")],
+)
+def test_a_limit_names_what_keeps_the_run_in_this_process(oscillators, options, got):
+    """In the words of the call."""
+    message = (
+        f"time_limit: expected a run in a process of its own, got {got}, which needs the calling process"
+    )
+    assert problem(lambda: run(oscillators(), time_limit=5.0, **options)) == message
+
+
+def test_a_batch_refuses_a_master_of_ones_own(oscillators):
+    """Its functions cannot be in other processes; it was told as a connection that each machine lost."""
+    message = "batch: expected one of the masters .*, got mine, whose functions are in the calling process"
+    for how in ({"step": stepping}, {"plan": gauss_seidel_plan}):
+        problem(
+            lambda how=how: batch(oscillators(), {"a.mass": [1.0]}, master=Master("mine", **how)), message
+        )
 
 
 def test_a_master_is_a_plan_or_a_function():

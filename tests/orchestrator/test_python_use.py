@@ -11,7 +11,9 @@ import pytest
 from kit.mistakes import problem
 from matplotlib.text import Text
 
+from fmus import package_files
 from orchestrator import Trace, batch, compare, run
+from orchestrator.__main__ import main
 from orchestrator.base import files
 from orchestrator.base.options import declarations
 from orchestrator.data.trace import as_trace
@@ -120,13 +122,18 @@ def test_a_cell_that_ends_with_a_semicolon_shows_the_figure_once(quiet, monkeypa
     assert waiting == []
 
 
-def test_a_name_is_found_from_any_folder_of_a_checkout(built, tmp_path, monkeypatch):
+def test_a_name_is_found_from_any_folder_of_a_checkout(built, tmp_path, monkeypatch, capsys):
     """A notebook runs in its own folder; without FMUs the message says where it looked and how to build."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(files, "CHECKOUT", built)
     assert files.find("harvester", (".ssp",)) == built / "harvester.ssp"
     assert files.find("swing_detailed", (".fmu",)) == built / "variants" / "swing_detailed.fmu"
     assert files.find("build/harvester.ssp", (".ssp",)) == Path("build/harvester.ssp")  # a path is one
+    monkeypatch.setattr(package_files, "CHECKOUT", built)
+    assert main(["run", "--stop", "0.01"]) == 0  # and so is what a command takes without a name
+    assert capsys.readouterr().err == f"build/harvester.ssp does not exist; using {built / 'harvester.ssp'}\n"
+    assert main(["--version"]) == 0
+    assert f"FMUs: built, in {built.resolve()}\n" in capsys.readouterr().out
     monkeypatch.setattr(files, "CHECKOUT", tmp_path / "none")
     looked = f"in {tmp_path / 'build'}, {tmp_path / 'none'}"
     problem(lambda: run("harvester"), re.escape(f"no such file {looked}; build it with: harvester build"))

@@ -104,6 +104,21 @@ def test_a_run_says_that_it_is_not_reliable(rough, oscillator):
     assert "not reliable" not in repr(fine)
 
 
+@pytest.mark.parametrize(
+    ("able", "chosen", "advice"),
+    [
+        (True, {}, "let steps be divided, --guard 0.005, or take shorter ones"),
+        (True, {"guard": 10.0}, "take shorter steps"),
+        (False, {}, "take shorter steps"),
+    ],
+)
+def test_the_advice_is_what_helps(oscillator, able, chosen, advice):
+    """A guard, where FMUs can go back and none is on; else shorter steps."""
+    system = suggesting(oscillator, None, rollback=able)
+    (reason,) = run(system, **ROUGH | {"step": 0.02} | chosen).card.unreliable
+    assert reason.endswith(f"the result is not reliable, {advice}")
+
+
 def test_a_reason_is_told_once(rough):
     """Also if it is found twice."""
     assert rough.card.doubted(*rough.card.unreliable) == rough.card
@@ -180,9 +195,9 @@ def suggesting(oscillator, step, rollback=True):
 
 
 def test_a_step_above_a_suggested_one_is_guarded(oscillator):
-    """Of an FMU, with a note, at the step of the system and at that of the user."""
+    """Of an FMU, with a note, at the step of the system and at that of the user, which may be shorter."""
     system = suggesting(oscillator, 2.5e-4)
-    for step, text in ((None, "0.001"), (4e-4, "0.0004"), (1e-2, "0.01")):
+    for step, text in ((None, "0.001"), (4e-4, "0.0004"), (1e-2, "0.01"), (1e-4, "0.0001")):
         guarded = with_default_guard(system, step)
         assert guarded.coupling.guard == SHORTER_STEP_GUARD
         expected = f"mass: steps of 0.00025 s are suggested; those of {text} s are divided where"
@@ -190,12 +205,11 @@ def test_a_step_above_a_suggested_one_is_guarded(oscillator):
 
 
 def test_what_is_chosen_is_not_guarded(oscillator):
-    """A guard, adaptive steps, a short step; a long step of FMUs that suggest none, or that of the system."""
+    """A guard, adaptive steps; a long step of FMUs that suggest none, or that of the system."""
     system = suggesting(oscillator, 2.5e-4)
     for chosen in ({"guard": 0.0}, {"guard": 1e-3}, {"adaptive": 1e-3}, {"master": "hermite"}):
         coupled = system.coupled(chosen)
         assert with_default_guard(coupled, 1e-3) is coupled
-    assert with_default_guard(system, 2.5e-4) is system
     for step in (None, 1e-3):
         usual = suggesting(oscillator, step)
         assert with_default_guard(usual, 1e-2) is usual

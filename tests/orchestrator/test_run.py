@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Execution, Interrupted, Problem, Record, Trace, run
+from orchestrator import Coupling, Execution, Interrupted, Problem, Record, Trace, run
 from orchestrator.base.errors import Ended
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import open_job
@@ -265,10 +265,49 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
 
 
 def test_settings_together_and_by_themselves(oscillator):
-    """Record and estimate are the same; a single option overrides that of an object."""
+    """Record and estimate are the same."""
     together = {"record": Record(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
     one = run(oscillator, step=0.1, stop=1.0, **together)
     two = run(oscillator, step=0.1, stop=1.0, record=["a.x"], record_step=0.2, error_estimate=True)
     np.testing.assert_array_equal(one.trace.time, two.trace.time)
     assert one.card.errors == two.card.errors != ()
-    assert len(run(oscillator, step=0.1, stop=1.0, record_step=0.5, **together).trace.time) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"execution": Execution(tolerance=1e-8), "tolerance": 1e-4},
+            "tolerance: expected one value, got 0.0001 and Execution(tolerance=1e-08)",
+        ),
+        (
+            {"execution": Execution(time_limit=60.0, progress=True), "time_limit": "60 s"},
+            "time_limit: expected one value, got 60.0 and Execution(time_limit=60.0)",
+        ),
+        (
+            {"record": Record(["a.x"], step=0.2), "record_step": 0.5},
+            "record_step: expected one value, got 0.5 and Record(step=0.2)",
+        ),
+        (
+            {"master": Coupling("hermite", tolerance=1e-8), "coupling_tolerance": 1e-6},
+            "coupling_tolerance: expected one value, got 1e-06 and Coupling(tolerance=1e-08)",
+        ),
+        (
+            {"master": Coupling("jacobi", 2), "order": 3},
+            "order: expected one value, got 3 and Coupling(order=2)",
+        ),
+    ],
+)
+def test_an_option_is_given_once(oscillator, options, message):
+    """Where an object of options and the call have it, none of them wins in silence."""
+    assert problem(lambda: run(oscillator, step=0.1, stop=1.0, **options)) == message
+
+
+def test_other_options_of_an_object_stay(oscillator):
+    """What only the call has is added to it."""
+    options = {"execution": Execution(error_estimate=True), "tolerance": 1e-4, "record": Record(["a.x"])}
+    result = run(oscillator, step=0.1, stop=1.0, record_step=0.5, **options)
+    assert len(result.trace.time) == 3
+    assert result.card.errors
+    settings = run(oscillator, step=0.1, stop=1.0, master=Coupling("jacobi", 2), guard=1e-2).coupling.settings
+    assert settings == Coupling("jacobi", 2, guard=1e-2).settings

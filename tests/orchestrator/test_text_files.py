@@ -113,6 +113,103 @@ def test_a_described_scenario_has_short_gaps_only(log):
     problem(lambda: read_trace(path), r"u: expected gaps of at most 0\.1 s, got one from 0\.05 s to 0\.05 s")
 
 
+WORDS_OF_LOGGERS = {
+    "P [bar]": (["1.5", "Not available", "2", "Error", "2.5", "Error", "3"], "2 'Error', 1 'Not available'"),
+    "P": (["#N/A", "#DIV/0!", "1", "---", "2", "3", "4"], "1 '#N/A', 1 '#DIV/0!', 1 '---'"),
+    "P1": (["OFL"] * 20 + ["1 bar"] * 21, "20 'OFL'"),
+}
+
+
+@pytest.mark.parametrize("name", WORDS_OF_LOGGERS)
+def test_words_in_a_column_of_numbers_are_gaps(name, log, capsys):
+    """Their number is told; a column of texts is left out. In a scenario each of them is a mistake."""
+    cells, told = WORDS_OF_LOGGERS[name]
+    rows = [f"{k},{cell},{'OK' if k else 'start 1'}" for k, cell in enumerate(cells)]
+    path = log("\n".join([f"t [s],{name},Status", *rows]) + "\n")
+    (values,) = read_recording(path).values()
+    numbers = [float(cell.split()[0]) if cell[0].isdigit() else np.nan for cell in cells]
+    factor = 1 if name == "P" else 1e5  # bar
+    np.testing.assert_array_equal(values, factor * np.array(numbers))
+    line = f"{path}: column {name!r}: gaps in place of {told}\n"
+    assert (
+        capsys.readouterr().err
+        == f"{line}{path}: line 2: column 'Status': expected a number, got 'start 1'; left out\n"
+    )
+    described = f'[time]\ncolumn = "t"\n[signals.p]\ncolumn = "{name}"\nunit = "bar"\n'
+    np.testing.assert_array_equal(
+        read_recording(log(path.read_text(), described))["p"], 1e5 * np.array(numbers)
+    )
+    path.with_suffix(".toml").unlink()
+    problem(lambda: read_trace(path), "column 'P.*: expected a number, got '")
+
+
+def test_lines_and_rows_that_are_stated_count(log, capsys):
+    """Also a stated 0; rows of numbers are never left out without a line."""
+    text = "time;a\ns;V\nKanal 0;Kanal 1\n0;1\n1;2\n2;3\n"
+    for keys, first, told in (
+        ("skip_lines = 0", 1, "a row of units, line 3 left out"),
+        ("skip_lines = 0\nskip_rows = 2", 1, ""),
+        ("skip_lines = 0\nskip_rows = 3", 2, "1 rows of numbers are left out, as skip_rows = 3"),
+        ("skip_lines = 2\n[time]\ncolumn = 'Kanal 0'", 1, ""),
+    ):
+        files._told.clear()
+        (values,) = read_trace(log(text, f"[file]\n{keys}\n")).values()
+        assert values[0] == first
+        assert told in capsys.readouterr().err
+
+
+HEADER = """LabVIEW Measurement\t
+Writer_Version\t2
+Separator\tTab
+Decimal_Separator\t,
+X_Columns\t{columns}
+Time_Pref\tRelative
+***End_of_Header***\t
+\t
+Channels\t2{end}
+Samples\t3{between}\t3{end}
+Y_Unit_Label\tbar{between}\tVolts{end}
+X0\t0,0000000000000000E+0{between}\t0,0000000000000000E+0{end}
+Delta_X\t0,020000{between}\t0,020000{end}
+***End_of_Header***\t\t
+"""
+LABVIEW = {
+    "No": "X_Value\tP 1\tU\tComment\n\t1,5\t-2\n\t2,5\t-3\tlever\n\t3,5\t-4\n",
+    "One": "X_Value\tP 1\tU\tComment\n0,00\t1,5\t-2\tstart\n0,02\t2,5\t-3\n0,04\t3,5\t-4\n",
+    "Multi": "X_Value\tP 1\tX_Value\tU\n0,00\t1,5\t0,00\t-2\n0,02\t2,5\t0,02\t-3\n0,04\t3,5\t0,04\t-4\n",
+}
+
+
+@pytest.mark.parametrize("columns", LABVIEW)
+def test_a_labview_file_has_times_and_units_in_its_header(columns, tmp_path):
+    """With a column of times for each channel, for all or none; the file may have commas and points, too."""
+    between = "\t" if columns == "Multi" else ""
+    text = HEADER.format(columns=columns, between=between, end=f"{between}\t") + LABVIEW[columns]
+    commas = text.replace(",", ".").replace("\t", ",")
+    for name, content in (
+        ("tabs.lvm", text),
+        ("commas.lvm", commas.replace("Separator,Tab", "Separator,Comma")),
+    ):
+        path = tmp_path / name
+        path.write_text(content, encoding="utf-8")
+        trace = read_trace(path)
+        assert trace.time.tolist() == [0, 0.02, 0.04]
+        found = {n: (v.tolist(), trace.units[n]) for n, v in trace.items()}
+        assert found == {"P 1": ([1.5e5, 2.5e5, 3.5e5], "Pa"), "U": ([-2, -3, -4], "V")}
+    for old, new, told in (
+        (
+            "0,020000{between}\t0,02",
+            "0,020000{between}\t0,04",
+            "expected one Delta_X, got 0,020000, 0,040000",
+        ),
+        ("Delta_X", "Rate", "got one without X0, Delta_X or names"),
+        ("X0\t", "***End_of_Header***\nX0\t", "expected one header of channels, got 2"),
+    ):
+        changed = HEADER.replace(old, new).format(columns=columns, between=between, end=f"{between}\t")
+        path.write_text(changed + LABVIEW[columns], encoding="utf-8")
+        assert told in problem(lambda: read_trace(path))
+
+
 def test_two_rows_of_an_event_in_a_described_file(log):
     """A step of a command, as in a trace; the clock of an experiment never repeats a time."""
     text, described = "Zeit;u\n0;0\n1;0\n1;3\n2;3\n", '[time]\ncolumn = "Zeit"\n[signals.u]\nunit = "V"\n'

@@ -1,10 +1,17 @@
 """Runs that end at a condition, and functions that hear of each row."""
 
+import os
+import signal
+import sys
+import threading
+import time
+
 import numpy as np
 import pytest
 from kit.mistakes import problem
+from kit.wait import LONG
 
-from orchestrator import Coupling, RunFailed, read_trace, run, write_ssp
+from orchestrator import Coupling, Interrupted, Master, RunFailed, read_trace, run, write_ssp
 from orchestrator.__main__ import main
 
 STEPS = {"step": 1e-2, "stop": 2.0}
@@ -72,6 +79,73 @@ def test_an_error_of_the_function_keeps_the_rows(oscillator, whole, isolate):
     with pytest.raises(RunFailed, match=r"until: the function failed at t = 0\.5 s: ValueError") as failed:
         run(oscillator, until=wrong, isolate=isolate, **STEPS)
     np.testing.assert_array_equal(failed.value.result.trace["a.x"], whole["a.x"][:51])
+
+
+def spins():
+    """A loop of Python."""
+    while True:
+        pass
+
+
+def sleeps():
+    """A call that a signal wakes."""
+    time.sleep(LONG)
+
+
+def waits():
+    """A lock that nobody opens."""
+    threading.Event().wait(LONG)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a signal wakes no call there")
+@pytest.mark.parametrize("hang", [spins, sleeps, waits])
+@pytest.mark.parametrize("options", [{}, {"isolate": False}, {"master": True}], ids=str)
+def test_the_first_interrupt_ends_a_function_that_hangs(oscillator, whole, hang, options):
+    """Of `until` in either process, and of a master; the rows until then are kept, the next run is whole."""
+
+    def hangs(time, _):
+        if time > 0.495:
+            threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGINT)).start()
+            hang()
+
+    def steps(components, time, length):
+        for component in components.values():
+            component.step(time, length)
+        hangs(time + length, None)
+
+    options = {"master": Master("mine", step=steps)} if options.get("master") else options | {"until": hangs}
+    with pytest.raises(Interrupted) as interrupted:
+        run(oscillator, **STEPS, **options)
+    rows = 50 + ("until" in options)  # that of the call is recorded before `until`, and after a master
+    np.testing.assert_array_equal(interrupted.value.result.trace.time, whole.time[:rows])
+    assert interrupted.value.result.card.simulated == pytest.approx(
+        whole.time[rows - 1], rel=1e-12
+    )  # rounding
+    assert run(oscillator, **STEPS).trace == whole
+
+
+@EACH
+@pytest.mark.parametrize(
+    ("raised", "expected"),
+    [(SystemExit(3), RunFailed), (KeyboardInterrupt(), Interrupted), (GeneratorExit(), RunFailed)],
+)
+def test_whatever_a_function_raises_keeps_the_rows(oscillator, whole, isolate, raised, expected):
+    """Also what is no error: of `until`, and of a master."""
+
+    def raises(time, _):
+        if time > 0.495:
+            raise raised
+
+    def steps(components, time, length):
+        for component in components.values():
+            component.step(time, length)
+        raises(time + length, None)
+
+    for options, rows in (({"until": raises}, 51), ({"master": Master("mine", step=steps)}, 50)):
+        with pytest.raises(expected) as ended:
+            run(oscillator, isolate=isolate, **STEPS, **options)
+        np.testing.assert_array_equal(ended.value.result.trace.time, whole.time[:rows])
+        assert "SystemExit(3)" in str(ended.value) or raised.args != (3,)
 
 
 def test_the_signal_of_a_condition_is_recorded(oscillator):

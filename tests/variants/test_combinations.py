@@ -12,6 +12,7 @@ from fmus.machine.tables import variant_names
 from fmus.machine.variant_costs import combinations
 from orchestrator import load
 from orchestrator.__main__ import main
+from orchestrator.base import files
 
 VARIANTS = {part: list(family) for part, family in FAMILIES.items()}
 WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
@@ -44,6 +45,7 @@ def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, cap
     assert main(["variants", "foo"]) == 2
     told = capsys.readouterr()
     assert told == ("", "harvester: variants foo: a system is only read with --cost\n")
+    monkeypatch.setattr(files, "CHECKOUT", tmp_path)
     assert main(["variants", "--cost"]) == 2
     assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
 

@@ -133,6 +133,22 @@ def test_the_return_line_has_its_preload_and_the_drop_to_the_tank(bench):
 
 
 @pumps
+@pytest.mark.parametrize(("resistance", "flow"), [(1e9, 1e-3), (2.4e8, 4e-3), (4e7, 1.2e-2)])
+def test_the_bypass_valve_limits_the_drop_of_the_filter(bench, resistance, flow):
+    """Resistance and bypass valve in parallel, by hand; without it 10, 9.6 and 4.8 bar."""
+    slope, half = 1 / resistance, bench.p["return_bypass_rounding"] / 2
+    drop = (flow + slope * 25e3 + 5e-8 * (3e5 + half)) / (
+        slope + 5e-8
+    )  # 25 kPa: half of the check's rounding
+    assert 3e5 + 2 * half < drop < 5e5
+    x = bench.rest(bench.constants())
+    x[bench.at("tank_pressure")] += drop
+    found = bench.rates(x, bench.row(return_flow_swing=flow), bench.constants(return_resistance=resistance))
+    # rounding of a difference of flows
+    assert found["tank_pressure"] * bench.p["return_capacitance"] == pytest.approx(0, abs=1e-13)
+
+
+@pumps
 def test_the_oil_settles_where_cooler_and_tank_give_off_the_heat(bench):
     """T = T_a + (engine power - engine friction) / (G + G_c), cooler at full speed, and without a cooler."""
     for own in ({"cooler_setting": 250.0}, {"cooler_conductance": 0.0, "tank_conductance": 1050.0}):
@@ -227,7 +243,7 @@ STATE = (
         {
             "engine_speed": st.floats(0.0, 300.0),
             "engine_fuel_torque": st.floats(0.0, 600.0),
-            "reservoir_volume": st.floats(0.1, 0.3),
+            "reservoir_volume": st.floats(0.0, 0.3),
             "tank_pressure": st.floats(-1e5, 3e6),
             "oil_temperature": st.floats(253.0, 373.0),
         }
@@ -274,6 +290,23 @@ def test_energy_balance_closes_at_any_state(bench, pressures, strokes, shaft, fl
     # exact identity; rounding of terms up to 1e7 W (a void at 3e-10 s)
     assert into == pytest.approx(used, rel=1e-9, abs=1e-3)
     assert heat >= -1e-9
+
+
+@pumps
+@given(st.lists(st.floats(0.0, 3e7), min_size=3, max_size=3), *STATE[1:], st.floats(0.01, 0.2))
+def test_pumps_draw_no_more_oil_than_there_is(bench, pressures, strokes, shaft, suction):
+    """All of their flow down to suction_volume, then the s-curve, none from half of it on: V > 0."""
+    p, shaft = bench.constants(suction_volume=suction), shaft | {"tank_pressure": 5e5}
+
+    def gained(volume: float) -> float:
+        x = bench.state(pressures, strokes, **shaft | {"reservoir_volume": volume})
+        return bench.rates(x, bench.row(), p)["reservoir_volume"]
+
+    assert gained(suction / 2) >= 0  # what leaks and comes back
+    drawn = gained(suction / 2) - gained(suction)
+    for share, s in ((5.0, 1.0), (0.75, 0.5), (0.6, 0.05792), (0.3, 0.0), (-1.0, 0.0)):
+        # s = z^3 (10 - 15 z + 6 z^2) by hand, exact; rounding of a difference of flows
+        assert gained(suction / 2) - gained(share * suction) == pytest.approx(s * drawn, rel=1e-9, abs=1e-15)
 
 
 @pumps

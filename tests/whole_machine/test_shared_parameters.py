@@ -95,6 +95,25 @@ def test_an_assembled_system_shares_what_it_is_told(fmu_dir):
         assemble(fmus, start={"boom_stick.boom_stroke": 0.6}, shared={"boom_stroke": tuple(fmus)})
 
 
+@pytest.mark.parametrize(
+    ("given", "who"),
+    [
+        ({"supply.oil_viscosity_100": 8.2e-6}, ("swing.oil_viscosity_100 is 6.8e-06", "supply.oil")),
+        ({"boom_stick.bulk_modulus": 1.2e9}, ("swing.bulk_modulus is 1.6e+09", "boom_stick.bulk")),
+        ({"swing.density": "870 kg/m3"}, ("swing.density is 870", "boom_stick.density is 970 kg/m3")),
+        ({"density": 870.0}, ()),
+        ({f"{p}.oil_viscosity_40": 32e-6 for p in ("swing", "boom_stick", "supply")}, ()),
+    ],
+)
+def test_parts_with_another_oil_are_noted(system, tmp_path, given, who):
+    """One note names two of them and the name that sets all, also of a system that was written and read."""
+    again = load(write_ssp(replace(system, common=FERIC.oil), tmp_path / "again.ssp"))
+    assert dict(again.common) == FERIC.oil
+    notes = [n for n in run(again, set=given, stop=2e-3).card.notes if "one physical quantity" in n]
+    assert len(notes) == bool(who)
+    assert all(part in notes[0] for part in who)
+
+
 @mistakes.table(__file__, "not_shared", "name, reason")
 def test_what_cannot_be_shared_is_refused(name, reason):
     """In one line, before any value is compared; so is a component that does not exist."""

@@ -152,7 +152,9 @@ def test_a_recording_in_another_unit_is_doubtful(systems):
     for told in (doubtful([changed]), list(filter(None, doubtful_signals(systems[""], changed, "a.csv")))):
         assert len(told) == len(pressures)
         assert all(text.endswith("kPa?") for text in told)
-    assert doubtful([replace(recording, time=1e3 * recording.time)])[0].endswith("42000 s; did you mean ms?")
+    *rates, length = doubtful([replace(recording, time=1e3 * recording.time)])
+    assert length.endswith("42000 s; did you mean ms?")
+    assert all(line.endswith(" changes: thousandths read as whole units, or ms as s?") for line in rates)
 
 
 def test_a_parameter_file_in_another_unit_is_doubtful(tmp_path, capsys, monkeypatch):
@@ -260,6 +262,9 @@ def test_a_command_that_is_replaced_is_not_recorded(experiments):
         (2e7, "bar", [200.0], "x = 2e+07 bar, usually about 200 bar; did you mean 2e+07 Pa?"),
         (-40.0, "rad", [0.5], "x = -40 rad, usually about 0.5 rad; did you mean -40 deg?"),
         (90.0, "rad", [0.2], "x = 90 rad, usually about 0.2 rad; did you mean 90 deg?"),
+        (7.0, "rad", [0.2], "x = 7 rad, usually about 0.2 rad; is the unit right?"),  # more than a turn
+        (6.0, "rad", [0.2], ""),
+        (7.0, "rad", [4.0], ""),  # of a joint that turns round
         (200.0, "rad", [0.2], "x = 200 rad, usually about 0.2 rad; did you mean 200 mrad?"),
         (1e6, "furlong", [1.0], "x = 1e+06 furlong, usually about 1 furlong; is the unit right?"),
         (0.0, "Pa", [2e7], ""),

@@ -143,8 +143,27 @@ static void tell_held_inputs(Core *core, Status kind) {
                  v->name, core->stepped.steps[most], model_variables[FIRST_INPUT + v->rate].name);
 }
 
-/* Before each step: counts steps in which an input moves while its rate input stays 0. */
-static void watch_held_inputs(Core *core) {
+/* A rate is untrue if the input leaves it by half of what it says, except little of the nominal value. */
+static const double UNTRUE = 0.5, LITTLE = 0.01;
+enum { UNTRUE_STEPS = 100, UNTRUE_TOLD = 1 << 8 }; /* in a row; a further bit of `told` */
+
+/* Once, if an input has not moved in the last steps as its rate input says, which is held over a step. */
+static void watch_rate(Core *core, int i, double slope) {
+    const double length = core->stepped.length, before = core->stepped.slope[i], told = before * length;
+    const double change = core->stepped.change[i];
+    const Variable *v = &model_variables[FIRST_INPUT + i];
+    const int untrue = fabs(change - told) > UNTRUE * fabs(told) && fabs(told) > LITTLE * v->nominal;
+    core->stepped.untrue[i] = untrue && !core->s.has_derivatives[i] ? core->stepped.untrue[i] + 1 : 0;
+    core->stepped.slope[i] = slope;
+    if (core->stepped.untrue[i] < UNTRUE_STEPS || core->stepped.told & UNTRUE_TOLD) return;
+    core->stepped.told |= UNTRUE_TOLD;
+    core_message(core, WARNING, "%s did not move in the last %d steps as its rate input %s says, which is held over a "
+                 "step: leave that open, or take steps of at most %.1g s", v->name, UNTRUE_STEPS,
+                 model_variables[FIRST_INPUT + v->rate].name, fmin(fabs(change / (slope - before)), length / 4));
+}
+
+/* Before each step: counts steps in which an input moves while its rate input stays 0, or not as that says. */
+static void watch_held_inputs(Core *core, double length) {
     const State *s = &core->s;
     for (int i = 0; i < NU; i++) {
         const int rate = model_variables[FIRST_INPUT + i].rate;
@@ -153,7 +172,9 @@ static void watch_held_inputs(Core *core) {
         const int held = core->stepped.change[i] != 0.0 && s->last_set[rate] == 0.0 && !s->has_derivatives[i];
         core->stepped.steps[i] = held ? core->stepped.steps[i] + 1 : 0;
         core->stepped.last[i] = s->last_set[i];
+        watch_rate(core, i, s->last_set[rate]);
     }
+    core->stepped.length = length;
     tell_held_inputs(core, OK);
 }
 
@@ -417,7 +438,7 @@ LOCAL int core_step(Core *core, double length) {
     const double minimum_step = fmax(1e-14 * length, DBL_MIN); /* a smaller one does not change the time */
     double tau = length;
     prepare(core);
-    watch_held_inputs(core);
+    watch_held_inputs(core, length);
     plan_inputs(s, s->last_set, 0.0, &core->inputs);
     int observed = 0; /* 1: the states have not changed since z was computed */
     if (SAMPLING > 0.0) {

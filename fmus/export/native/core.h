@@ -49,6 +49,8 @@ typedef struct Core {
         double last[ROOM(NU)];
         double change[ROOM(NU)]; /* since the step before */
         int steps[ROOM(NU)];     /* so many in a row */
+        double slope[ROOM(NU)], length; /* value of the rate input in the step before, and length of that [s] */
+        int untrue[ROOM(NU)];           /* so many steps in a row did not change the input as its rate says */
         unsigned told; /* a bit for each Status with which it was told */
     } stepped;
     Work work;

@@ -29,11 +29,19 @@ from orchestrator.base.extras import require
 from orchestrator.base.files import write_whole
 from orchestrator.base.signals import bare_name
 from orchestrator.base.text import first_names
-from orchestrator.base.units import COMMON, convert, parse_unit, si_unit
+from orchestrator.base.units import COMMON, convert, is_unit, parse_unit, si_unit
 from orchestrator.data.corrections import log_faults
 from orchestrator.data.description import SignalDescription
 from orchestrator.data.recording import Recording, Sensor
-from orchestrator.data.table import Columns, TextFormat, column_names, is_unit, read_columns, time_axis
+from orchestrator.data.table import (
+    Columns,
+    TextFormat,
+    clock,
+    is_in_days,
+    read_columns,
+    time_axis,
+)
+from orchestrator.data.trace import units_of_run
 
 # SI unit -> what sensors of a machine measure; `harvester signals` lists all signals
 SENSORS: Mapping[str, Sequence[str]] = {
@@ -58,7 +66,6 @@ WORDS: Mapping[str, str] = {
     "supply": "pump|versorg", "tank": "return|rück|rueck", "temperature": "temp",
 }  # fmt: skip
 GROUPS = {"rad": "angle", "rad/s": "speed", "m": "position", "Pa": "pressure", "m3/s": "flow"}
-TIME = re.compile(r"t\b|t_|.*(time|zeit|uhr|stamp)", re.IGNORECASE)
 SLOWEST = 2.0  # Hz; a time without a unit is in the largest unit in which a logger is faster
 HEAD = """# Remove "# " in front of the signals that you need, and correct their names and units.
 # What remains a comment is left out. `harvester signals` lists all names, docs/recordings.md all keys.
@@ -91,16 +98,22 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         raise Problem(f"--out {out}: expected a file that ends in .toml, in the folder of {data}")
     file = toml.read_file(out) if out.exists() else toml.Table(str(out), {})
     if not file.data.keys() <= {"file"} and not force:
-        raise Problem(f"{out}: expected no such file, got one; --force overwrites it")
+        raise Problem(f"{out}: expected no such file, got one; --force overwrites it, --out names another")
     form = replace(toml.read_dataclass(TextFormat, file.table("file")), csv=data.name)
-    columns, unread = _columns(data, form)
+    unread = list[str]()
+    columns = read_columns(data, None, form, unread=unread)
+    of_run = units_of_run(data, columns.values)
+    columns = replace(columns, units={**columns.units, **of_run})
+    if len(columns.values) < 2 and unread:
+        raise Problem(unread[0].removesuffix("; left out"))
     units = {name: _unit(columns, name) for name in columns.values}
     time, units[time] = _time(columns, units)
     values = {n: convert(v, u := units[n], si_unit(u), n) for n, v in columns.values.items()}
     in_si = {name: si_unit(unit) for name, unit in units.items()}
     # noise and resolution as the samples show them, so that only faults are remarked on
     shown = {n: Sensor(noise=float(np.nan_to_num(noise(v))), resolution=step(v)) for n, v in values.items()}
-    del values[time]
+    for name in {time, *columns.moments}:
+        del values[name]
     seconds = time_axis(columns, time, units[time])
     every = float(np.median(np.diff(seconds))) if seconds.size > 1 else 0.0
     logged = {n: [*log_faults(columns.values[n], SignalDescription(units[n]), every)] for n in values}
@@ -115,11 +128,11 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         extent = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "no number"
         faults = [f"{cause} {100 * share:.2g} %" for cause, (share, _) in signal.unused.items() if share]
         found = ", ".join([*faults, *["constant"] * (signal.low == signal.high)])
-        names, may_be = _candidates(column, unit, sensors)
+        names, may_be = ([column], "") if column in of_run else _candidates(column, unit, sensors)
         name = next((n for n in names if n not in proposed), "NAME")
         proposed.add(name)
         keys = f"column = {_text(column)}, unit = {_text(unit or '?')}"
-        if unit and parse_unit(unit).exponents not in dimensions:  # counts, mA, %
+        if unit and column not in of_run and parse_unit(unit).exponents not in dimensions:  # counts, mA, %
             keys = f'column = {_text(column)}, unit = "?", factor = 1.0, offset = 0.0'
         about = "; ".join(filter(None, (f"{column}: {extent} {unit or '?'}", found, may_be or names[0])))
         group = GROUPS.get(si_unit(unit), "")
@@ -130,7 +143,7 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         shown_keys["resolution"] *= signal.step > signal.noise / 10
         instrument = ", ".join(f"{k} = {v / factor:.3g}" for k, v in shown_keys.items() if v > 0)
         lines.append(
-            f"# {about}\n{'# ' * bool(may_be)}{_text(name)} = {{ {keys} }}"
+            f"# {about}\n{'# ' * bool(may_be or name == 'NAME')}{_text(name)} = {{ {keys} }}"
             f"{f'  # as the samples show: {instrument}' if instrument else ''}\n"
         )
     mark = "" if procedure else "# "
@@ -139,7 +152,7 @@ def describe(data: Path, out: Path | None = None, procedure: str = "", force: bo
         first, *others = map(_text, CHOICES.get(name, ["?"]))
         value = first if name in CHOICES else f"{{ value = ?, unit = {_text(NUMBERS[name])} }}"
         experiment += f"\n# {name} = {value}{'  # or ' * bool(others)}{', '.join(others)}"
-    formats = "\n".join(f"{key} = {_text(v)}" for key, v in vars(form).items() if v or key == "csv")
+    formats = "\n".join(f"{key} = {_text(v)}" for key, v in vars(form).items() if v not in (None, ""))
     limits = ["# [tolerances]  # with which `harvester validate` judges, here of errors over the range"]
     groups = (g for g in GROUPS.values() if f'group = "{g}"' in "".join(lines))
     limits += [f'# {group} = {{ metric = "nrmse", limit = 0.1 }}' for group in groups]
@@ -157,37 +170,22 @@ def _text(text: str | int) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _columns(data: Path, form: TextFormat) -> tuple[Columns, list[str]]:
-    """The columns of numbers, and a sentence for each of the others."""
-    names, unread = column_names(data, form), list[str]()
-    while True:
-        try:
-            columns = read_columns(data, names, form)
-            if len(names) < 2 and unread:
-                raise Problem(unread[0].removesuffix("; left out"))
-            return replace(columns, values={name: columns.values[name] for name in names}), unread
-        except Problem as problem:
-            numbers = [name for name in names if f"column {name!r}: " not in str(problem)]
-            if len(numbers) in (0, len(names)):
-                raise
-            names = numbers
-            unread.append(f"{problem}; left out")
-
-
 def _time(columns: Columns, units: Mapping[str, str]) -> tuple[str, str]:
     """The first column of increasing times, one with such a name before the others; its unit or a guess."""
-    increasing = [name for name, values in columns.values.items() if (np.diff(values) > 0).all()]
-    for clock in () if any(map(TIME.match, increasing)) else columns.moments:
-        late = int((np.diff(columns.values[clock]) <= 0).argmax()) + 1
+    name = clock(columns)
+    for moment in () if name else columns.moments:
+        late = int((np.diff(columns.values[moment]) <= 0).argmax()) + 1
         expected = "expected increasing times, got one that is not later: a clock without milliseconds?"
-        raise Problem(f"{columns.location(late)}: column {clock!r}: {expected}")
-    if not increasing:
+        raise Problem(f"{columns.location(late)}: column {moment!r}: {expected}")
+    increasing = (name for name, values in columns.values.items() if (np.diff(values) > 0).all())
+    if not (name := name or next(increasing, "")):
         names = first_names(columns.values, 8)
         raise Problem(f"{columns.file}: expected a column of increasing times, got none among {names}")
-    name = min(increasing, key=lambda name: not TIME.match(name))
     step = float(np.median(np.diff(columns.values[name])))
     guess = next((u for u in ("s", "ms", "us") if step * parse_unit(u).factor <= 1 / SLOWEST), "ns")
-    return name, "s" if columns.moments.get(name) else units[name] or guess
+    return name, "s" if columns.moments.get(name) else "d" if is_in_days(columns, name) else units[
+        name
+    ] or guess
 
 
 def _unit(columns: Columns, name: str) -> str:
@@ -207,7 +205,7 @@ def _sensors(procedure: str) -> Mapping[str, Sequence[str]]:
 
 
 def _candidates(column: str, unit: str, sensors: Mapping[str, Sequence[str]]) -> tuple[Sequence[str], str]:
-    """The signals that a column may be by name and unit, and a text of them; "" if it has their name."""
+    """The signals that a column may be by name and unit, and a text of them; "" if it is the only one."""
     groups = {u: n for u, n in sensors.items() if parse_unit(u).exponents == parse_unit(unit).exponents}
     names = [name for group in (groups or sensors).values() for name in group]
     if groups and (same := [n for n in names if column.lower() in (n.lower(), bare_name(n).lower())]):
@@ -219,5 +217,5 @@ def _candidates(column: str, unit: str, sensors: Mapping[str, Sequence[str]]) ->
     best = max(score.values())
     if best > 0 or groups:
         names = [name for name in names if score[name] == best or best <= 0]
-        return names, first_names(names)
+        return names, "" if groups and best > 0 and len(names) == 1 else first_names(names)
     return [], "anything"

@@ -107,6 +107,7 @@ static int access_values(Simulation *sim, const Access *a) {
     *a->call = a->function_number;
     const int status = call_fmi(a);
     *a->call = 0;
+    if (sim->careful) environment_restore(sim, a, ANY_COMPONENT);
     if (status) {
         const int verdict = sim->check_status(a, 0, status);
         if (verdict) return verdict;
@@ -133,8 +134,16 @@ static int exchange_call(Simulation *sim, const ExchangeCall *e) {
     } else if (e->kind == VECTOR) status = ((Vector *)e->function)(e->instance, e->values, (size_t)e->count);
     else status = call_completed_step(e);
     *e->call = 0;
-    if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
+    environment_restore(sim, e, ANY_COMPONENT);
     return status ? sim->check_status(e, 0, status) : CONTINUE;
+}
+
+/* Calls Python, which may call FMUs. */
+int python_call(Simulation *sim, int32_t request, int32_t index, double t, double h) {
+    const int verdict = sim->call_python(request, index, t, h);
+    const int about_component = request == STEP || request == SAVE || request == RESTORE;
+    if (sim->careful) environment_restore(sim, NULL, about_component ? index : ANY_COMPONENT);
+    return verdict;
 }
 
 #define COPY_VALUES(TYPE, TO, FROM)                                                                            \
@@ -165,7 +174,7 @@ int execute(Simulation *sim, const Program *program) {
         else if (instruction->type == ACCESS) verdict = access_values(sim, instruction->operand);
         else if (instruction->type == EXCHANGE) verdict = exchange_call(sim, instruction->operand);
         else if (instruction->type == LOOP) verdict = loop_solve(sim, instruction->operand);
-        else verdict = sim->call_python(CALL, instruction->index, 0.0, 0.0);
+        else verdict = python_call(sim, CALL, instruction->index, 0.0, 0.0);
         if (verdict) return verdict;
     }
     return CONTINUE;
@@ -174,12 +183,13 @@ int execute(Simulation *sim, const Program *program) {
 int directional_derivative(Simulation *sim, const Derivative *d) {
     const size_t m = (size_t)d->unknown_count, n = (size_t)d->known_count;
     int status;
-    if (!d->function) return sim->call_python(CALL, d->index, 0.0, 0.0);
+    if (!d->function) return python_call(sim, CALL, d->index, 0.0, 0.0);
     *d->call = d->function_number;
     if (d->fmi == 2)
         status = ((Derivative2 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, d->result);
     else status = ((Derivative3 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, n, d->result, m);
     *d->call = 0;
+    if (sim->careful) environment_restore(sim, d, ANY_COMPONENT);
     return status ? sim->check_status(d, 0, status) : CONTINUE;
 }
 
@@ -199,7 +209,7 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
     const double t = sim->t + begin;
     p->clock[0] = p->clock[1] = t;
     p->clock[2] = t + length;
-    if (!p->do_step) return sim->call_python(STEP, k, t, length);
+    if (!p->do_step) return python_call(sim, STEP, k, t, length);
     int status;
     *p->call = STEP;
     if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, length, p->never_restored);
@@ -207,14 +217,14 @@ int component_step(Simulation *sim, int k, Real begin, Real length) {
         status = ((Step3 *)p->do_step)(p->instance, t, length, p->never_restored != 0, p->event, p->terminate,
                                        p->early, p->last);
     *p->call = 0;
-    if (!rounds_to_nearest()) environment_restore(sim, k);
+    if (!rounds_to_nearest()) environment_restore(sim, NULL, k);
     if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
     return CONTINUE;
 }
 
 int component_save(Simulation *sim, int k) {
     Component *p = &sim->components[k];
-    if (!p->do_step) return sim->call_python(SAVE, k, 0.0, 0.0);
+    if (!p->do_step) return python_call(sim, SAVE, k, 0.0, 0.0);
     *p->call = SAVE;
     const int status = ((GetState *)p->get_state)(p->instance, &p->state);
     *p->call = 0;
@@ -224,7 +234,7 @@ int component_save(Simulation *sim, int k) {
 int component_restore(Simulation *sim, int k, Mask machines) {
     (void)machines;
     Component *p = &sim->components[k];
-    if (!p->do_step) return sim->call_python(RESTORE, k, 0.0, 0.0);
+    if (!p->do_step) return python_call(sim, RESTORE, k, 0.0, 0.0);
     *p->call = RESTORE;
     const int status = ((SetState *)p->set_state)(p->instance, p->state);
     *p->call = 0;

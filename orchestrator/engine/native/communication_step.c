@@ -211,7 +211,7 @@ static Real largest_mismatch(const Simulation *sim, Real h) {
 int communication_step(Simulation *sim, Real h, int *passes) {
 #if WIDTH == 1
     *passes = 1;
-    if (sim->in_python) return sim->call_python(MASTER, 0, sim->t, h);
+    if (sim->in_python) return python_call(sim, MASTER, 0, sim->t, h);
 #endif
     sim->computed = sim->moving;
     set_driven_polynomials(sim, h);

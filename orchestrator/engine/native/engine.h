@@ -198,13 +198,15 @@ typedef struct ErrorInput { /* an input of the error propagation, over the last 
 
 /* Errors of n states (e) and of the outputs (y), from the defects of m inputs; see error_propagation.c.
  * defects, shape (m, 2): integral of the defect over the section so far, and its first moment about the start; lengths: of the last three steps [s]; squares, largest: time integral of the square and largest magnitude of each
- * element of y; diagonal: of A + B K C at the linearisation before; middle: deviations of the sources from all inputs in
+ * element of y; output_reads: into `values`, whose extremes so far are `lowest` and `highest`; diagonal: of A + B K C at the linearisation before; middle: deviations of the sources from all inputs in
  * the middle of the step; halves: some are measured */
 typedef struct ErrorPropagation {
     LinearSystem system;
     const ErrorMember *members;
     ErrorInput *inputs;
     double *e, *stages, *factors, *w, *middle, *defects, *y, *squares, *largest, *lengths, *diagonal;
+    double *values, *lowest, *highest;
+    Program output_reads;
     double *starts;       /* of the last two steps [s] */
     double *times, *rows; /* evaluations of y since Python has collected them, shapes (capacity,) and (capacity, outputs) */
     int32_t filled, capacity;
@@ -267,7 +269,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
 
 typedef struct Scenario { /* a table of columns over time, linear between the samples, and the inputs that it drives */
     Real evaluated_at;
-    int32_t before_jumps; /* at the time of a jump it has the values before it */
+    Real since; /* time until which jumps have taken place, the beginning of the step [s]; NaN: all have */
     const Real *commands; /* held in place of the columns; NULL: none */
     int64_t samples, width, interval[WIDTH];
     const double *time, *base, *slopes, *anchor;
@@ -304,7 +306,7 @@ typedef struct Recorder { /* a block of rows; Python collects them between two c
 } Recorder;
 
 typedef struct StepSize { /* see step_size.c */
-    double h, smallest, largest, error_before, unclipped;
+    double h, first, smallest, largest, error_before, unclipped; /* first: the first one */
     int32_t power;   /* power of the step with which the error estimate scales */
     int32_t repeats; /* the components can go back */
 } StepSize;
@@ -319,6 +321,7 @@ typedef struct PlantMember { /* a component in Model Exchange; first_...: its fi
 typedef struct Plant {
     const PlantMember *members;
     Program states;     /* set time and states of all components */
+    Program starts;     /* get states and inputs of all components */
     Program indicators; /* get all event indicators */
     Program completed;  /* tell the components that a step is completed */
     const int32_t *rows, *sources;
@@ -373,8 +376,9 @@ typedef struct Simulation {
     int32_t saves;     /* states are saved at the beginning of each step, if the FMUs can */
     int32_t rollback;  /* all components can go back, so that a shorter step can be tried */
     int32_t diverged;  /* a step was accepted although its error is not finite */
-    const double *events;
-    int64_t event_count, event[WIDTH];
+    int32_t careful;   /* the floating-point environment is restored after each call, see environment.c */
+    const double *divided; /* communication points between those of equal steps */
+    int64_t divided_count, next_divided[WIDTH];
     double start, step, shorter, patience;
     double spent, counted; /* time in all calls of simulation_advance, in [s] and in ticks */
     double tick;           /* their ratio; 0 before the first call */
@@ -412,6 +416,7 @@ static inline Real source_slope(const CouplingInput *s) {
 
 /* calls.c; machines.cpp for several machines */
 int execute(Simulation *, const Program *);
+int python_call(Simulation *, int32_t request, int32_t index, double t, double h);
 int component_step(Simulation *, int k, Real begin, Real length); /* begin: [s] after the start of the step */
 int component_save(Simulation *, int k);
 int component_restore(Simulation *, int k, Mask);
@@ -427,9 +432,9 @@ int linearise(Simulation *, const JacobianColumn *, int32_t count, double *matri
 double seconds(void);
 double ticks(void); /* of a counter with a constant rate, cheaper to read than a clock */
 
-/* environment.c; k: the component that may have changed it */
+/* environment.c; the call, if it is not NULL, or the component k may have changed it */
 enum { ANY_COMPONENT = -1 };
-void environment_restore(Simulation *, int k);
+void environment_restore(Simulation *, const void *call, int k);
 EXPORT int32_t environment_begin(Simulation *);
 EXPORT int32_t environment_check(Simulation *);
 static inline int rounds_to_nearest(void) {
@@ -509,6 +514,7 @@ int pool_step(Pool *, Real h);
 void pool_stop(Pool *);
 
 /* plant.c */
+EXPORT int32_t plant_start(Simulation *, Plant *);
 EXPORT int32_t plant_settle(Simulation *, Plant *);
 EXPORT int32_t plant_connect(Simulation *, Plant *);
 EXPORT int32_t plant_iterate(Simulation *, Plant *);
@@ -518,6 +524,7 @@ EXPORT int32_t plant_indicators(Simulation *, Plant *);
 EXPORT int32_t plant_completed_step(Simulation *, Plant *);
 
 /* step_size.c */
+void step_size_begin(StepSize *);
 EXPORT double step_size_next(StepSize *, double remaining);
 EXPORT int32_t step_size_accepts(StepSize *, double error, double h);
 

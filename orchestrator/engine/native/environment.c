@@ -1,8 +1,9 @@
 /* The floating-point environment of the thread: an FMU that changes it must not change the numbers of another one.
  *
  * The control words are those at the beginning of the run. Reading them takes 30 ns on some processors (AMD EPYC), so that
- * is done at most once per block of steps. The rounding mode, which FMUs change most, is found by two additions after each step
- * of a component. Flags of past exceptions change no number and are left alone.
+ * is done at most once per block of steps, and the rounding mode, which FMUs change most, is found by two additions after each
+ * step of a component. Where Python steps components, which takes longer, they are read after each call: a trap that an FMU has
+ * switched on would end the process in the solver. Flags of past exceptions change no number and are left alone.
  */
 
 #include "engine.h"
@@ -35,10 +36,10 @@ static void set_control(uint64_t words) {
 #endif
 }
 
-void environment_restore(Simulation *sim, int k) {
+void environment_restore(Simulation *sim, const void *call, int k) {
     if (control() == sim->control) return;
     set_control(sim->control);
-    sim->check_status(0, k, CHANGED);
+    sim->check_status(call, k, CHANGED);
 }
 
 int32_t environment_begin(Simulation *sim) {
@@ -47,6 +48,6 @@ int32_t environment_begin(Simulation *sim) {
 }
 
 int32_t environment_check(Simulation *sim) {
-    environment_restore(sim, ANY_COMPONENT);
+    environment_restore(sim, NULL, ANY_COMPONENT);
     return CONTINUE;
 }

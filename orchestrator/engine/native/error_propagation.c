@@ -19,8 +19,9 @@
  * L-stable Runge-Kutta method of order 4 with five stages and the same diagonal element gamma (Hairer and Wanner, Solving
  * Ordinary Differential Equations II, table 6.5). The system is linearised anew every `lag` steps, which is adapted to
  * its changes, and at corners. e is one step behind the run, because a defect needs the step that follows. After
- * `sample` steps the errors of the outputs follow from e by directional derivatives. Errors inside the FMUs are not
- * included.
+ * `sample` steps the errors of the outputs follow from e by directional derivatives. They are at most the ranges of the
+ * outputs so far: the slope of a valve that has just opened holds for a part of a bar, not for an error of several. Errors
+ * inside the FMUs are not included.
  */
 
 #include <math.h>
@@ -49,6 +50,7 @@ static const double GROWTH = 0.25;
 /* Change of the slopes over a section, over their magnitude; the magnitude of past steps fades by the second factor. */
 static const double RESOLVED = 0.8, SLOPE_FADING = 0.95;
 static const double COMPARABLE = 0.3; /* shortest step over the next one from which a fourth derivative follows */
+static const double DIVIDED = 0.5;    /* step over the one before: it is divided, because the system changes */
 static const double MUCH = 0.3, LITTLE = 0.1; /* relative change of a diagonal element that halves, doubles the lag */
 
 /* The line nearest to a course that is straight up to a corner at tau [s] and straight from there on. */
@@ -190,7 +192,12 @@ static int sample(Simulation *sim, ErrorPropagation *p, double t) {
             const int verdict = find_output_errors(sim, p, &p->members[k]);
             if (verdict) return verdict;
         }
+    const int verdict = execute(sim, &p->output_reads);
+    if (verdict) return verdict;
     for (int32_t i = 0; i < p->output_count; i++) {
+        p->lowest[i] = smaller(p->lowest[i], p->values[i]), p->highest[i] = larger(p->highest[i], p->values[i]);
+        const double range = p->highest[i] - p->lowest[i];
+        if (range > 0.0) p->y[i] = larger(-range, smaller(p->y[i], range));
         p->squares[i] += p->y[i] * p->y[i] * p->since;
         p->largest[i] = larger(p->largest[i], fabs(p->y[i]));
     }
@@ -233,6 +240,8 @@ void error_jump(ErrorPropagation *p) {
 /* Advances the errors over the section, which ends at t. */
 static int end_section(Simulation *sim, ErrorPropagation *p, double t) {
     if (!p->taken) return CONTINUE;
+    const int verdict = p->age < p->lag ? CONTINUE : relinearise(sim, p); /* so that e is as new as the outputs */
+    if (verdict) return verdict;
     error_advance(p, p->section);
     memset(p->defects, 0, 2 * (size_t)p->system.m * sizeof *p->defects);
     p->since += p->section, p->since_sample += p->taken;
@@ -301,6 +310,6 @@ int error_propagate(Simulation *sim, double h) {
         const CouplingInput *s = &sim->inputs[input->input];
         note_step(s, input, h, s->source_component != DRIVEN && sim->components[s->source_component].halved);
     }
-    int verdict = p->lengths[1] > 0.0 ? advance(sim, p) : CONTINUE;
-    return verdict || p->taken || p->age < p->lag ? verdict : relinearise(sim, p);
+    if (h < DIVIDED * p->lengths[1]) p->age = p->lag;
+    return p->lengths[1] > 0.0 ? advance(sim, p) : CONTINUE;
 }

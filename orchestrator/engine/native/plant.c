@@ -108,6 +108,8 @@ int32_t plant_connect(Simulation *sim, Plant *p) {
     return plant_iterate(sim, p);
 }
 
+int32_t plant_start(Simulation *sim, Plant *p) { return execute(sim, &p->starts); }
+
 int32_t plant_settle(Simulation *sim, Plant *p) {
     if (sim->scenario) scenario_set_continuous(sim->scenario, *p->time, p->external);
     int verdict = execute(sim, &p->states);

@@ -26,9 +26,8 @@ static int64_t interval_before(Scenario *d, int i, double t) {
 }
 
 static int64_t interval(Scenario *d, int i, double t) {
-    return d->before_jumps ? interval_before(d, i, t) : interval_at(d, i, t);
+    return t > machine(d->since, i) ? interval_before(d, i, t) : interval_at(d, i, t);
 }
-
 
 /* Number of machines with different times. */
 static int times_of(Real t) { return all(t == machine(t, 0)) ? 1 : WIDTH; }

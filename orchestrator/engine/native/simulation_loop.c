@@ -185,31 +185,21 @@ static int accept(Simulation *sim, Real h, Mask machines) {
     return CONTINUE;
 }
 
-/* Does the scenario have the values before its jumps, at the end of a step, or those after them? */
-static void before_jumps(Simulation *sim, int before) {
-    Scenario *d = sim->scenario;
-    if (!d || d->before_jumps == before) return;
-    d->before_jumps = before;
-    d->evaluated_at = NAN;
-}
-
 /* Takes a step of length h. Machines whose error is too large, and those that do not move, go back; `done`: the others. */
 static int try_step(Simulation *sim, Real h, Mask *done) {
     int passes = 0;
     *done = NO_MACHINE;
     int verdict = sim->saves ? save_states(sim) : CONTINUE;
     if (verdict) return verdict;
-    before_jumps(sim, 1);
     verdict = communication_step(sim, h, &passes);
     if (!verdict) verdict = store_used_inputs(sim);
     if (!verdict) verdict = exchange_at_end(sim, h);
-    before_jumps(sim, 0);
 #if WIDTH == 1
     if (verdict == DISCARDED) return retry_discarded(sim, h);
 #endif
     if (verdict) return verdict;
     sim->all_passes += passes;
-    if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
+    if (!rounds_to_nearest()) environment_restore(sim, NULL, ANY_COMPONENT);
     *done = accepted(sim, h);
     if (any(*done)) verdict = accept(sim, h, *done);
     if (verdict || all(*done)) return verdict;
@@ -218,7 +208,7 @@ static int try_step(Simulation *sim, Real h, Mask *done) {
 
 static double point_at(const Simulation *sim, int64_t n) { return sim->start + (double)n * sim->step; }
 
-/* The length of the next step of each machine, up to its next event or the next point at most; `target`: that time,
+/* The length of the next step of each machine, up to the next point or division at most; `target`: that time,
  * `rest`: the time until then. From point to point it is exactly the step, not the difference of two rounded times. */
 static Real next_length(Simulation *sim, Real *target, Real *rest) {
     const int count = sim->step_size ? WIDTH : 1;
@@ -228,9 +218,9 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
     for (int i = 0; i < count; i++) {
         if (sim->step_size && !chosen(sim->moving, i)) continue;
         const double t = machine(sim->t, i);
-        int64_t *event = &sim->event[i];
-        while (*event < sim->event_count && sim->events[*event] <= t) ++*event;
-        const double to = *event < sim->event_count ? smaller(point, sim->events[*event]) : point;
+        int64_t *next = &sim->next_divided[i];
+        while (*next < sim->divided_count && sim->divided[*next] <= t) ++*next;
+        const double to = *next < sim->divided_count ? smaller(point, sim->divided[*next]) : point;
         const double left = t == last && to == point ? sim->step : to - t;
         set_machine(target, i, count, to);
         set_machine(rest, i, count, left);
@@ -241,11 +231,15 @@ static Real next_length(Simulation *sim, Real *target, Real *rest) {
 
 /* Exchanges the values after a jump of the scenario. All inputs begin anew: the past does not tell their course. */
 static int jump(Simulation *sim, Mask machines) {
+    sim->scenario->since = sim->t;
+    sim->scenario->evaluated_at = NAN;
     int verdict = simulation_exchange(sim, sim->t);
     sim->length = where(machines, 0.0, sim->length);
     sim->length_before = where(machines, 0.0, sim->length_before);
     if (!verdict) verdict = begin_inputs(sim, machines);
     begin_energy(sim, machines);
+    for (int i = 0; i < WIDTH && sim->step_size; i++)
+        if (chosen(machines, i)) step_size_begin(&sim->step_size[i]);
     if (sim->errors) error_jump(sim->errors);
     return verdict;
 }
@@ -289,6 +283,7 @@ int32_t simulation_begin(Simulation *sim) {
     if (!verdict) verdict = begin_inputs(sim, EVERY_MACHINE);
     if (!verdict) verdict = machines_check(sim);
     if (verdict) return verdict;
+    if (sim->scenario) sim->scenario->since = sim->t;
     begin_energy(sim, EVERY_MACHINE);
     record(sim);
     return sim->errors ? error_begin(sim) : CONTINUE;
@@ -312,7 +307,7 @@ int32_t simulation_advance(Simulation *sim) {
     }
     sim->spent += seconds() - began, sim->counted += ticks() - first;
     if (sim->counted > 0.0) sim->tick = sim->spent / sim->counted;
-    if (!verdict) environment_restore(sim, ANY_COMPONENT);
+    if (!verdict) environment_restore(sim, NULL, ANY_COMPONENT);
     return verdict;
 }
 

@@ -33,6 +33,12 @@ double step_size_next(StepSize *p, double remaining) {
     return 2.0 * p->h > remaining ? remaining / 2.0 : p->h;
 }
 
+/* Inputs have jumped: the errors before tell nothing, and a step that cannot be repeated has to be short. */
+void step_size_begin(StepSize *p) {
+    p->error_before = 0.0;
+    if (!p->repeats) p->h = smaller(p->h, p->first);
+}
+
 /* Decides about a step of length h [s] with the error e, relative to the tolerance; 0: it has to be repeated. */
 int32_t step_size_accepts(StepSize *p, double e, double h) {
     const double k = (double)p->power;

@@ -32,7 +32,7 @@ void set_machine(Real *a, int i, int count, double value) {
 
 /* What lanes do not have. */
 double ticks() { return 0.0; }
-void environment_restore(Simulation *, int) {}
+void environment_restore(Simulation *, const void *, int) {}
 int loop_solve(Simulation *, AlgebraicLoop *) { return CONTINUE; }
 int predict_inputs(Simulation *, Real) { return CONTINUE; }
 int error_begin(Simulation *) { return CONTINUE; }

@@ -12,6 +12,7 @@ from kit.mistakes import problem
 
 from fmus.identification.recordings.describe import SENSORS, describe
 from fmus.identification.recordings.reading import read
+from orchestrator import assemble, run
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
 from orchestrator.ssp.load import load
@@ -67,10 +68,39 @@ def test_the_file_is_read_after_the_names_are_filled_in(log):
 
 def test_what_remains_a_comment_is_left_out(log):
     """Some names are enough; without any, one line says what is missing."""
+    for column in ("Hebel Hub [V]", "manipulator.boom_angle [deg]"):
+        edit(log, (column, "AI 1 [V]" if column.endswith("[V]") else "AI 2 [deg]"))
     describe(log)
     problem(lambda: read_recording(log), r"a\.toml: expected at least one table \[signals\.NAME\], got none")
     edit(log.with_suffix(".toml"), ('# "boom_stick.boom_rod', '"boom_stick.boom_rod'))
     assert [*read_recording(log)] == ["boom_stick.boom_rod_pressure"]
+
+
+def test_a_column_that_can_be_one_signal_only_is_no_comment(tmp_path):
+    """By its unit and the words in its name; without a unit, or for a second such column, it is one."""
+    columns = {
+        "Zeit [s]": K / 50,
+        "Hub Soll [V]": K % 7,
+        "Winkel Ausleger (deg)": K % 5,
+        "P Tank [bar]": K % 3,
+    }
+    unsure = {"Hebel Schwenk": K % 4, "P Kolben [bar]": K % 11, "Druck Tank 2 [bar]": K % 9}
+    pd.DataFrame(columns | unsure).to_csv(tmp_path / "a.csv", index=False)
+    describe(tmp_path / "a.csv")
+    expected = ["boom_stick.boom_command", "manipulator.boom_angle", "swing.tank_pressure"]
+    assert [*read_recording(tmp_path / "a.csv")] == expected
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_the_trace_of_a_run_is_described_as_it_is(suffix, fmus, tmp_path):
+    """All signals with their units, whatever they measure, also those that jump by 360 or have no sensor."""
+    system = assemble({"g": fmus.make("gain", units={"u": "bar", "y": "kg"})}, [])
+    columns = {"time": K / 50, "g.u": 360 * K + 7e6}
+    data = run(system, columns, stop=7, step=0.01, record_step=0.02).write(tmp_path / f"run{suffix}")
+    text = describe(data)
+    assert "wrap" not in text
+    read_back = read_recording(data)
+    assert ({*read_back}, dict(read_back.units)) == ({"g.u", "g.y"}, {"g.u": "Pa", "g.y": "kg"})
 
 
 def test_a_column_with_the_name_of_a_signal_is_described_at_once(tmp_path):

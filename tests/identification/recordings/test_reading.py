@@ -220,7 +220,7 @@ def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
 def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
     """A message of one line for each error of the file or the call."""
     path = tmp_path / "plain.txt"
-    path.write_text("1 2\n3 4\n5 x\n", encoding="utf-8")
+    path.write_text("1 2\n3 4\n5 6x\n", encoding="utf-8")
     assert message in problem(lambda: reading.read_series(path, columns, **options))
 
 
