@@ -31,6 +31,28 @@ def test_both_drives_have_their_bonds(system):
     assert not any("load" in port for bond in found for port in bond)
 
 
+@pytest.mark.parametrize(
+    ("supply", "temperature", "volume", "told"),
+    [
+        ("ideal", 248.15, None, "oil_temperature = 248.15 K at t = 0 s is below 253.15 K"),
+        ("ideal", 253.15, None, ""),
+        ("engine_pump", 333.15, 0.002, "reservoir_volume_below_suction = 0.078 m3 at t = 0 s is above 0 m3"),
+        ("load_sensing", 263.15, 0.081, "oil_viscosity = 0.001"),
+    ],
+)
+def test_cold_oil_and_an_empty_tank_are_told(system, supply, temperature, volume, told):
+    """By one warning of the supply; within the range there is none. Below suction_volume no oil is drawn."""
+    start = {"supply.oil_temperature_start": temperature}
+    start |= {} if volume is None else {"supply.reservoir_volume_start": volume}
+    levers = {"time": [0, 0.1], "boom_command": [8, 8]}
+    done = run(system, levers, swap={"supply": supply}, set=start, stop=0.1)
+    warnings = [w.removeprefix("supply: ") for w in done.card.warnings if w.startswith("supply: ")]
+    assert len(warnings) == bool(told)
+    assert all(w.startswith(told) for w in warnings)
+    if volume == 0.002:  # what leaks comes back
+        assert done["supply.reservoir_volume"].min() == volume
+
+
 # each pair of a master, a cut and a supply once
 @table(__file__, "runs", "variant, cut, master")
 def test_co_simulation_at_1_ms_agrees_with_the_monolith(system, master, cut, variant):
