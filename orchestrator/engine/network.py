@@ -406,14 +406,12 @@ def initialise(
     driven: Mapping[Port, Value],
     span: tuple[float, float],
     tolerances: Mapping[str, float | None] | None = None,
-    after: Callable[[Slave], None] = lambda _: None,
 ) -> None:
     """Initialise all FMUs, which are instantiated.
 
     driven       input -> value at the start time, for inputs that a scenario drives
     span         start and stop time [s]
     tolerances   component -> tolerance of the solver in its FMU
-    after        called when one FMU has been called several times
     """
     for name, slave in slaves.items():
         # the sum of equal steps may be carried by rounding beyond the true stop time
@@ -421,16 +419,13 @@ def initialise(
         slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
-        after(slave)
     _set(slaves, driven)  # some FMUs compute start values when they enter initialisation mode
     for slave in slaves.values():
         slave.enter()
-        after(slave)
     _set(slaves, driven)
     propagate(system, slaves)
     for slave in slaves.values():
         slave.exit()
-        after(slave)
 
 
 def _set(slaves: Mapping[str, Slave], values: Mapping[Port, Value]) -> None:

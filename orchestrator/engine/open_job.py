@@ -32,6 +32,7 @@ from orchestrator.engine.own_master import Components
 from orchestrator.engine.recorder import EnergyMonitor, Recorder
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
+from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.ssp.dependencies import late_effects
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -132,9 +133,11 @@ def simulation(job: Job, sink: TraceSink, allocate: Allocate = in_process) -> It
         stack.callback(binding.restore_environment)
         with archive_kept_open():
             for name, component in job.system.components.items():
-                slaves[name] = job.execution.open(component)
-                stack.callback(slaves[name].close)
-                binding.restore_environment(slaves[name])
+                slaves[name] = slave = job.execution.open(component)
+                stack.callback(slave.close)
+                binding.restore_environment(slave)
+                if isinstance(slave, RunningFmu):
+                    slave.fmu.after = binding.restore_environment
         network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
         stack.callback(network.free_saved_states)
         loop = SimulationLoop(job, network, sink, selected)
@@ -260,11 +263,11 @@ class SimulationLoop:
 
     def _initialise(self, job: Job) -> None:
         """Initialise all FMUs."""
-        slaves, times, restore = self.network.slaves, self.times, self._binding.restore_environment
+        slaves, times = self.network.slaves, self.times
         driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
         tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
         stop = max(map(times.announced_stop, (1, *job.coupling.factors.values())))
-        initialise(job.system, slaves, driven, (times.start, stop), tolerances, restore)
+        initialise(job.system, slaves, driven, (times.start, stop), tolerances)
         self._binding.logs = [slave.log for slave in slaves.values()]
 
     @property

@@ -74,7 +74,6 @@ class Components(dict[str, Slave]):
 
     def _step(self, name: str, step: Callable[[float, float], None], time: float, length: float) -> None:
         step(time, length)
-        self._network.binding.restore_environment(self[name])
         self._reached[name] = time + length
 
     def _refuse(self, name: str) -> None:

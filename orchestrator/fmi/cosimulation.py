@@ -234,6 +234,7 @@ class CoSimulationFmu(RunningFmu):
         interface: FmuInterface,
         fmu: Location,
         start: Mapping[str, Value] | None = None,
+        after: AfterCall = None,
     ) -> None:
         """`start`: start values of the spare instance; this one is set by `set`."""
         self._source, self._start = fmu, start or {}
@@ -241,7 +242,7 @@ class CoSimulationFmu(RunningFmu):
         self._spare_fails = False  # to be opened
         self._cubic: bool | None = None
         self._final = True  # no step will be repeated
-        super().__init__(name, interface, fmu)
+        super().__init__(name, interface, fmu, after)
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
         """Announce the experiment; times in [s]."""
@@ -310,7 +311,7 @@ class CoSimulationFmu(RunningFmu):
         """Another instance, initialised and in step mode."""
         if self.interface.one_per_process:
             raise Problem(f"{self._label}: the FMU can be instantiated only once per process")
-        other = CoSimulationFmu(self.name, self.interface, self._source)
+        other = CoSimulationFmu(self.name, self.interface, self._source, after=self.fmu.after)
         try:
             other.setup(0.0, 1.0, None)
             for variable, value in self._start.items():

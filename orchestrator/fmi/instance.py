@@ -138,7 +138,7 @@ class FmuInstance:
 
     exchange   True for Model Exchange, False for Co-Simulation
     before     called before each function, with its name and the time [s]
-    after      called after each function that Python calls, but a step
+    after      called after each function that Python calls
     slot       the call in progress
     handle     NULL before `instantiate` and after `free`
     worst      the worst status of all calls
@@ -349,6 +349,8 @@ class FmuInstance:
         self.slot.function = STEP
         status = self._step(*times, self.flag(final), *self._results)
         self.slot.function = 0
+        if self.after:
+            self.after(self)
         return status
 
     def step_end(self, status: int) -> StepEnd:

@@ -161,6 +161,17 @@ def test_small_numbers_are_flushed_to_zero_by_no_fmu(tmp_path):
     assert np.float64(2.3e-308) * 0.5 != 0.0
 
 
+@posix
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="sets bits of that processor")
+@pytest.mark.parametrize("phase", ["instantiate", "initialise"])
+def test_traps_that_an_fmu_switches_on_end_no_process(tmp_path, phase):
+    """Python goes on after its call, as with the spare instance that `hermite` tries; warnings name it."""
+    trapping, good = faulty(tmp_path, "trap", phase, name="bad").fmu, faulty(tmp_path).fmu
+    system = assemble({"first": trapping, "second": good}, ["first.y -> second.u"])
+    for master in ("hermite", "jacobi"):
+        assert all(line.startswith("first") for line in run(system, master=master, **STEPS).card.warnings)
+
+
 def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
     """Those of a search for an accuracy, and those of an estimate of errors."""
     deadlines = []

@@ -247,6 +247,7 @@ static void phase(const char *name, double *values, double t, const char *token)
     if (is("rounding")) fesetround(FE_UPWARD), where[0] = 0;
 #ifdef __x86_64__
     if (is("flush")) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() | 0x8040), where[0] = 0; /* both bits of it */
+    if (is("trap")) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() & ~0x1F80u), where[0] = 0; /* each operation */
 #endif
     if (is("signals")) ignore_signals(), where[0] = 0;
     if (is("limits")) set_limits(), where[0] = 0;
