@@ -32,8 +32,8 @@ def command(valve: str, meaning: str, rate: str) -> Quantity:
 
 
 def oil_temperature(text: str, held: bool = False, optional: str = "") -> Quantity:
-    """Declaration of the temperature of the oil; without bounds, because of 0 K."""
-    known = Quantity("K", text, 300.0, warn_above=373.15, warn_below=253.15, meaning=BEYOND)
+    """Declaration of the temperature of the oil; without bounds, because of 0 K; its source warns of cold."""
+    known = Quantity("K", text, 300.0, warn_above=373.15, meaning=BEYOND)
     return replace(known, held=held, optional=optional)
 
 

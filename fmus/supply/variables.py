@@ -1,6 +1,7 @@
 """Common variables of all variants of the supply: parameters, inputs, outputs; signs as in ideal.py."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,9 @@ class SupplyOutputs(Group):
     engine_power: Scalar = Quantity("W", "Input power: from the combustion, or from the ideal source", 1e4)
     stored_energy: Scalar = Quantity("J", "Energy of oil compression, rotation and oil in the tank", 1e3)
     dissipated_power: Scalar = Quantity("W", "Power dissipated by friction, leakage and throttling", 1e4)
-    oil_temperature: Scalar = ports.oil_temperature("Temperature of the oil in the tank")
+    oil_temperature: Scalar = replace(
+        ports.oil_temperature("Temperature of the oil in the tank"), warn_below=253.15
+    )
 
 
 def supply_flow(u: Any) -> Scalar:

@@ -196,7 +196,8 @@ def wheel(archives, tmp_path_factory, tmp_path, monkeypatch):
     cache = tmp_path_factory.mktemp("cache")
     monkeypatch.setattr(package_files, "BUILT", archives(*SOME))
     monkeypatch.setattr(compiler, "cache_folder", lambda: cache)
-    monkeypatch.setattr(files, "CHECKOUT", Path("none"))
+    for module in (files, package_files):
+        monkeypatch.setattr(module, "CHECKOUT", Path("none"))
     monkeypatch.chdir(tmp_path)
     return cache
 

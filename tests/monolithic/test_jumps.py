@@ -64,9 +64,10 @@ def each(request, tmp_path_factory) -> Workshop:
 
 
 @pytest.fixture(scope="module")
-def pair(each) -> System:
-    """Two integrators."""
-    return assemble({"first": each["drift"], "second": each["drift"]}, ["first.y -> second.u"])
+def pair(tmp_path_factory) -> System:
+    """Two integrators of FMI 3.0: without a function for derivatives of inputs they follow a rate."""
+    drift = Workshop(tmp_path_factory.mktemp("pair"), 3)["drift"]
+    return assemble({"first": drift, "second": drift}, ["first.y -> second.u"])
 
 
 @every_master
