@@ -17,6 +17,7 @@ computes it for a grid of poses over the strokes; passive joints hang at rest.
 
 from __future__ import annotations
 
+import keyword
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +34,8 @@ from fmus.crane.description import DEFAULT, DRIVES, INERTIAS, CraneDescription, 
 from fmus.crane.manipulator import CraneManipulator, manipulator
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Mistakes, Problem
-from orchestrator.base.text import TextTable
+from orchestrator.base.text import MODELICA, TextTable
+from orchestrator.check.rules.variables import C
 from orchestrator.data.table import Array
 from orchestrator.pages.plotting import new_figure, style_axes
 
@@ -177,8 +179,10 @@ def _passing(poses: Array, values: Array, reach: float) -> tuple[Array, Array]:
 def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> list[AxisCheck]:
     """All axes; a Problem with a line for each mistake.
 
-    start   `outputs_at_start` of its manipulator, if they are known
+    start   `outputs_at_start` of its manipulator, if they are known; else names of joints are looked at, too
     """
+    if start is None and (wrong := [*_misnamed(crane)]):
+        raise Mistakes(wrong)
     sub = manipulator(crane)
     of, v = functions(sub), values(sub)
     load = crane.numbers["payload"]["payload_mass"].value
@@ -196,6 +200,18 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     if mistakes:
         raise Mistakes(mistakes)
     return found
+
+
+def _misnamed(crane: CraneDescription) -> Iterator[str]:
+    """Joints with a name that code or machine use otherwise."""
+    from fmus.crane.machine import taken
+
+    languages = {"Python": keyword.kwlist, "C": C, "Modelica": MODELICA}
+    for name in (j.name for j in crane.joints):
+        of = [f"{language} has it as a keyword" for language, words in languages.items() if name in words]
+        of += [f"the machine has the name {taken()[name]}"] if name in taken() else []
+        if of:
+            yield f"{crane.file}: [{name}] expected another name of the joint: {of[0]}"
 
 
 def functions(sub: Subsystem) -> CraneManipulator:

@@ -135,9 +135,7 @@ WORDS = (
 )
 TEXTS = ("title", "source", "note")
 WORD, PART = "[a-z][a-z0-9]*", "[a-z][a-z0-9_]*"
-# begins of names of signals that are not those of joints; names of other components of a machine
-RESERVED = ("radial", "vertical", "turning", "path", "tip", "stop", "crane", "reference", "supply", "tank")
-COMPONENTS = (
+COMPONENTS = (  # names of other components of a machine
     *("manipulator", "supply", "controller", "valve_actuation", "operator_input", "sensors", "diagnosis"),
 )
 OPTIONAL = ("follows",)
@@ -405,8 +403,6 @@ def _joint(
     starts: Mapping[str, Any],
     density: float,
 ) -> JointDescription:
-    if name in RESERVED:
-        reader.wrong(name, f"expected another name: signals of other parts begin with {name}_")
     if not re.fullmatch(WORD, name):
         expected = (
             f"a joint name of one word of small letters and digits: its signals are such as {name}_angle"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from fmus.contract import Quantity, Subsystem, family, make_group, quantities
 from fmus.controller.paths import Pose
 from fmus.crane.check import outputs_at_start
 from fmus.crane.controller import controlled, controller, hanging_sway, start_pose
-from fmus.crane.description import CraneDescription, JointDescription, read
+from fmus.crane.description import NEW, CraneDescription, JointDescription, read
 from fmus.crane.manipulator import NAME, manipulator
 from fmus.crane.view import page_files
 from fmus.diagnosis import diagnosis
@@ -39,7 +39,7 @@ from fmus.faults import CYLINDER_ADDITIONS, MOTOR_ADDITIONS, faulty
 from fmus.machine.feasible import Mechanics
 from fmus.machine.machine import Connections, Machine
 from fmus.machine.path_following import TrackedMachine
-from fmus.operator_input.model import OperatorOutputs, operator
+from fmus.operator_input.model import AXES, OperatorOutputs, operator
 from fmus.package_files import SUBFOLDERS
 from fmus.parameters import Number, numbers, parameters, values
 from fmus.sensors import sensors
@@ -110,6 +110,19 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
     arm, mechanics = functions.__self__.arm, machine.subsystems[NAME]
     found = diagnosis(arm, numbers(machine.controller)["parameters"], mechanics)
     return replace(machine, sensors=sensors(machine.measured), diagnosis=found)
+
+
+@cache
+def taken() -> dict[str, str]:
+    """First words of names that a machine has besides those of its joints -> one of these names."""
+    crane = read(NEW)
+    m = crane_machine(crane, faults=True)
+    drivers = filter(None, (m.operator, m.controller, m.actuation, m.sensors, m.diagnosis))
+    subs = [*(sub for family in m.families.values() for sub in family.values()), *drivers]
+    names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
+    names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))]
+    joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
+    return {w: n for n in reversed(names) if (w := n.partition("_")[0]) not in joints}
 
 
 def with_pressures(sub: Subsystem, crane: CraneDescription) -> Subsystem:
