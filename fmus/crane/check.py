@@ -252,7 +252,7 @@ def _axis(
         sizes = volumes(position, joint["stroke"], head, rod, joint["dead_volume"])
         effort, larger = "force", "a larger bore, a larger lever"
     holds = start[f"{joint.name}_holding_{effort}"]
-    holding = holds / head if holds > 0 else -holds / rod
+    holding = max(holds / head, -holds / rod)
     if holding > pressure:
         raise Problem(
             f"holds the arm at the start with {holding / 1e5:.0f} bar, expected at most the supply's "

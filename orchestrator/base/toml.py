@@ -133,7 +133,7 @@ def _key(text: str, error: str) -> str:
     """The key of a value that is there twice, of which tomllib tells the line."""
     twice = re.search(r"^Cannot (?:overwrite|mutate) .*\(at (?:line (\d+)|end)", error)
     lines = text.splitlines()[: int(twice[1]) if twice[1] else None] if twice else []
-    keys = (re.match(r"""[ \t]*((?:[\w.-]+|"[^"]*"|'[^']*')+)[ \t]*=""", line) for line in reversed(lines))
+    keys = (re.match(r"""[ \t]*((?:[\w.-]|"[^"]*"|'[^']*')+)[ \t]*=""", line) for line in reversed(lines))
     return next((f": key {key[1]}" for key in keys if key), "")
 
 

@@ -20,7 +20,7 @@ from fmus.components.chain import Payload
 from fmus.contract import nested
 from fmus.crane.check import Capacity, capacity, check, lifting_moment
 from fmus.crane.check import table as text_of
-from fmus.crane.description import new, read
+from fmus.crane.description import NEW, new, read
 from fmus.crane.machine import crane_machine
 from fmus.crane.manipulator import manipulator
 from fmus.manipulator import MANIPULATOR
@@ -28,7 +28,7 @@ from fmus.parameters import values
 from orchestrator import load, run
 from orchestrator.base.errors import Mistakes
 
-NEW = ("compensated", "detailed")
+DETAILED = ("compensated", "detailed")
 
 
 def at_start(crane, **parameters):
@@ -54,6 +54,42 @@ def test_a_mistake_is_told_in_one_line(tmp_path, old, by, message):
     with pytest.raises(Mistakes) as told:
         check(read(path))
     assert told.value.lines[0].startswith(f"{path}: {message}")
+
+
+def renamed(name):
+    """The crane of `harvester crane new` with another name of its boom."""
+    text = NEW.read_text(encoding="utf-8").replace("[boom]", f"[{name}]").replace("\nboom =", f"\n{name} =")
+    return read(Path("named.toml"), text.encode())
+
+
+USED = {
+    "held": "the machine has the name held_mass",
+    "relief": "the machine has the name relief_pressure",
+    "radial": "the machine has the name radial_",
+    "burst": "the machine has the name burst_",  # of FMUs with faults
+    "grip": "the machine has the name grip",
+    "lambda": "Python has it as a keyword",
+    "restrict": "C has it as a keyword",
+    "outer": "Modelica has it as a keyword",
+}
+
+
+@pytest.mark.parametrize(("name", "reason"), USED.items())
+def test_a_name_that_is_used_otherwise_is_refused(name, reason):
+    """By the check, before the build: the beginning of a parameter or signal, a terminal, a keyword."""
+    line = problem(lambda: check(renamed(name)))
+    assert line.startswith(f"named.toml: [{name}] expected another name of the joint: {reason}")
+
+
+@shards.machine
+@pytest.mark.parametrize("name", ["cls", "name", "members", "self", "metaclass", "swing", "p", "of", "brake"])
+def test_other_names_make_a_machine(name):
+    """Also those of arguments and of members in our code."""
+    crane = renamed(name)
+    assert [a.joint.name for a in check(crane)][1] == name
+    machine = crane_machine(crane, faults=True)
+    assert f"{name}_command" in machine.inputs
+    assert machine.controller is not None
 
 
 def test_all_mistakes_are_told_at_once(tmp_path):
@@ -122,7 +158,7 @@ def test_a_crane_on_tyres_has_its_tip(tmp_path):
 
 
 @shards.machine
-@pytest.mark.parametrize("swap", [{}, *({"drives": d, "supply": "load_sensing"} for d in NEW)], ids=str)
+@pytest.mark.parametrize("swap", [{}, *({"drives": d, "supply": "load_sensing"} for d in DETAILED)], ids=str)
 def test_the_loader_co_simulates_like_its_monolith(loader_folder, swap):
     """Jacobi at 1 ms over the strokes of all levers: within 1e-4 of the range of the monolithic solution.
 
