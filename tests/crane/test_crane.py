@@ -56,6 +56,29 @@ def test_a_mistake_is_told_in_one_line(tmp_path, old, by, message):
     assert told.value.lines[0].startswith(f"{path}: {message}")
 
 
+MOMENTS = "120 kNm, 120 kN m, 120000 Nm, 12.2366 t.m, 12.2366 tm, 12.2366 mt, 88507.5 ft.lbf, 88507.5 lb-ft"
+SHEETS = {  # key, and its value in SI units -> in the file of the loader, and as data sheets write it
+    ("lifting_moment", 120e3): ("[supply]", "[datasheet]\nlifting_moment = {}\n[supply]", MOMENTS),
+    ("motor_displacement", 250e-6 / (2 * np.pi)): (
+        '"1.14e-3 m3/rad"',
+        "{}",
+        "250 ccm/rev, 250 cc/U, 0.25 L/rev",
+    ),
+    ("density", 870): ('"870 kg/m3"', "{}", "870 kg m-3, 0.87 t/m3, 54.3123 lb/ft3"),
+}
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "by", "text"),
+    [(key, old, by, text) for key, (old, by, texts) in SHEETS.items() for text in texts.split(", ")],
+)
+def test_units_of_data_sheets_are_read(tmp_path, key, old, by, text):
+    """In each way of writing a number; t.m is the moment of a weight."""
+    crane = read(changed(tmp_path, (old, by.format(f'"{text}"'))))
+    known = {n: x.value for n, x in (crane.joints[0].numbers | crane.numbers["oil"]).items()}
+    assert (known | dict(crane.datasheet))[key[0]] == pytest.approx(key[1], rel=1e-5)  # of their digits
+
+
 def renamed(name):
     """The crane of `harvester crane new` with another name of its boom."""
     text = NEW.read_text(encoding="utf-8").replace("[boom]", f"[{name}]").replace("\nboom =", f"\n{name} =")
