@@ -36,6 +36,7 @@ USED: Mapping[str, tuple[str, ...]] = {
 AXES = get_args(Axis)
 Assembly: TypeAlias = Literal["above", "below"]
 LARGEST_LENGTH = 100.0  # m
+MOST_JOINTS = 60  # whose equations are made in some seconds
 INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
 SYMMETRIC = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  # place of each entry of a matrix in INERTIAS
 LARGEST_SHARE = 1 + 1e-6  # of a principal moment of inertia in the sum of the two others, with rounding
@@ -360,6 +361,8 @@ def read(path: Path, data: bytes | None = None) -> CraneDescription:
     tops = (*TEXTS, *TABLES, "start", "datasheet")
     reader.unknown("", {n: x for n, x in content.items() if n not in names}, tops)
     density = numbers["oil"]["density"].value
+    if len(names) > MOST_JOINTS:
+        raise Problem(f"{path}: expected at most {MOST_JOINTS} joints, got {len(names)}")
     joints = [_joint(reader, n, content[n], names[:k], starts, density) for k, n in enumerate(names)]
     reader.unknown("start", starts, names)
     on = reader.one_of("payload", tables["payload"], "on", names)

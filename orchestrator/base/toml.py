@@ -106,7 +106,10 @@ class Table:
 def read_file(path: Path, missing: str = "no such file") -> Table:
     """A TOML file as a table; missing: the message for a file that does not exist."""
     try:
-        return read(path, path.read_bytes())
+        if not path.is_file() and not path.is_dir() and path.exists():
+            raise Problem(f"{path}: expected a file, got a device or a pipe")
+        with path.open("rb") as file:
+            return read(path, file.read(MAX_BYTES + 1))
     except FileNotFoundError:
         raise Problem(f"{path}: {missing}") from None
     except OSError as error:
@@ -116,7 +119,7 @@ def read_file(path: Path, missing: str = "no such file") -> Table:
 def read(file: Path | Location, data: bytes) -> Table:
     """The content `data` of a TOML file as a table."""
     if len(data) > MAX_BYTES:
-        raise Problem(f"{file}: expected at most {MAX_BYTES >> 20} MiB of TOML, got {len(data) >> 20} MiB")
+        raise Problem(f"{file}: expected at most {MAX_BYTES >> 20} MiB of TOML, got more")
     text = ""
     try:
         text = data.decode("utf-8-sig")

@@ -26,6 +26,7 @@ from fmus.crane.manipulator import manipulator
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import values
 from orchestrator import load, run
+from orchestrator.__main__ import main
 from orchestrator.base.errors import Mistakes
 
 DETAILED = ("compensated", "detailed")
@@ -126,6 +127,12 @@ def test_all_mistakes_are_told_at_once(tmp_path):
     assert tables == ["boom", "jib.four_bar", "jib.four_bar", "payload"]
 
 
+def test_a_crane_has_joints_in_number():
+    """Thousands of tables are refused before their equations are made."""
+    text = "".join(f"[j{k}]\n" for k in range(5000))
+    assert "expected at most 60 joints, got 5000" in problem(lambda: read(Path("a.toml"), text.encode()))
+
+
 def test_a_new_file_is_a_crane(tmp_path):
     """It is checked without a mistake, and an existing file is not overwritten."""
     path = tmp_path / "mine.toml"
@@ -134,6 +141,13 @@ def test_a_new_file_is_a_crane(tmp_path):
     assert "exists already" in problem(lambda: new(path))
     assert "got no folder" in problem(lambda: new(tmp_path / "no" / "mine.toml"))
     assert not (tmp_path / "no").exists()
+
+
+def test_a_closed_standard_output_is_no_defect(tmp_path, monkeypatch):
+    """As of `harvester ... >&-`: the command does its work."""
+    monkeypatch.setattr("sys.stdout", None)
+    assert main(["crane", "new", str(tmp_path / "mine.toml")]) == 0
+    assert (tmp_path / "mine.toml").is_file()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
