@@ -8,13 +8,14 @@ or follow from those that it has (`_settings`, `_sized`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from fmus import boom_stick, ports, swing
+from fmus import supply as supplies
 from fmus.components.cylinder import areas
 from fmus.components.opening_curve import EDGES
 from fmus.composition import compose
@@ -235,6 +236,23 @@ def _sized(
         as_of = "boom_head" if held > HEAVY * pressure else "boom_rod"
         found[f"{side}_pilot_ratio"] = common[f"{as_of}_pilot_ratio"]
     return found
+
+
+def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
+    """Numbers of the paper's machine that supplies and drives have; those of joints without their names."""
+    shipped = {x for of in (swing, boom_stick, supplies) for x in _numbers(of.VARIANTS.values()).values()}
+    names, pose = [j.name for j in crane.driven], outputs_at_start(manipulator(crane))
+    parts = {j.part: [other for other in crane.driven if other.part == j.part] for j in crane.driven}
+    of_drives = (drives(crane, n, j, pose, v) for n, j in parts.items() for v in FIDELITIES)
+    of_supplies = (with_pressures(sub, crane) for sub in supplies.VARIANTS.values())
+    found = {"supply": _numbers(of_supplies), "drives": _numbers(of_drives, names)}
+    return {k: {n: x for n, x in some.items() if x.value and x in shipped} for k, some in found.items()}
+
+
+def _numbers(subs: Iterable[Subsystem], joints: Sequence[str] = ()) -> dict[str, Number]:
+    """Parameters of all, without the names of joints."""
+    found = {n: x for sub in subs for n, x in numbers(sub)["parameters"].items()}
+    return {n.partition("_")[2] if n.partition("_")[0] in joints else n: x for n, x in found.items()}
 
 
 def _operator(crane: CraneDescription) -> Subsystem:

@@ -239,6 +239,33 @@ def test_a_valve_by_its_rated_flow_passes_it(tmp_path):
     assert "hydraulics.hose 3 m" in told
 
 
+def test_all_that_a_file_does_not_say_is_listed(tmp_path):
+    """Of the paper's machine pumps, engine, valves, air; of tables the keys that are missing, no others."""
+    crane = read(changed(tmp_path, ('viscosity = "0.02 Pa.s"\n', ""), ("[supply]", "[ground]\n[supply]")))
+    told = [line for line in told_of(crane).splitlines() if line.startswith("assumed: ")]
+    assert "assumed: [oil] viscosity 0.02 Pa.s" in told
+    assert "assumed: [ground] stiffness 2e+06 N/m, damping 0.5 s/m, friction 0.6" in told
+    of = {
+        part: line for line in told for part in ("supply", "drives") if line.startswith(f"assumed: {part}, ")
+    }
+    for number in (
+        "pump_displacement 1.13e-05 m3/rad",
+        "engine_rated_torque 433 N.m",
+        "torque_limit 385 N.m",
+    ):
+        assert f", {number}" in of["supply"]
+    for number in ("air_share 0.005,", "valve_spool_frequency 8 Hz", "compensator_setting 1.2e+06 Pa"):
+        assert f", {number}" in of["drives"]
+    built = crane_machine(crane)
+    names = [n for sub in built.families["drives"].values() for n in values(sub).p]
+    # each parameter of the drives without a joint's name is of the file, derived from it, zero, or listed
+    rest = {n for n in names if n.partition("_")[0] not in ("slew", "boom", "jib", "extension")}
+    own = {"density", "viscosity", "bulk_modulus", "port_relief_pressure", "relief_pressure"}
+    own |= {"counterbalance_pressure", "counterbalance_band"}
+    zero = {n for sub in built.families["drives"].values() for n, x in values(sub).p.items() if not x}
+    assert {n for n in rest - own - zero if f" {n} " not in of["drives"]} == set()
+
+
 def test_a_payload_of_the_file_is_held_from_the_start(tmp_path):
     """By the program of the operator, and the pressure of the return line is that of the file."""
     payload = ('on = "grapple"', 'on = "grapple"\nmass = "300 kg"')
