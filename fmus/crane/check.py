@@ -17,7 +17,6 @@ computes it for a grid of poses over the strokes; passive joints hang at rest.
 
 from __future__ import annotations
 
-import keyword
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -43,8 +42,7 @@ from fmus.crane.description import (
 from fmus.crane.manipulator import CraneManipulator, manipulator
 from fmus.parameters import Number, Values, values
 from orchestrator.base.errors import Mistakes, Problem
-from orchestrator.base.text import MODELICA, TextTable
-from orchestrator.check.rules.variables import C
+from orchestrator.base.text import TextTable
 from orchestrator.data.table import Array
 from orchestrator.pages.plotting import new_figure, style_axes
 
@@ -188,8 +186,11 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
 
     start   `outputs_at_start` of its manipulator, if they are known; else names of joints are looked at, too
     """
-    if start is None and (wrong := [*_misnamed(crane)]):
-        raise Mistakes(wrong)
+    from fmus.crane.machine import taken
+
+    used = taken() if start is None else {}
+    if wrong := [(j.name, used[j.name]) for j in crane.joints if j.name in used]:
+        raise Mistakes([f"{crane.file}: [{n}] expected another name of the joint: {why}" for n, why in wrong])
     sub = manipulator(crane)
     of, v = functions(sub), values(sub)
     load = crane.numbers["payload"]["payload_mass"].value
@@ -207,18 +208,6 @@ def check(crane: CraneDescription, start: Mapping[str, float] | None = None) -> 
     if mistakes:
         raise Mistakes(mistakes)
     return found
-
-
-def _misnamed(crane: CraneDescription) -> Iterator[str]:
-    """Joints with a name that code or machine use otherwise."""
-    from fmus.crane.machine import taken
-
-    languages = {"Python": keyword.kwlist, "C": C, "Modelica": MODELICA}
-    for name in (j.name for j in crane.joints):
-        of = [f"{language} has it as a keyword" for language, words in languages.items() if name in words]
-        of += [f"the machine has the name {taken()[name]}"] if name in taken() else []
-        if of:
-            yield f"{crane.file}: [{name}] expected another name of the joint: {of[0]}"
 
 
 def functions(sub: Subsystem) -> CraneManipulator:

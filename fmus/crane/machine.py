@@ -8,9 +8,10 @@ or follow from those that it has (`_settings`, `_sized`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from keyword import kwlist
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,8 @@ from fmus.supply import SUPPLY, supply
 from fmus.valve_actuation import actuation
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import VARIANTS
+from orchestrator.base.text import MODELICA
+from orchestrator.check.rules.variables import C
 from orchestrator.ssp.load import assemble
 from orchestrator.ssp.system import System
 from orchestrator.ssp.write import write_ssp
@@ -115,7 +118,7 @@ def crane_machine(crane: CraneDescription, faults: bool = False) -> Machine:
 
 @cache
 def taken() -> dict[str, str]:
-    """First words of names that a machine has besides those of its joints -> one of these names."""
+    """Words that are no names of joints -> why: other names begin with them, or a language has them."""
     crane = read(NEW)
     m = crane_machine(crane, faults=True)
     drivers = filter(None, (m.operator, m.controller, m.actuation, m.sensors, m.diagnosis))
@@ -123,7 +126,10 @@ def taken() -> dict[str, str]:
     names = [n for s in subs for g in (s.parameters, s.states, s.inputs, s.outputs) for n in quantities(g)]
     names += [n for s in subs for n in (s.component, *(t.name for t in s.terminals))]
     joints = {*AXES, *(j.name for j in crane.joints)}  # and the axes of the paper's machine
-    return {w: n for n in reversed(names) if (w := n.partition("_")[0]) not in joints}
+    words = {n.partition("_")[0]: f"the machine has the name {n}" for n in reversed(names)}
+    for language, keywords in {"Modelica": MODELICA, "C": C, "Python": kwlist}.items():
+        words |= dict.fromkeys(keywords, f"{language} has it as a keyword")
+    return {w: why for w, why in words.items() if w not in joints}
 
 
 def with_pressures(sub: Subsystem, crane: CraneDescription) -> Subsystem:
@@ -240,19 +246,17 @@ def _sized(
 
 def borrowed(crane: CraneDescription) -> dict[str, dict[str, Number]]:
     """Numbers of the paper's machine that supplies and drives have; those of joints without their names."""
-    shipped = {x for of in (swing, boom_stick, supplies) for x in _numbers(of.VARIANTS.values()).values()}
-    names, pose = [j.name for j in crane.driven], outputs_at_start(manipulator(crane))
+    known = (numbers(s) for of in (swing, boom_stick, supplies) for s in of.VARIANTS.values())
+    shipped = {x for tables in known for x in tables["parameters"].values()}
+    names, pose, found = [j.name for j in crane.driven], outputs_at_start(manipulator(crane)), {}
     parts = {j.part: [other for other in crane.driven if other.part == j.part] for j in crane.driven}
-    of_drives = (drives(crane, n, j, pose, v) for n, j in parts.items() for v in FIDELITIES)
-    of_supplies = (with_pressures(sub, crane) for sub in supplies.VARIANTS.values())
-    found = {"supply": _numbers(of_supplies), "drives": _numbers(of_drives, names)}
-    return {k: {n: x for n, x in some.items() if x.value and x in shipped} for k, some in found.items()}
-
-
-def _numbers(subs: Iterable[Subsystem], joints: Sequence[str] = ()) -> dict[str, Number]:
-    """Parameters of all, without the names of joints."""
-    found = {n: x for sub in subs for n, x in numbers(sub)["parameters"].items()}
-    return {n.partition("_")[2] if n.partition("_")[0] in joints else n: x for n, x in found.items()}
+    for kind, subs in {
+        "supply": [with_pressures(sub, crane) for sub in supplies.VARIANTS.values()],
+        "drives": [drives(crane, n, of, pose, v) for n, of in parts.items() for v in FIDELITIES],
+    }.items():
+        own = {n.partition("_"): x for s in subs for n, x in numbers(s)["parameters"].items() if x in shipped}
+        found[kind] = {n[2] if n[0] in names else "".join(n): x for n, x in own.items() if x.value}
+    return found
 
 
 def _operator(crane: CraneDescription) -> Subsystem:

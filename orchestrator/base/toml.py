@@ -105,15 +105,9 @@ class Table:
 
 def read_file(path: Path, missing: str = "no such file") -> Table:
     """A TOML file as a table; missing: the message for a file that does not exist."""
-    try:
-        if not path.is_file() and not path.is_dir() and path.exists():
-            raise Problem(f"{path}: expected a file, got a device or a pipe")
-        with path.open("rb") as file:
-            return read(path, file.read(MAX_BYTES + 1))
-    except FileNotFoundError:
-        raise Problem(f"{path}: {missing}") from None
-    except OSError as error:
-        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
+    if not path.exists():
+        raise Problem(f"{path}: {missing}")
+    return read(path, Location(path).read(MAX_BYTES))
 
 
 def read(file: Path | Location, data: bytes) -> Table:

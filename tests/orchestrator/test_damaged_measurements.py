@@ -253,7 +253,7 @@ TOML = [
     ("[signals.x]\nunit = 'm'\nfactor = " + "9" * 400, "signals.x: factor: expected a number, got 9999"),
     ("[signals.x]\nunit = " + "[" * 200 + "]" * 200, "signals.x: unit: expected a text, got [[[[["),
     ("[signals.x]\nunit = 'm'\n[file]\ncsv = 'a/b.csv'", "file: csv: expected the name of a file in"),
-    ("#" * (5 << 20), "expected at most 4 MiB of TOML, got more"),
+    ("#" * (5 << 20), "expected at most 4 MB, got 5 MB"),
 ]
 
 
