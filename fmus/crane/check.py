@@ -489,12 +489,12 @@ def _cells(loads: Capacity) -> tuple[Array, tuple[Array, Array]]:
 
 def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:
     revolute = a.joint.kind == "revolute"
-    unit, scale = ("deg", 180 / math.pi) if revolute else ("m", 1.0)
+    unit, scale, digits = ("deg", 180 / math.pi, 1) if revolute else ("m", 1.0, 2)
     force, lever = (
         ("kN.m", "1") if a.joint.drive == "motor" else ("kN", f"{a.levers[0]:.3f} to {a.levers[1]:.3f} m")
     )
-    low, high = (round(scale * x, 1) + 0.0 for x in (a.low, a.high))  # no -0.0
-    ends = f"{low:.1f} to {high:.1f} {unit}" if math.isfinite(low) else "no end"
+    low, high = (round(scale * x, digits) + 0.0 for x in (a.low, a.high))  # no -0.0
+    ends = f"{low:.{digits}f} to {high:.{digits}f} {unit}" if math.isfinite(low) else "no end"
     moving = list[str]()
     if speeds:
         moving = ["/".join(f"{scale * x:.3g}" for x in speeds[v][:2]) + f" {unit}/s" for v in SUPPLIES]
@@ -502,7 +502,7 @@ def _row(a: AxisCheck, speeds: Speeds | None) -> list[str]:
     return [
         a.joint.name,
         a.joint.drive,
-        f"{scale * a.joint.start.value:.1f} {unit}",
+        f"{scale * a.joint.start.value:.{digits}f} {unit}",
         ends,
         lever,
         *(f"{x / 1e3:.3g} {force}" for x in (a.push, a.pull)),
